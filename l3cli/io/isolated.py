@@ -121,7 +121,7 @@ def _decoded(function: Callable[..., Any], path: Path, *plain: Any) -> Any:
 def too_much(path: Path) -> str:
     return (
         f"{path} needs more memory than the {most_bytes() / 1e9:.3g} GB of content that a file may have; "
-        f"if the file is intact, raise {MEGAPIXELS} or add ‹trust›"
+        f"if the file is intact, increase the environment variable {MEGAPIXELS} or add ‹trust›"
     )
 
 
@@ -209,7 +209,7 @@ class _Child:
         """Return the message for a file whose decoding exceeds the time limit."""
         return (
             f"{path} takes longer than {self.limits[0]:g} s to decode, so it may be damaged; "
-            f"if the file is intact, raise {SECONDS} or add ‹trust›"
+            f"if the file is intact, increase the environment variable {SECONDS} or add ‹trust›"
         )
 
     def _crash_message(self, path: Path) -> str:

@@ -340,7 +340,11 @@ def _sensor_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
     yield from array
     size = "sensor.rows", "sensor.cols"
     if sensor.rows * sensor.cols > most_pixels():
-        yield fault(f"{sensor.rows}×{sensor.cols} pixels are more than an input may have; raise {MEGAPIXELS}", *size)
+        yield fault(
+            f"{sensor.rows}×{sensor.cols} pixels are more than an input may have; increase the environment variable "
+            f"{MEGAPIXELS}",
+            *size,
+        )
     elif not array:
         rows, cols = len(recipe.cfa.pattern), len(recipe.cfa.pattern[0].split())
         if sensor.rows < SITE_PIXELS * rows or sensor.cols < SITE_PIXELS * cols:

@@ -60,7 +60,8 @@ def require_picture(name: str, rows: int, cols: int, values: int = 1) -> None:
     if rows * cols > most_pixels() or rows * cols * values > VALUES_A_PIXEL * most_pixels():
         raise InputFileError(
             f"{name} has {rows}×{cols} pixels of {values} value{'s' * (values != 1)}, but the limit is "
-            f"{most_pixels() / 1e6:g} megapixels of {VALUES_A_PIXEL} values; if the size is correct, raise {MEGAPIXELS}"
+            f"{most_pixels() / 1e6:g} megapixels of {VALUES_A_PIXEL} values; if the size is correct, increase the "
+            f"environment variable {MEGAPIXELS}"
         )
 
 
@@ -71,7 +72,7 @@ def require_values(name: str, shape: Iterable[int], value_bytes: int = VALUE_BYT
         lengths = "×".join(map(str, shape))
         raise InputFileError(
             f"{name} has {lengths} values of {value_bytes} bytes, more than {most_bytes() / 1e9:.3g} GB; "
-            f"if the size is correct, raise {MEGAPIXELS}"
+            f"if the size is correct, increase the environment variable {MEGAPIXELS}"
         )
 
 
