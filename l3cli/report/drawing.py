@@ -125,7 +125,11 @@ class Plot:
     def line(
         self, x: Array, y: Array, colour: str, mark: str = "line", width: float = 2, series: str | None = None
     ) -> "Plot":
-        """Draw a line through points. `mark` is a key of DASHES. `width` is in pixels."""
+        """Draw a line through points.
+
+        `mark` is a key of DASHES. `width` is in pixels. If `series` is given, the points are also added to the data of the
+        plot under this name.
+        """
         self._add_series(series, x, y)
         points = self._points(x, y)
         self._places.take(points, joined=True)

@@ -72,7 +72,7 @@ def _cell(figure: str, value: float | None) -> str:
 
 
 def _known(documents: Documents, figure: str) -> bool:
-    """Whether any frame of any sequence has a metric."""
+    """Return whether any frame of any sequence has a value of the metric `figure`."""
     return any(frame[figure] is not None for document in documents.values() for frame in document["frames"])
 
 

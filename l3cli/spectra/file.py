@@ -132,7 +132,10 @@ def _separator(lines: Sequence[str]) -> tuple[str | None, bool]:
 
 
 def _split(line: str, separator: str | None) -> Cells:
-    """Split a line into cells."""
+    """Split a line into cells at a separator, or at white space if `separator` is None.
+
+    Quoted cells may contain the separator.
+    """
     if separator is None:
         return line.split()
     cells = line.split(separator)
@@ -292,7 +295,8 @@ def _without_nm(cell: str) -> str:
 
 
 def _is_grid(values: Sequence[float]) -> bool:
-    """Whether numbers are plausible as a sorted grid of wavelengths in nm."""
+    """Return whether numbers are plausible as a sorted grid of wavelengths in nm: distinct, and in ascending or descending
+    order."""
     ordered = sorted(values)
     return LIGHT[0] <= ordered[0] and ordered[-1] <= LIGHT[1] and len(set(values)) == len(values) and (
         list(values) in (ordered, ordered[::-1])

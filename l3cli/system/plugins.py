@@ -26,7 +26,8 @@ def plugins(group: str) -> dict[str, EntryPoint]:
 
 
 def package(entry: EntryPoint) -> str:
-    """Return the name and version of the package that provides an entry point."""
+    """Return the name and version of the package that provides an entry point, or the entry point's value if no package is
+    known."""
     return f"{entry.dist.name} {entry.dist.version}" if entry.dist else entry.value
 
 
