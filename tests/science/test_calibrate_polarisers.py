@@ -4,6 +4,7 @@ import csv
 import json
 import re
 import shutil
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -271,6 +272,19 @@ def test_a_check_finds_swapped_polarisers(unit: Path, lab: Path, tmp_path: Path,
     code, out, _ = l3("check", lab / "silent.toml", lab / "camera.toml")
     assert code == 3
     assert "p45 has 44.5° instead of 135°" in out
+
+
+def test_a_draft_lists_the_captures(unit: Path, lab: Path, tmp_path: Path, l3: L3) -> None:
+    for kind in ("mono", "chart", "white", "dark", "polariser", "spectra"):
+        shutil.copytree(lab / kind, tmp_path / kind)
+    draft = tmp_path / "MEASUREMENTS.toml"
+    assert l3("calibrate", "--draft", tmp_path, "--camera", unit / "camera.toml", "-o", draft)[0] == 0
+    made, own = (tomllib.loads(path.read_text()) for path in (draft, lab / "MEASUREMENTS.toml"))
+    assert [(each["frames"], each["angle_deg"]) for each in made["polariser"]] == [
+        (each["frames"], each["angle_deg"]) for each in own["polariser"]
+    ]
+    assert [made["channel"][name]["polariser_deg"] for name in own["channel"]] == ANGLES.tolist()
+    assert len(made["mono"]) == len(own["mono"])
 
 
 def test_polarisers_of_a_known_camera(unit: Path, lab: Path, tmp_path: Path, l3: L3) -> None:

@@ -34,6 +34,13 @@ def test_a_name_states(path: str, kind: str | None, nm: float | None, seconds: f
     assert name.seconds == pytest.approx(seconds)
 
 
+def test_angles_of_a_rotating_polariser() -> None:
+    for path, angle in (("polariser/045deg_1.tif", 45.0), ("polarizer 22.5° 3.tif", 22.5), ("polarizer/0 deg/7.tif", 0.0)):
+        assert (read_name(path).kind, read_name(path).angle) == ("polariser", angle)
+    assert read_name("polariser_3.tif").angle is None
+    assert read_name("white_45degrees.tif").kind == "white"
+
+
 def test_wavelengths_without_unit_are_no_counters() -> None:
     def read(*paths: str) -> list[float | None]:
         return [name.nm for name in with_bare_wavelengths([read_name(path) for path in paths])]

@@ -26,7 +26,7 @@ from l3cli.calibration.draft.sorting import (
 )
 from l3cli.errors import listed
 from l3cli.physics.mosaic import array_rows
-from l3cli.recipes.toml import toml_value
+from l3cli.recipes.toml import toml_key, toml_value
 from l3cli.spectra.table import CurveTable
 from l3cli.spectra.units import PHOTON_RADIANCE, POWER_RADIANCE
 from l3cli.system.text import printable
@@ -247,6 +247,7 @@ class Composer:
             what = "the folder contains no monochromatic captures, charts or curves from which to get the responsivity"
             out.todo_table("[curves]", what, ("file", "curves.csv"), ("per_energy", True))
         self._sensor_frames()
+        self._polarisers()
         unused = [table.name.path for table in self.seen.tables if toml_value(table.path) not in str(out)]
         if unused:
             self.seen.notes.append(f"unused tables of spectra: {listed(unused)}")
@@ -467,6 +468,21 @@ class Composer:
             if not self.darks:
                 what = "no light, with at least two exposures, two frames per exposure"
                 out.todo_table("[[dark]]", what, *example)
+
+    def _polarisers(self) -> None:
+        """Add the [[polariser]] captures, whose angles are in the file names or must be filled in by the user."""
+        out, captures = self.out, self.seen.groups_of("polariser")
+        for group in captures:
+            self._common(group, "[[polariser]]")
+            if group.first.name.angle is None:
+                out.todo("angle_deg", 45.0, "angle of the rotating polariser", group.first.name.path)
+            else:
+                out.key("angle_deg", group.first.name.angle, "from the file name")
+        if captures and self.camera is not None and self.camera.polarisers is not None:
+            stated = self.camera.polarisers
+            for name, angle, present in zip(self.camera.channels, stated.polariser_deg, stated.present, strict=True):
+                if present:
+                    out.table(f"[channel.{toml_key(name)}]", polariser_deg=float(angle))
 
     def _list(self, kind: str, groups: Sequence[Group]) -> None:
         for group in groups:

@@ -15,9 +15,11 @@ KINDS = {
     "white": ("white", "whites", "flat", "flats", "flatfield", "ptc"),
     "mono": ("mono", "monos", "monochromator", "monochromatic", "sweep", "narrowband"),
     "chart": ("chart", "charts", "checker", "colorchecker", "colourchecker", "macbeth", "passport", "target"),
+    "polariser": ("polariser", "polarisers", "polarizer", "polarizers"),
 }
 NUMBER = r"\d+(?:[.,p]\d+)?"
 NM = re.compile(rf"(?<![\d.,])({NUMBER})[ _-]?nm(?![a-z])", re.IGNORECASE)
+ANGLE = re.compile(rf"(?<![\d.,])({NUMBER})[ _-]?(?:deg|°)", re.IGNORECASE)
 SECONDS = re.compile(rf"(?<![\d.,])({NUMBER})[ ]?(s|sec|ms|msec|us|usec|µs|μs)(?![a-zA-Z])")
 FRACTION = re.compile(r"(?:(?<=^)|(?<=[_ ]))1[-/](\d{1,5})[ ]?s(?:ec)?(?![a-zA-Z])")
 UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "µs": 1e-6, "μs": 1e-6}
@@ -50,6 +52,7 @@ class Name:
     nm: float | None = None
     seconds: float | None = None
     light: str | None = None
+    angle: float | None = None  # degrees; of a rotating polariser
     series: str = ""  # folder and name without the last number, which the frames of one exposure share
 
     @property
@@ -65,9 +68,18 @@ def read_name(path: str) -> Name:
     nm = next(filter(None, map(_wavelength, parts)), None)
     seconds = next(filter(None, map(_seconds, parts)), None)
     light = next(filter(None, map(LIGHT.search, parts)), None)
+    angle = next(filter(None, map(ANGLE.search, parts)), None)
     series = re.sub(r"\d+(?=\D*$)", "#", stem, count=1)
     folder = pure.parent.as_posix()
-    return Name(path, kind_of(pure), nm, seconds, light[1] if light else None, f"{folder}/{series}")
+    return Name(
+        path,
+        kind_of(pure),
+        nm,
+        seconds,
+        light=light[1] if light else None,
+        angle=_number(angle[1]) if angle else None,
+        series=f"{folder}/{series}",
+    )
 
 
 def _wavelength(part: str) -> float | None:

@@ -53,7 +53,7 @@ class Frame:
 class Group:
     """The frames of one capture, which show the same scene with the same exposure."""
 
-    kind: str  # dark, white, mono, band or chart; if the type is not known, "plain" (uniform) or "structured"
+    kind: str  # dark, white, mono, band, chart or polariser; if the type is not known, "plain" (uniform) or "structured"
     frames: tuple[Frame, ...]
 
     @property
@@ -116,7 +116,8 @@ def sort_frames(frames: Sequence[Frame], scale: Scale, notes: list[str]) -> list
     groups: dict[tuple[object, ...], list[Frame]] = {}
     for frame, kind in zip(ordered, kinds, strict=True):
         time = None if frame.seconds is None else float(f"{frame.seconds:.3g}")
-        known = (kind, frame.name.nm, frame.name.light, time, frame.name.words if kind != "dark" else None)
+        name = frame.name
+        known = (kind, name.nm, name.light, name.angle, time, name.words if kind != "dark" else None)
         members = groups.setdefault((*known, frame.name.series if frame.seconds is None else None), [])
         members.append(frame)
     captures = [Group(str(key[0]), tuple(part)) for key, members in groups.items() for part in _alike(members, scale)]
