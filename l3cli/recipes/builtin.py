@@ -41,7 +41,7 @@ LEARNING = (
     f"[learning]\nlights = {LIGHTS}    # trains transforms for each illuminant; the white of a frame selects them\n",
 )
 # Camera recipe → class recipe, if the camera does not use the class recipe `default`.
-CLASSES = {"nona_bayer_hdr": "blocks", "rgbir4x4": "long_period"}
+CLASSES = {"nona_bayer_hdr": "blocks", "rccb": "clear", "rgbir4x4": "long_period"}
 
 
 def recipe_folder() -> Path:

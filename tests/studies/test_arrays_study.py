@@ -52,7 +52,7 @@ CASES = {
     "dual_iso": Case("D65", (5.0, 5.0), APART),
     "rgbir4x4": Case("3200K", (4.5,)),
     "quad_rgbw": Case("D65", (5.0,)),
-    "rccb": Case("D65", (5.0,)),
+    "rccb": Case("D65", (4.7,)),
     "rccg": Case("D65", (5.0,)),
 }
 
