@@ -22,7 +22,7 @@ CONTENTS = {
     "Start": ["install", "how-l3-works", "tutorial", "glossary"],
     "How-to": [
         "own-lab", "raw-files", "video", "many-machines", "spectral-scenes", "arrays", "class-recipes", "measurement",
-        "evaluate", "programs", "green-webcam", "export",
+        "polarisation", "evaluate", "programs", "green-webcam", "export",
     ],
     "Reference": [
         "commands", "reference/commands", "reference/recipes", "artifacts", "reference/artifacts", "python",

@@ -12,6 +12,7 @@ from l3cli.artifacts.conditions import Condition, NoiseEdges, SceneLight
 from l3cli.artifacts.layers import PLANES, RATIO_TAPS, MosaicLayer, PlaneLayer
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.artifacts.training_set import LightSpectrum, white_signal
+from l3cli.physics.stokes import STOKES
 
 LUMINANCE = ("Y",)  # outputs of a table that renders luminance only
 GREY = ("Y", "Y", "Y")  # outputs of a luminance table that was converted for rendering pictures
@@ -244,9 +245,9 @@ class TransformTable(Artifact):
     def shows_grey(self) -> bool:
         """Whether pictures are grey.
 
-        They are grey if the table renders luminance only, or if the camera has a single channel.
+        They are grey if the table renders luminance only or Stokes parameters, or if the camera has a single channel.
         """
-        return self.outputs == GREY or len(self.channels) == 1
+        return self.outputs in (GREY, STOKES) or len(self.channels) == 1
 
     @property
     def noises(self) -> tuple[Condition, ...]:

@@ -88,7 +88,8 @@ def print_tables(document: dict[str, Any]) -> None:
         figure for figure in document["frames"][0]["ours"] if figure not in (NOT_SHOWN if wide else LESS_NEEDED + NOT_SHOWN)
     ]
     baselines = document["pipelines"][1:]
-    second = "rmse" if "delta_e_d65" in figures else "psnr"
+    second = next(each for each in ("psnr_s0", "delta_e_d65", "psnr") if each in figures)
+    second = "rmse" if second == "delta_e_d65" else second
     main = [figures[0]] + [figure for figure in figures if figure == second and wide]
     shown = [("ours", figure) for figure in figures] + [(baseline, figure) for baseline in baselines for figure in main]
     named = [FIGURES[figure].short if owner == "ours" else f"{owner}\n{FIGURES[figure].short}" for owner, figure in shown]

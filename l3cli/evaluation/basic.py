@@ -204,6 +204,35 @@ def develop_bands(frame: TrainingPair, camera: CameraModel, relit: bool, demosai
     return balanced_bands(frame, camera, white, demosaic) * frame.white[:, None, None]
 
 
+def develop_stokes(frame: TrainingPair, camera: CameraModel, demosaic: Demosaic) -> Array:
+    """Demosaick a raw frame of a monochrome polarisation camera, and compute S1, S0 and S2 of each pixel.
+
+    Each channel is demosaicked as for `develop_bands`. The Stokes parameters are the least-squares solution for the angles
+    and the extinction ratios of all channels.
+
+    Parameters
+    ----------
+    frame : TrainingPair
+        Raw frame, with the white of its target, whose second output is S0.
+    camera : CameraModel
+        Camera that took the frame.
+    demosaic : callable
+        Demosaicking method.
+
+    Returns
+    -------
+    ndarray, (3, row, col)
+        S1, S0 and S2 in the unit of the target.
+    """
+    light = light_of(frame, camera)
+    radiance = spectra.sampling_matrix(light.wavelength, camera.wavelength) @ light.radiance
+    response = (camera.stokes_weights @ radiance).T  # (channel, stokes)
+    response = response / response[:, :1]
+    bands = balanced_bands(frame, camera, white_electrons(frame, camera), demosaic)
+    stokes = np.einsum("sc,crk->srk", np.linalg.pinv(response), bands)
+    return np.asarray(stokes[[1, 0, 2]] * frame.white[1])
+
+
 def white_electrons(frame: TrainingPair, camera: CameraModel) -> Array:
     """Return the photo-electrons per second that a perfect white generates in each channel under the frame's illuminant."""
     light = light_of(frame, camera)

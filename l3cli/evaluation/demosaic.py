@@ -86,6 +86,11 @@ def band_baselines(cfa: CFA) -> dict[str, Demosaic]:
     return _with_plugins({"basic": interpolate}, cfa)
 
 
+def stokes_baselines(cfa: CFA) -> dict[str, Demosaic]:
+    """Return the demosaicking method for the channels of a monochrome polarisation camera, by name."""
+    return {"bilinear": bilinear} if occurs_once(cfa) else {"basic": interpolate}
+
+
 def best_of_bands(cfa: CFA) -> Demosaic:
     """Return the best demosaicking method for the bands of a CFA, plugins excluded.
 

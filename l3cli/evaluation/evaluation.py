@@ -4,6 +4,7 @@ The document also contains mean errors by class, with which a user can find the 
 """
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
@@ -18,15 +19,26 @@ from l3cli.classes import chroma, contrast, level, saturation
 from l3cli.classes.features import features_of
 from l3cli.classes.names import EVERY_FEATURE
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.evaluation.basic import Colour, develop, develop_bands, fit_colour, light_of, merges
-from l3cli.evaluation.demosaic import band_baselines, baselines, interpolate
-from l3cli.evaluation.quality import PATCH_KINDS, VIEWING, Target, band_figures, cropped, judge_bands, judge_single, mottle
+from l3cli.evaluation.basic import Colour, develop, develop_bands, develop_stokes, fit_colour, light_of, merges
+from l3cli.evaluation.demosaic import band_baselines, baselines, interpolate, stokes_baselines
+from l3cli.evaluation.quality import (
+    PATCH_KINDS,
+    VIEWING,
+    Target,
+    band_figures,
+    cropped,
+    judge_bands,
+    judge_single,
+    judge_stokes,
+    mottle,
+)
 from l3cli.evaluation.reflectance import ESTIMATES, Drawn, Estimates, judge_reflectances
 from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.physics.display import XYZ
 from l3cli.physics.figures import known_mean, sign
 from l3cli.physics.spectra import RADIANCES, REFLECTANCES
+from l3cli.physics.stokes import STOKES, has_stokes
 
 Array = NDArray[np.floating]
 MIN_PIXEL_FRACTION = 1e-3  # classes with a smaller fraction of all pixels are not listed among the worst classes
@@ -173,6 +185,8 @@ class Evaluation:
             self._baselines = dict.fromkeys(self._merges, interpolate) | baselines(camera.cfa)
         else:
             self._baselines = band_baselines(camera.cfa) if table.outputs == camera.channels else {}
+            if table.outputs == STOKES and camera.polarisers is not None:
+                self._baselines = stokes_baselines(camera.cfa)
         self._estimates = None
         if drawn is not None and table.outputs in (REFLECTANCES, RADIANCES):
             self._estimates = Estimates(camera, drawn)
@@ -185,6 +199,7 @@ class Evaluation:
             if self.pipelines.count(name) > 1 or name in RESERVED_NAMES:
                 raise RecipeError(f'the pipeline name "{name}" is already in use; choose another name')
         single = "mean_error" if len(table.outputs) == 1 else "mean_angle"
+        single = "mean_dolp_error" if has_stokes(table.outputs) else single
         self._figure = "mean_delta_e" if self._pictures else single
         self._colours: dict[bytes, Colour] = {}  # white balance and colour matrix for each illuminant
         self._frames: list[dict[str, Any]] = []
@@ -254,6 +269,8 @@ class Evaluation:
         for name, demosaic in self._baselines.items():
             if self._pictures:
                 planes[name] = develop(frame, self._camera, self._colour(frame), demosaic, self._merges.get(name))
+            elif self._table.outputs == STOKES:
+                planes[name] = develop_stokes(frame, self._camera, demosaic)
             else:
                 planes[name] = develop_bands(frame, self._camera, self._wanted is not None, demosaic)
         return {name: self._as_shown(of, frame) for name, of in planes.items()}
@@ -303,10 +320,12 @@ class Evaluation:
         else:
             several = judge_reflectances if self._table.outputs == REFLECTANCES else judge_bands
             judge: Callable[..., tuple[Any, Array]] = judge_single if len(self._table.outputs) == 1 else several
+            if has_stokes(self._table.outputs):
+                judge = functools.partial(judge_stokes, outputs=self._table.outputs)
             wanted: dict[str, Any] = {"target": frame.target, "white": frame.white, "border": border, "counted": counted}
             judged = {name: judge(of, **wanted) for name, of in planes.items()}
         self._frames.append({**about, **{name: dataclasses.asdict(figures) for name, (figures, _) in judged.items()}})
-        if not self._pictures:
+        if not (self._pictures or has_stokes(self._table.outputs)):
             self._bands.append({name: band_figures(of, **wanted) for name, of in planes.items()})
         known = np.isfinite(judged[OURS][1])  # the target alone decides which errors are finite, so one mask is enough
         self._classes.add(cropped(labels, border)[known], {name: errors[known] for name, (_, errors) in judged.items()})
@@ -325,7 +344,8 @@ class Evaluation:
             * frames: for each frame its scene, illuminant, luminance (cd/m²), level (mean signal above dark as a fraction
               of full scale), exposure (s), clipped (fraction of pixels at full scale) and shown (fingerprints of scene and
               illuminant, or null). Each pipeline has a key with the fields of Quality for XYZ, ReflectanceQuality for
-              reflectances, SingleQuality for a single output, and BandQuality for other outputs.
+              reflectances, StokesQuality for Stokes parameters, SingleQuality for a single output, and BandQuality for other
+              outputs.
             * mean: the mean of every metric over the frames, by pipeline.
             * better: number of frames in which the table is better, by other pipeline and metric.
             * by_level: mean metrics by pipeline for each range (from, to) of frame levels, with the number of frames.
@@ -335,7 +355,8 @@ class Evaluation:
               for several gains have this list. A few frames are simulated at each gain.
             * by_patch: mottle by pipeline in uniform patches, for each kind of patch and each range (from, to) of frame
               levels, with the number of patches.
-            * by_band: mean psnr, output_psnr and ssim by pipeline for each output, unless the outputs are XYZ.
+            * by_band: mean psnr, output_psnr and ssim by pipeline for each output, unless the outputs are XYZ or contain
+              Stokes parameters.
             * by_class: mean error by pipeline for each value of each class feature, with the number of pixels. Pixels
               without a spectral angle are not counted.
             * worst_classes: mean error by pipeline in the classes in which the table has the largest errors, with level,

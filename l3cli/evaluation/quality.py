@@ -13,6 +13,7 @@ from scipy.ndimage import correlate1d, find_objects, gaussian_filter, label, max
 
 from l3cli.errors import RecipeError
 from l3cli.physics.display import LUMA, daylight, delta_e_2000, displayed, displayed_xyz, lab, srgb_curve, white_luminance
+from l3cli.physics.stokes import aolp, behind, dolp, luminance_name, stokes_of
 
 Array = NDArray[np.floating]
 BLUR = 4.0  # pixels; σ of the Gaussian that removes grain but keeps blotches
@@ -166,6 +167,20 @@ class SingleQuality:
     ssim: float
 
 
+@dataclass(frozen=True)
+class StokesQuality:
+    """Metrics of one frame with Stokes parameters. A perfect white is 1."""
+
+    mean_dolp_error: float  # mean absolute error of the degree of linear polarisation
+    psnr_dolp: float  # dB, of the degree of linear polarisation
+    aolp_rmse: float | None  # degrees; RMS error of the angle where the degree of the target exceeds 0.05; None if nowhere
+    dolp_bias: float | None  # mean degree minus that of the target, where the latter is below 0.005; None if nowhere
+    psnr_intensities: float  # dB, of the intensities behind ideal polarisers at 0°, 45°, 90° and 135°
+    psnr_s0: float  # dB, of S0 / 2, which is the intensity of unpolarised light behind a polariser
+    psnr_s1: float  # dB
+    psnr_s2: float  # dB
+
+
 class Target:
     """Target of an XYZ frame, with the values that are computed once for comparisons with several pictures.
 
@@ -317,6 +332,62 @@ def judge_single(
         output_psnr=psnr(*(of_counted(each, counted) for each in linear)),
         ssim=ssim(*(each[0] for each in shares), counted=counted),
     ), error if counted is None else np.where(counted, error, np.nan)
+
+
+POLARISED, UNPOLARISED = 0.05, 0.005  # degrees of polarisation above and below which angle and bias are evaluated
+ANGLES = (0.0, 45.0, 90.0, 135.0)  # degrees; angles of the polarisers whose intensities are compared
+
+
+def judge_stokes(
+    rendered: Array,
+    target: Array,
+    white: Array,
+    outputs: tuple[str, ...],
+    border: int = 0,
+    counted: NDArray[np.bool_] | None = None,
+) -> tuple[StokesQuality, Array]:
+    """Compare rendered Stokes parameters with a target.
+
+    Parameters
+    ----------
+    rendered, target : ndarray, (output, row, col)
+        Rendered planes and target, both in the same unit.
+    white : ndarray, (output)
+        Outputs of a perfect white.
+    outputs : tuple of str
+        Names of the outputs, which include S1 and S2.
+    border : int
+        Width in pixels of the margin that is not evaluated.
+    counted : ndarray of bool, (row, col), optional
+        Mask of pixels to evaluate. [default: all pixels]
+
+    Returns
+    -------
+    quality : StokesQuality
+        Metrics of the frame.
+    errors : ndarray, (row, col)
+        Absolute error of the degree of polarisation, inside the border. NaN for pixels that are not evaluated.
+    """
+    unit = white[outputs.index(luminance_name(outputs))]
+    inside = None if counted is None else cropped(counted, border)
+    made, wanted = (stokes_of(cropped(each, border) / unit, outputs).astype(np.float64) for each in (rendered, target))
+    error = np.abs(dolp(made) - dolp(wanted))
+    errors = error if inside is None else np.where(inside, error, np.nan)
+    made, wanted = (of_counted(each, inside) for each in (made, wanted))
+    degree, true = dolp(made), dolp(wanted)
+    turned = np.abs(aolp(made) - aolp(wanted))[true > POLARISED]
+    plain = true < UNPOLARISED
+    behind_each = (np.stack([behind(each, angle) for angle in ANGLES]) for each in (made, wanted))
+    return StokesQuality(
+        mean_dolp_error=float(np.abs(degree - true).mean()),
+        psnr_dolp=psnr(degree, true),
+        aolp_rmse=float(np.sqrt(np.mean(np.minimum(turned, 180 - turned) ** 2))) if turned.size else None,
+        dolp_bias=float((degree - true)[plain].mean()) if plain.any() else None,
+        psnr_intensities=psnr(*behind_each),
+        psnr_s0=psnr(made[0] / 2, wanted[0] / 2),
+        psnr_s1=psnr(made[1], wanted[1]),
+        psnr_s2=psnr(made[2], wanted[2]),
+    ), errors
 
 
 def band_quality(rendered: Array, target: Array, white: Array, border: int = 0) -> BandQuality:

@@ -17,6 +17,22 @@ NO_ILLUMINANT: Final = None  # illuminant of scenes that consist of reflectances
 
 
 @dataclass(frozen=True)
+class Polarisation:
+    """Linear polarisation of a scene: the Stokes parameters S1 and S2 relative to S0.
+
+    Between the wavelengths, the ratios are interpolated linearly. Beyond them, they are constant.
+    """
+
+    wavelength: NDArray[np.float64]  # (node) nm, increasing
+    ratio: NDArray[np.float32]  # (row, col, 2, node) S1/S0 and S2/S0
+
+    def weights(self, bands: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return the weight of each node at the wavelengths `bands`, (node, band). The weights of a band add up to 1."""
+        nodes = np.eye(self.wavelength.size)
+        return np.array([np.interp(bands, self.wavelength, node) for node in nodes])
+
+
+@dataclass(frozen=True)
 class Scene:
     """An image of spectral reflectances, with its illuminant if there is one.
 
@@ -32,9 +48,12 @@ class Scene:
     illuminant: NDArray[np.float64] | None  # (band) photons/s/sr/m²/nm of a perfect white, or NO_ILLUMINANT
     # (row, col) mask of pixels without data, whose values were filled in from their neighbours; None if there are none
     ignored: NDArray[np.bool_] | None = None
+    polarisation: Polarisation | None = None  # None if the light is not polarised; `reflectance` is then S0
 
     def __post_init__(self) -> None:
         bands = self.wavelength.size
+        if self.polarisation is not None and self.polarisation.ratio.shape[:2] != self.reflectance.shape[:2]:
+            raise ValueError(f"scene {self.name}: the polarisation and the reflectances differ in size")
         if self.reflectance.ndim != 3 or self.reflectance.shape[2] != bands:
             raise ValueError(
                 f"scene {self.name}: samples of shape {self.reflectance.shape} do not match {bands} wavelengths"

@@ -171,6 +171,11 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
         "picture [default: camera if the file is a camera raw that states a white, otherwise table].",
         metavar="NAME|x,y|R,G,B|table|camera|auto|chart|ROW,COL[,SIZE]",
     )
+    show: Literal["dolp", "aolp", "stokes"] | None = option(
+        None,
+        "Polarisation cameras only: show the degree of polarisation, its angle, or all Stokes parameters in colours, with a "
+        "colour bar [default: the intensity or colour picture].",
+    )
     space: Literal["srgb", "display-p3", "rec2020", "acescg", "xyz"] | None = option(
         None, "Colour space [default: srgb; for .exr files and 32 bits, the outputs of the table, unchanged]."
     )

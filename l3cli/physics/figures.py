@@ -36,6 +36,14 @@ FIGURES = {  # metrics of frames in the order in which they are displayed, then 
     "delta_e_a": Figure("mean ΔE00 under A", "ΔE00 A", " ΔE00"),
     "delta_e_d65": Figure("mean ΔE00 under D65", "ΔE00 D65", " ΔE00"),
     "delta_e_f11": Figure("mean ΔE00 under F11", "ΔE00 F11", " ΔE00"),
+    "mean_dolp_error": Figure("mean error of DoLP (1)", "DoLP error", digits=4),
+    "psnr_dolp": Figure("PSNR of DoLP (dB)", "DoLP dB", " dB", more_is_better=True),
+    "aolp_rmse": Figure("RMS error of AoLP (°)", "AoLP °", "°"),
+    "dolp_bias": Figure("bias of DoLP of unpolarised light (1)", "DoLP bias", digits=4),
+    "psnr_intensities": Figure("PSNR of intensities (dB)", "I dB", " dB", more_is_better=True),
+    "psnr_s0": Figure("PSNR of S0 (dB)", "S0 dB", " dB", more_is_better=True),
+    "psnr_s1": Figure("PSNR of S1 (dB)", "S1 dB", " dB", more_is_better=True),
+    "psnr_s2": Figure("PSNR of S2 (dB)", "S2 dB", " dB", more_is_better=True),
     "mtf50_rows": Figure("MTF50 along rows (cycles/pixel)", "MTF50\nrows", " cycles/pixel", more_is_better=True, digits=3),
     "mtf50_columns": Figure(
         "MTF50 along columns (cycles/pixel)", "MTF50\ncolumns", " cycles/pixel", more_is_better=True, digits=3

@@ -40,6 +40,7 @@ LEARNING = (
     "[learning]\n",
     f"[learning]\nlights = {LIGHTS}    # trains transforms for each illuminant; the white of a frame selects them\n",
 )
+POLARISED = ("polarised", "polarised_colour")  # cameras whose scene recipes have the same names, for training and for tests
 # Camera recipe → class recipe, if the camera does not use the class recipe `default`.
 CLASSES = {"nona_bayer_hdr": "blocks", "rccb": "clear", "rgbir4x4": "long_period"}
 
@@ -201,6 +202,8 @@ def folder_files(starter: Path) -> dict[str, Path]:
     if starter.is_dir():
         return {path.name: path for path in sorted(starter.iterdir())}
     sources = COMMON | {"classes.toml": f"classes/{classes_of(starter)}.toml"}
+    if starter.stem in POLARISED:
+        sources |= {"scenes.toml": f"scenes/{starter.stem}.toml", "unseen.toml": f"scenes/{starter.stem}_unseen.toml"}
     files = {name: recipe_folder() / source for name, source in sources.items()} | {"camera.toml": starter}
     return files | {path.name: path for path in _named(starter)}
 

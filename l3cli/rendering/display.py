@@ -13,6 +13,7 @@ from l3cli.errors import RecipeError
 from l3cli.physics.display import CODES, Tone, codes, display_white
 from l3cli.physics.gamut import gamut_of, into_gamut
 from l3cli.physics.spaces import SRGB, Curve, Space, adaptation_matrix
+from l3cli.physics.stokes import STOKES
 
 MAX_LAYERS = 4  # largest number of layers that the renderers support
 
@@ -124,8 +125,11 @@ def linear_matrix(adaptation: NDArray[np.floating], scale: float, space: Space) 
 
 
 def require_xyz(outputs: tuple[str, ...]) -> None:
-    """Raise a RecipeError if pictures cannot be made from these outputs, which must be X, Y, Z or only Y."""
-    if outputs not in (("X", "Y", "Z"), GREY):
+    """Raise a RecipeError if pictures cannot be made from these outputs.
+
+    They must be X, Y, Z, only Y, or Stokes parameters.
+    """
+    if outputs not in (("X", "Y", "Z"), GREY, STOKES):
         raise RecipeError(
             f"the table has the outputs {', '.join(outputs)}, but pictures need X, Y, Z, or only Y; write an .exr file"
         )
@@ -144,8 +148,8 @@ def shown_adaptation(table: TransformTable, adaptation: NDArray[np.float64]) -> 
     Returns
     -------
     ndarray, (3, 3)
-        The matrix `adaptation`. For a table of grey pictures, the matrix instead converts Y to a grey of this luminance, so
-        that R, G and B are exactly equal.
+        The matrix `adaptation`. For a table of grey pictures, the matrix instead converts Y (or S0) to a grey of this
+        luminance, so that R, G and B are exactly equal.
     """
     return np.outer(display_white(), [0.0, 1.0, 0.0]) if table.shows_grey else adaptation
 

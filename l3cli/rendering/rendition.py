@@ -21,6 +21,7 @@ from l3cli.physics.display import FLOAT_BITS, Tone
 from l3cli.physics.spaces import SPACES, SRGB, XYZ, Space, chromaticity_of
 from l3cli.rendering.display import Display, adapted_display, linear_matrix, require_xyz, shown_adaptation
 from l3cli.rendering.exposure import LightMeter, SteadyExposure, still_scale
+from l3cli.rendering.polarisation import in_upright_frame, picture_of, planes_in_files
 from l3cli.rendering.renderer import Renderer
 from l3cli.rendering.temporal.chunks import Chunks
 from l3cli.rendering.white.scene_white import SceneWhite, SteadyWhite, WhiteBalance, balanced
@@ -45,6 +46,7 @@ class Rendition:
     stops: float = 0.0  # additional exposure in EV
     stated_exposure: bool = False  # whether to multiply by the exposure that the file of each frame states
     tone: Tone | None = None  # tone curve, if any
+    polarisation: str | None = None  # one of `polarisation.SHOWN` for a picture of Stokes parameters, without balance
 
     @property
     def is_linear(self) -> bool:
@@ -184,8 +186,13 @@ def rendered(
             return upright(renderer.encoded(moved, display), frame.orientation), scale
         return upright(renderer.picture(balanced_frame, display), frame.orientation), scale
     frame = frame if balance is None else balanced(frame, renderer.table, balance.gains)
-    outputs = renderer.outputs(frame)
-    planes = warped(outputs, renderer.table.outputs, frame.warps)
+    outputs, names = renderer.outputs(frame), renderer.table.outputs
+    planes = warped(outputs, names, frame.warps)
+    if balance is None:
+        planes = in_upright_frame(planes, names, frame.orientation)
+        if rendition.polarisation is not None:
+            return picture_of(planes, names, rendition.polarisation, rendition.bits), scale
+        return np.moveaxis(planes_in_files(planes, names), 0, -1), scale
     if balance is not None and rendition.space is not None:
         scale = (scale * balance.luminance or still_scale(outputs[1], frame, renderer.table)) * 2**rendition.stops
         adaptation = shown_adaptation(renderer.table, balance.adaptation)

@@ -28,6 +28,7 @@ from l3cli.frames.frame import RawFrame, as_taken
 from l3cli.frames.scene import ChannelPicture, Scene
 from l3cli.physics import spectra
 from l3cli.physics.lens import diffraction_transfer, gaussian_transfer, relative_illumination
+from l3cli.physics.stokes import has_stokes
 from l3cli.simulation import sensor
 from l3cli.simulation.light import (
     CAMERA,
@@ -42,6 +43,7 @@ from l3cli.simulation.light import (
     output_weights,
     photon_weights,
     scene_light,
+    stokes_weights,
     white_rates,
 )
 from l3cli.simulation.recipe import Lens, Pair, SceneRecipe, Shot
@@ -184,7 +186,8 @@ def frames_like(head: TrainingSet) -> Callable[[TrainingPair, LightSpectrum], It
 
         light = _lit(spectrum, like.luminance)
         for number in range(DRAWN):
-            scene = procedural.draw(WantedScene(DeadLeaves(size=DRAWN_SIZE), number=number), DRAWN_SEED, camera.wavelength)
+            wanted = WantedScene(DeadLeaves(size=DRAWN_SIZE), number=number)
+            scene = procedural.draw(wanted, DRAWN_SEED, camera.wavelength, camera.polarisers is not None)
             yield simulate(camera, scene, light, like.exposure, Lens(), (DRAWN_SEED, number), target)
 
     return drawn
@@ -232,6 +235,12 @@ def _collected(
     through = (collected[:, None] / unit * terms).reshape(-1, bands.size)
     planes = project(scene.reflectance, np.concatenate([wanted, through]))
     ideal, rates = planes[: len(wanted)], planes[len(wanted) :]
+    if scene.polarisation is not None:
+        weights = stokes_weights(camera, light, bands)[1:, :, None] / unit * terms
+        rates += polarised_part(scene, weights.reshape(2, -1, bands.size))
+        if has_stokes(target.outputs):
+            both = np.eye(2)[:, :, None] * wanted[target.luminance]
+            ideal[[target.outputs.index("S1"), target.outputs.index("S2")]] = polarised_part(scene, both)
     if transfer is not None:
         shape = (len(collected), len(terms), *rates.shape[1:])
         rates = blurred_channels(rates.reshape(shape), transfer, pitch)
@@ -241,6 +250,29 @@ def _collected(
         distance, shape = camera.optics.image_distance, (rates.shape[1], rates.shape[2])
         rates *= relative_illumination(distance, pitch, shape).astype(np.float32)
     return ideal, rates, output_weights(target, camera, light, light.wavelength).sum(axis=1)
+
+
+def polarised_part(scene: Scene, weights: Array) -> NDArray[np.float32]:
+    """Compute the weighted sums of S1 and S2 of a polarised scene over its bands.
+
+    Parameters
+    ----------
+    scene : Scene
+        A scene with polarisation.
+    weights : ndarray, (2, channel, band)
+        Weights of S1 and of S2 in each channel.
+
+    Returns
+    -------
+    ndarray, (channel, row, col)
+        Sums over both Stokes parameters and all bands.
+    """
+    assert scene.polarisation is not None
+    total = np.zeros((weights.shape[1], *scene.reflectance.shape[:2]), np.float32)
+    for node, share in enumerate(scene.polarisation.weights(scene.wavelength)):
+        for ratio, each in zip(np.moveaxis(scene.polarisation.ratio[..., node], -1, 0), weights, strict=True):
+            total += ratio * project(scene.reflectance, each * share)
+    return total
 
 
 def spectral_planes(

@@ -18,6 +18,7 @@ from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.frames.scene import NO_ILLUMINANT, Scene
 from l3cli.physics import spectra
 from l3cli.physics.display import fit_through
+from l3cli.physics.stokes import STOKES, luminance_name
 from l3cli.spectra.file import names_file, read_table
 from l3cli.spectra.table import NOISE, gaps
 
@@ -35,6 +36,8 @@ OUTPUTS = {
     "CIE 1931 + IR": ("X", "Y", "Z", "IR"),
     "reflectance 31": spectra.REFLECTANCES,
     "radiance 31": spectra.RADIANCES,
+    "Stokes": STOKES,
+    "CIE 1931 + Stokes": ("X", "Y", "Z", "S1", "S2"),
 }
 UNLIT = "reflectance 31"  # key of the outputs that do not depend on the illuminant
 NOTICEABLE = 0.01  # l3 warns if wavelengths without data produce more than this fraction of a channel's electrons
@@ -525,7 +528,20 @@ def electron_weights(camera: Sees, light: Light, bands: Array) -> Array:
     -----
     The responsivity is interpolated linearly between its samples.
     """
-    seen = camera.electron_weights @ spectra.sampling_matrix(light.wavelength, camera.wavelength)
+    return _of_bands(camera.electron_weights, camera, light, bands)
+
+
+def stokes_weights(camera: CameraModel, light: Light, bands: Array) -> Array:
+    """Return the photo-electrons per second that S0, S1 and S2 of each band contribute to each channel.
+
+    The parameters are the same as for `electron_weights`. The result has the shape (stokes, channel, band).
+    """
+    return _of_bands(camera.stokes_weights, camera, light, bands)
+
+
+def _of_bands(weights: Array, camera: Sees, light: Light, bands: Array) -> Array:
+    """Convert `weights` (…, wavelength), electrons for unit photon radiance, to electrons for a reflectance of 1."""
+    seen = weights @ spectra.sampling_matrix(light.wavelength, camera.wavelength)
     return (seen * light.radiance) @ spectra.held_interpolation(bands, light.wavelength)
 
 
@@ -638,6 +654,11 @@ class Target:
     functions: Curve | None = None  # matching functions from the file: wavelengths in nm; (output, wavelength), per watt
     light: Light | None = None  # None for the illuminant of each frame
 
+    @property
+    def luminance(self) -> int:
+        """Index of the luminance in outputs with Stokes parameters."""
+        return self.outputs.index(luminance_name(self.outputs))
+
 
 XYZ = Target(OUTPUTS["CIE 1931"], "CIE 1931 XYZ of the scene under its own light, without lens or noise", "CIE 1931")
 
@@ -669,6 +690,8 @@ def make_target(
         UNLIT: "reflectance at 400…700 nm by 10 nm, times the luminance of a perfect white,",
         "radiance 31": "radiance at 400…700 nm by 10 nm (cd/m² of a light of equal power as strong at all wavelengths)",
         CAMERA: "all bands of the camera (cd/m² of D65 that would saturate its brightest channel as fast)",
+        "Stokes": "Stokes parameters (luminance; S1 and S2 are differences of luminances behind polarisers)",
+        "CIE 1931 + Stokes": "CIE 1931 XYZ and Stokes parameters (differences of luminances behind polarisers)",
     }.get(kind, f"the matching functions of {kind}")
     under = f"under {light.name}" if light else "under its own light"
     return Target(outputs, f"{what} of the scene {under}, without lens or noise", kind, functions, light)
@@ -692,7 +715,8 @@ def output_weights(target: Target, camera: CameraModel, light: Light, bands: Arr
     -------
     ndarray, (output, band)
         Outputs for a reflectance of 1 in the band, in cd/m². If the outputs are the bands of the camera, they are the
-        fraction of full scale per second, multiplied by the saturation exposure of the camera.
+        fraction of full scale per second, multiplied by the saturation exposure of the camera. The light is not polarised,
+        so the outputs S1 and S2 are 0.
     """
     if target.light:
         light = target.light.at(light.luminance)
@@ -704,6 +728,11 @@ def output_weights(target: Target, camera: CameraModel, light: Light, bands: Arr
     if target.functions:
         grid, values = target.functions
         functions: Array = spectra.average(values, grid, light.wavelength)
+    elif target.kind == "Stokes":
+        luminance = spectra.colour_matching_functions(light.wavelength)[1]
+        functions = np.stack([np.zeros_like(luminance), luminance, np.zeros_like(luminance)])
+    elif target.kind == "CIE 1931 + Stokes":
+        functions = np.pad(spectra.colour_matching_functions(light.wavelength), ((0, 2), (0, 0)))
     elif target.kind == "luminance":
         functions = spectra.colour_matching_functions(light.wavelength)[1:2]
     elif target.kind == "CIE 1931 + IR":

@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.frames.scene import NO_ILLUMINANT, Scene
+from l3cli.frames.scene import NO_ILLUMINANT, Polarisation, Scene
 from l3cli.physics import spectra
 from l3cli.physics.display import srgb_from_lab
 from l3cli.physics.spectra import COLORCHECKER_WAVELENGTH
 from l3cli.simulation import fields, leaves, reflectances, sources
 from l3cli.simulation.fields import TEXTURES, Patterns, Textures, coverage, draw_patterns, draw_textures, sampled
+from l3cli.simulation.polarisation import NODES, Sheen, draw_sheen, stokes_of
 from l3cli.simulation.reflectances import DRAWN, drawn_bands, dyed, materials, palette, surfaces
 
 Array = NDArray[np.floating]
@@ -62,6 +63,17 @@ class Coat:
 
 
 def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Array, patterned: float = 0.0) -> Cube:
+    """Return the reflectance (row, col, band) of `drawn_leaves`."""
+    return drawn_leaves(rng, size, wavelength, patterned)[0]
+
+
+def drawn_leaves(
+    rng: np.random.Generator,
+    size: tuple[int, int],
+    wavelength: Array,
+    patterned: float = 0.0,
+    polarising: np.random.Generator | None = None,
+) -> tuple[Cube, Polarisation | None]:
     """Draw a dead-leaves scene: overlapping leaves with texture, shading, shadows and gloss.
 
     Parameters
@@ -75,11 +87,15 @@ def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Arr
     patterned : float
         Fraction of the leaves with fine regular patterns. The patterns have their own random generator, so that the rest of
         the scene does not depend on this fraction.
+    polarising : Generator, optional
+        Source of the random numbers for the polarisation. [default: the light is not polarised]
 
     Returns
     -------
-    ndarray, (row, col, band)
+    reflectance : ndarray, (row, col, band)
         Reflectance. Highlights may exceed 1.
+    polarisation : Polarisation or None
+        None without `polarising`.
     """
     fine = (size[0] * OVERSAMPLING, size[1] * OVERSAMPLING)
     materials = palette(rng, surfaces(tuple(wavelength)))
@@ -93,10 +109,17 @@ def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Arr
         drawn = rng.spawn(1)[0], patterned, materials, coat.reflectance, OVERSAMPLING
         patterns = draw_patterns(*drawn, drawn_bands(wavelength))
     cube = np.empty((*size, wavelength.size), np.float32)
+    sheen = None if polarising is None else draw_sheen(polarising, len(cover.radius))
+    stokes = np.empty((*size, 1 + 2 * NODES.size if sheen else 0), np.float32)  # mean of S0, then S1 and S2 at each node
     for top in range(0, size[0], STRIP):
-        rows = slice(top * OVERSAMPLING, min(top + STRIP, size[0]) * OVERSAMPLING)
-        _draw(cube[top : top + STRIP], cover, coat, patterns, textures, light[rows], rows)
-    return _blurred(cube, rng.uniform(0.0, 0.8))
+        rows, part = slice(top * OVERSAMPLING, min(top + STRIP, size[0]) * OVERSAMPLING), slice(top, top + STRIP)
+        _draw(cube[part], cover, coat, patterns, textures, light[rows], rows, sheen, stokes[part])
+    blur = rng.uniform(0.0, 0.8)
+    if sheen is None:
+        return _blurred(cube, blur), None
+    stokes = _blurred(stokes, blur)
+    ratio = (stokes[..., 1:] / np.maximum(stokes[..., :1], 1e-6)).astype(np.float32)
+    return _blurred(cube, blur), Polarisation(NODES, ratio.reshape(*size, 2, NODES.size))
 
 
 def _coats(rng: np.random.Generator, materials: Array, count: int) -> Coat:
@@ -147,15 +170,24 @@ def _draw(
     textures: Textures,
     light: NDArray[np.float32],
     rows: slice,
+    sheen: Sheen | None,
+    stokes: Cube,
 ) -> None:
     """Compute the reflectance of some rows of a scene and write it into `cube`.
 
-    Each pixel is the mean of its samples. Highlights are added, and values are limited to MAX_TIMES_WHITE.
+    Each pixel is the mean of its samples. Highlights are added, and values are limited to MAX_TIMES_WHITE. If the
+    scene is polarised (`sheen`), the mean of S0 over the bands, S1 and S2 are written into `stokes`.
     """
     label = cover.label[rows].astype(np.intp)
     down = np.arange(rows.start, rows.stop, dtype=np.float32)[:, None]
     across = np.arange(label.shape[1], dtype=np.float32)
     amount, gloss = _shading(cover, coat, label, (down, across), textures)
+    if sheen is not None:
+        shade = np.log(amount) - np.take(coat.brightness, label)
+        s0 = amount * light * np.take(coat.reflectance.mean(axis=1), label)
+        stokes[..., 0] = _block_mean(s0 + gloss)
+        each = np.concatenate(stokes_of(sheen, cover, label, (down, across), shade), axis=-1)  # gloss is not polarised
+        stokes[..., 1:] = np.stack([_block_mean(s0 * one) for one in np.moveaxis(each, -1, 0)], axis=-1)
     amount *= light
     if patterns is None:
         _average(cube, coat.reflectance, label, amount)
@@ -272,6 +304,13 @@ def _blurred(cube: Cube, sigma: float) -> Cube:
 
 
 def composition(rng: np.random.Generator, size: tuple[int, int], wavelength: Array) -> Cube:
+    """Return the reflectance (row, col, band) of `drawn_composition`."""
+    return drawn_composition(rng, size, wavelength)[0]
+
+
+def drawn_composition(
+    rng: np.random.Generator, size: tuple[int, int], wavelength: Array, polarising: np.random.Generator | None = None
+) -> tuple[Cube, Polarisation | None]:
     """Draw the demonstration scene: a ColorChecker, a grey ramp, a zone plate and slanted bars in front of dead leaves.
 
     Parameters
@@ -282,13 +321,17 @@ def composition(rng: np.random.Generator, size: tuple[int, int], wavelength: Arr
         Rows and columns.
     wavelength : ndarray, (band)
         Wavelengths in nm.
+    polarising : Generator, optional
+        As for `drawn_leaves`. The panels are not polarised.
 
     Returns
     -------
-    ndarray, (row, col, band)
+    reflectance : ndarray, (row, col, band)
         Reflectance.
+    polarisation : Polarisation or None
+        None without `polarising`.
     """
-    cube = dead_leaves(rng, size, wavelength)
+    cube, polarisation = drawn_leaves(rng, size, wavelength, polarising=polarising)
     for units, centre, panel in (
         (*CHART_PANEL, colorchecker),
         ((2, 12), (0.30, 0.25), ramp_panel),
@@ -297,7 +340,9 @@ def composition(rng: np.random.Generator, size: tuple[int, int], wavelength: Arr
     ):
         (top, left), shape = _placed(size, units, centre)
         cube[top : top + shape[0], left : left + shape[1]] = panel(shape, wavelength)
-    return cube
+        if polarisation is not None:
+            polarisation.ratio[top : top + shape[0], left : left + shape[1]] = 0
+    return cube, polarisation
 
 
 # Size (rows, columns) of the ColorChecker in a composition of 18 × 32 units, in units, and relative position of its centre.
@@ -349,7 +394,14 @@ PAINTERS: dict[type, Painter] = {
 }
 
 
-def draw(wanted: sources.WantedScene, seed: int, camera_wavelength: Wavelength) -> Scene:
+POLARISED: dict[type, Callable[..., tuple[Cube, Polarisation | None]]] = {  # scenes that can be polarised
+    sources.DeadLeaves: lambda s, rng, nm, polarising: drawn_leaves(rng, s.size, nm, s.patterned, polarising),
+    sources.Composition: lambda s, rng, nm, polarising: drawn_composition(rng, s.size, nm, polarising),
+}
+POLARISATION_SEED = 60  # part of the seed of the polarisation, so that it is independent of the rest of the scene
+
+
+def draw(wanted: sources.WantedScene, seed: int, camera_wavelength: Wavelength, polarised: bool = False) -> Scene:
     """Draw a procedural scene for a camera. The scene is determined by the recipe and the seed.
 
     Parameters
@@ -360,6 +412,8 @@ def draw(wanted: sources.WantedScene, seed: int, camera_wavelength: Wavelength) 
         Seed of the simulation.
     camera_wavelength : ndarray, (wavelength,)
         Wavelengths of the camera, in nm.
+    polarised : bool
+        Whether leaves polarise light, for cameras with polarisers. Their reflectances do not depend on it.
 
     Returns
     -------
@@ -369,7 +423,12 @@ def draw(wanted: sources.WantedScene, seed: int, camera_wavelength: Wavelength) 
     source = wanted.source
     measured = isinstance(source, sources.ColorChecker)
     wavelength = COLORCHECKER_WAVELENGTH if measured else grid(camera_wavelength)
-    rng = np.random.default_rng([seed, getattr(source, "seed", 0), wanted.number])
+    key = [seed, getattr(source, "seed", 0), wanted.number]
+    rng = np.random.default_rng(key)
+    if polarised and type(source) in POLARISED:
+        polarising = np.random.default_rng([*key, POLARISATION_SEED])
+        cube, polarisation = POLARISED[type(source)](source, rng, wavelength, polarising)
+        return Scene(wanted.name, wavelength, cube, NO_ILLUMINANT, polarisation=polarisation)
     return Scene(wanted.name, wavelength, PAINTERS[type(source)](source, rng, wavelength), NO_ILLUMINANT)
 
 

@@ -16,6 +16,7 @@ from l3cli.artifacts.camera import CameraModel, Optics
 from l3cli.artifacts.recipe_source import RecipeSource
 from l3cli.errors import RecipeError, suggestion
 from l3cli.physics import spectra
+from l3cli.physics.stokes import has_stokes
 from l3cli.recipes.faults import Fault, fault, inside
 from l3cli.recipes.toml import CountOrNone, KeyPath, NotNegative, Positive, Recipe
 from l3cli.simulation import sources
@@ -52,8 +53,9 @@ class SensorSetting(Recipe):
 class TargetRecipe(Recipe):
     """The outputs that the table computes from a raw frame."""
 
-    # "CIE 1931", "CIE 1964", "luminance", "CIE 1931 + IR", "reflectance 31" or "radiance 31" (both at 400…700 nm), "camera"
-    # (the bands of the camera), or the name of a CSV file of matching functions.
+    # "CIE 1931", "CIE 1964", "luminance", "CIE 1931 + IR", "reflectance 31" or "radiance 31" (both at 400…700 nm), "Stokes"
+    # or "CIE 1931 + Stokes" (docs/polarisation.md), "camera" (the bands of the camera), or the name of a CSV file of
+    # matching functions.
     outputs: str = "CIE 1931"
     illuminant: str | None = None  # illuminant of the target, for illuminant correction; default: that of the frame
 
@@ -223,6 +225,12 @@ def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fa
     if outputs not in (*OUTPUTS, CAMERA) and not names_file(outputs):
         known = suggestion(outputs, (*OUTPUTS, CAMERA))
         yield fault(f'target.outputs "{outputs}" is unknown; {known} (or a file of spectra)', "target.outputs")
+    if has_stokes(OUTPUTS.get(outputs, ())) and camera is not None and camera.polarisers is None:
+        message = (
+            f'target.outputs "{outputs}" needs a camera with polarisers, which {camera.name} does not have; set other '
+            "outputs, or add polarisers to the camera recipe (polariser_deg)"
+        )
+        yield fault(message, "target.outputs")
     if outputs == UNLIT and recipe.target.illuminant is not None:
         message = f'target.outputs "{UNLIT}" does not depend on the illuminant; remove target.illuminant'
         yield fault(message, "target.illuminant")

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.frames.marks import missing
-from l3cli.frames.scene import NO_ILLUMINANT, Scene, SpectralCube
+from l3cli.frames.scene import NO_ILLUMINANT, Polarisation, Scene, SpectralCube
 from l3cli.physics import spectra
 from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import Count, CountOrNone, Positive, Recipe, Seed, Share
@@ -215,6 +215,8 @@ def source_faults(source: Source, camera: CameraModel | None, name: str) -> Iter
             yield fault(str(error), "size")
     if source.motion is not None:
         yield from _motion_faults(source.motion, camera, name)
+        if camera is not None and camera.polarisers is not None:
+            yield fault(f"{name}: clips cannot be simulated for cameras with polarisers; remove motion", "motion")
     if isinstance(source, Cube) and sorted(source.axes.split()) != ["band", "col", "row"]:
         message = f'{name}: axes "{source.axes}" must contain row, col and band once each; set, for example, "row col band"'
         yield fault(message, "axes")
@@ -346,7 +348,26 @@ def on_sensor(scene: Scene, framing: Framing, camera: CameraModel) -> Scene:
     if ignored is not None:
         ignored = framed(ignored[..., None].astype(np.float32), framing, camera)[..., 0] > 0
         ignored = ignored if ignored.any() else None
-    return replace(scene, reflectance=framed(scene.reflectance, framing, camera), ignored=ignored)
+    reflectance = framed(scene.reflectance, framing, camera)
+    polarisation = scene.polarisation and _polarisation_on_sensor(scene.polarisation, scene.reflectance, framing, camera)
+    return replace(scene, reflectance=reflectance, ignored=ignored, polarisation=polarisation)
+
+
+def _polarisation_on_sensor(
+    polarisation: Polarisation, reflectance: NDArray[np.float32], framing: Framing, camera: CameraModel
+) -> Polarisation:
+    """Apply `framed` to the polarisation of a scene.
+
+    Samples are averaged in proportion to their brightness, (row, col, band) `reflectance`. A mirrored scene changes the sign
+    of S2, and a quarter turn the signs of S1 and S2.
+    """
+    bright = np.maximum(reflectance.mean(axis=2, dtype=np.float32), np.float32(1e-6))[..., None]
+    rows, cols, _, nodes = polarisation.ratio.shape
+    stokes = framed(polarisation.ratio.reshape(rows, cols, -1) * bright, framing, camera)
+    ratio = (stokes / framed(bright, framing, camera)).reshape(*stokes.shape[:2], 2, nodes)
+    quarter = -1 if framing.rotate % 180 else 1
+    mirror = 1 if framing.flip is None else -1
+    return replace(polarisation, ratio=ratio * np.array([[quarter], [quarter * mirror]], np.float32))
 
 
 def turned(cube: NDArray[np.float32], framing: Framing) -> NDArray[np.float32]:

@@ -80,7 +80,7 @@ def _batches(
             while rest:
                 count = min(rest, BATCH_PATCHES)
                 rest -= count
-                how = pass_.recipe.orientations, pass_.recipe.achromatic, colourless
+                how = pass_.recipe.orientations(pass_.head.camera), pass_.recipe.achromatic, colourless
                 waiting[site].append(patches_of(frame, pass_.head, neighbours, site, count, rng, *how))
                 if rest:
                     yield site, waiting[site].pop()

@@ -14,11 +14,12 @@ from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSe
 from l3cli.classes.windows import Neighbourhoods
 from l3cli.errors import InputFileError
 from l3cli.physics.display import XYZ
+from l3cli.physics.stokes import STOKES
 from l3cli.training.recipe import LearningRecipe
-from l3cli.training.symmetry import EVERY_ORIENTATION, Allowed, orientations, site_maps
+from l3cli.training.symmetry import EVERY_ORIENTATION, Allowed, orientations, orientations_of_scenes, site_maps
 
 Floats = NDArray[np.float32]
-Y = 1  # index of Y among the outputs X, Y, Z
+Y = 1  # index of Y among the outputs X, Y, Z, and of S0 among the outputs S1, S0, S2
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ def patches_of(
         Source of the random numbers.
     allowed : tuple of int
         Orientations in which patches of real pairs may be read, as in `site_maps`. Patches of simulated frames are read in
-        all orientations, because their noise is added later.
+        all orientations of `orientations_of_scenes`, because their noise is added later.
     achromatic : float
         Fraction of the patches to take from `colourless`.
     colourless : TrainingFrame, optional
@@ -115,10 +116,11 @@ def patches_of(
     if isinstance(frame, TrainingFrame):
         grey = round(achromatic * count) if colourless is not None else 0
         how = head.camera.output_unit, neighbours.channel[site]
-        patches = sample_patches(frame, head, *how, count - grey, orientations(side), rng)
+        turns = [orientations(side)[number] for number in orientations_of_scenes(head.camera)]
+        patches = sample_patches(frame, head, *how, count - grey, turns, rng)
         if not grey or colourless is None:
             return patches
-        without = sample_patches(colourless, head, *how, grey, orientations(side), rng)
+        without = sample_patches(colourless, head, *how, grey, turns, rng)
         return Patches.concatenated([patches, replace(without, colourless=np.ones(grey, bool))])
     return sample_pair(frame, head.camera, neighbours, site, count, rng, allowed)
 
@@ -126,9 +128,10 @@ def patches_of(
 def colourless_frame(frame: TrainingPair, head: TrainingSet) -> TrainingFrame | None:
     """Return a version of the frame without colour, or None if this is not possible.
 
-    The frame must be simulated under a known illuminant, and its outputs must begin with X, Y, Z.
+    The frame must be simulated under a known illuminant, and its outputs must begin with X, Y, Z or be Stokes parameters,
+    which are then those of unpolarised light.
     """
-    if not isinstance(frame, TrainingFrame) or frame.light is None or head.outputs[:3] != XYZ:
+    if not isinstance(frame, TrainingFrame) or frame.light is None or head.outputs[:3] not in (XYZ, STOKES):
         return None
     return without_colour(frame, head.camera)
 

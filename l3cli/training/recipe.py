@@ -19,7 +19,7 @@ from l3cli.classes.features import ClassRecipe
 from l3cli.errors import RecipeError
 from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import Count, CountOrNone, NotNegative, Positive, Recipe, Share
-from l3cli.training.symmetry import EVERY_ORIENTATION, IDENTITY_ONLY, Allowed
+from l3cli.training.symmetry import IDENTITY_ONLY, Allowed, orientations_of_scenes
 
 MOST_PATCHES = 1_000_000_000
 MOST_REFINEMENT = 3  # largest number of refinement layers
@@ -91,10 +91,9 @@ class LearningRecipe(Recipe):
     # whether all CFA sites must produce the same outputs for a uniform patch (docs/method.md#equal-response)
     equal_response: bool = True
 
-    @property
-    def orientations(self) -> Allowed:
-        """Orientations in which CFA sites may be trained together, which depend on the key `symmetry`."""
-        return EVERY_ORIENTATION if self.symmetry else IDENTITY_ONLY
+    def orientations(self, camera: CameraModel) -> Allowed:
+        """Return the orientations in which CFA sites may be trained together, which depend on the key `symmetry`."""
+        return orientations_of_scenes(camera) if self.symmetry else IDENTITY_ONLY
 
     @property
     def noises(self) -> tuple[NoiseScale, ...]:

@@ -22,6 +22,7 @@ from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.errors import L3Error
 from l3cli.physics.display import XYZ
+from l3cli.physics.stokes import STOKES
 from l3cli.training import systems
 from l3cli.training.goal import Goal
 from l3cli.training.highlights import flat_moments, grey_patches, plain_colours, steps_back, white_channels
@@ -365,7 +366,7 @@ def _constrained(
     colour_compliance = np.pad(_colour_compliance(solutions, copies), (0, 1))
     # With many bands, each band has few pixels, and textures become more accurate if the responses of the sites may differ.
     # With colour outputs, even small differences between sites would be visible.
-    free = (rule.split(np.arange(solved.size)).contrast > 0) & (goal.outputs[:3] != XYZ)
+    free = (rule.split(np.arange(solved.size)).contrast > 0) & (goal.outputs[:3] not in (XYZ, STOKES))
     for kind in (False, True):
         used = slice(None) if kind else slice(0, -1)  # unsaturated classes have no intercept
         members = np.flatnonzero(solved & (saturated == kind))
@@ -396,11 +397,13 @@ def _constrained(
 
 
 def _exact_white(solutions: list[Solution], goal: Goal) -> Array | None:
-    """Return the signals of white if the outputs are colours and the patches of every site agree with these signals."""
+    """Return the signals of white if the outputs are colours or Stokes parameters, and if the patches of every site agree
+    with these signals.
+    """
     known, borne = goal.white_signal, [solution.white for solution in solutions]
     if (
         known is None
-        or goal.outputs[:3] != XYZ
+        or goal.outputs[:3] not in (XYZ, STOKES)
         or not all(each is not None and np.array_equal(each, known) for each in borne)
     ):
         return None

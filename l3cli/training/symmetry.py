@@ -5,9 +5,9 @@ rotations and reflections of a square are called *orientations*. Their numbers a
 `orientations`. The parameter `allowed` of the functions in this module lists the orientations that training may use.
 
 A patch that is read in an allowed orientation must be as likely as the original patch, and must have the same noise. All
-eight orientations are allowed if scenes, optics and noise are isotropic. Row noise, column noise and polarisers allow fewer
-orientations, because rows must remain rows. The allowed orientations must form a group: if two sites match a third site,
-they must match each other.
+eight orientations are allowed if scenes, optics and noise are isotropic. Row noise and column noise allow fewer
+orientations, because rows must remain rows. Polarisers allow only a half turn, because other orientations change the signs
+of S1 or S2. The allowed orientations must form a group: if two sites match a third site, they must match each other.
 """
 
 import functools
@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.plane_rules import DIRECTIONS, StructureRule
 from l3cli.classes import structure
@@ -26,6 +27,12 @@ Indices = NDArray[np.int64]
 Allowed = tuple[int, ...]  # numbers of the orientations that training may use, in increasing order, beginning with 0
 EVERY_ORIENTATION: Allowed = tuple(range(8))  # for isotropic noise
 IDENTITY_ONLY: Allowed = (0,)  # trains every site separately
+HALF_TURN: Allowed = (0, 2)  # for polarisers, because all other orientations change the signs of S1 or S2
+
+
+def orientations_of_scenes(camera: CameraModel) -> Allowed:
+    """Return the orientations in which a scene is as likely, and is recorded in the same way, as the scene itself."""
+    return EVERY_ORIENTATION if camera.polarisers is None else HALF_TURN
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,7 @@ from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import InputFileError
 from l3cli.physics import spectra
 from l3cli.physics.display import XYZ
+from l3cli.physics.stokes import STOKES
 from l3cli.training.clipping import learned_clipping
 from l3cli.training.goal import has_components, one_light
 from l3cli.training.layers.coarse_chroma import measured_noise
@@ -102,7 +103,7 @@ def take_pilot(
         dark = _dark_signal(frame, camera)
         for site in canonical:
             rng = np.random.default_rng([seed, 0, index, site])
-            pilot = patches_of(frame, head, neighbours, site, count, rng, recipe.learning.orientations)
+            pilot = patches_of(frame, head, neighbours, site, count, rng, recipe.learning.orientations(head.camera))
             patch_level = np.maximum(pilot.signal.mean(axis=1), 1e-3)
             scale = pilot.possible(levels_at(recipe.learning, rng.random(len(patch_level))) / patch_level)[:, None]
             carried = None if pilot.carried is None else (pilot.carried * scale**2).astype(np.float32)
@@ -155,10 +156,10 @@ def survey(
     occurrences = np.sum([pilot.occurrences for pilot in every], axis=0)
     case_of_code = choose_cases(occurrences, recipe.classes.max_cases, filters)
     light = _mean_light(np.concatenate([pilot.lights for pilot in every]), patches, head.camera)
-    single = one_light(light) if head.outputs == XYZ else None
+    single = one_light(light) if head.outputs in (XYZ, STOKES) else None
     white = white_signal(single, head.camera) if single is not None else None
     centres = choose_chromas(np.concatenate([pilot.shares for pilot in every]), recipe.classes.chromas, seed, white)
-    if centres is not None and white is not None and single is not None:
+    if centres is not None and white is not None and single is not None and head.outputs == XYZ:
         stripes = false_colours(head.camera, single.wavelength, single.radiance.astype(np.float64))
         centres = np.concatenate([stripe_shares(white, stripes), centres])
     whites = np.concatenate([pilot.whites for pilot in every])
@@ -186,7 +187,8 @@ def _joined(observed: list[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray
 def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) -> list[int]:
     """Return the canonical sites, which are trained. The other sites use rotated or mirrored copies of their transforms."""
     neighbours = neighbourhoods(head.camera.cfa, rule.patch, len(head.camera.channels))
-    return sorted({site_map.canonical for site_map in site_maps(neighbours.channel, rule.patch, recipe.orientations)})
+    maps = site_maps(neighbours.channel, rule.patch, recipe.orientations(head.camera))
+    return sorted({site_map.canonical for site_map in maps})
 
 
 def add_up(pass_: TrainingPass, parts: Iterable[ClassSums]) -> ClassSums:
@@ -223,7 +225,8 @@ def learn_site(pass_: TrainingPass, parts: Iterable[ClassSums], site: int) -> So
     sums = add_up(pass_, parts)
     camera, rule = pass_.head.camera, pass_.rule
     window = neighbourhoods(camera.cfa, rule.patch, len(camera.channels)).channel[site]
-    return solve(sums, rule, window, turns_of(rule, window, pass_.recipe.orientations), pass_.recipe, pass_.goal)
+    turns = turns_of(rule, window, pass_.recipe.orientations(camera))
+    return solve(sums, rule, window, turns, pass_.recipe, pass_.goal)
 
 
 def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple[Stage, ...]) -> TransformTable:
@@ -244,7 +247,7 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
     """
     head, rule, camera = pass_.head, pass_.rule, pass_.head.camera
     neighbours = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
-    maps = site_maps(neighbours.channel, rule.patch, pass_.recipe.orientations)
+    maps = site_maps(neighbours.channel, rule.patch, pass_.recipe.orientations(camera))
     copies = [sum(site_map.canonical == site for site_map in maps) for site in solutions]
     equal = equal_responses(list(solutions.values()), copies, rule, pass_.recipe, pass_.goal)
     transforms = dict(zip(solutions, equal, strict=True))
@@ -340,7 +343,7 @@ def _dark_signal(frame: TrainingPair, camera: CameraModel) -> float:
 
 
 def _unit_white(frame: TrainingPair, outputs: tuple[str, ...]) -> NDArray[np.float64]:
-    """Return the outputs of white for a frame, scaled to Y = 1, or to a mean of 1 if no output is called Y.
+    """Return the outputs of white for a frame, scaled to Y = 1 or S0 = 1, or to a mean of 1 if there is neither.
 
     Raises InputFileError if the white is dark, or does not have one value per output.
     """
@@ -392,6 +395,7 @@ def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int
         learning=learning,
         mosaics=mosaics,
         pictures=table.outputs == XYZ,
+        stokes=table.outputs == STOKES,
         exposure=table.exposure,
         seed=seed,
     )

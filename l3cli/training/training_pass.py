@@ -23,6 +23,7 @@ from l3cli.classes.rule import make_rule
 from l3cli.classes.windows import neighbourhoods
 from l3cli.physics.display import XYZ
 from l3cli.physics.spectra import is_spectrum
+from l3cli.physics.stokes import luminance_name
 from l3cli.training.goal import Goal, goal_of
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.sums import empty_sums
@@ -65,7 +66,7 @@ class TrainingPass:
         Some rotations and reflections leave the CFA around a site unchanged. Each such symmetry turns a patch into an
         additional patch. Sites with more symmetries therefore need fewer patches.
         """
-        camera, allowed = self.head.camera, self.recipe.orientations
+        camera, allowed = self.head.camera, self.recipe.orientations(self.head.camera)
         channel = neighbourhoods(camera.cfa, self.rule.patch, len(camera.channels)).channel
         sites = sorted({one.canonical for one in site_maps(channel, self.rule.patch, allowed)})
         turns = [len(stabilisers(channel[site], self.rule.patch, allowed)) for site in sites]
@@ -79,7 +80,7 @@ class TrainingPass:
     def brightness(self, target: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the brightness of each target (patch, output). Training errors are relative to the brightness.
 
-        The brightness is the output Y, or the mean of the outputs if no output is called Y. Negative values are replaced
+        The brightness is the output Y or S0, or the mean of the outputs if there is neither. Negative values are replaced
         by 0.
         """
         return np.maximum(brightness_of(target, self.head.outputs), np.float32(0.0))
@@ -131,8 +132,9 @@ def spread_patches(patches: int, frames: Sequence[int], shares: Sequence[Fractio
 
 
 def brightness_of(target: NDArray, outputs: tuple[str, ...]) -> NDArray:
-    """Return the output Y of targets (…, output), or the mean of the outputs if no output is called Y."""
-    return target[..., outputs.index("Y")] if "Y" in outputs else target.mean(axis=-1)
+    """Return the luminance of targets (…, output): the output Y or S0, or the mean of the outputs if there is neither."""
+    name = luminance_name(outputs)
+    return target[..., outputs.index(name)] if name in outputs else target.mean(axis=-1)
 
 
 def has_two_passes(head: TrainingSet, recipe: LearningRecipe) -> bool:

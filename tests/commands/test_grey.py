@@ -1,7 +1,6 @@
 """Cameras without filters, and tables of luminance: trained, rendered, judged and reported in grey."""
 
 import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from l3cli.cli import run
 from l3cli.io.images import read_image
 from l3cli.io.video import pyav
 from tests.helpers.calls import L3, Refused
-from tests.helpers.paths import CONFIGS
+from tests.helpers.recipes import small_classes
 
 SCENES = """
 exposure_share = [0.9]
@@ -23,16 +22,6 @@ source = "dead leaves"
 size = [48, 56]
 count = 2
 """
-
-
-def small_classes() -> str:
-    """The classes that `l3 train` takes if none are named, on fewer patches and levels."""
-    text = (CONFIGS / "classes/default.toml").read_text()
-    smaller = {"levels": 3, "patches": 600, "draws": 2, "first_draws": 1, "mosaics": 8, "plain_surfaces": 2, "patch": 5}
-    for name, value in smaller.items():
-        text, count = re.subn(rf"(?m)^{name} = [\d.]+", f"{name} = {value}", text)
-        assert count == 1
-    return text
 
 
 @pytest.fixture(scope="module", params=["colours", "luminance"])

@@ -86,6 +86,14 @@ def desk(pipeline: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     small["classes/fast"] = FEW_CLASSES
     small["designs/dyes"] = re.sub(r"^[ocyk] = .*\n", "", (CONFIGS / "designs/dyes.toml").read_text(), flags=re.MULTILINE)
     small["scenes/demo_unseen"] = (CONFIGS / "scenes/demo_unseen.toml").read_text().replace("[720, 1280]", "[192, 256]")
+    for name in ("polarised", "polarised_unseen"):
+        text = (
+            (CONFIGS / f"scenes/{name}.toml")
+            .read_text()
+            .replace("count = 60", "count = 3")
+            .replace("count = 6", "count = 1")
+        )
+        small[f"scenes/{name}"] = text.replace("[720, 1280]", "[96, 128]")
     for name, text in small.items():
         (folder / "configs" / f"{name}.toml").write_text(text)
     (folder / "SCENES.toml").write_text(SMALL["scenes"])
@@ -95,6 +103,9 @@ def desk(pipeline: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(builtin, "recipe_folder", lambda: folder / "configs")
         assert run(["init", "--from", str(folder / "photo.dng"), str(folder / "mine"), "--quiet"]) == 0
+        frames, table = str(folder / "polarised_training.h5"), str(folder / "polarised.h5")
+        assert run(["simulate", "polarised", "--camera", "polarised", "-o", frames, "--quiet"]) == 0
+        assert run(["train", frames, "-o", table, "--quiet"]) == 0
     return folder
 
 
@@ -118,6 +129,7 @@ def raw_files(folder: Path, mosaic: np.ndarray, chart: np.ndarray) -> None:
     (folder / "darks").mkdir()
     for name, values in {"night.fits": mosaic, "darks/1.fits": np.full_like(mosaic, 64)}.items():
         fits.writeto(folder / name, values, fits.Header({"EXPTIME": 1.0, "BAYERPAT": "RGGB"}))
+    tifffile.imwrite(folder / "polarised.tif", mosaic)
     (folder / "clip").mkdir()
     for number in range(3):
         tifffile.imwrite(folder / f"clip/frame_{number:04}.tif", mosaic)

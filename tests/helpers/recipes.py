@@ -1,10 +1,13 @@
 """Recipes for scenes and classes with which simulation and training take seconds, and invalid recipes."""
 
 import json
+import re
 from collections.abc import Callable
 from typing import Any
 
 from hypothesis import strategies as st
+
+from tests.helpers.paths import CONFIGS
 
 SCENES = """
 exposure_share = [0.9]
@@ -58,3 +61,13 @@ def _value(value: Any) -> str:
     if isinstance(value, dict):
         return "{" + ", ".join(f"{json.dumps(key)} = {_value(inner)}" for key, inner in value.items()) + "}"
     return "[" + ", ".join(map(_value, value)) + "]" if isinstance(value, list) else json.dumps(value)
+
+
+def small_classes() -> str:
+    """The classes that `l3 train` takes if none are named, on fewer patches and levels."""
+    text = (CONFIGS / "classes/default.toml").read_text()
+    smaller = {"levels": 3, "patches": 600, "draws": 2, "first_draws": 1, "mosaics": 8, "plain_surfaces": 2, "patch": 5}
+    for name, value in smaller.items():
+        text, count = re.subn(rf"(?m)^{name} = [\d.]+", f"{name} = {value}", text)
+        assert count == 1
+    return text

@@ -21,6 +21,7 @@ from l3cli.physics import charts, correlated_lights, spectra
 from l3cli.physics.display import scene_white
 from l3cli.physics.mosaic import shifted_cfa
 from l3cli.physics.spaces import BRADFORD
+from l3cli.physics.stokes import STOKES
 from l3cli.rendering.exposure import SpreadSamples
 from l3cli.rendering.white.scene_white import GREY_LEVEL, Grey, SceneWhite, Square, WhiteBalance, Whites, plain_balance
 from l3cli.system.text import NoSuchNumber, Quantity
@@ -443,4 +444,5 @@ def _multipliers(text: str, channels: Sequence[str]) -> Array:
 
 def usual_balance(table: TransformTable) -> WhiteBalance:
     """Return the white balance for scenes under the training illuminant."""
-    return plain_balance(table.white_point, len(table.channels))
+    white = np.ones(3) if table.outputs == STOKES else table.white_point  # pictures of S0 are grey
+    return plain_balance(white, len(table.channels))

@@ -26,11 +26,12 @@ from l3cli.io.video import USUAL_RATE, VideoChoice
 from l3cli.options.render import GAIN, RenderOptions
 from l3cli.parallel.threads import BackgroundTask
 from l3cli.physics.display import TONES
-from l3cli.physics.spaces import REC2020
+from l3cli.physics.spaces import REC2020, SRGB
+from l3cli.physics.stokes import STOKES, has_stokes
 from l3cli.rendering.conditions import Mix, described, mixed, nearest_for
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.renderer import make_ready
-from l3cli.rendering.rendition import Rendition, chosen_space, outputs_as_they_are
+from l3cli.rendering.rendition import OUTPUTS, Rendition, chosen_space, outputs_as_they_are
 from l3cli.rendering.temporal.chunks import CHUNK
 from l3cli.rendering.temporal.noise import require_noise
 from l3cli.rendering.white.scene_white import SceneWhite, far_from_training
@@ -121,13 +122,15 @@ def open_job(
     _refuse_misplaced(place, options)
     with _prepared_meanwhile(options.backend, engine, place.file_suffix, scheduler):
         loaded, digest = load(TransformTable, table_file), sha256(table_file)
-    table = loaded.pictured() if has_display(place, options) else loaded
+    table = loaded.pictured() if has_display(place, options) and options.show is None else loaded
+    _refuse_polarisation(table, place, options)
     camera = None if options.camera is None else CameraFile(options.camera.absolute(), sha256(options.camera))
     overrides = _with_corrections(stated, table, camera, options, guard)
-    shows_photos = has_display(place, options) and are_photos(inputs[0])
-    source = white_source(options.white, table, shows_photos)
-    light_mix = None if source else light_mix_of_given(options.white, table, nearest_for, options.console)
-    rendition = _rendition(place, None if source else options.white, mixed(table, light_mix), options)
+    shows_photos = has_display(place, options) and not has_stokes(table.outputs) and are_photos(inputs[0])
+    white = None if table.outputs == STOKES else options.white  # the white has no effect on grey pictures of S0
+    source = white_source(white, table, shows_photos)
+    light_mix = None if source else light_mix_of_given(white, table, nearest_for, options.console)
+    rendition = _rendition(place, None if source else white, mixed(table, light_mix), options)
     if rendition.balance is not None and table.shows_grey:
         options.console.info(f"{table_file} has no colour outputs, so the pictures are grey")
     sequence = _frames(inputs, table, overrides, options)
@@ -259,6 +262,26 @@ def _refuse_misplaced(destination: Destination, options: RenderOptions) -> None:
         raise RecipeError(f"‹uncertainty› {options.uncertainty} is not an .exr file; use a file name that ends in .exr")
     if options.uncertainty is not None and options.temporal:
         raise RecipeError("‹uncertainty› cannot be combined with ‹temporal›; leave one of these options out")
+
+
+def _refuse_polarisation(table: TransformTable, destination: Destination, options: RenderOptions) -> None:
+    """Raise RecipeError if an option cannot be used for the Stokes parameters of a table."""
+    if options.show is None:
+        return
+    if not has_stokes(table.outputs):
+        raise RecipeError(
+            f"‹show› {options.show} needs a table with the outputs S1 and S2, but the outputs are "
+            f"{', '.join(table.outputs)}; leave ‹show› out, or use a table for a camera with polarisers"
+        )
+    if destination.linear or destination.raw:
+        raise RecipeError(
+            f"‹show› makes pictures for display, but {destination.path} contains linear values; leave ‹show› out"
+        )
+    exposed = options.exposure.factor is not None or bool(options.exposure.stops)
+    given = {"white": options.white, "space": options.space, "tone": options.tone, "deflicker": options.deflicker}
+    for name, value in [*given.items(), ("exposure", exposed)]:
+        if value:
+            raise RecipeError(f"‹{name}› has no effect on pictures of polarisation; leave ‹{name}› or ‹show› out")
 
 
 # ------------------------------------------------------------------------------------------------------------- inputs
@@ -429,6 +452,8 @@ def _rendition(destination: Destination, white: str | None, table: TransformTabl
     If the user has set a white, check it and send warnings to the console. Raises RecipeError if an option for pictures is
     invalid.
     """
+    if options.show is not None:
+        return replace(OUTPUTS, bits=options.bits, space=SRGB, polarisation=options.show)
     if not has_display(destination, options):
         return outputs_as_they_are(table)
     require_xyz(table.outputs)

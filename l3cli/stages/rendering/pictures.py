@@ -26,6 +26,7 @@ from l3cli.io.raw.files import RawOverrides, read_raw
 from l3cli.parallel import WorkerPool, workers
 from l3cli.rendering.conditions import Mix, mixed
 from l3cli.rendering.display import Display
+from l3cli.rendering.polarisation import names_in_files
 from l3cli.rendering.renderer import NoiseRenderer, Renderer
 from l3cli.rendering.rendition import Rendition, frame_and_display, rendered
 from l3cli.rendering.white.scene_white import WhiteBalance
@@ -99,7 +100,7 @@ class PictureMaker:
 
     def _picture(self, task: FrameTask, pixels: NDArray[Any], scale: float) -> Picture:
         frame, rendition = _frame(task), self._setup.rendition
-        names = self._renderer.table.outputs if rendition.balance is None else rendition.names
+        names = names_in_files(self._renderer.table.outputs) if rendition.balance is None else rendition.names
         values = raw_values(pixels, rendition.mosaic) if rendition.raw else pixels
         label = Label(frame.shot, frame.exposure, self._setup.digest, task.identity)
         return Picture(values, rendition.space, label, names, scale)

@@ -85,7 +85,7 @@ def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callabl
 
     scene: Scene | ChannelPicture
     if wanted.path is None:
-        scene = procedural.draw(wanted, run.seed, run.camera.wavelength)
+        scene = procedural.draw(wanted, run.seed, run.camera.wavelength, run.camera.polarisers is not None)
     else:
         scene = _from_file(wanted, wanted.path, run)
     culprit = str(wanted.path or wanted.name)

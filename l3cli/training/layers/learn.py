@@ -248,6 +248,7 @@ class LayerPass:
     learning: LearningRecipe
     mosaics: tuple[int, ...]  # (frame) number of mosaics to draw from each frame
     pictures: bool  # whether the outputs are X, Y, Z
+    stokes: bool  # whether the outputs are Stokes parameters, whose noise is visible like that of luminance and chroma
     exposure: float  # mean exposure time of the training frames, in s
     seed: int
 
@@ -313,7 +314,7 @@ class LayerPass:
 
     def _site_maps(self) -> list[SiteMap]:
         neighbours = neighbourhoods(self.camera.cfa, self.rule.patch, len(self.camera.channels))
-        return site_maps(neighbours.channel, self.rule.patch, self.learning.orientations)
+        return site_maps(neighbours.channel, self.rule.patch, self.learning.orientations(self.camera))
 
 
 def no_sums(layer: LayerPass, rule: PlaneRule) -> dict[int, LayerSums]:
@@ -397,7 +398,7 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
     noise_weights: tuple[float, ...] = (recipe.chroma_noise, recipe.luminance_noise, recipe.chroma_noise)
     if layer.outputs is not None:
         noise_weights = (recipe.luminance_noise,) * layer.made
-    elif not layer.pictures:
+    elif not (layer.pictures or layer.stokes):
         noise_weights = (min(recipe.luminance_noise, 1.0),) * layer.made  # as in the first layer
     white, windows = np.eye(PLANES)[LUMINANCE], PLANES * recipe.side**2
     pools = (recipe.level_pool, recipe.parent_patches)
@@ -435,7 +436,7 @@ def _symmetric(layer: LayerPass, rule: PlaneRule, site: int, sums: LayerSums) ->
     if not isinstance(rule, StructureRule):
         return sums
     window = neighbourhoods(layer.camera.cfa, layer.rule.patch, len(layer.camera.channels)).channel[site]
-    alike = stabilisers(window, layer.rule.patch, layer.learning.orientations)
+    alike = stabilisers(window, layer.rule.patch, layer.learning.orientations(layer.camera))
     moments, noise, count = (np.zeros_like(each) for each in (sums.moments, sums.noise, sums.count))
     for number in alike:
         turn = orientations(layer.recipe.side)[number]

@@ -25,6 +25,7 @@ from l3cli.classes.windows import Integers, neighbourhoods
 from l3cli.training.patches import even_places, expose_patches, levels_at, without_colour
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.sums import runs_of
+from l3cli.training.symmetry import HALF_TURN, Allowed, orientations_of_scenes
 
 Floats = NDArray[np.float32]
 LARGEST_SIDE = 156  # largest side of a mosaic in pixels, and of the surrounding area whose mean is set to the drawn level
@@ -126,7 +127,7 @@ def _shown(
     places = even_places(count, 3, rng)
     levels = levels_at(exposed.recipe, places[:, 2])
     for place, level in zip(places[:, :2].tolist(), levels.tolist(), strict=True):
-        part, piece = _drawn_turn(frame.raw.shape, shape, place, rng)
+        part, piece = _drawn_turn(frame.raw.shape, shape, place, orientations_of_scenes(camera), rng)
         scale = np.float32(level / max(float(_turned(mean, part).mean()), 1e-3) if exposed.recipe.rescale else 1)
         seen = np.take_along_axis(_turned(frame.electrons, piece), channel[None].astype(np.intp), 0)[0]
         mosaic = seen * (gains * scale)[channel]
@@ -185,7 +186,7 @@ Turn = tuple[int, bool, slice, slice]  # number of quarter turns, whether mirror
 
 
 def _drawn_turn(
-    frame: tuple[int, ...], shape: tuple[int, int], place: list[float], rng: np.random.Generator
+    frame: tuple[int, ...], shape: tuple[int, int], place: list[float], allowed: Allowed, rng: np.random.Generator
 ) -> tuple[Turn, Turn]:
     """Draw a random orientation, and return the positions of a mosaic and of its surroundings in the turned frame.
 
@@ -195,6 +196,8 @@ def _drawn_turn(
         Numbers of rows and columns of the frame and of the mosaic.
     place : list of float
         Position of the mosaic along each axis of the turned frame, from 0 to 1.
+    allowed : tuple of int
+        Orientations to draw from.
     rng : numpy.random.Generator
         Source of the random numbers.
 
@@ -206,6 +209,8 @@ def _drawn_turn(
         The mosaic.
     """
     turns, mirrored = int(rng.integers(4)), bool(rng.integers(2))
+    if allowed == HALF_TURN:
+        turns, mirrored = 2 * (turns % 2), False
     parts, pieces = [], []
     for length, side, share in zip(frame[::-1] if turns % 2 else frame, shape, place, strict=True):
         most = min(length, LARGEST_SIDE)

@@ -1,0 +1,134 @@
+"""Polarisation of dead leaves, for cameras with polarisers (docs/method.md#polarised-scenes).
+
+Each leaf has one of five kinds of surface, which are drawn in the proportions of SHARES:
+
+matt       weakly polarised, with an angle that changes little over the leaf
+smooth     reflections on a curved dielectric: the degree follows Fresnel's equations, and the angle the curvature
+flat       reflections on a plane such as a window, with nearly constant degree and angle
+sky        a degree that increases linearly across the leaf, as in the sky
+plastic    transparent, birefringent plastic in polarised light, whose degree and angle depend on the wavelength
+
+Metals are smooth leaves with a low degree.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.simulation.leaves import Leaves
+
+Floats = NDArray[np.float32]
+
+MATT, SMOOTH, FLAT, SKY, PLASTIC = range(5)
+SHARES = (0.64, 0.18, 0.10, 0.05, 0.03)  # fraction of the leaves of each kind
+NODES = np.array([450.0, 550.0, 650.0])  # nm; wavelengths at which the polarisation of a leaf is drawn
+INDEX = 1.5  # refractive index of smooth surfaces
+MAX_DEGREE = 0.95
+MATT_DEGREE = 0.1  # largest degree of matt leaves
+COLOURED = 0.25  # fraction of the leaves whose degree depends on the wavelength
+CALM = 0.2  # fraction of the scenes in which all degrees are CALM times lower
+RIM = 0.98  # relative radius at which the surface of smooth leaves is perpendicular to the sensor
+
+
+@dataclass(frozen=True)
+class Sheen:
+    """Polarisation of each leaf. Positions on a leaf are relative to its centre and its radius."""
+
+    kind: NDArray[np.intp]  # (leaf) MATT, SMOOTH, FLAT, SKY or PLASTIC
+    degree: Floats  # (leaf) degree of polarisation, or its largest value on the leaf
+    angle: Floats  # (leaf) angle of polarisation at the centre, in radians
+    slope: Floats  # (2, leaf) change of the angle per radius, down and across; for SKY, direction of the increase
+    albedo_power: (
+        Floats  # (leaf) the degree is proportional to brightness^-power; 1 if the reflection is only on the surface
+    )
+    colour: Floats  # (leaf) relative change of the degree per 100 nm
+    retardance: Floats  # (3, leaf) in cycles at 550 nm: at the centre, per radius down and per radius across
+
+
+def draw_sheen(rng: np.random.Generator, count: int) -> Sheen:
+    """Draw the polarisation of `count` leaves."""
+    kind = rng.choice(len(SHARES), count, p=SHARES)
+    strong, metal = rng.uniform(0.05, MAX_DEGREE, count), rng.random(count) < 0.3
+    strong = np.where(metal & (kind == SMOOTH), 0.35 * strong, strong)
+    degree = np.where(kind == MATT, MATT_DEGREE * rng.random(count) ** 2, strong)
+    calm = CALM if rng.random() < CALM else 1.0
+    return Sheen(
+        kind=kind,
+        degree=(calm * degree).astype(np.float32),
+        angle=rng.uniform(0, np.pi, count).astype(np.float32),
+        slope=(0.25 * rng.standard_normal((2, count))).astype(np.float32),
+        albedo_power=rng.random(count).astype(np.float32),
+        colour=((rng.random(count) < COLOURED) * 0.35 * rng.standard_normal(count)).astype(np.float32),
+        retardance=rng.normal(0.0, 1.0, (3, count)).astype(np.float32),
+    )
+
+
+def fresnel_degree(sine: Floats) -> Floats:
+    """Return the degree of polarisation of light that a dielectric reflects, from the sine of the angle of incidence."""
+    cosine = np.sqrt(1 - sine**2)
+    refracted = np.sqrt(1 - (sine / INDEX) ** 2)
+    across = ((cosine - INDEX * refracted) / (cosine + INDEX * refracted)) ** 2
+    along = ((INDEX * cosine - refracted) / (INDEX * cosine + refracted)) ** 2
+    return np.asarray((across - along) / (across + along), np.float32)
+
+
+def stokes_of(
+    sheen: Sheen, cover: Leaves, label: NDArray[np.intp], place: tuple[NDArray, NDArray], shade: Floats
+) -> tuple[Floats, Floats]:
+    """Return S1/S0 and S2/S0 of samples of a scene.
+
+    Parameters
+    ----------
+    sheen : Sheen
+        Polarisation of each leaf.
+    cover : Leaves
+        Position and radius of each leaf.
+    label : ndarray, (row, col)
+        Index of the leaf at each sample.
+    place : tuple of ndarray
+        Row (row, 1) and column (col,) of the samples.
+    shade : ndarray, (row, col)
+        Natural logarithm of the brightness of each sample, relative to the mean of its leaf.
+
+    Returns
+    -------
+    tuple of ndarray, (row, col, node)
+        The ratios at the wavelengths NODES.
+    """
+
+    def of(values: NDArray) -> NDArray:
+        return np.take(values, label)
+
+    radius, kind = of(cover.radius), of(sheen.kind)
+    down, across = (place[0] - of(cover.row)) / radius, (place[1] - of(cover.col)) / radius
+    along = of(sheen.slope[0]) * down + of(sheen.slope[1]) * across
+    angle = 2 * (of(sheen.angle) + np.where(kind == SKY, 0, along))
+    first, second = np.cos(angle), np.sin(angle)
+    degree = of(sheen.degree) * np.exp(-of(sheen.albedo_power) * np.clip(shade, -1.5, 1.5))
+    degree *= np.where(kind == SKY, np.clip(0.5 + 2 * along, 0, 1), 1)
+    curved = np.nonzero(kind == SMOOTH)
+    v, u = down[curved], across[curved]
+    square = np.maximum(u * u + v * v, np.float32(1e-12))
+    # The light is polarised across the plane of incidence, which contains the direction from the centre of the leaf.
+    first[curved], second[curved] = (v * v - u * u) / square, 2 * u * v / square
+    degree[curved] *= fresnel_degree(np.minimum(np.sqrt(square), np.float32(RIM)))
+    degree = np.minimum(degree, np.float32(MAX_DEGREE))[..., None]
+    coloured = 1 + of(sheen.colour)[..., None] * ((NODES - 550.0) / 100.0).astype(np.float32)
+    degree = np.clip(degree * coloured, 0, MAX_DEGREE)
+    one, two = degree * first[..., None], degree * second[..., None]
+    clear = np.nonzero(kind == PLASTIC)
+    if clear[0].size:
+        leaf = label[clear]
+        cycles = (
+            sheen.retardance[0][leaf] + sheen.retardance[1][leaf] * down[clear] + sheen.retardance[2][leaf] * across[clear]
+        )
+        axis = (angle[clear] - 2 * sheen.angle[leaf])[:, None]  # twice the angle of the fast axis, which changes slowly
+        source = 2 * sheen.angle[leaf][:, None]  # twice the angle of the polarised light behind the plastic
+        # The plastic keeps the component along its fast axis, and turns the other component partly to circular polarisation.
+        kept = np.cos(source - axis)
+        turned = np.sin(source - axis) * np.cos(2 * np.pi * cycles[:, None] * (550.0 / NODES))
+        strength = np.minimum(sheen.degree[leaf], np.float32(MAX_DEGREE))[:, None]
+        one[clear] = strength * (kept * np.cos(axis) - turned * np.sin(axis))
+        two[clear] = strength * (kept * np.sin(axis) + turned * np.cos(axis))
+    return one.astype(np.float32), two.astype(np.float32)

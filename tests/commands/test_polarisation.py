@@ -1,0 +1,116 @@
+"""Polarisation cameras from the scenes to pictures, files and figures."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.store import load
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import open_training_set
+from l3cli.cli import run
+from l3cli.io.images import read_image
+from l3cli.physics.stokes import STOKES, dolp
+from tests.helpers.calls import L3, Refused
+from tests.helpers.recipes import small_classes
+
+SCENES = """
+exposure_share = [0.9]
+[target]
+outputs = "{outputs}"
+[[scene]]
+source = "dead leaves"
+size = [48, 56]
+count = 3
+"""
+KINDS = {"polarised": "Stokes", "polarised_colour": "CIE 1931 + Stokes"}
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def trained(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with frames, a table and a raw frame of one of the two cameras."""
+    folder = tmp_path_factory.mktemp(request.param)
+    (folder / "scenes.toml").write_text(SCENES.format(outputs=KINDS[request.param]))
+    (folder / "classes.toml").write_text(small_classes())
+    for call in (
+        ("simulate", folder / "scenes.toml", "--camera", request.param, "-o", folder / "frames.h5"),
+        ("train", folder / "frames.h5", "--classes", folder / "classes.toml", "-o", folder / "table.h5"),
+    ):
+        assert run([*map(str, call), "--quiet"]) == 0
+    with open_training_set(folder / "frames.h5") as reader:
+        np.save(folder / "raw.npy", reader.frame(0).raw)
+    return folder
+
+
+def test_monochrome_tables_have_two_layers(trained: Path) -> None:
+    table = load(TransformTable, trained / "table.h5")
+    assert len(table.later) == (table.outputs == STOKES)
+    assert table.camera is not None
+    assert table.camera.polarisers is not None
+
+
+def test_linear_files_contain_stokes_parameters_in_order(trained: Path, l3: L3) -> None:
+    outputs = load(TransformTable, trained / "table.h5").outputs
+    wanted = ("S0", "S1", "S2") if outputs == STOKES else outputs
+    for name, bits in (("picture.exr", ()), ("picture.tif", ("--bits", 32))):
+        assert l3("render", trained / "table.h5", trained / "raw.npy", "-o", trained / name, *bits)[0] == 0
+        pixels, names = read_image(trained / name)
+        assert pixels.shape == (48, 56, len(wanted) + 2)
+        if name.endswith(".exr"):
+            assert set(names) == {*wanted, "DoLP", "AoLP"}
+            planes = {each: pixels[..., place] for place, each in enumerate(names)}
+        else:
+            assert all(np.array_equal(pixels[..., place], planes[each]) for place, each in enumerate(wanted))
+    stokes = np.stack([planes["S0" if "S0" in planes else "Y"], planes["S1"], planes["S2"]])
+    np.testing.assert_allclose(planes["DoLP"], dolp(stokes), atol=1e-6)
+    assert planes["AoLP"].min() >= 0
+    assert planes["AoLP"].max() < 180
+
+
+def test_pictures_of_intensity_and_polarisation(trained: Path, l3: L3) -> None:
+    table, raw = trained / "table.h5", trained / "raw.npy"
+    assert l3("render", table, raw, "-o", trained / "intensity.png")[0] == 0
+    intensity = read_image(trained / "intensity.png")[0]
+    assert intensity.shape == (48, 56, 3)
+    assert (np.ptp(intensity.astype(int), axis=2).max() == 0) == (load(TransformTable, table).outputs == STOKES)
+    for shown in ("dolp", "aolp", "stokes"):
+        assert l3("render", table, raw, "-o", trained / f"{shown}.png", "--show", shown)[0] == 0
+        picture = read_image(trained / f"{shown}.png")[0]
+        assert picture.shape[1] > 56
+        assert np.ptp(picture.astype(int), axis=2).max() > 20
+
+
+def test_show_is_refused_where_it_has_no_effect(trained: Path, refused: Refused) -> None:
+    table, raw = trained / "table.h5", trained / "raw.npy"
+    for options in (("new.exr",), ("new.png", "--exposure", 2), ("new.png", "--tone", "aces"), ("new.dng",)):
+        assert "--show" in refused(2, "render", table, raw, "-o", trained / options[0], "--show", "dolp", *options[1:])
+
+
+def test_figures_and_reports(trained: Path, l3: L3) -> None:
+    """Monochrome tables have bilinear interpolation beside them."""
+    table, frames, page = trained / "table.h5", trained / "frames.h5", trained / "report.html"
+    code, out, _ = l3("evaluate", table, frames, "--json")
+    assert code == 0
+    document = json.loads(out)
+    mono = load(TransformTable, table).outputs == STOKES
+    assert document["pipelines"] == (["ours", "bilinear"] if mono else ["ours"])
+    for quality in document["mean"].values():
+        assert quality["psnr_s0"] > 20
+        assert 0 < quality["mean_dolp_error"] < 0.3
+        assert 0 < quality["aolp_rmse"] < 52
+    assert "S0" in l3("evaluate", table, frames)[1]
+    assert l3("report", table, frames, "-o", page)[0] == 0
+    assert page.stat().st_size > 10_000
+
+
+def test_a_white_does_not_change_grey_pictures(trained: Path, l3: L3) -> None:
+    if load(TransformTable, trained / "table.h5").outputs != STOKES:
+        return
+    for name, options in (("one.png", ()), ("two.png", ("--white", "A"))):
+        assert l3("render", trained / "table.h5", trained / "raw.npy", "-o", trained / name, *options)[0] == 0
+    np.testing.assert_array_equal(read_image(trained / "one.png")[0], read_image(trained / "two.png")[0])
+
+
+def test_stokes_outputs_need_polarisers(refused: Refused, tmp_path: Path) -> None:
+    assert "Stokes" in refused(2, "simulate", "polarised", "--camera", "bayer", "-o", tmp_path / "new.h5")
