@@ -39,6 +39,7 @@ from l3cli.system.limits import read_bounded
 
 CURE = "use a CSV file of spectra"
 MARKER = re.compile(r"^(?:>{3,}|<{3,}|\*{3,}|={3,}|-{3,}|\+{3,})")
+EXCEL_SEPARATOR = re.compile(r'"?sep=.?"?', re.I)  # first line of CSV files that names the separator for Excel
 CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # bytes that do not occur in Windows-1252 text
 UNIT_KEY = re.compile(
     r"^(?:y[- ]?(?:axis|unit)|(?:spectral |radiometric |measurement )?units?)\b[^:;=,\t]*[:;=,\t]\s*(.+)$", re.I
@@ -76,6 +77,8 @@ def _text_table(text: str, path: Path) -> TextTable:
     lines = [line.strip(" \r") for line in text.splitlines() if line.strip()]
     comments = list(itertools.takewhile(lambda line: line.startswith("#"), lines))
     lines = [line for line in lines if not line.startswith("#")]
+    if lines and EXCEL_SEPARATOR.fullmatch(lines[0]):
+        lines = lines[1:]
     while lines and MARKER.match(lines[-1]):
         lines.pop()
     separator, decimal_comma = _separator(lines)
@@ -339,7 +342,7 @@ def _heading(before: list[Cells], columns: int, decimal_comma: bool, path: Path)
 def _mismatch(named: int, columns: int, path: Path) -> str:
     return (
         f"{path}: the heading has {named} columns, but the rows have {columns}; "
-        "name every column, and if commas are decimal points, separate columns by semicolons"
+        "name every column, begin titles with #, and if commas are decimal points, separate columns by semicolons"
     )
 
 
@@ -612,7 +615,9 @@ def _wavelength_column(heading: Sequence[str], path: Path) -> tuple[int, float |
     if len(named) != 1:
         which = " and ".join(f'"{heading[number][:40]}"' for number in named[:2]) or f'none of "{", ".join(heading)[:60]}"'
         verb = "mean" if len(named) > 1 else "means"
-        raise InputFileError(f'{path}: {which} {verb} wavelengths; rename exactly one column to "wavelength_nm"')
+        raise InputFileError(
+            f'{path}: {which} {verb} wavelengths; rename exactly one column to "wavelength_nm", and begin titles with #'
+        )
     words = [word for word in re.split(SEPARATORS, heading[named[0]]) if word]
     scales = [scale for scale in map(units.length_nm, words) if scale is not None]
     if not scales and re.search(r"[(\[/]", heading[named[0]]):

@@ -388,6 +388,16 @@ def test_x_trans_of_fits_and_its_phase(tmp_path: Path, mosaic: np.ndarray, row: 
     )
 
 
+def test_an_image_in_an_extension_inherits_the_primary_header(tmp_path: Path, mosaic: np.ndarray) -> None:
+    header = fits.Header({"BAYERPAT": "GBRG", "EXPTIME": 0.25, "ROWORDER": "BOTTOM-UP"})
+    own = fits.Header({"EXPTIME": 0.5})
+    units = fits.HDUList([fits.PrimaryHDU(header=header), fits.ImageHDU(mosaic[::-1], own)])
+    units.writeto(tmp_path / "a.fits")
+    frame = read_raw(tmp_path / "a.fits", RGGB)
+    np.testing.assert_array_equal(frame.values, mosaic)
+    assert (frame.phase, frame.exposure) == ((1, 0), 0.5)
+
+
 @pytest.mark.parametrize(("number", "name"), [(32008, "bitshuffle"), (32001, "blosc"), (32015, "zstd"), (40000, "40000")])
 def test_a_filter_that_is_missing_is_named(
     tmp_path: Path, raw_table: Path, refused: Refused, number: int, name: str

@@ -573,11 +573,19 @@ def hdf5(path: Path, how: str) -> None:
             root["a/wavelength_um"] = NM / 1000
         elif how == "column":
             root["a/lambda"] = NM[:, None]
+        elif how == "name of a dimension scale":
+            root["a/band"], root["a/b/count"] = NM / 1000, np.arange(NM.size)
+            root["a/band"].attrs["units"] = "um"
+            root["a/band"].make_scale("wavelength")
+            root["a/b/cube"].dims[2].attach_scale(root["a/band"])
+        elif how == "standard name":
+            root["a/spectral"] = NM * 10
+            root["a/spectral"].attrs["standard_name"], root["a/spectral"].attrs["units"] = "radiation_wavelength", "angstrom"
 
 
 HOW = [
     "attribute of the cube", "attribute of a group", "attribute of the file", "beside", "in another group",
-    "in micrometres", "unit in the name", "column",
+    "in micrometres", "unit in the name", "column", "name of a dimension scale", "standard name",
 ]  # fmt: skip
 
 
@@ -587,6 +595,20 @@ def test_hdf5_states_wavelengths(tmp_path: Path, how: str) -> None:
     found = scene(cube.read(tmp_path / "a.h5", None, "row col band"))
     assert np.allclose(found.wavelength, NM)
     assert np.allclose(found.reflectance, TRUTH, atol=1e-6)
+
+
+@pytest.mark.parametrize(("name", "source"), [("a.tif", "channels"), ("a.exr", "channels"), ("a.hdr", "envi")])
+def test_a_file_of_another_source_names_that_source(tmp_path: Path, name: str, source: str) -> None:
+    (tmp_path / name).write_bytes(b"II*\0")
+    for function in (cube.read, cube.size):
+        with pytest.raises(InputFileError, match=f'source = "{source}"'):
+            function(tmp_path / name, None, "row col band")
+
+
+@pytest.mark.parametrize("kind", ["ENVI  Standard", "envi\tstandard ", "ENVI"])
+def test_blanks_in_the_file_type_do_not_count(tmp_path: Path, kind: str) -> None:
+    path = written(tmp_path, TRUTH.astype("<f4"), f"file type = {kind}", drop="file type")
+    assert np.allclose(envi_scene(path).reflectance, TRUTH, atol=1e-6)
 
 
 def test_two_lists_of_wavelengths_are_a_question(tmp_path: Path) -> None:

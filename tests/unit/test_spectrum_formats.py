@@ -92,6 +92,7 @@ FILES: dict[str, str] = {
     + pairs("; 5.1; 7.2;"),
     "lamp.IRR": '"File: lamp"\n"IRR";Time (ms)=100;Avg=5;Sm=0;Device=EPP2000\n' + pairs("   "),
     "cie.csv": pairs(","),
+    "excel.csv": "sep=;\nnm;W/m2/nm\n" + pairs(";", point=","),
 }
 
 

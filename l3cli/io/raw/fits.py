@@ -7,7 +7,8 @@ letters) or X-Trans (36 letters), shifted by XBAYROFF and YBAYROFF.
 
 import contextlib
 import warnings
-from collections.abc import Iterator
+from collections import ChainMap
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -51,10 +52,10 @@ def stack(path: Path) -> MultiFrameFile | None:
 @isolated("astropy.io.fits")
 def _shape(path: Path) -> tuple[tuple[int, ...], list[str], bool]:
     """Return the lengths and names (CTYPEn) of the axes of the first image, and whether the header states BAYERPAT."""
-    with _first_image(path) as image:
+    with _first_image(path) as (image, header):
         count = len(image.shape)
         names = [str(image.header.get(f"CTYPE{number}", "")).strip() for number in range(count, 0, -1)]
-        return tuple(image.shape), names, bool(str(image.header.get("BAYERPAT", "")).strip())
+        return tuple(image.shape), names, bool(str(header.get("BAYERPAT", "")).strip())
 
 
 @isolated("astropy.io.fits")
@@ -63,9 +64,8 @@ def read(path: Path, number: int | None = None) -> RawContent:
 
     `number` selects a frame of a stack. Raises InputFileError if the file contains no frame.
     """
-    with _first_image(path) as image:
+    with _first_image(path) as (image, header):
         values = np.asarray(image.data if number is None else image.section[number])
-        header = image.header
         pattern, order = str(header.get("BAYERPAT", "")).strip().upper(), str(header.get("ROWORDER", "")).strip().upper()
         offset = (int(header.get("YBAYROFF", 0)), int(header.get("XBAYROFF", 0)))
         seconds = header.get("EXPTIME", header.get("EXPOSURE"))
@@ -86,7 +86,8 @@ def read(path: Path, number: int | None = None) -> RawContent:
 
 
 @contextlib.contextmanager
-def _first_image(path: Path) -> Iterator[Any]:
+def _first_image(path: Path) -> Iterator[tuple[Any, Mapping[str, Any]]]:
+    """Open the first image, and yield it with its keywords. An extension inherits the keywords of the primary header."""
     try:
         from astropy.io import fits
     except ModuleNotFoundError as error:
@@ -98,4 +99,4 @@ def _first_image(path: Path) -> Iterator[Any]:
             if image is None:
                 raise InputFileError(f"{path} contains no image; use a FITS file with a raw frame")
             require_picture(str(path), *image.shape[-2:])
-            yield image
+            yield image, ChainMap(image.header, units[0].header)

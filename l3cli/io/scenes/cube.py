@@ -5,7 +5,7 @@ the scale of its values. l3 reads the attributes of the CF conventions (scale_fa
 and of NEON (Scale_Factor, by which values are divided, and Data_Ignore_Value).
 """
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,8 @@ Content = dict[str, Any]
 SCALE, OFFSET, WHITE = "scale_factor", "add_offset", "Scale_Factor"  # attributes: factor, offset, value of a perfect white
 MISSING = ("_FillValue", "missing_value", "Data_Ignore_Value")  # attributes that contain the value of pixels without data
 MATLAB, NPY = ".mat", ".npy"
+OTHER_SOURCES = {".tif": "channels", ".tiff": "channels", ".exr": "channels", ".hdr": "envi"}  # suffixes of other sources
+TITLES = ("NAME", "standard_name", "long_name")  # attributes that name an array: HDF5 dimension scales, CF conventions
 DEEPEST = 16  # maximum nesting of groups or structs
 
 
@@ -51,6 +53,7 @@ def read(path: Path, variable: str | None, axes: str) -> SpectralCube:
     attributes of the cube, then in the group or struct of the cube, then in the enclosing groups, and finally in the whole
     file.
     """
+    _refuse_other_source(path)
     content = {"values": map_array(path)} if path.suffix.lower() == NPY else read_content(path)
     arrays = dict(_arrays(content))
     if variable is None:
@@ -92,6 +95,7 @@ def _as_stored(
 
 def size(path: Path, variable: str | None, axes: str) -> tuple[int, int]:
     """Return the number of rows and columns of the cube, without reading its values if the header states the size."""
+    _refuse_other_source(path)
     shapes = {"values": map_array(path).shape} if path.suffix.lower() == NPY else array_shapes(path)
     wanted = [
         shape for name, shape in shapes.items() if len(shape) == 3 and (variable is None or name == _path_of(variable))
@@ -101,6 +105,12 @@ def size(path: Path, variable: str | None, axes: str) -> tuple[int, int]:
         return rows, cols
     order = axes.split()
     return wanted[0][order.index("row")], wanted[0][order.index("col")]
+
+
+def _refuse_other_source(path: Path) -> None:
+    """Raise InputFileError if the suffix of a file belongs to another `source`."""
+    if (source := OTHER_SOURCES.get(path.suffix.lower())) is not None:
+        raise InputFileError(f'{path} is no array of MATLAB, HDF5 or numpy; set source = "{source}" in the recipe')
 
 
 def _path_of(variable: str) -> str:
@@ -129,12 +139,21 @@ def _lists(arrays: dict[str, NDArray], attributes: dict[str, dict[str, Any]], le
     return found
 
 
-def _nearest(cube: str, lists: Lists, names: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Return the keys of the lists that have one of `names` and are nearest to a cube.
+def _titles(attributes: dict[str, Any]) -> Iterator[str]:
+    """Yield the names that the attributes of an array state."""
+    for key in TITLES:
+        if isinstance(title := attributes.get(key), str):
+            yield title.removeprefix("radiation_")  # as in the CF standard name "radiation_wavelength"
+
+
+def _nearest(
+    cube: str, lists: Lists, names: tuple[str, ...], titled: Container[tuple[str, str]] = ()
+) -> list[tuple[str, str]]:
+    """Return the keys of the lists that have one of `names`, or are in `titled`, and are nearest to a cube.
 
     The attributes of the cube are nearest, followed by the group of the cube, the enclosing groups, and all other groups.
     """
-    usual = [key for key in lists if is_named(key[1], names)]
+    usual = [key for key in lists if key in titled or is_named(key[1], names)]
     places = [cube]
     while places[-1]:
         places.append(places[-1].rpartition("/")[0])
@@ -151,7 +170,8 @@ def _wavelengths(path: Path, cube: str, lists: Lists, attributes: dict[str, dict
     Raises InputFileError if the file contains several different lists of wavelengths.
     """
     found = []
-    for group, name in _nearest(cube, lists, NAMES):
+    titled = {key for key in lists if any(map(is_named, _titles(attributes.get("/".join(key).strip("/"), {}))))}
+    for group, name in _nearest(cube, lists, NAMES, titled):
         about = attributes.get(f"{group}/{name}".strip("/"), {})
         unit = next((str(value) for key, value in about.items() if key.lower() in ("unit", "units")), "") or unit_in(name)
         with raised_as(InputFileError, f"{path}: {name}"):

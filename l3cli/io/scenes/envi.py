@@ -291,7 +291,7 @@ def _whole_data(path: Path, layout: Layout) -> Path:
 def _layout(header: Header) -> Layout:
     """Return the layout of the values. Raises InputFileError if a field is missing or unsupported."""
     sizes = {name: header.whole(name, 1) for name in ("lines", "samples", "bands")}
-    kind = header.text("file type")
+    kind = " ".join(header.text("file type").split())
     if kind.lower() not in STANDARD:
         raise header.wrong("file type", f'is "{kind[:40]}", which l3 does not support', "save the cube as ENVI Standard")
     if header.text("read procedures"):
