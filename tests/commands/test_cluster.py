@@ -65,6 +65,12 @@ LIES = {
 }
 cluster._computed = lambda versions, content: LIES[pathlib.Path("lie").read_text()]()
 """
+# Processes of dask sample what they do a hundred times a second, for a dashboard that nobody looks at here.
+IDLE = {
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+    "DASK_DISTRIBUTED__ADMIN__SYSTEM_MONITOR__INTERVAL": "10s",
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1s",
+}
 DASK = "import sys; sys.modules.update(matplotlib=None, pandas=None)\nfrom dask.__main__ import main\nmain()"
 
 
@@ -85,7 +91,7 @@ class Cluster:
         self.workers += [self._start("worker", self.address, *options) for _ in range(count)]
 
     def _start(self, *command: object) -> "subprocess.Popen[bytes]":
-        place = {"PYTHONPATH": PYTHONPATH, **ONE_BLAS_THREAD}  # holds what the workers are to do
+        place = {"PYTHONPATH": PYTHONPATH, **ONE_BLAS_THREAD, **IDLE}  # holds what the workers are to do
         line = [sys.executable, "-c", DASK, *command, "--no-dashboard", *self._tls]
         with open(self._folder / "log", "ab") as log:
             environment = {**os.environ, **place}

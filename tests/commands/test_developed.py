@@ -151,23 +151,6 @@ def test_a_developed_frame_names_its_makers_not_its_camera(l3: L3, desk: Path) -
     assert stated(desk / "n.dng", 306) is None  # no clock
 
 
-@pytest.mark.parametrize(
-    ("output", "options", "words"),
-    [
-        ("x.dng", ("--space", "srgb"), "leave --space out"),
-        ("x.dng", ("--bits", 32), "remove --bits"),
-        ("x.png", ("--remosaic", "bayer"), "write a .dng"),
-        ("x.mp4", ("--remosaic", "bayer"), "write a .dng"),
-        ("x.dng", ("--remosaic", "xtrans"), "bayer"),
-    ],
-)
-def test_what_a_dng_cannot_hold_is_refused(
-    refused: Refused, desk: Path, output: str, options: tuple[str, ...], words: str
-) -> None:
-    assert words in refused(2, "render", desk / "table.h5", desk / "frame.npy", "-o", desk / output, *options)
-    assert not (desk / output).exists()
-
-
 def test_other_outputs_than_xyz_are_refused(refused: Refused, desk: Path) -> None:
     save(random_table(BAYER, bits=12, patch=5, outputs=("nir",)), desk / "nir.h5")
-    assert "X, Y, Z" in refused(2, "render", desk / "nir.h5", desk / "frame.npy", "-o", desk / "y.dng")
+    assert "nir" in refused(2, "render", desk / "nir.h5", desk / "frame.npy", "-o", desk / "y.dng")

@@ -145,14 +145,10 @@ def test_each_frame_of_a_sequence_has_its_gain(gain_tables: Path, l3: L3, refuse
     check("folder-%d.exr", folder, 7, 4)
     check("pattern-%d.exr", folder / "frame_%d.npy", 7, 2, "--frames", "8-9")
     call = ("render", gain_tables / "several.h5", folder, "-o", tmp_path / "no-%d.exr", *how, "--gains", listed)
-    assert "--gain sets one gain for all frames" in refused(2, *call, "--gain", "2")
-    for text, words in (
-        ("1\n4\n", "4 frames, but --gains lists 2"),
-        ("1\nx\n2\n2\n", 'gains.txt: gain 2: "x" is not a number'),
-        ("", "is empty"),
-    ):
+    assert "--gain" in refused(2, *call, "--gain", "2")
+    for text, culprit in (("1\n4\n", "--gains"), ("1\nx\n2\n2\n", "gains.txt"), ("", "gains.txt")):
         listed.write_text(text)
-        assert words in refused(3, *call)
+        assert culprit in refused(3, *call)
 
 
 def test_a_baseline_exposure_brightens_pictures_and_is_no_gain(gain_tables: Path, l3: L3, tmp_path: Path) -> None:

@@ -142,6 +142,40 @@ MISTAKES = """
         set --black-level and --white-level
     2 render table.h5 raw.tif -o new.png --white D651
         illuminant "D651" is unknown; did you mean "D65"
+    2 render table.h5 raw.tif -o new.png --space acescg
+        write an .exr file, or a .tif file with --bits 32
+    2 render table.h5 raw.tif -o new.tif --space xyz --bits 16
+        linear
+    2 render table.h5 raw.tif -o new.png --bits 32
+        new.png: .png files store 8 or 16 bits per value, not 32; use .tif or .exr
+    2 render table.h5 raw.tif -o new.mp4 --bits 32
+        write a .tif or .exr
+    2 render table.h5 raw.tif -o new.mp4 --space rec2020
+        videos are always sRGB; leave --space out
+    2 render table.h5 raw.tif -o new.exr --white A
+        --space
+    2 render table.h5 raw.tif -o new.png --space sRGB
+        did you mean "srgb"?
+    2 render table.h5 raw.tif -o new.dng --space srgb
+        leave --space out
+    2 render table.h5 raw.tif -o new.dng --bits 32
+        remove --bits
+    2 render table.h5 raw.tif -o new.png --remosaic bayer
+        write a .dng
+    2 render table.h5 raw.tif -o new.mp4 --remosaic bayer
+        write a .dng
+    2 render table.h5 raw.tif -o new.dng --remosaic xtrans
+        bayer
+    2 render table.h5 raw.tif -o new.mp4 --bits 16
+        --codec h265
+    2 render table.h5 raw.tif -o new.mp4 --codec ffv1
+        use a file name that ends in .mkv
+    2 render table.h5 raw.tif -o new.y4m --codec h264
+        not compressed
+    2 render table.h5 raw.tif -o new.mp4 --preset best
+        --preset
+    2 render table.h5 raw.tif -o new.mkv --codec vp9
+        vp9
     2 render table.h5 raw.tif -o new.png --white 30,40,0
         2…1000 pixels
     2 render table.h5 raw.tif -o new.png --white 30,40,2.5

@@ -220,22 +220,3 @@ def test_exr_has_the_chromaticities_of_its_space(l3: L3, desk: Path) -> None:
     np.testing.assert_allclose(
         spec["chromaticities"], (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767), atol=1e-6
     )
-
-
-@pytest.mark.parametrize(
-    ("output", "options", "words"),
-    [
-        ("x.png", ("--space", "acescg"), "write an .exr file, or a .tif file with --bits 32"),
-        ("x.tif", ("--space", "xyz", "--bits", 16), "linear"),
-        ("x.png", ("--bits", 32), "x.png: .png files store 8 or 16 bits per value, not 32; use .tif or .exr"),
-        ("x.mp4", ("--bits", 32), "write a .tif or .exr"),
-        ("x.mp4", ("--space", "rec2020"), "videos are always sRGB; leave --space out"),
-        ("x.exr", ("--white", "A"), "--space"),
-        ("x.png", ("--space", "sRGB"), 'did you mean "srgb"?'),
-    ],
-)
-def test_spaces_that_cannot_be_are_refused(
-    refused: Refused, desk: Path, output: str, options: tuple[str, ...], words: str
-) -> None:
-    assert words in refused(2, "render", desk / "table.h5", desk / "frame.npy", "-o", desk / output, *options)
-    assert not (desk / output).exists()
