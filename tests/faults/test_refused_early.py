@@ -99,10 +99,10 @@ def test_endless_and_nested_texts_are_refused(
     call = ("--camera", bayer_recipe, "-o", tmp_path / "out.h5")
     with open(tmp_path / "endless.toml", "wb") as file:
         file.truncate(MOST_TEXT + 1)
-    assert "MB" in refused(3, "simulate", tmp_path / "endless.toml", *call)
-    assert "is a device; use a scene recipe" in refused(3, "simulate", "/dev/zero", *call)
+    assert "endless.toml" in refused(3, "simulate", tmp_path / "endless.toml", *call)
+    assert "/dev/zero" in refused(3, "simulate", "/dev/zero", *call)
     os.mkfifo(tmp_path / "pipe.toml")
-    assert "is a pipe; use a scene recipe" in refused(3, "simulate", tmp_path / "pipe.toml", *call)
+    assert "pipe.toml" in refused(3, "simulate", tmp_path / "pipe.toml", *call)
     for text in ("a = " + "[" * 5000 + "]" * 5000, "a = " + "9" * 5000, 'name = "\\u0000"', "exposure_s = [inf]"):
         (tmp_path / "odd.toml").write_text(text)
         assert "odd.toml" in refused(2, "simulate", tmp_path / "odd.toml", *call)
@@ -111,7 +111,7 @@ def test_endless_and_nested_texts_are_refused(
     recipe = 'illuminants = ["{}"]\nexposure_share = [0.9]\n[[scene]]\nsource = "grey ramp"\nsize = [16, 16]\n'
     os.mkfifo(tmp_path / "pipe.csv")
     (tmp_path / "fifo.toml").write_text(recipe.format("pipe.csv"))
-    assert "pipe.csv is a pipe; use a CSV file" in refused(3, "simulate", tmp_path / "fifo.toml", *call)
+    assert "pipe.csv" in refused(3, "simulate", tmp_path / "fifo.toml", *call)
 
 
 def test_hdf5_reaches_nowhere_else(refused: Refused, tmp_path: Path) -> None:
@@ -143,7 +143,7 @@ def test_hdf5_reaches_nowhere_else(refused: Refused, tmp_path: Path) -> None:
         del root["black_level"]
         root.create_dataset("black_level", (2,), "f8", external=[(str(secret), 0, 16)])
     seal(tmp_path / "table.h5")
-    assert "another file" in refused(3, "info", tmp_path / "table.h5")
+    assert "black_level" in refused(3, "info", tmp_path / "table.h5")
 
 
 def test_groups_in_a_circle_are_walked_once(l3: L3, tmp_path: Path) -> None:
