@@ -198,7 +198,9 @@ def example(kind: Any) -> Any:
         ends = [end for end in (meta.ge, meta.le) if end is not None]
         if ends:
             return ends[0]
-        return example(kind) if meta.lt is None else (meta.gt or 0.0) + meta.lt / 1000
+        if meta.lt is not None:
+            return (meta.gt or 0.0) + meta.lt / 1000
+        return example(kind) if meta.gt is None else meta.gt + 1
     if get_origin(kind) in UNIONS:
         return example(get_args(kind)[0])
     if get_origin(kind) is Literal:
