@@ -263,8 +263,9 @@ def _with_reference(fit: PolariserFit, reference: str, body: Body) -> PolariserF
 
     The error of the angle of this channel becomes 0, and is added to the errors of the other angles.
     """
+    if body.polarisers is None or reference not in body.channels:
+        raise InputFileError(f'the camera has no polariser of a channel "{reference}"; correct "rotator.reference"')
     channel = body.channels.index(reference)
-    assert body.polarisers is not None
     shift = difference(body.polarisers.polariser_deg[channel], fit.angle[channel])
     error = np.where(fit.polarised, np.hypot(fit.angle_error, fit.angle_error[channel]), 0.0)
     error[channel] = 0.0

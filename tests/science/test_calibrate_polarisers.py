@@ -142,6 +142,10 @@ def test_a_reference_channel_sets_the_zero_of_the_scale(
     assert fit.angle_error[0] == 0.0
     with pytest.raises(InputFileError, match="27°"):
         measure_polarisers(measured, figures)
+    for unknown in (replace(measured, body=body), replace(measured, rotator=Rotator(reference="p1"))):
+        reference = unknown.rotator.reference or "p90"
+        with pytest.raises(InputFileError, match=f'"{reference}"'):
+            measure_polarisers(replace(unknown, rotator=Rotator(angle_error=0.1, reference=reference)), figures)
 
 
 def test_captures_that_contradict_are_refused(body: Body, figures: SensorFigures) -> None:
