@@ -91,7 +91,7 @@ def workers_of(scheduler: Scheduler) -> Iterator[WorkerPool]:
         import distributed
     except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
-    for name in ("distributed", "tornado", "asyncio"):
+    for name in ("distributed", "distributed.client", "tornado", "tornado.application", "asyncio"):  # dask sets each level
         logging.getLogger(name).setLevel(logging.CRITICAL)  # l3 reports errors itself, in one line
     settings = {
         "distributed.comm.timeouts.connect": f"{ANSWER_SECONDS} s",

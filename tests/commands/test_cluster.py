@@ -2,6 +2,7 @@
 killed; what goes wrong with them is one line within bounded time."""
 
 import contextlib
+import logging
 import os
 import shutil
 import socket
@@ -83,7 +84,8 @@ class Cluster:
             port = free.getsockname()[1]
         self.address = f"{'tls' if tls else 'tcp'}://127.0.0.1:{port}"
         self._folder, self._tls = folder, tls
-        self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", port, "--protocol", self.address[:3])
+        self._scheduler = ("scheduler", "--host", "127.0.0.1", "--port", port, "--protocol", self.address[:3])
+        self.scheduler = self._start(*self._scheduler)
         self.workers: list[subprocess.Popen[bytes]] = []
 
     def add(self, count: int, *more: object) -> None:
@@ -101,6 +103,11 @@ class Cluster:
         for process in (*self.workers, self.scheduler):
             process.kill()
             process.wait()
+
+    def restart(self) -> None:
+        self.scheduler.kill()
+        self.scheduler.wait()
+        self.scheduler = self._start(*self._scheduler)
 
     def wait_for_scheduler(self) -> None:
         host, port = self.address.rpartition("/")[2].split(":")
@@ -307,7 +314,7 @@ def test_a_worker_of_another_version_is_refused(cluster: Cluster, monkeypatch: p
 def test_a_run_over_tls_ends_without_workers_and_without_its_scheduler(
     tmp_path: Path, bayer_recipe: Path, made: Path, l3: L3, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No worker at the beginning; one with a certificate gives the same bytes; lost at work; the scheduler gone."""
+    """No worker; one with a certificate gives the same bytes; one is lost at work; the scheduler restarts; it is gone."""
     if shutil.which("openssl") is None:
         pytest.skip("openssl is not installed")
     ca, certificate, key = (tmp_path / name for name in ("ca.pem", "certificate.pem", "key.pem"))
@@ -331,8 +338,16 @@ def test_a_run_over_tls_ends_without_workers_and_without_its_scheduler(
             with pytest.raises(L3Error, match="no worker for 1 s"):
                 _go_on(pool(_process, range(10_000)), cluster.workers[0].kill)
         cluster.add(1)
+        logged: list[logging.LogRecord] = []
+        handler = logging.Handler()
+        monkeypatch.setattr(handler, "emit", logged.append)
+        logging.getLogger("distributed.client").addHandler(handler)
         with workers(1, there) as pool, pytest.raises(L3Error, match="the scheduler has stopped"):
-            _go_on(pool(_process, range(10_000)), cluster.scheduler.kill)
+            _go_on(pool(_process, range(10_000)), cluster.restart)
+        logging.getLogger("distributed.client").removeHandler(handler)
+        assert not logged
+        cluster.scheduler.kill()
+        cluster.scheduler.wait()
         with pytest.raises(L3Error, match="no scheduler answers"), workers(1, there):
             pass
 
