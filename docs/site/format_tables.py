@@ -35,7 +35,7 @@ def packings() -> str:
         bayer = any(packing.family == family and packing.pattern for packing in PACKINGS.values())
         rows.append([", ".join(map(code, names)) + (f"; {orders} in place of `Mono`" if bayer else ""), meaning])
     for cells, meaning in (
-        (False, "raw frames of a polarisation camera, with the bits of the `Mono` format that has the same ending"),
+        (False, "raw frames of a polarisation camera; the bits are packed as in the `Mono` format with the same suffix"),
         (True, "raw frames of a polarisation camera, in which the four pixels of each 2×2 cell follow one another"),
     ):
         names = [name for name, packing in PACKINGS.items() if packing.polarised and packing.cells is cells]

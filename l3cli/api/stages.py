@@ -192,7 +192,7 @@ def file_of(given: Name | Artifact, kind: str | None = None) -> Iterator[Path]:
     given : str, path or Artifact
         A file or an artifact in memory. If `kind` is set, the name of a recipe that comes with l3 is also accepted.
     kind : str, optional
-        Folder of configs/ in which recipes are searched by name, such as "cameras".
+        Folder of configs/ in which l3 looks up the names of recipes, such as "cameras".
 
     Yields
     ------

@@ -89,13 +89,13 @@ class FlatField:
         gain = self.shading_gain
         if not (gain.size and gain.min() >= 1 / MAX_SHADING and gain.max() <= MAX_SHADING):
             raise ValueError(
-                f"flat field: the gains must be between {1 / MAX_SHADING:g} and {MAX_SHADING:g}; are the white frames "
-                "evenly lit?"
+                f"flat field: the gains must be between {1 / MAX_SHADING:g} and {MAX_SHADING:g}; use white frames "
+                "of an evenly lit white target"
             )
         if np.abs(gain / gain.mean(axis=0) - 1.0).max() > MAX_COLOUR_SHADING:
             raise ValueError(
-                f"flat field: a channel differs by more than {MAX_COLOUR_SHADING:.0%} from the mean of all channels; are "
-                "the white frames evenly lit?"
+                f"flat field: a channel differs by more than {MAX_COLOUR_SHADING:.0%} from the mean of all channels; use "
+                "white frames of an evenly lit white target"
             )
 
     def covers(self, rows: int, cols: int) -> bool:

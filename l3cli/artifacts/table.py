@@ -184,7 +184,7 @@ class TransformTable(Artifact):
                 f"the outputs {', '.join(self.outputs)} are not spectral bands and cannot be smoothed as spectra"
             )
         if self.chroma_smoothing and (self.outputs != ("X", "Y", "Z") or not (self.white_point > 0).all()):
-            raise ValueError("chroma can only be smoothed if the outputs are X, Y, Z of a white above zero")
+            raise ValueError("chroma can only be smoothed if the outputs are X, Y, Z and all three are positive for white")
         if self.later and (
             len(self.later) > 1 or self.later[-1].coarse_chroma if self.components else len(self.outputs) != 3
         ):

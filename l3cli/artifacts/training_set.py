@@ -90,7 +90,7 @@ class TrainingPair:
         check(self)
         _require_moderate("target", self.target)
         if not (self.white.size and self.white.min() >= 0 < self.white.max() <= LARGEST):
-            raise ValueError("white must not be negative, and must be positive in some output")
+            raise ValueError("white must have no negative value and at least one positive value")
         if min(self.luminance, self.exposure) < 1 / LARGEST or max(self.luminance, self.exposure) > LARGEST:
             bounds = f"between {1 / LARGEST:g} and {LARGEST:g}"
             raise ValueError(f"luminance is {self.luminance:g} and exposure {self.exposure:g}, but both must be {bounds}")

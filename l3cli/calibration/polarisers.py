@@ -230,7 +230,7 @@ def _check_angles(angle: Array, used: NDArray[np.bool_], body: Body) -> None:
         count = np.unique(angle[chosen] % 180.0).size
         if count < 3 or np.linalg.cond(harmonics(angle[chosen])) > LARGEST_CONDITION:
             raise InputFileError(
-                f"channel {name} has {count} usable angles of the rotating polariser, which do not determine its own angle; "
+                f"the angle of channel {name} cannot be determined from {count} usable angles of the rotating polariser; "
                 "capture at least 3 angles, spread over 180° and below saturation"
             )
 

@@ -19,22 +19,22 @@ STEP_WEIGHTS = np.array([1.0, 2.0, 1.0]) / 4
 Array = NDArray[np.float64]
 
 
-def scales_of(chroma: CoarseChroma, share: float = 1.0) -> Array:
-    """Return the scales by which the similarity function divides squared differences between blocks.
+def scales_of(chroma: CoarseChroma, noise_ratio: float = 1.0) -> Array:
+    """Return the scales of the similarity function, which divides the squared differences between blocks by these scales.
 
     Parameters
     ----------
     chroma : CoarseChroma
         The coarse chroma of a table.
-    share : float
+    noise_ratio : float
         Noise variance of the frame, divided by the noise variance of the camera.
 
     Returns
     -------
     ndarray, (step, plane, power of luminance)
-        Coefficients of polynomials in the luminance, for planes in their integer units.
+        Each scale is a polynomial in the luminance, with these coefficients. The planes are in integer units (PLANE_STEP).
     """
-    steps = chroma.variance * (share / PLANE_STEP**2) * PLANE_STEP ** np.arange(chroma.variance.shape[-1])
+    steps = chroma.variance * (noise_ratio / PLANE_STEP**2) * PLANE_STEP ** np.arange(chroma.variance.shape[-1])
     return steps * (4 * POWER * ALIKE**2)[:, None, None]
 
 

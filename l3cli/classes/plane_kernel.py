@@ -32,7 +32,7 @@ def rule_snippets(rule: PlaneRule) -> tuple[str, dict[str, str]]:
 
 
 def rule_macros(rule: PlaneRule) -> dict[str, int]:
-    """Return the macros with which the formula and the kernel are compiled."""
+    """Return the macros for compiling the OpenCL files that `rule_snippets` lists."""
     if isinstance(rule, StructureRule):
         return {"STRENGTHS": rule.strengths, "DIRECTIONS": DIRECTIONS, "COHERENCE": rule.coherence, "GRADIENT_TOP": GRADIENT}
     return {

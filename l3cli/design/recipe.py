@@ -240,7 +240,7 @@ def level_name(level: LevelRecipe) -> str:
 
 
 def curve_files(recipe: DesignRecipe, folder: Path) -> list[Path]:
-    """Return the paths of the curve files in a recipe. Relative paths in the recipe start at `folder`."""
+    """Return the paths of the curve files in a recipe. Paths in the recipe are relative to `folder`."""
     names = (*(one.file for one in recipe.filters.values()), recipe.pixel.bare)
     return [folder / name for name in names if isinstance(name, str)]
 

@@ -32,12 +32,12 @@ class Problem:
     noise: Noise
 
     def errors(self, cfa: Cfa) -> NDArray[np.float64]:
-        """Return the predicted errors of an array, (level, group)."""
+        """Return the predicted error of an array at each level (rows) and in each group of patches (columns)."""
         return np.array([array_errors(self.seen[level.light], cfa, self.noise, level) for level in self.levels])
 
     @functools.cached_property
     def share(self) -> NDArray[np.float64]:
-        """Fraction of the patches in each group, (level, group)."""
+        """Fraction of the patches in each group (columns), under the illuminant of each level (rows)."""
         return np.array([self.seen[level.light].share for level in self.levels])
 
     def means(self, cfa: Cfa) -> NDArray[np.float64]:
@@ -118,7 +118,13 @@ def every_array(
 
 
 def independent_outputs(responses: NDArray[np.floating]) -> int:
-    """Return the number of independent outputs of filters with the given responses to principal spectra, (filter, term)."""
+    """Return the number of independent outputs of a set of filters.
+
+    Parameters
+    ----------
+    responses : ndarray, (filter, term)
+        Response of each filter to each principal spectrum.
+    """
     scaled = responses / np.maximum(np.linalg.norm(responses, axis=1, keepdims=True), 1e-30)
     strength = np.linalg.svd(scaled, compute_uv=False)
     return int((strength > INDEPENDENT * strength[0]).sum())

@@ -84,7 +84,7 @@ class Task:
 
     @functools.cached_property
     def curves(self) -> NDArray[np.float64]:
-        """Quantum efficiencies, (filter, wavelength)."""
+        """Quantum efficiency of each filter (rows) at each wavelength (columns)."""
         return filter_curves(self.wanted, self.pixel, self.scenes.wavelength, self.recipe.parent)
 
     @functools.cached_property
@@ -125,7 +125,7 @@ class Task:
         return self.problem_of(self.curves)
 
     def problem_of(self, curves: NDArray[np.float64]) -> Problem:
-        """Return the problem for filters with the quantum efficiencies `curves`, (filter, wavelength)."""
+        """Return the problem for filters with the quantum efficiencies `curves` (one row per filter)."""
         seen = tuple(seen_by(curves, *each) for each in zip(self.lights, self.spectra, strict=True))
         return Problem(seen, self.levels, noise_of(self.pixel))
 
@@ -187,7 +187,7 @@ class Task:
             )
 
     def judged(self, arrays: Sequence[Cfa]) -> dict[str, NDArray]:
-        """Return the predicted errors of arrays, as "errors", (array, level, group)."""
+        """Return a dictionary with the predicted errors of the arrays, "errors", with the axes array, level and group."""
         return {"errors": np.array([self.problem.errors(cfa) for cfa in arrays])}
 
     def annealed(self, seed: int, which: tuple[int, int]) -> dict[str, NDArray]:

@@ -41,7 +41,7 @@ from l3cli.physics.spectra import RADIANCES, REFLECTANCES
 from l3cli.physics.stokes import STOKES, has_stokes
 
 Array = NDArray[np.floating]
-MIN_PIXEL_FRACTION = 1e-3  # classes with a smaller fraction of all pixels are not listed among the worst classes
+MIN_PIXEL_FRACTION = 1e-3  # fraction of all pixels; smaller classes are not listed among the worst classes
 LISTED_CLASSES = 10  # number of worst classes in the document
 
 
@@ -99,7 +99,7 @@ class ClassErrors:
     def worst(self, figure: str, pipeline: str) -> list[dict[str, Any]]:
         """Return the LISTED_CLASSES classes in which a pipeline has the largest mean errors, the worst class first.
 
-        Classes with a smaller fraction of all pixels than MIN_PIXEL_FRACTION are left out.
+        Classes that contain less than the fraction MIN_PIXEL_FRACTION of all pixels are left out.
         """
         pixels = np.maximum(self._pixels, 1)
         seen = self._pixels >= max(MIN_PIXEL_FRACTION * self._pixels.sum(), 1)
@@ -488,9 +488,9 @@ def raw_of(frame: TrainingPair, index: int, camera: CameraModel) -> RawFrame:
 
 
 def white_of(frame: TrainingPair) -> NDArray[np.floating]:
-    """Return XYZ (3) of the frame's illuminant.
+    """Return X, Y, Z of a perfect white under the illuminant of a frame.
 
-    If its spectrum is not stored with the frame, return XYZ of the target's white.
+    If the frame contains no spectrum of the illuminant, return the white of the target.
     """
     if frame.light is None:
         return frame.white[:3]

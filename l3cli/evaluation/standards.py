@@ -1,7 +1,7 @@
 """Metrics from standards: the sharpness of slanted edges, and the SNR of a grey at each illuminance (docs/measurement.md).
 
-The metrics are measured in pictures. The values to expect are computed in closed form from the lens, the pixel and the noise
-of the camera.
+The metrics are measured in pictures. Their theoretical values are computed in closed form from the lens, the pixel and the
+noise of the camera.
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ Array = NDArray[np.floating]
 BINS_PER_PIXEL = 4  # oversampling of the edge profile
 HALF_PROFILE_PIXELS = 48.0  # pixels; half length of the edge profile, long enough for the light that a lens spreads
 TAPER = 8.0  # pixels; length at each end over which the slope of the profile is tapered to zero
-SEARCHED = 6.0  # pixels; in each row, the edge is searched within this distance of the line from the previous pass
+SEARCHED = 6.0  # pixels; distance from the line of the previous pass within which each row is searched for the edge
 MAX_FREQUENCY = 1.0  # cycles/pixel; highest frequency of the MTF curves
 HALF = 0.5  # value of the MTF that defines MTF50
 PROFILE_BINS = int(2 * HALF_PROFILE_PIXELS * BINS_PER_PIXEL)  # number of bins in the edge profile
@@ -155,7 +155,7 @@ class GreyNoise:
         return cls(signal, constant * ones, linear * ones, quadratic, span)
 
     def snr(self, lux: Array) -> Array:
-        """Return the signal-to-noise ratio (lux, channel) at each illuminance."""
+        """Return the signal-to-noise ratio of each channel (columns) at each illuminance (rows)."""
         signal = np.asarray(lux)[:, None] * self.per_lux
         return np.asarray(signal / np.sqrt(self.constant + (self.linear + self.quadratic * signal) * signal))
 
@@ -288,7 +288,7 @@ def drawn_cameras(camera: CameraModel, rng: np.random.Generator) -> list[CameraM
 
 
 def patch_means(planes: Array) -> Array:
-    """Return the mean (output, patch) of the centre of each chart patch. The chart fills the planes (output, row, col)."""
+    """Return the mean of the centre of each chart patch, (output, patch). The chart fills `planes` (output, row, col)."""
     rows, cols = PATCHES
     tall, wide = planes.shape[1] // rows, planes.shape[2] // cols
     cells = planes.reshape(len(planes), rows, tall, cols, wide)[:, :, tall // 4 : -(tall // 4), :, wide // 4 : -(wide // 4)]
@@ -296,7 +296,7 @@ def patch_means(planes: Array) -> Array:
 
 
 def colour_differences(xyz: Array, of_camera: Array, white: Array) -> Array:
-    """Return ΔE00 (patch) between XYZ (3, patch) from two cameras, after scaling to equal mean luminance."""
+    """Return ΔE00 between two cameras for each patch, after scaling to equal mean luminance. `xyz` has shape (3, patch)."""
     same = xyz * (of_camera[1].sum() / xyz[1].sum())
     return delta_e_2000(*(lab(each.T / white[1], white / white[1]) for each in (same, of_camera)))
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
 
 NEIGHBOURS = 4  # number of neighbours that replace a bad pixel, by the mean of the two middle values
-SEARCH_PIXELS = 16  # neighbours are searched up to this distance, in rows and in columns
+SEARCH_PIXELS = 16  # maximum distance between a bad pixel and its neighbours, in rows and in columns
 MAX_BAD = 0.1  # maximum fraction of bad pixels; a map with more is probably not a defect map
 MIN_EXCESS = 8.0  # standard deviations of noise by which a hot pixel exceeds its brightest neighbour
 RANGE = 2.0  # a hot pixel also exceeds its brightest neighbour by this multiple of the range of its neighbours

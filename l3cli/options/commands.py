@@ -356,22 +356,22 @@ class InitOptions(ForceOptions):
     )
     phase: Given[PAIR | str | None, PAIR | None] = option(
         None,
-        "Raw files only: row and column, from 0, of the first pixel within the array that the file states. 0,0 confirms the "
-        "stated position.",
+        "Raw files only: position of the first pixel in the colour filter array that the file states, as row and column "
+        "from 0. Set 0,0 to confirm the array as stated.",
         SITE,
         metavar="ROW,COL",
     )
     black_level: float | None = option(
-        None, "Raw files only: black level, if the file states a wrong one.", LEVEL, metavar="DN"
+        None, "Raw files only: black level, if the value in the file is wrong.", LEVEL, metavar="DN"
     )
     pattern: str | None = option(
         None,
-        'Raw files only: filter array, if the file states a wrong one: rows from the first pixel on, such as "gg rr/gg rr/'
-        'bb gg/bb gg", or the name of a recipe.',
+        'Raw files only: filter array, if the array in the file is wrong. Rows from the first pixel on, such as "gg rr/gg '
+        'rr/bb gg/bb gg", or the name of a recipe.',
         metavar="ROWS|RECIPE",
     )
     white_level: float | None = option(
-        None, "Raw files only: white level, if the file states a wrong one.", LEVEL, metavar="DN"
+        None, "Raw files only: white level, if the value in the file is wrong.", LEVEL, metavar="DN"
     )
     opcodes: Literal["leave"] | None = option(
         None, "DNG files only: ignore lens warps, and required opcodes that l3 does not support."

@@ -280,7 +280,7 @@ def _opened(answer: Any, fits: Callable[[Any], bool], worker: Callable[[], str])
     except Exception:  # a value of a wrong type can fail in any way
         expected = False
     if not expected:
-        raise L3Error(f"worker {worker()} returned a wrong result, of the type {type(value).__name__}; {_REPLACE}")
+        raise L3Error(f"worker {worker()} returned a result of the wrong type {type(value).__name__}; {_REPLACE}")
     return value
 
 

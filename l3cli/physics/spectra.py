@@ -21,7 +21,7 @@ BLACK_BODY = Quantity(500, 100_000, "K")  # colour temperatures of black bodies 
 DAYLIGHT = Quantity(4000, 25_000, "K")  # colour temperatures for which CIE daylight is defined
 # Correlated colour temperatures of CIE daylight in K, with the present value of the second radiation constant (CIE 15).
 DAYLIGHT_KELVIN = {f"D{hundreds}": hundreds * 100 * 1.4388 / 1.4380 for hundreds in (50, 55, 65, 75)}
-UNSEEN = 1e-9  # light is invisible if its luminance, relative to light of equal power, is below this fraction
+UNSEEN = 1e-9  # light is invisible if its luminance is below this fraction of the luminance of equal power at 555 nm
 LONGEST_NM = 20_000  # largest wavelength of any spectrum
 SPRAGUE_STEP = 20.0  # largest band spacing, in nm, at which reflectances are interpolated by Sprague polynomials
 Array = NDArray[np.floating]

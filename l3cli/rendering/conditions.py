@@ -341,7 +341,7 @@ class NoiseSets:
         return frame.noise_share if self._limits else 1.0
 
     def chosen(self, frame: RawFrame) -> NDArray[np.uint8]:
-        """Return the index of the set of transforms for each pixel of a frame, (row, col)."""
+        """Return, for each pixel of a frame, the index of its set of transforms."""
         if frame.noise_left is None:
             return np.zeros(frame.values.shape, np.uint8)
         return frame.noise_left.below(self._limits, frame.values.shape)

@@ -60,7 +60,7 @@ def make_display(white: NDArray[np.floating], scale: float, bits: int, space: Sp
     white : ndarray, (3,)
         XYZ of the white of the scene, which becomes the white of the colour space.
     scale : float
-        Exposure, a factor on XYZ.
+        Exposure. XYZ is multiplied by this factor.
     bits : int
         Bits per code, 8 or 16.
     space : Space
@@ -91,7 +91,7 @@ def adapted_display(
     adaptation : ndarray, (3, 3)
         Converts XYZ under the illuminant of the scene to XYZ under D65.
     scale : float
-        Exposure, a factor on XYZ.
+        Exposure. XYZ is multiplied by this factor.
     bits : int
         Bits per code, 8 or 16.
     space : Space

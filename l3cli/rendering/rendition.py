@@ -29,7 +29,7 @@ from l3cli.rendering.white.source import WhiteSource, given_white, usual_balance
 from l3cli.system.locks import ThreadLock
 
 DEPTHS = (8, 16, FLOAT_BITS)
-MIN_EXPOSURE, MAX_EXPOSURE = 1e-9, 1e9  # range of the exposure, a factor on Y
+MIN_EXPOSURE, MAX_EXPOSURE = 1e-9, 1e9  # range of the exposure, which multiplies Y
 ANY_RATE = Fraction(30)  # frame rate to use if it has no effect, because only the first frame is measured
 
 
@@ -38,7 +38,7 @@ class Rendition:
     """Settings for the conversion of outputs to pictures."""
 
     balance: WhiteBalance | None  # white balance of frames without a measured white; None writes the outputs unchanged
-    exposure: float | None  # factor on Y, or None for automatic exposure
+    exposure: float | None  # factor by which Y is multiplied, or None for automatic exposure
     bits: int  # bits per value: 8, 16 or FLOAT_BITS
     space: Space | None = SRGB  # colour space, or None if the outputs are not colours
     raw: bool = False  # whether the picture is for a raw converter; its exposure is then recorded but not applied

@@ -321,8 +321,8 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Arr
     if min(frame.values.shape) < (least := max(MIN_SIDE, *units)):
         tall, wide = frame.values.shape
         raise RecipeError(
-            f"the frame has {tall}×{wide} pixels, but the uncertainty needs at least {least}×{least} pixels; use a "
-            "larger frame"
+            f"the frame has {tall}×{wide} pixels, but an estimate of the uncertainty needs at least "
+            f"{least}×{least} pixels; use a larger frame"
         )
     rows, cols = (_sampled(length, unit) for length, unit in zip(frame.values.shape, units, strict=True))
     shown = _cut(outputs, rows, cols) / (_cut(scale, rows, cols) if scale.ndim else scale)

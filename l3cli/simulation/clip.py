@@ -48,7 +48,7 @@ def sprites(course: Course, colours: NDArray[np.floating], seed: tuple[int, ...]
     colours : ndarray, (leaf, band)
         Reflectance or signal of each leaf.
     seed : tuple of int
-        Seed. Each leaf has its own random generator, so it does not depend on the other leaves.
+        Seed. Each leaf has a random generator of its own, so a leaf looks the same whatever other leaves the clip contains.
     """
     drawn = []
     for number, (radius, colour) in enumerate(zip(course.radius, colours, strict=True)):

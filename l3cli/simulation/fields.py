@@ -36,7 +36,7 @@ PATTERN_FREQUENCIES = {"grating": 0.4, "lattice": 0.35, "lettering": 0.25}  # re
 PERIOD_RANGE = (2.0, 16.0)  # pixels; range of the periods, which are drawn log-uniformly
 DUTIES = (0.15, 0.6)  # range of the fraction of a period that the strokes cover
 NEUTRAL, PALE = 0.5, 0.2  # fraction of patterns that are nearly neutral, and the highest saturation of these patterns
-CONTRAST = 0.5  # standard deviation of the natural logarithm of a random factor on the reflectance of the strokes
+CONTRAST = 0.5  # standard deviation of the natural logarithm of the random factor that multiplies the reflectance of strokes
 LINE_DISTANCE = (2.0, 3.5)  # distance between two lines of lettering, in periods of the strokes
 
 

@@ -546,7 +546,7 @@ class SimulationRun:
 
     @property
     def frame_bytes(self) -> int:
-        """Size in bytes of the largest frame, which consists of electrons of all channels, raw mosaic and target."""
+        """Size in bytes of the largest frame: the electrons in all channels, the raw mosaic and the target."""
         return self.camera.rows * self.camera.cols * (4 * len(self.camera.channels) + 2 + 4 * len(self.target.outputs))
 
     def frame(self, scene: Scene | ChannelPicture, shot: Shot, seconds: float | None = None) -> TrainingFrame:

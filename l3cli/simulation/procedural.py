@@ -215,7 +215,7 @@ def _shading(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the shading and the gloss of each sample.
 
-    Shading is a factor on the reflectance of the material. Gloss is a specular reflection, which is added to the product.
+    Shading multiplies the reflectance of the material. Gloss is a specular reflection, which is added to the product.
     """
 
     def of(values: NDArray[Any]) -> NDArray[Any]:

@@ -47,7 +47,7 @@ class SensorSetting(Recipe):
     # "shot": only the shot noise of light and dark current. "none": only quantisation.
     noise: Literal["all", "shot", "none"] = "all"
     noise_model: str | None = None  # name of a noise model from an installed package (docs/python.md#a-noise-model)
-    analog_gain: Annotated[float, msgspec.Meta(ge=1e-3, le=1e3)] = 1.0  # factor on the gain of the camera
+    analog_gain: Annotated[float, msgspec.Meta(ge=1e-3, le=1e3)] = 1.0  # multiplies the gain of the camera
 
 
 class TargetRecipe(Recipe):

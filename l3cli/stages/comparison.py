@@ -47,7 +47,7 @@ def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOp
         If the page cannot be written.
     """
     if page is not None and page.suffix != ".html":
-        raise RecipeError(f"{page} cannot contain an HTML page; use a file name that ends in .html")
+        raise RecipeError(f"{page} is not the name of an HTML page; use a file name that ends in .html")
     figures, console = options.figures, options.console
     with OutputGuard(console) as guard:
         if page is not None:

@@ -192,7 +192,7 @@ def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOpt
             )
             save(moments, output)
         spectra_of = ", ".join(f"{each.terms} principal spectra under {each.illuminant}" for each in lights)
-        console.info(f"{output}: {lights[0].patches.sum():.0f} patches, {spectra_of}")
+        console.info(f"{output} contains the moments of {lights[0].patches.sum():.0f} patches ({spectra_of})")
         return moments, used
 
 

@@ -415,7 +415,7 @@ def plot(judged: Sequence[Judgement], output: Path, options: CheckOptions) -> No
     """
     paths = [judgement.path for judgement in judged if judgement.kind == CAMERA and not judgement.findings]
     if output.suffix != ".html":
-        raise RecipeError(f"‹plot› {output} cannot contain an HTML page; use a file name that ends in .html")
+        raise RecipeError(f"‹plot› {output} is not the name of an HTML page; use a file name that ends in .html")
     if not paths:
         raise RecipeError(f"‹plot› {output} needs a camera recipe without faults; correct the recipe, or leave ‹plot› out")
     with OutputGuard(options.console) as guard:

@@ -256,7 +256,7 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> tu
         cameras = _sorted_by_camera(files, listed, console)
         if len(cameras) > 1 and (given := [name for name in SINGLE_CAMERA_OPTIONS if getattr(options, name) is not None]):
             raise RecipeError(
-                f"‹{given[0]}› applies to one camera, but {len(cameras)} cameras took the raw files; use the raw files "
+                f"‹{given[0]}› applies to one camera, but the raw files are from {len(cameras)} cameras; use the raw files "
                 f"of one camera, or leave ‹{given[0]}› out"
             )
         places = _places(folder, list(cameras))

@@ -388,7 +388,7 @@ class Composer:
     def _bands(self) -> None:
         """Add the [[band]] captures, which show a chart behind narrow-band filters.
 
-        The corners of the chart are searched in the brightest captures. If a capture has no table of radiances, a TODO for
+        l3 searches the brightest captures for the corners of the chart. If a capture has no table of radiances, a TODO for
         this table is added.
         """
         out, seen = self.out, self.seen

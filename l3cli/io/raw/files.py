@@ -206,7 +206,8 @@ class RawOverrides:
             return self
         if place >= len(self.gains):
             raise InputFileError(
-                f"‹gains› lists {len(self.gains)} gains, but there is a frame {place + 1}; list one gain per frame"
+                f"‹gains› lists {len(self.gains)} gains, but the input has at least {place + 1} frames; "
+                "list one gain per frame"
             )
         return replace(self, gain=self.gains[place], gains=())
 

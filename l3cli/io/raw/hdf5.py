@@ -39,9 +39,10 @@ def stack(path: Path, dataset: str | None) -> MultiFrameFile:
 
 @isolated("h5py", "hdf5plugin")
 def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
-    """Return the name of a dataset with frames, and its number of frames. If `dataset` is None, the only one is used.
+    """Return the name of the dataset that contains the frames, and its number of frames.
 
-    Raises InputFileError if the dataset does not exist or contains a picture with several channels.
+    If `dataset` is None, the only dataset with frames in the file is used. Raises InputFileError if the dataset does not
+    exist or contains a picture with several channels.
     """
     root = _open(path)
     members = dict(datasets(root))

@@ -222,7 +222,7 @@ def _stated(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, ND
 
 
 def _facts_of_tags(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, NDArray, NDArray]]]:
-    """Return the metadata in the tags of a TIFF or DNG file, as in `_stated`, or empty values for any other file."""
+    """Return the three results of `_stated` from the tags of a TIFF or DNG file. They are empty for all other files."""
     import tifffile
 
     try:

@@ -1,7 +1,7 @@
 """Read frames from MATLAB files: a variable (row, col) or (row, col, frame). Version 7.3 is read as HDF5, others with scipy.
 
 MATLAB users store stacks as (row, col, frame). Files of version 5 that Python wrote (scipy.io.savemat) keep numpy's order
-(frame, row, col). The text at the beginning of a file shows which program wrote it.
+(frame, row, col). The text at the beginning of a file shows which program wrote the file.
 """
 
 from pathlib import Path
@@ -17,7 +17,7 @@ from l3cli.io.raw.axes import Axes, frame_axes
 from l3cli.system.files import open_regular, stamp
 from l3cli.system.limits import require_picture, require_values
 
-OF_PYTHON = (b"Platform: posix", b"Platform: nt")
+PYTHON_PLATFORMS = (b"Platform: posix", b"Platform: nt")
 HDF5_VERSION = b"MATLAB 7.3 MAT-file"
 TEXT = 116  # bytes of text at the beginning of a file, which identify the program that wrote it
 COUNTS, NUMBERS = ("uint8", "uint16"), ("uint8", "uint16", "int16", "int32", "uint32", "single", "double")
@@ -33,16 +33,17 @@ def stack(path: Path, dataset: str | None) -> MultiFrameFile:
         text = stream.read(TEXT)
     if text.startswith(HDF5_VERSION):
         return hdf5.stack(path, dataset)
-    of_python = any(platform in text for platform in OF_PYTHON)
-    name, count = find_variable(path, dataset, of_python)
-    return MultiFrameFile(count, lambda number: RawContent(values=frame(path, name, of_python, number)), numbered=False)
+    from_python = any(platform in text for platform in PYTHON_PLATFORMS)
+    name, count = find_variable(path, dataset, from_python)
+    return MultiFrameFile(count, lambda number: RawContent(values=frame(path, name, from_python, number)), numbered=False)
 
 
 @isolated("scipy.io")
-def find_variable(path: Path, dataset: str | None, of_python: bool) -> tuple[str, int]:
+def find_variable(path: Path, dataset: str | None, from_python: bool) -> tuple[str, int]:
     """Return the name of the variable and its number of frames.
 
-    Raises InputFileError if the variable does not exist or contains a picture with several channels.
+    `from_python` states whether Python wrote the file. If `dataset` is None, the only array in the file is used. Raises
+    InputFileError if the variable does not exist or contains a picture with several channels.
     """
     import scipy.io
 
@@ -55,14 +56,14 @@ def find_variable(path: Path, dataset: str | None, of_python: bool) -> tuple[str
         raise InputFileError(
             f'{path}: the variable "{name}" is {kind} of shape {shape}; set ‹dataset› to an array (row, col, frame)'
         )
-    axes = _axes(path, name, shape, of_python)
+    axes = _axes(path, name, shape, from_python)
     require_picture(f"{path}: {name}", shape[axes.row], shape[axes.col])
     require_values(f"{path}: {name}", shape, BYTES.get(kind, 4))
     return name, 1 if axes.frame is None else shape[axes.frame]
 
 
 @isolated("scipy.io")
-def frame(path: Path, name: str, of_python: bool, number: int) -> NDArray:
+def frame(path: Path, name: str, from_python: bool, number: int) -> NDArray:
     """Read a frame (row, col) of a variable that `find_variable` has found."""
     import scipy.io
 
@@ -71,13 +72,13 @@ def frame(path: Path, name: str, of_python: bool, number: int) -> NDArray:
         _loaded.clear()
         _loaded[key] = scipy.io.loadmat(path, variable_names=[name])[name]
     values = _loaded[key]
-    axes = _axes(path, name, values.shape, of_python)
+    axes = _axes(path, name, values.shape, from_python)
     one = values if axes.frame is None else np.take(values, number, axes.frame)
     return np.ascontiguousarray(one, one.dtype.newbyteorder("="))
 
 
-def _axes(path: Path, name: str, shape: tuple[int, ...], of_python: bool) -> Axes:
-    if of_python or len(shape) == 2:
+def _axes(path: Path, name: str, shape: tuple[int, ...], from_python: bool) -> Axes:
+    if from_python or len(shape) == 2:
         return frame_axes(f"{path}: {name}", shape)
     if shape[2] == 3:
         raise InputFileError(

@@ -436,7 +436,7 @@ def light_mix_of_given(white: str | None, table: TransformTable, choice: Choice,
     if given is None:
         names = ", ".join(light.name for light in table.lights)
         console.info(
-            f"using the table's common transforms for all its illuminants ({names}); to use the transforms for one "
+            f"using the transforms that all illuminants of the table share ({names}); to use the transforms for one "
             "illuminant, set ‹white›"
         )
         return None

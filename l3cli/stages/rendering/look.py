@@ -113,7 +113,7 @@ def _light_mix_of_first(source: WhiteSource, job: Job, sequence: FrameSequence) 
     if frame is None or white is None:
         if not is_single:
             console.info(
-                "the white of the first frame is unknown; using the table's common transforms for all its illuminants"
+                "the white of the first frame is unknown; using the transforms that all illuminants of the table share"
             )
         return None, frames
     light_mix = nearest_for(job.table, white.light.xyz)

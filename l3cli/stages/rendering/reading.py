@@ -40,7 +40,7 @@ class FrameTask:
     white: SceneWhite | None = None  # measured white
     brightness: float = 0.0  # brightness that FrameMeter.looked_at returns
     ratio: float = 0.0  # natural logarithm of the brightness relative to the previous frame
-    error: L3Error | None = None  # error because of which the frame cannot be rendered
+    error: L3Error | None = None  # reason why the frame cannot be rendered
     lost: int = 1  # number of frames that are lost because of the error
 
 

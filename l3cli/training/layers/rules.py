@@ -236,7 +236,7 @@ def _error(sums: Array) -> Array:
 PILOT_MOSAICS = 48  # total number of mosaics in which the luminance noise is measured
 PILOT_SIDE = 72  # side of the mosaics for the noise measurement, in pixels
 MAX_MEASURED_LEVEL = 0.8  # fraction of full scale; noise is not measured in brighter pixels
-MIN_LEVEL_PIXELS = 1000  # levels with fewer pixels get an interpolated noise
+MIN_LEVEL_PIXELS = 1000  # the noise is interpolated for levels with fewer pixels
 LAB_SLOPES = (500.0, 116.0, 200.0)  # factors from small errors of the planes, relative to white, to errors of a*, L* and b*
 
 
