@@ -170,7 +170,7 @@ class Polarisers:
 
     @property
     def extinction(self) -> NDArray[np.float64]:
-        """Ratio of the transmissions along and across the axis, (channel, wavelength). It is infinite if ideal."""
+        """Ratio of the transmissions along and across the axis, for each channel and wavelength. Infinite if ideal."""
         with np.errstate(divide="ignore"):
             return np.asarray(1.0 / self.leakage)
 

@@ -27,7 +27,7 @@ class Polarisation:
     ratio: NDArray[np.float32]  # (row, col, 2, node) S1/S0 and S2/S0
 
     def weights(self, bands: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return the weight of each node at the wavelengths `bands`, (node, band). The weights of a band add up to 1."""
+        """Return the weights of the nodes (rows) at the wavelengths `bands` (columns). The weights of a band add up to 1."""
         nodes = np.eye(self.wavelength.size)
         return np.array([np.interp(bands, self.wavelength, node) for node in nodes])
 

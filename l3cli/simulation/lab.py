@@ -194,7 +194,7 @@ class _Response:
     per_polarised: Array  # (2, channel, wavelength), additional e-/s for 1 photon/s/sr/m²/nm of S1 or S2
 
     def electrons(self, radiance: Array, polarisation: float = 0.0, angle: float = 0.0) -> Array:
-        """Return the photo-electrons in e-/s, (spectrum, channel).
+        """Return the photo-electrons in e-/s for each spectrum (rows) and channel (columns).
 
         Parameters
         ----------
@@ -245,7 +245,7 @@ class _Session:
         polarisation: float = 0.0,
         angle: float = 0.0,
     ) -> None:
-        """Plan a capture of the given radiance, (spectrum, wavelength), and linear polarisation at an angle in degrees.
+        """Plan a capture of spectra with the given radiance (one row per spectrum) and linear polarisation.
 
         The drift of the lamp and the error of the angle are drawn at random and applied to the light. The capture also
         contains the spectra that the spectrometer measures.

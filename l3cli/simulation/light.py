@@ -141,7 +141,7 @@ class Sees(Protocol):
 
     @property
     def electron_weights(self) -> NDArray[np.float64]:
-        """Electrons for unit photon radiance, (channel, wavelength), up to a common factor."""
+        """Electrons in each channel (rows) for unit photon radiance at each wavelength (columns), up to a common factor."""
 
 
 class Filters(NamedTuple):

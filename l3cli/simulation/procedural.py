@@ -460,7 +460,7 @@ def colorchecker_patches(size: tuple[int, int]) -> list[tuple[slice, slice]]:
 
 
 def patch_grid(reflectance: Array, rows: int, size: tuple[int, int]) -> Cube:
-    """Arrange the reflectances of patches, (patch, band), in rows that fill the scene. Large patches have dark borders."""
+    """Arrange patches with the given reflectances in rows that fill the scene. Large patches have dark borders."""
     cols = len(reflectance) // rows
     row = np.arange(size[0]) * rows // size[0]
     col = np.arange(size[1]) * cols // size[1]

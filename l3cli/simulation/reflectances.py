@@ -100,7 +100,7 @@ def drawn_bands(wavelength: Array) -> NDArray[np.bool_]:
 
 
 def palette(rng: np.random.Generator, of: Surfaces) -> Array:
-    """Draw the materials of one scene: 6 to 60 reflectances, (material, band).
+    """Draw the reflectances of the 6 to 60 materials of one scene, one row per material.
 
     In half of the scenes, one type of material is dominant.
     """
@@ -114,12 +114,12 @@ def palette(rng: np.random.Generator, of: Surfaces) -> Array:
 
 
 def materials(kind: str, rng: np.random.Generator, of: Surfaces, count: int) -> Array:
-    """Draw `count` reflectances, (material, band), of one type of material. `kind` is a key of KIND_FREQUENCIES."""
+    """Draw `count` reflectances of one type of material, one per row. `kind` is a key of KIND_FREQUENCIES."""
     return np.array([_material(rng, of, kind, 1.0) for _ in range(count)])
 
 
 def dyed(rng: np.random.Generator, of: Surfaces, count: int) -> Array:
-    """Draw `count` reflectances, (material, band), of dyed surfaces, from grey to slightly more saturated than measured."""
+    """Draw `count` reflectances of dyed surfaces, one per row, from grey to slightly more saturated than measured."""
     shares = np.array([KIND_FREQUENCIES[kind] for kind in DYED])
     kinds = rng.choice(DYED, size=count, p=shares / shares.sum())
     return np.array([_dye(rng, of, kind, rng.uniform(*VIVID)) for kind in kinds])

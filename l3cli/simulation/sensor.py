@@ -46,7 +46,7 @@ def _fixed_pattern(seed: int, rows: int, cols: int, prnu: float, dsnu: float, co
 
 
 def mosaic(electrons: NDArray[np.float32], cfa: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Sample the electrons of all channels, (channel, row, col), through the CFA. The first pixel is the site (0, 0)."""
+    """Select, for each pixel, the electrons of the channel that the CFA has there. The first pixel is at site (0, 0)."""
     down, across = cfa.shape
     values = np.empty(electrons.shape[1:], electrons.dtype)
     for row, col in np.ndindex(cfa.shape):
@@ -55,7 +55,7 @@ def mosaic(electrons: NDArray[np.float32], cfa: NDArray[np.uint8]) -> NDArray[np
 
 
 def signals(camera: CameraModel, rates: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Multiply electron rates, (row, col), in e-/s, by the relative gain of each channel.
+    """Multiply the electron rate of each pixel, in e-/s, by the relative gain of its channel.
 
     The product of the result and the gain of the camera is the signal in DN per second.
     """

@@ -371,7 +371,7 @@ def _polarisation_on_sensor(
 
 
 def turned(cube: NDArray[np.float32], framing: Framing) -> NDArray[np.float32]:
-    """Crop, mirror and rotate a scene, (row, col, band).
+    """Crop, mirror and rotate the cube (row, col, band) of a scene.
 
     Raises
     ------
@@ -442,13 +442,13 @@ def _pixels(length: int, scale: float) -> int:
 
 
 def _scaled(cube: NDArray[np.float32], scale: float, most: tuple[int, int]) -> NDArray[np.float32]:
-    """Resample a cube, (row, col, band), to `scale` pixels per sample. Crop it to at most `most` rows and columns."""
+    """Resample a cube to `scale` pixels per sample. Crop the result to at most `most` rows and columns."""
     down, across = (_resampling(length, scale, limit) for length, limit in zip(cube.shape, most, strict=False))
     return resampled(cube, down, across)
 
 
 def resampled(cube: NDArray[np.float32], down: Any, across: Any) -> NDArray[np.float32]:
-    """Resample a cube, (row, col, band), with a sparse matrix (pixel, sample) for the rows and another for the columns.
+    """Resample the rows of a cube (row, col, band) with the sparse matrix `down`, and the columns with `across`.
 
     The columns are resampled row by row, which limits the memory.
     """

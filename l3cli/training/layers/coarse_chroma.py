@@ -62,7 +62,7 @@ def _planes_of_greys(layer: LayerPass) -> list[NDArray[np.int32]]:
 
 
 def _variances(planes: list[Array]) -> Array:
-    """Return the variance of each plane of each grey, (grey, plane), without `CUT` blocks at each edge."""
+    """Return the variance of each plane (columns) for each grey (rows), without `CUT` blocks at each edge."""
     return np.array([each[:, CUT:-CUT, CUT:-CUT].var(axis=(1, 2)) for each in planes])
 
 
