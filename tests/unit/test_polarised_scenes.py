@@ -1,12 +1,14 @@
 """Polarised scenes: the electrons of known Stokes parameters, what leaves show, and what framing does to angles."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel, Polarisers
 from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.classes.windows import neighbourhoods
 from l3cli.evaluation.basic import develop_stokes
 from l3cli.evaluation.demosaic import stokes_baselines
 from l3cli.evaluation.quality import judge_stokes
@@ -19,6 +21,7 @@ from l3cli.simulation.light import OUTPUTS, Target, make_light
 from l3cli.simulation.polarisation import fresnel_degree
 from l3cli.simulation.recipe import Lens
 from l3cli.simulation.sources import DeadLeaves, WantedScene, on_sensor
+from l3cli.training.symmetry import EVERY_ORIENTATION, orientations_of_scenes, stabilisers
 
 TARGET = Target(STOKES, "Stokes parameters", "Stokes")
 WAVELENGTH = np.arange(390.0, 711.0, 10.0)
@@ -157,3 +160,23 @@ def test_errors_of_stokes_parameters() -> None:
     assert quality.aolp_rmse == pytest.approx(10.0)
     assert quality.dolp_bias is None
     assert errors.max() < 1e-12
+
+
+def test_only_half_turns_leave_the_record_of_a_scene_alike(camera: CameraModel) -> None:
+    """A turned scene gives the turned electrons of the same channels; a mirrored one those of other channels."""
+    channel = neighbourhoods(camera.cfa, 5, 4).channel
+    allowed = orientations_of_scenes(camera)
+    assert stabilisers(channel[0], 5) != list(allowed) == stabilisers(channel[0], 5, allowed)
+    assert orientations_of_scenes(replace(camera, polarisers=None)) == EVERY_ORIENTATION
+    wanted = WantedScene(DeadLeaves(size=(32, 32)))
+    scene, light = procedural.draw(wanted, 1, WAVELENGTH, True), make_light("D65", {}, camera.wavelength).at(100.0)
+
+    def electrons(**framing: Any) -> np.ndarray:
+        framed = on_sensor(scene, DeadLeaves(size=(32, 32), **framing), camera)
+        return simulate(camera, framed, light, 0.01, Lens(), (0,), TARGET, "none").electrons
+
+    plain = electrons()
+    np.testing.assert_allclose(electrons(rotate=180), plain[:, ::-1, ::-1], rtol=1e-4, atol=1e-4 * plain.max())
+    mirrored = electrons(flip="cols")
+    assert abs(mirrored - plain[:, :, ::-1]).max() > 0.05 * plain.max()
+    np.testing.assert_allclose(mirrored[[0, 2, 1, 3]], plain[:, :, ::-1], rtol=1e-4, atol=1e-4 * plain.max())
