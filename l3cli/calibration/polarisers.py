@@ -236,7 +236,7 @@ def _check_angles(angle: Array, used: NDArray[np.bool_], body: Body) -> None:
 
 
 def _check_captures(captures: Sequence[PolariserCapture], fit: PolariserFit) -> None:
-    """Raise InputFileError if the frames of a capture show another angle of the polariser than the stated angle.
+    """Raise InputFileError if the polariser angle that the frames of a capture show differs from the stated angle.
 
     The angle is determined from the ratios of the channels, so that at least three channels with different angles are
     needed.

@@ -98,7 +98,7 @@ def phase_doubt(
 
 @dataclass(frozen=True)
 class ArrayDoubt:
-    """Evidence that a mosaic has another CFA than the file states."""
+    """Evidence that the CFA of a mosaic differs from the CFA that the file states."""
 
     differ: float  # difference between sites of the same stated channel, as a fraction of the signal
     means: NDArray[np.float64]  # (row, col) DN; mean signal at each position modulo COMMON_PERIOD
@@ -124,7 +124,7 @@ class ArrayDoubt:
 
 
 def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
-    """Return evidence that a frame has another CFA than `cfa` (row, col), or None.
+    """Return evidence that the CFA of a frame differs from `cfa` (row, col), or None.
 
     If the CFA is correct, sites at the same position in the super-pixel have the same mean over a frame. Sites of the same
     channel also have the same mean, unless the phase is wrong (`phase_doubt`). Three kinds of difference are no evidence of

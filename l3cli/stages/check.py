@@ -327,8 +327,9 @@ class Judgement:
 def check(given: Sequence[str]) -> list[Judgement]:
     """Check recipes and return the results in the order of the arguments.
 
-    Cameras are checked first, because other recipes are checked for a camera. This is a camera without faults from the same
-    folder or, if there is no such camera, the first camera. A file that occurs twice is checked once.
+    Camera recipes are checked first, because the check of any other recipe needs a camera. The camera is the first camera
+    without faults in the folder of the recipe. If there is none, it is the first camera without faults in any folder. A file
+    that occurs twice is checked once.
 
     Parameters
     ----------
@@ -365,8 +366,7 @@ def recipes_of(name: str) -> list[Path]:
     ----------
     name : str
         Path of a file, path of a folder of recipes, or name of recipes or of a benchmark that come with l3. Recipes of
-        different
-        types may have the same name.
+        different types may have the same name.
 
     Raises
     ------

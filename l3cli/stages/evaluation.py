@@ -335,7 +335,7 @@ def for_frames(
     Raises
     ------
     InputFileError
-        If the camera of the frames has another CFA than the table.
+        If the CFA of the frames differs from the CFA of the table.
     """
     (name, transforms), (other, camera) = table, frames
     require_cfa(transforms, camera)
@@ -343,7 +343,7 @@ def for_frames(
     if not (differences := unlike(made, camera)):
         return made, ""
     text = (
-        f"{name} was trained for another camera ({transforms.camera_name}) than the camera of {other} ({camera.name}): the "
+        f"{name} was trained for camera {transforms.camera_name}, but {other} contains frames of camera {camera.name}: the "
         f"cameras differ in {differences}; evaluate a table on frames of its own camera"
     )
     console.warn(text)

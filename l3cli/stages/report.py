@@ -251,8 +251,8 @@ def _warn_of_arrays(given: Given, console: Console) -> None:
         if all(entry.array != table.array for table in tables):
             names = ", ".join(table.name for table in tables)
             console.warn(
-                f"{entry.name} has another colour filter array than {names}, so it is not used for evaluation; add a table "
-                "for this array"
+                f"{entry.name} has a different colour filter array from {names}, so it is not used for evaluation; add a "
+                "table for this array"
             )
 
 
@@ -264,7 +264,7 @@ def _warn_of_cameras(given: Given, console: Console) -> None:
     for entry, camera in cameras if tables else [*cameras, *held]:
         if entry is not known[0][0] and (differences := unlike(known[0][1], camera)):
             text = f"the cameras differ in {differences}; make a separate report for each camera"
-            console.warn(f"{entry.name} has another camera than {known[0][0].name}: {text}")
+            console.warn(f"{entry.name} has a different camera from {known[0][0].name}: {text}")
 
 
 # ------------------------------------------------------------------------------------------------------ evaluation

@@ -123,6 +123,6 @@ def refuse_unwritable(path: Path) -> None:
     whole = path.absolute()
     folder = whole if whole.is_dir() else next(parent for parent in whole.parents if parent.exists())
     if not folder.is_dir():
-        raise L3Error(f"{folder} is a file, not a folder; choose another output than {path}")
+        raise L3Error(f"{folder} is a file, not a folder; choose an output other than {path}")
     if not os.access(folder, os.W_OK | os.X_OK):
         raise L3Error(f"{folder} cannot be written to; choose an output in a folder that you may write to")

@@ -209,7 +209,7 @@ CONVERT = "convert the file to a DNG with lossless JPEG compression or without c
         ({266: (SHORT, [2])}, "this page does not support FillOrder 2"),
         ({258: (SHORT, [32])}, "this page does not support BitsPerSample 32"),
         ({50829: (LONG, [0, 0, 70, 96])}, "the crop of the file exceeds its pixels; the file is damaged"),
-        ({33422: (1, [1, 1, 1, 1])}, "the file has another colour filter array than the camera of this page"),
+        ({33422: (1, [1, 1, 1, 1])}, "the colour filter array of the file differs from the array of this page's camera"),
         ({273: (LONG, [2**31])}, "the file is damaged or not a DNG"),
     ],
 )

@@ -220,7 +220,7 @@ class GatheredSamples:
     def add(self, seen: Seen, label: Integers, pixels: Integers, weight: Floats) -> None:
         """Collect the samples at the indices `pixels`. `label` and `weight` contain values for all pixels.
 
-        If the mosaics have another width than the collected samples, these samples are first added to the sums.
+        If the mosaics are wider or narrower than the collected samples, the collected samples are first added to the sums.
         """
         if seen.label.shape[1] != self._cols:  # mosaics of different widths cannot be joined
             self.add_up()
