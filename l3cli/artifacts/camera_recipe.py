@@ -198,7 +198,7 @@ class SensorRecipe(Recipe):
     pixel_pitch_um: Positive
     bits: Bits
     black_level_dn: float
-    gain_dn_per_e: Positive | None = None  # default: the gain with which a full well reaches the white level
+    gain_dn_per_e: Positive | None = None  # default: the gain at which a full well reaches the white level
     white_level_dn: float | None = None  # default: raw value of a full well, or the largest value of the converter if lower
     fixed_pattern_seed: Seed = 0
 

@@ -195,7 +195,7 @@ def is_scale(dataset: h5py.Dataset) -> bool:
 
 
 class Stored(NamedTuple):
-    """The type, the size and the filters with which a dataset is stored."""
+    """The type, the size and the filters of a stored dataset."""
 
     where: str  # path of the dataset in the file
     shape: tuple[int, ...]

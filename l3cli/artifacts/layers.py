@@ -180,7 +180,7 @@ class PlaneLayer:
 
 
 def rule_fields(rule: PlaneRule) -> dict[str, Any]:
-    """Return the keyword argument with which PlaneLayer receives the class rule `rule`."""
+    """Return the keyword argument of PlaneLayer for the class rule `rule`."""
     return {"structure" if isinstance(rule, StructureRule) else "tree": rule}
 
 

@@ -17,7 +17,7 @@ from l3cli.calibration.responsivity import Sweep, chart_factors, fit_gain, smoot
 MEMORY = 0.8  # correlation of the drift between consecutive captures in the measurement file
 CHART_ERROR = 0.002  # relative error of the mean of a chart in a channel; errors of 0.5 % per patch explain half of it
 TRIED = np.geomspace(2e-4, 0.2, 100)  # candidates for the relative standard deviation of the drift
-EVIDENCE = 4.0  # smallest log likelihood ratio with which an estimated drift replaces the declared drift
+EVIDENCE = 4.0  # smallest log likelihood ratio at which an estimated drift replaces the declared drift
 Array = NDArray[np.float64]
 
 

@@ -106,7 +106,7 @@ def name(table: TransformTable, contrast: int) -> str:
 
 
 def macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros with which contrast.cl is compiled."""
+    """Return the macros for compiling contrast.cl."""
     return {"CONTRASTS": rule.contrasts}
 
 

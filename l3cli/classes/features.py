@@ -44,7 +44,7 @@ class BasicFeatureModule(DescribedFeature, Protocol):
     """Interface of the modules level, contrast, saturation and chroma."""
 
     def macros(self, rule: ClassRule) -> dict[str, int]:
-        """Return the macros with which the OpenCL snippet of the feature is compiled."""
+        """Return the macros for compiling the OpenCL snippet of the feature."""
 
     def kernel_array(self, rule: ClassRule) -> NDArray[Any]:
         """Return the constants that the OpenCL snippet of the feature reads."""
@@ -129,7 +129,7 @@ class FeatureModule(DescribedFeature, Protocol):
         """
 
     def macros(self, feature: Feature, rule: ClassRule) -> dict[str, int]:
-        """Return the macros with which the OpenCL snippet of the feature is compiled."""
+        """Return the macros for compiling the OpenCL snippet of the feature."""
 
 
 # Snippets are joined, and arrays are passed to kernels, in this order.

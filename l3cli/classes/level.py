@@ -159,7 +159,7 @@ def name(table: TransformTable, level: int) -> str:
 
 
 def macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros with which level.cl is compiled."""
+    """Return the macros for compiling level.cl."""
     return {"LEVELS": rule.levels, "LEVEL_FRACTION": LEVEL_FRACTION}
 
 

@@ -180,7 +180,7 @@ def _distances(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
 
 
 def macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros with which saturation.cl and the kernel of the window statistics are compiled."""
+    """Return the macros for compiling saturation.cl and the kernel of the window statistics."""
     return {"SATURATION": min(rule.saturation, 1 << 16), "SATURATION_RADIUS": rule.saturation_radius}
 
 

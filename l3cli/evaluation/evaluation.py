@@ -474,8 +474,8 @@ def require_cfa(table: TransformTable, camera: CameraModel) -> None:
 
 
 def raw_of(frame: TrainingPair, index: int, camera: CameraModel) -> RawFrame:
-    """Convert frame number `index` of a training set to a raw frame of the camera, with the dark signal that is to be
-    subtracted.
+    """Convert frame number `index` of a training set to a raw frame of the camera, including the dark signal to
+    subtract.
 
     Raises InputFileError if the raw values or levels are invalid.
     """

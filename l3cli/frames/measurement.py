@@ -146,7 +146,7 @@ class FinishedCurves:
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
     responsivity: NDArray[np.float64]  # (channel, wavelength)
-    note: str | None = None  # message about columns of the file that are not used, if there are any
+    note: str | None = None  # message that lists unused columns of the file, or None
 
 
 @dataclass(frozen=True)

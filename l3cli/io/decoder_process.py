@@ -38,7 +38,7 @@ except (ImportError, RuntimeError):  # RuntimeError: libseccomp.so.2 is missing
 ABI, SECCOMP = "Landlock ABI ", "seccomp"  # names of the measures; the version number follows the first name
 SET_NO_NEW_PRIVILEGES = 38  # option of prctl
 CREATE_RULESET, ADD_RULE, RESTRICT_SELF = 444, 445, 446  # Landlock system calls; the numbers are the same on all machines
-ASK_FOR_VERSION = 1  # flag of CREATE_RULESET, with which the call returns the version of Landlock
+ASK_FOR_VERSION = 1  # flag of CREATE_RULESET; if it is set, the call returns the version of Landlock
 PATH_BENEATH = 1  # type of rule: rights for a file, or for everything below a folder
 FILE_RIGHTS, ADDED_IN = 13, (2, 3, 5)  # number of file rights in version 1, and the later versions that added one right each
 READ_FILE, READ_FOLDER = 1 << 2, 1 << 3

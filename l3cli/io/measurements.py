@@ -86,7 +86,7 @@ At = Callable[..., AbstractContextManager[None]]  # at(*keys): context of a bloc
 
 @dataclass(frozen=True)
 class MeasurementFiles:
-    """Measurements, the files from which they were read, and the state of these files before any of them was read."""
+    """Measurements, the files that contain the measurements, and the state of these files before l3 read them."""
 
     measurements: Measurements
     recipe: str  # text of the measurement file; "" for photos without a measurement file

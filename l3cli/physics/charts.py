@@ -65,7 +65,7 @@ def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
 
 
 def _corrected(reflectance: Array, wavelength: Array, stated: str) -> Array:
-    """Multiply reflectances by the smoothest factors with which the colours are those that the manufacturer states."""
+    """Multiply reflectances by the smoothest factors that reproduce the colours that the manufacturer states."""
     target = _stated_xyz(stated)
     light = spectra.illuminant("D50", wavelength)
     weights = spectra.xyz_weights(wavelength) * light

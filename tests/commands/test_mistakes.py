@@ -63,7 +63,7 @@ MISTAKES = """
     1 calibrate lab/MEASUREMENTS.toml -o folder
         folder is a folder; choose a file
     1 calibrate lab/MEASUREMENTS.toml -o raw.tif/new.h5
-        raw.tif is a file, not a folder; choose another output
+        raw.tif is a file, not a folder; choose an output other than
     2 calibrate lab/MEASUREMENTS.toml -o new.toml
         .toml is for recipes; choose an output
     3 calibrate lab/MEASUREMENTS.toml -o new.h5 --truth table.h5

@@ -39,7 +39,7 @@ SHEET = (("black_level_dn", 64), ("white_level_dn", 4095), ("well_capacity_e", 1
 
 @dataclass(frozen=True)
 class Reading:
-    """Functions with which the frames of a folder are read."""
+    """Functions that read the frames of a folder."""
 
     read: Callable[[str], RawFile]  # reads the frame with the given path
     array_of: Callable[[NDArray[np.integer]], CfaRecipe]  # converts the CFA codes in a file to a colour filter array

@@ -35,7 +35,7 @@ EXPLAINED = 0.98  # the smallest array is used that explains this fraction of th
 SIGNIFICANT = 0.02  # smallest fraction of the variance that an array must explain
 EVEN = 0.05  # largest relative residual of a uniform field after a smooth fit
 TERMS = 4  # degree of the polynomial of the smooth fit
-COMMON = 12  # smallest number of pixels with which a value counts as frequent
+COMMON = 12  # a value counts as frequent if at least this number of pixels have it
 LEAST_CODES = 16  # smallest number of frequent values from which l3 judges whether values were stretched
 MOST_GAPS = 0.25  # in unprocessed data, the next higher value is missing for at most this fraction of the frequent values
 # A frame is a drawing if more than this fraction of its pixels equal their neighbours, and if its range in DN is larger.

@@ -339,7 +339,7 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
 
 
 def _misread(content: RawContent, table: Sensor, phase: tuple[int, int]) -> str:
-    """Return the option with which the bytes decode to a far smoother frame, or "" if there is no such option."""
+    """Return an option that decodes the bytes to a far smoother frame, or "" if no option does."""
     return smoother_reading(content["readings"](), shifted_cfa(table.cfa, phase)) if "readings" in content else ""
 
 
