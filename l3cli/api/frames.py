@@ -67,7 +67,7 @@ def read_raw(
     gain : float, optional
         Analog gain as a multiple of the camera's gain, which replaces the gain that l3 derives from the file.
     camera : CameraModel, optional
-        Camera model with a defect map and a flat field, with which the frame is corrected.
+        Camera model with a defect map and a flat field, which correct the frame.
     skip : int, default 0
         Headerless files only: number of bytes before the frame.
     byte_order : {"little", "big"}, optional
@@ -132,7 +132,7 @@ def raw_frame(
     gain : float, optional
         Analog gain as a multiple of the camera's gain.
     camera : CameraModel, optional
-        Camera model with a defect map and a flat field, with which the frame is corrected.
+        Camera model with a defect map and a flat field, which correct the frame.
 
     Returns
     -------
@@ -508,7 +508,7 @@ class Mosaics:
     size : (int, int) or None
         Rows and columns of the frames, or None for the size of the table's camera.
     camera : str, path or None
-        Camera model with a defect map or a flat field, with which the frames are corrected.
+        Camera model with a defect map or a flat field, which corrects the frames.
     backend : {"opencl", "reference"}
         Renderer, as in `Renderer`.
     device : str or None
@@ -595,7 +595,7 @@ def pair(text: str, separator: str, name: str) -> tuple[int, int] | None:
     separator : str
         The characters between the two numbers.
     name : str
-        Name of the option, with which the error message begins.
+        Name of the option. The error message begins with this name.
 
     Returns
     -------

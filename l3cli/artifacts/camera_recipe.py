@@ -499,7 +499,7 @@ def white_level(recipe: CameraRecipe) -> float:
 def gain_of(recipe: CameraRecipe) -> float:
     """Return the conversion gain of a recipe without faults in DN/e-.
 
-    If the recipe does not declare a gain, the result is the gain with which a full well reaches the white level.
+    If the recipe does not declare a gain, the result is the gain at which a full well reaches the white level.
     """
     if recipe.sensor.gain_dn_per_e is not None:
         return recipe.sensor.gain_dn_per_e

@@ -31,7 +31,7 @@ WHITE_FROM = 1.25  # luminance, relative to the clipped white, from which pixels
 MIN_WEIGHT = 1e-6  # weight of a clipped channel in the grey level, so that the weights never sum to zero
 # Number of values per block: four for the replacement of the outputs, and three for the hue.
 MAPS, REPLACEMENT_MAPS = 7, 4
-HUE_STEPS = 2  # number of blocks in each direction with which a clipped block is compared
+HUE_STEPS = 2  # a clipped block is compared with this number of blocks in each direction
 HUE_REACH = 24  # pixels; distance from a clipped block to the farthest of these blocks
 MAX_DIFFERENCE = 0.05  # squared relative difference of the signals from which two blocks show different surfaces
 MIN_SIGNAL = 0.02  # fraction of full scale; smallest signal by which signals are divided
@@ -220,7 +220,7 @@ def block_maps(means: Array, spread: Array, response: Array, white: Array) -> Ar
 
 
 def hue_spacing(side: int) -> int:
-    """Return the distance between the blocks with which a clipped block is compared, in blocks with this side in pixels."""
+    """Return the spacing, in blocks, of the grid of blocks for comparison. `side` is the side of a block in pixels."""
     return max(HUE_REACH // (HUE_STEPS * side), 1)
 
 

@@ -1,6 +1,6 @@
 """Compares a table with other pipelines frame by frame, and collects all metrics in one JSON document.
 
-The document also contains mean errors by class, with which a user can find the classes with the largest errors.
+The document also contains mean errors by class, which show the classes with the largest errors.
 """
 
 import dataclasses

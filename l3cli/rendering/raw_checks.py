@@ -152,7 +152,7 @@ def other_phase(frame: RawFrame, table: TransformTable) -> str:
     fitting = " or ".join(f"{row},{col}" for row, col in doubt.phases)
     return (
         "the stated phase of the colour filter array is wrong, because the sites of one channel differ by "
-        f"{doubt.stated:.1%} on average; use ‹phase› {fitting}, with which the difference is {doubt.least:.1%}"
+        f"{doubt.stated:.1%} on average; use ‹phase› {fitting}, which reduces the difference to {doubt.least:.1%}"
     )
 
 

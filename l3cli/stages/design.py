@@ -279,7 +279,7 @@ def _moments(run: SimulationRun, bases: Sequence[NDArray[np.float64]], patches: 
     return {f"{name}-{number}": value for number, of_light in enumerate(sums) for name, value in of_light.items()}
 
 
-CLASS_RECIPE = "single"  # class recipe with which CFAs are trained
+CLASS_RECIPE = "single"  # class recipe for training tables of CFAs
 CROP = 72  # side in pixels of the square crop of the first scene, which a design stores
 FIGURES = ("mean_delta_e", "scielab", "output_psnr")  # metrics that a design stores, as attributes of Quality
 # scene recipe for training CFAs

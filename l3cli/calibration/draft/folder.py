@@ -76,7 +76,7 @@ def survey(
     camera : CameraModel or None
         The camera, if it is known.
     reading : Reading
-        Functions with which frames are read.
+        Functions that read frames.
 
     Raises
     ------

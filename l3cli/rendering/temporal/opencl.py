@@ -86,7 +86,7 @@ class Device:
 
 
 def _macros(period: tuple[int, ...]) -> layout.Macros:
-    """Return the macros with which the kernels are compiled."""
+    """Return the macros for compiling the kernels."""
     grid = Grid.of((1, 1), period)
     names = (
         "ONE",
