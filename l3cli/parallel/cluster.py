@@ -14,7 +14,6 @@ import re
 import tempfile
 import threading
 import time
-import traceback
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
 from dataclasses import dataclass
@@ -324,7 +323,7 @@ def work_elsewhere(versions: dict[str, str], content: bytes) -> bytes:
     except (*REPORTED, ImportError) as error:
         return pickle.dumps((True, error))
     except Exception as error:
-        traceback.print_exc()
+        logging.getLogger(__name__).exception("an item of a run of l3 failed")
         return pickle.dumps((True, _line(error)))
 
 

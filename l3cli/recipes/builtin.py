@@ -147,6 +147,14 @@ def common_files(rows: int, cols: int) -> dict[str, bytes]:
     return files | {name: fitting_scenes(files[name].decode(), rows, cols).encode() for name in SCENES}
 
 
+def for_several_lights(starter: Path) -> bool:
+    """Return whether the table of a new folder is trained for several illuminants.
+
+    The tables of benchmarks are trained as their files say, and tables with Stokes outputs can have one illuminant only.
+    """
+    return not starter.is_dir() and starter.stem not in POLARISED
+
+
 def for_lights(contents: Mapping[str, bytes]) -> dict[str, bytes]:
     """Change the scene recipe and the class recipe in `contents` to train for daylight and incandescent light.
 

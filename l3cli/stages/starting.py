@@ -46,6 +46,7 @@ from l3cli.recipes.builtin import (
     curves_of,
     folder_files,
     for_lights,
+    for_several_lights,
     known_camera,
     known_recipes,
     summary,
@@ -97,7 +98,7 @@ def start(starter: Path, folder: Path, options: InitOptions) -> FilesUsed:
         curves = curves_of(starter)
         contents = {name: origin.read_bytes() for name, origin in origins.items()}
         contents |= known_camera(contents) if curves else {}
-        contents |= {} if starter.is_dir() else for_lights(contents)
+        contents |= for_lights(contents) if for_several_lights(starter) else {}
         used = files_to_read({"recipes": origins.values()})
         write_folder(folder, contents)
         edits = f"put your curves into {curves.name} and your values into camera.toml, then " if curves else ""
