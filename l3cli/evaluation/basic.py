@@ -46,7 +46,9 @@ class Colour:
     matrix: Array  # (output, channel); each row sums to 1
 
 
-def fit_colour(camera: CameraModel, light: LightSpectrum, wanted: LightSpectrum | None = None) -> Colour:
+def fit_colour(
+    camera: CameraModel, light: LightSpectrum, wanted: LightSpectrum | None = None, channel_noise: float = 0.0
+) -> Colour:
     """Fit a white balance and a colour matrix of a camera for an illuminant.
 
     The matrix is fitted by ridge regression over measured reflectances. A perfect white is reproduced exactly.
@@ -59,6 +61,9 @@ def fit_colour(camera: CameraModel, light: LightSpectrum, wanted: LightSpectrum 
         Illuminant of the scene.
     wanted : LightSpectrum, optional
         Illuminant of the target XYZ. [default: `light`]
+    channel_noise : float
+        Standard deviation of the noise of each channel, relative to white, that the matrix should not amplify. It keeps the
+        matrix small if several channels respond almost equally, as behind polarisers of different angles.
 
     Raises
     ------
@@ -78,7 +83,7 @@ def fit_colour(camera: CameraModel, light: LightSpectrum, wanted: LightSpectrum 
     balance, matrix = np.zeros(len(seen)), np.zeros((3, len(seen)))
     balance[seen] = 1.0 / electrons[0, seen]
     white = np.where(xyz[0] > 0, xyz[0], 1.0)  # Z of white is 0 under deep red light
-    matrix[:, seen] = white_preserving_ridge(electrons[1:, seen] * balance[seen], xyz[1:] / white)
+    matrix[:, seen] = white_preserving_ridge(electrons[1:, seen] * balance[seen], xyz[1:] / white, channel_noise)
     return Colour(balance, matrix)
 
 
@@ -112,7 +117,7 @@ def lit_library(light: LightSpectrum) -> tuple[Array, Array]:
     return library, spectra.at_luminance(radiance, light.wavelength, 1.0)
 
 
-def white_preserving_ridge(channels: Array, outputs: Array) -> Array:
+def white_preserving_ridge(channels: Array, outputs: Array, channel_noise: float = 0.0) -> Array:
     """Fit a matrix that converts white-balanced channels to outputs and preserves white.
 
     For each sample, the mean of its channels is subtracted from its channels and from its outputs. Ridge regression then
@@ -124,6 +129,8 @@ def white_preserving_ridge(channels: Array, outputs: Array) -> Array:
         White-balanced channels.
     outputs : ndarray, (sample, output)
         Outputs relative to white.
+    channel_noise : float
+        Standard deviation of noise in each channel, relative to white.
 
     Returns
     -------
@@ -133,7 +140,7 @@ def white_preserving_ridge(channels: Array, outputs: Array) -> Array:
     mean = channels.mean(axis=1, keepdims=True)
     differences = channels - mean
     gram = differences.T @ differences
-    ridge = RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
+    ridge = (RIDGE * np.trace(gram) / len(gram) + channel_noise**2 * len(channels)) * np.eye(len(gram))
     # lstsq instead of solve: with a single channel, the equation is 0 = 0.
     matrix = np.linalg.lstsq(gram + ridge, differences.T @ (outputs - mean))[0].T
     return matrix - matrix.mean(axis=1, keepdims=True) + 1.0 / len(gram)

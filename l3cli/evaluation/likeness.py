@@ -27,6 +27,7 @@ from l3cli.physics.display import delta_e_2000, lab
 Array = NDArray[np.floating]
 LIGHTS = ("D65", "A")
 MAX_DELTA_E = 2.0  # largest mean ΔE00 over measured surfaces
+CHANNEL_NOISE = 0.003  # typical uncertainty of a calibrated channel, relative to white; the colours should not amplify it
 MAX_SENSITIVITY_RATIO = 1.1  # largest ratio of sensitivities; lamps and photodiodes of two laboratories agree within 5 %
 MAX_NOISE_RATIO = 1.25  # largest ratio of noise standard deviations
 NOISE_SIGNALS = (0.0, 0.01, 0.1, 0.5)  # fractions of full scale at which noise is compared
@@ -77,7 +78,7 @@ def colour_difference(one: CameraModel, other: CameraModel) -> float:
 
 
 def _colour_difference(one: CameraModel, other: CameraModel, light: LightSpectrum) -> float:
-    colour = fit_colour(one, light)
+    colour = fit_colour(one, light, channel_noise=CHANNEL_NOISE)
     library, falling = lit_library(light)
     white = spectra.xyz_weights(light.wavelength) @ falling
     labs = []

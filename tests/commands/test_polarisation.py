@@ -1,17 +1,22 @@
 """Polarisation cameras from the scenes to pictures, files and figures."""
 
 import json
+import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.cli import run
+from l3cli.evaluation.likeness import colour_difference, unlike
 from l3cli.io.images import read_image
 from l3cli.physics.stokes import STOKES, dolp
+from l3cli.recipes.builtin import known_recipes
 from tests.helpers.calls import L3, Refused
 from tests.helpers.recipes import small_classes
 
@@ -41,6 +46,23 @@ def trained(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     with open_training_set(folder / "frames.h5") as reader:
         np.save(folder / "raw.npy", reader.frame(0).raw)
     return folder
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_new_folder_trains_for_the_illuminant_of_its_scenes(name: str, tmp_path: Path, l3: L3) -> None:
+    assert l3("init", name, tmp_path / "demo")[0] == 0
+    assert tomllib.loads((tmp_path / "demo/scenes.toml").read_text())["illuminants"] == ["D65"]
+    assert tomllib.loads((tmp_path / "demo/scenes.toml").read_text())["target"]["outputs"] == KINDS[name]
+    assert "lights" not in tomllib.loads((tmp_path / "demo/classes.toml").read_text())["learning"]
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_two_calibrations_of_channels_with_the_same_filter_are_one_camera(name: str) -> None:
+    camera = load_camera(known_recipes("cameras")[name])
+    rng = np.random.default_rng(7)
+    again = replace(camera, responsivity=camera.responsivity * rng.normal(1.0, 0.002, camera.responsivity.shape))
+    assert colour_difference(again, camera) < 0.5
+    assert unlike(again, camera) == ""
 
 
 def test_monochrome_tables_have_two_layers(trained: Path) -> None:
