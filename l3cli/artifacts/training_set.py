@@ -265,7 +265,10 @@ class TrainingSetReader:
         return self._read(index, GROUPS[self._names[index][0]])
 
     def pair(self, index: int) -> TrainingPair:
-        """Return a frame without its electrons and fingerprints, which are most of its bytes."""
+        """Return a frame as a TrainingPair.
+
+        The electrons and fingerprints of a simulated frame, which make up most of its size, are not read.
+        """
         return self._read(index, TrainingPair)
 
     def _read(self, index: int, kind: type[TrainingPair]) -> TrainingPair:

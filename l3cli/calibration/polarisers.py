@@ -145,7 +145,10 @@ def fit_polarisers(
 def first_guess(
     light_angle: Array, rate: Array, used: NDArray[np.bool_], polarised: NDArray[np.bool_], light_polarisation: float
 ) -> Guess:
-    """Estimate gain, angle and leakage of each channel by a linear fit of this channel, as if the light were constant."""
+    """Estimate the gain, the angle and the leakage of each channel with a linear fit.
+
+    The fit treats each channel separately, and assumes that the brightness of the light does not change between captures.
+    """
     terms = harmonics(light_angle)
     law = np.array([np.linalg.lstsq(terms[use], of[use], rcond=None)[0] for use, of in zip(used.T, rate.T, strict=True)])
     mean, amplitude = law[:, 0], np.hypot(law[:, 1], law[:, 2])

@@ -20,7 +20,7 @@ def train(files: tuple[Path, ...], output: Path, options: ShardOptions) -> Resul
     Example: l3 train training.h5 --classes classes.toml -o table.h5
 
     Training patches are distributed evenly over all frames. With --shares 1,0.7,0.4, three training sets get patches in
-    these proportions, independently of their numbers of frames.
+    these proportions, regardless of how many frames each set contains.
 
     To train on several machines, divide the work into shards, with the same training sets, shares, recipe and seed.
     Training takes two passes, because the errors of the first pass determine the weights in the second pass. Four steps

@@ -189,9 +189,23 @@ class Level:
 
 
 def exposure(level: Level, noise: Noise, white: float) -> tuple[float, float]:
-    """Return the exposure in cd s/m², which is the luminance of white times the exposure time, and the exposure time in s.
+    """Return the exposure and the exposure time at a level.
 
-    `white` is the signal of the brightest filter in the CFA, in e-/s, for a white of 1 cd/m².
+    Parameters
+    ----------
+    level : Level
+        Illuminant and exposure.
+    noise : Noise
+        Noise parameters and full scale of a pixel.
+    white : float
+        Signal of the brightest filter in the CFA, in e-/s, for a white of 1 cd/m².
+
+    Returns
+    -------
+    exposure : float
+        Luminance of white times the exposure time, in cd s/m².
+    seconds : float
+        Exposure time in s.
     """
     if level.share is None:
         return level.luminance * level.seconds, level.seconds

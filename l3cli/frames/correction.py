@@ -142,7 +142,7 @@ class Correction:
         return hashlib.sha256(repr(self.shape).encode() + b"".join(content)).hexdigest()
 
     def corrected(self, frame: RawFrame) -> RawFrame:
-        """Return the frame with bad pixels replaced, and with the shading of the camera instead of the gains in the file.
+        """Replace the bad pixels of a frame. If the camera has a flat field, its shading replaces the gains in the file.
 
         Raises InputFileError if the frame is not a full frame of the camera.
         """

@@ -155,10 +155,10 @@ def with_one_black_level(
 
 
 def upright(pixels: NDArray, orientation: int) -> NDArray:
-    """Turn pixels (row, col, …) upright, according to a flip code of LibRaw.
+    """Turn pixels (row, col, …) upright. `orientation` is a LibRaw flip code.
 
-    Bit 1 of the code reverses the columns, bit 2 reverses the rows, and bit 4 transposes the result. Code 3 is therefore a
-    rotation by 180°, code 5 by 90° to the left and code 6 by 90° to the right.
+    The code is a sum of flags: 1 reverses the columns, 2 reverses the rows, and 4 then transposes the result. For example,
+    code 3 rotates by 180°, code 5 by 90° to the left, and code 6 by 90° to the right.
     """
     if orientation & 1:
         pixels = pixels[:, ::-1]

@@ -47,7 +47,7 @@ CONTROL = 3.0  # a difference is evidence if it exceeds this multiple of the dif
 FITS = 0.01  # a CFA fits if the sites of each channel differ by less than this
 SMALLEST_BLACK = 16.0  # DN; lower black levels are not checked
 BELOW = 0.5  # fraction of the black level; if the black level is correct, even noisy dark pixels are brighter
-MIN_REPORTED_FRACTION = 0.05  # minimum fraction of the pixels that is reported
+MIN_REPORTED_FRACTION = 0.05  # l3 reports pixels that are too dark only if at least this fraction is
 Phase = tuple[int, int]
 
 

@@ -52,16 +52,16 @@ def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: in
         Table with these columns, in this order or with these names: wavelength, mean of each channel with light, mean of
         each channel in the dark, reading of the photodiode with light, reading of the photodiode in the dark.
     photodiode : Path
-        Table with the response of the photodiode per energy.
+        Table with the spectral responsivity of the photodiode. Values without a unit are relative responses per energy.
     channels : sequence of str
         Names of the channels.
     column : int or str
-        Name or number (from 1) of the column with the response. 0 stands for the only column.
+        Name or number, counted from 1, of the column with the responsivity. 0 selects the only column.
 
     Raises
     ------
     InputFileError
-        If the response of the photodiode does not cover the wavelengths of the sweep.
+        If the responsivity of the photodiode does not cover the wavelengths of the sweep.
     """
     count = len(channels)
     wanted = [f"{kind} {channel}" for kind in ("light", "dark") for channel in channels] + ["diode light", "diode dark"]

@@ -65,7 +65,7 @@ DENIED = {  # denied system calls, by what they affect outside the process
 }
 CLONE_THREAD = 0x10000  # flag of the system call clone
 
-_measures: tuple[str, ...] = ()  # measures that restrict this process, in addition to resource limits
+_measures: tuple[str, ...] = ()  # names of the active sandbox measures, such as "seccomp"; resource limits are not listed
 
 
 def confine(files: Iterable[Path]) -> tuple[str, ...]:
@@ -232,9 +232,9 @@ class _Worker:
 
 
 def _decode(connection: socket.socket, path: Path, arrays: int, cpu_seconds: float) -> None:
-    """Restrict this process to one file, process requests for this file until the connection closes, then exit.
+    """Restrict this process to one file, and answer requests for the file until the connection closes. Then exit.
 
-    Each request gets a new limit of CPU time.
+    Each request has its own CPU time limit.
     """
     global _measures
     _measures = confine([path])

@@ -209,15 +209,15 @@ def sink_of(
     destination: Destination, sequence: FrameSequence, choice: VideoChoice, pacing: Pacing,
     before_rename: Callable[[Path, Path, FrameReference | None], None],
 ) -> Iterator[tuple[Callable[[tuple[FrameReference, Any]], None], int]]:  # fmt: skip
-    """Context manager that opens the writer of frames.
+    """Open a destination for writing, as a context manager.
 
-    Before each temporary file is renamed, `before_rename` is called with the final file, the temporary file and the frame.
-    The frame is None if the file contains all frames.
+    Each file is first written under a temporary name. Before the file is renamed, `before_rename` is called with the final
+    path, the temporary path and the frame. The frame is None if the file contains all frames.
 
     Yields
     ------
     callable
-        Function that writes a frame. Its argument is a tuple of the FrameReference and the picture.
+        Function that writes a frame. Its argument is a tuple (FrameReference, picture).
     int
         Number of threads that may call this function at the same time.
     """

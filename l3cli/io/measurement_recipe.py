@@ -241,8 +241,9 @@ class CorrectionRecipe(Recipe):
     title: ClassVar[str] = MeasurementRecipe.title
 
     base: str  # camera model or camera recipe, relative to this file
-    dark: Annotated[list[CaptureRecipe], msgspec.Meta(min_length=1)]  # with the lens cap on, at one or more exposures
-    # of a uniform white target, neither clipped nor dark; for defects and flat field
+    # captures with the lens cap on, at one or more exposures
+    dark: Annotated[list[CaptureRecipe], msgspec.Meta(min_length=1)]
+    # captures of a uniform white target, neither clipped nor dark, for the defects and the flat field
     white: list[CaptureRecipe] = msgspec.field(default_factory=list)
     polariser: list[PolariserRecipe] = msgspec.field(default_factory=list)  # for polarisers
     rotator: RotatorRecipe | None = None

@@ -61,7 +61,7 @@ class FrameSequence:
     """The frames of an input in order. A stream ends at the first frame for which `Frames.read` returns None."""
 
     what: str  # name of the input in messages
-    frames: "Frames"  # existing frames, or possible frames of a stream
+    frames: "Frames"  # frames of the input; a stream may end before the last of these frames
     count: int | None  # expected number of frames; None for a stream of unknown length
     stills: bool  # whether the frames are independent pictures rather than a sequence in time
     rate: Fraction | None = None  # frames per second, if the file states it

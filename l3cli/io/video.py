@@ -93,7 +93,7 @@ ENCODINGS = {
 USUAL = {".mp4": "h264", ".mov": "prores", ".mkv": "ffv1"}  # default codecs
 X265_UNIT = 64  # pixels, side of x265's coding tree units
 READ_BEHIND = 64  # bytes of padding, because FFmpeg may read 16 bytes past the end of a picture (libavutil, frame.h)
-RGB_MATRIX = 0  # code of ITU-T H.273 for red, green and blue without a matrix
+RGB_MATRIX = 0  # ITU-T H.273 matrix coefficients: identity, for RGB
 Y4M = ".y4m"
 Y4M_FORMATS = {8: ("yuv420p", "C420jpeg"), 16: ("yuv420p10le", "C420p10 XYSCSS=420P10")}
 

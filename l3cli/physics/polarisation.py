@@ -12,18 +12,18 @@ def difference(degrees: Array, others: Array | float) -> Array:
 
 
 def malus(light_angle: Array, gain: Array, angle: Array, leakage: Array, light_polarisation: float) -> Array:
-    """Return the signals of channels with polarisers for light behind another polariser (Malus's law).
+    """Return the signal of each channel for light that has passed through a polariser (Malus's law).
 
     Parameters
     ----------
     light_angle : ndarray, (capture,)
         Angle of the transmission axis of the polariser in front of the light, in degrees.
     gain : ndarray, (channel,)
-        Signal if the light were completely polarised along the axis of the channel.
+        Signal for light that is fully polarised along the transmission axis of the channel.
     angle : ndarray, (channel,)
         Angle of the transmission axis of each channel in degrees.
     leakage : ndarray, (channel,)
-        Inverse of the extinction ratio of each channel.
+        Inverse of the extinction ratio of each channel. It is 1 for a channel without a polariser.
     light_polarisation : float
         Degree of linear polarisation of the light.
 

@@ -314,7 +314,7 @@ def box(x: float, y: float, width: float, height: float, colour: str, opacity: f
 
 
 def heat(shares: Array, rows: Sequence[str], columns: Sequence[str], x_label: str, y_label: str, finding: str) -> Markup:
-    """Draw a matrix as a grid of cells with different opacities.
+    """Draw a matrix as a heat map, in which the opacity of a cell shows its value.
 
     Parameters
     ----------

@@ -36,7 +36,10 @@ class Table:
 
     @property
     def numeric(self) -> tuple[bool, ...]:
-        """For each column, whether it is aligned to the right: if it contains only numbers and is not the first column."""
+        """Whether each column is right-aligned.
+
+        Every column except the first is right-aligned if all its cells contain numbers or ranges of numbers.
+        """
         columns = range(1, len(self.headings))
         return (False, *(all(NUMBER.match(row[column]) for row in self.rows) for column in columns))
 

@@ -245,10 +245,10 @@ class _Session:
         polarisation: float = 0.0,
         angle: float = 0.0,
     ) -> None:
-        """Plan a capture of spectra with the given radiance (one row per spectrum) and linear polarisation.
+        """Plan a capture of light with the given spectral radiance (spectrum, wavelength) and linear polarisation.
 
-        The drift of the lamp and the error of the angle are drawn at random and applied to the light. The capture also
-        contains the spectra that the spectrometer measures.
+        The drift of the lamp and the error of the polariser angle are random, and both affect the signals. A capture of a
+        chart or of the monochromator also contains the spectra that the spectrometer measures.
         """
         last = self.captures[-1] if self.captures else None
         name = f"{kind}/{len(self.captures):03d}_{re.sub(r'[^A-Za-z0-9.]+', '-', light)}"

@@ -273,7 +273,8 @@ class Shot:
     index: int  # number of the frame in the training set
     illuminant: str
     luminance: float  # cd/m²
-    exposure: float  # s, or a fraction, depending on the type of exposure that SceneRecipe.exposures returns
+    # fixed exposure time in s, or the fraction that automatic exposure aims for; SceneRecipe.exposures returns the type
+    exposure: float
     moment: int = 0  # number of the frame in its clip
 
 

@@ -484,10 +484,10 @@ def as_text(judgement: Judgement, width: int | None = None) -> list[str]:
 
 
 def folded(findings: Iterable[Finding]) -> list[tuple[int, str]]:
-    """Return line number and message of each finding.
+    """Return the line number and the message of each finding, and combine similar findings.
 
-    If more than MAX_LISTED findings differ only in the number of a list entry or in the name of a missing file, only the
-    first of them is returned. Its message contains the line numbers of the rest.
+    Findings are similar if their messages differ only in the number of a list entry or in the name of a missing file. If
+    more than MAX_LISTED findings are similar, only the first is returned. Its message lists the lines of the others.
     """
     alike: dict[str, list[Finding]] = {}
     for finding in findings:

@@ -41,7 +41,8 @@ class LearningRecipe(Recipe):
     draws: Annotated[int, msgspec.Meta(ge=1, le=MOST_DRAWS)] = 8
     # number of random levels per patch in the first of two training passes; with 0 there is only one pass
     first_draws: Annotated[int, msgspec.Meta(ge=0, le=MOST_DRAWS)] = 3
-    # lowest level of most draws, which are log-uniform; with 0, l3 uses the level at which the signal equals its noise
+    # lower limit of the log-uniform distribution of most random levels; with 0, l3 uses the level at which the signal equals
+    # its noise
     darkest: float = 0.0
     # fraction of the draws between half of `darkest` and `darkest`, for frames with a higher gain
     dark_share: Share = 0.0

@@ -286,9 +286,10 @@ def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Arr
 
 
 def _near_white(rule: ClassRule, goal: Goal) -> Array:
-    """Return, for each class, the factor 2000 χ by which noise reduces the weight of uniform surfaces near white.
+    """Return 2000 χ for each class, where χ is the nearness of its chroma to white (see WHITE_FADES).
 
-    Noise causes greys to fall into the classes of chromas near white, and greys must stay grey.
+    The larger this value, the more noise reduces the weight of uniform surfaces in the class. Noise moves greys into classes
+    with chromas near white, and these greys must stay grey.
     """
     kind = rule.split(np.arange(rule.classes_per_site)).kind
     if goal.surfaces is None:

@@ -131,7 +131,7 @@ class Turn(NamedTuple):
     """An orientation that leaves the CFA layout of a window unchanged."""
 
     taps: Indices  # (tap) permutation of the taps
-    classes: Indices  # (class) for each class, the class whose patches become patches of this class when they are turned
+    classes: Indices  # (class) patches of class classes[c] belong to class c when they are read in this orientation
 
 
 def turns_of(rule: ClassRule, window: Indices, allowed: Allowed = EVERY_ORIENTATION) -> list[Turn]:

@@ -368,8 +368,8 @@ def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int
         Table with all previous layers.
     recipe : TrainingRecipe
         Class recipe.
-    mosaics : tuple of int
-        Number of mosaics from each frame.
+    mosaics : tuple of int, (frame)
+        Number of mosaics to draw from each training frame.
     seed : int
         Seed of the random numbers.
 

@@ -14,7 +14,7 @@ INLINE int2 cells_on(int2 vector) {
 }
 
 // Computes four values for each cell in a strip of STRIP blocks: the power of the residuals, the sum of the residuals, the variance expected
-// from noise alone, and the remaining noise of the history where the centre of the cell was in the previous frame.
+// from noise alone, and the noise that remains in the history. This noise is read at the previous position of the centre of the cell.
 __kernel void evidence(__global const ushort *restrict raw, __global const ushort *restrict history,
                        __global const int2 *restrict vectors, __global const ushort *restrict left,
                        __global uint *restrict powers, __global int *restrict sums, __global uint *restrict variances,

@@ -23,7 +23,7 @@ typedef struct {
     Columns *window;
     Runs *runs;
 #ifdef BOX_ROWS
-    box (*boxes)[SPAN];    // sums over boxes, in the slot of the last row of the box
+    box (*boxes)[SPAN];    // sums over boxes; a box whose last row is padded row k is in slot k % (PATCH + 1)
 #endif
 } Seen;
 

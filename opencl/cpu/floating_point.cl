@@ -41,8 +41,8 @@ INLINE four_totals last_taps(const tap *patch, const float *ratios, __global con
     return sum;
 }
 
-// Multiplies the patches of a pair of pixels by the weights of their classes. The products of both pixels are summed until they fit into
-// one vector per output (fold_two).
+// Multiplies the patches of a pair of pixels by the weights of their classes. For each output, fold_two combines the partial sums of both
+// pixels in one vector.
 INLINE void apply_pair(totals sum[GROUP], const tap *first, const tap *second, const float *ratios, __global const tap *first_weights,
                        __global const tap *second_weights) {
     const four_totals first_last = last_taps(first, ratios, first_weights);

@@ -53,7 +53,7 @@ INLINE void write_pixels(__global int *picture, const ints *made, __global const
 
 #elif defined(PLANES)
 
-// Writes made[o] to the picture (output, pixel).
+// Writes output o of up to LANES pixels, made[o], to the picture (output, pixel) as floats.
 INLINE void write_pixels(__global float *picture, const floats *made, __global const float *matrix, size_t at, int count,
                          size_t pixels) {
     for (int o = 0; o < OUTPUTS; o++) {

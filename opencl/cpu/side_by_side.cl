@@ -2,10 +2,14 @@
 // 32-bit sums, and for floating-point layers with small patches.
 //
 // A vector of weights contains ONCE taps for each output, and the sums of an output occupy four lanes. ONCE taps of the patch are read at a
-// time and repeated for every output. All sums of a pixel then fit one vector, or two vectors of 8 lanes. Adding up the lanes takes a third
-// of the time that one vector per output would need. If there are three outputs, the weights of the fourth output are zero. In fixed point,
-// the intercept of the fourth output is the number of fractional bits of the class. In floating point, a vector contains only half as many
-// taps. For large patches, reading these taps would take longer than the simpler sums over lanes save.
+// time and repeated for every output. All sums of a pixel then fit into one vector of 16 lanes or two vectors of 8 lanes. With this layout,
+// adding up the lanes takes a third of the time that it takes with one vector per output.
+//
+// If there are three outputs, the weights of the fourth output are zero. In fixed point, the intercept of the fourth output is the number of
+// fractional bits of the class.
+//
+// In floating point, a vector contains only half as many taps. For large patches, the additional reads would cost more time than the simpler
+// sums over lanes save.
 
 #ifdef SIDE_BY_SIDE
 
@@ -38,8 +42,8 @@ typedef tap some_taps __attribute__((ext_vector_type(ONCE), aligned(sizeof(tap))
 #define REPEATED(v) __builtin_shufflevector(v, v, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3)
 #endif
 
-// Multiplies the patches of a pair of pixels by the weights of their classes. The products of both pixels are summed until they fit into
-// SUMS vectors (fold_two).
+// Multiplies the patches of a pair of pixels by the weights of their classes. fold_two combines the partial sums of both pixels in SUMS
+// vectors.
 INLINE void apply_pair(totals sum[SUMS], const tap *first, const tap *second, __global const tap *first_weights,
                        __global const tap *second_weights) {
     totals one[SUMS], other[SUMS];

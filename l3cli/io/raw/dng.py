@@ -67,7 +67,7 @@ class Mosaic:
 
     orientation: int  # LibRaw's flip code
     pattern: NDArray[np.int64]  # (row, col) colour codes, from the upper left corner of the active area
-    active: tuple[int, int, int, int]  # top, left, bottom, right of the light-sensitive pixels
+    active: tuple[int, int, int, int]  # top, left, bottom and right edges of the light-sensitive area
     crop: tuple[int, int, int, int]  # default crop: first row and column within the active area, numbers of rows and columns
     black_level: NDArray[np.float64]  # (row, col) DN, repeating from the corner of the active area
     black_of_row: NDArray[np.float64]  # (active row) DN, added to black_level

@@ -235,10 +235,10 @@ def choose_device(wanted: str) -> Any:
 
 @contextlib.contextmanager
 def refusals(device: Any) -> Iterator[None]:
-    """Convert OpenCL errors in the `with` block to a DeviceError with a message of one line.
+    """Convert an OpenCL error in the `with` block to a DeviceError with a one-line message.
 
-    The message says what to do about too little memory, an old PoCL and damaged kernels in the cache. For other errors, it
-    contains the error of the driver.
+    The message says what to do if the device has too little memory, if PoCL is too old for the processor, or if the kernel
+    cache is damaged. For any other error, it quotes the driver.
     """
     cl = pyopencl()
     try:

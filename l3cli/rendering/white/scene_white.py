@@ -138,8 +138,8 @@ class GreyRenderer:
 def _shading_corrected(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
     """Crop a frame to a small area, and correct the colour shading in the area.
 
-    Shading that is equal in all channels is not corrected, because this shading is nearly constant over a small area. The
-    `phase` remains that of the uncropped frame.
+    The shading that all channels have in common is nearly constant over a small area, so it is not corrected. The `phase` is
+    still the phase of the uncropped frame.
     """
     shading = frame.shading
     cut = None if shading is None else replace(shading, colour=None if shading.colour is None else shading.colour[where])

@@ -73,7 +73,7 @@ class TreeSamples:
         return self.numerators[test].take(chosen), self.denominators[EVERY[test].denominator].take(chosen)
 
     def passed(self, test: int, cuts: Floats, chosen: Indices) -> NDArray[np.int8]:
-        """Return the number of thresholds in `cuts` that the quotient of each chosen sample exceeds in a test."""
+        """Count, for each chosen sample, how many of the thresholds in `cuts` the quotient of a test exceeds."""
         numerator, denominator = self.compared(test, chosen)
         return np.asarray(np.add.reduce([(numerator > cut * denominator).view(np.int8) for cut in cuts]))
 
