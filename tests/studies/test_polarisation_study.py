@@ -47,7 +47,7 @@ def sampled(full: Array, noise: float, rng: np.random.Generator) -> Array:
     return raw + rng.normal(size=raw.shape) * np.sqrt(noise**2 + 0.05 * noise * raw)
 
 
-def as_outputs(intensities: Array) -> Array:
+def as_outputs(intensities: NDArray[np.floating]) -> Array:
     """Return S1, S0 and S2 of intensities (channel, row, col), clipped at full scale."""
     at = dict(zip(ANGLES, np.minimum(intensities, 1), strict=True))
     return np.stack([at[0] - at[90], sum(at.values()) / 2, at[45] - at[135]])
