@@ -141,7 +141,7 @@ class Condition:
             if ours.weights.shape != layer.weights.shape:
                 raise ValueError(f"the transforms of {place}/later/{number} and later/{number} have different shapes")
         if self.edges and any(len(scale.gradient_factor) != levels for scale in self.edges.gradients):
-            raise ValueError(f"the gradients of {place}/edges and the table have different numbers of levels")
+            raise ValueError(f"{place}/edges and the table have different numbers of levels")
 
     def pictured(self, taken: list[int]) -> "Condition":
         """Return the condition with only the outputs that have the given indices. Refinement layers stay the same."""

@@ -135,7 +135,8 @@ def check(feature: Feature, rule: ClassRule) -> None:
     size = 1 + strengths * (2 if coherence else 1) * orientations
     if strengths < 1 or size != feature.size or len(feature.constants) != HEAD + strengths * rule.levels:
         raise ValueError(
-            f"the direction has {len(feature.constants)} constants and {feature.size} values, which contradict each other"
+            f"the numbers of constants ({len(feature.constants)}) and of values ({feature.size}) of the direction are "
+            "inconsistent"
         )
 
 

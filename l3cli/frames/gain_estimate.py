@@ -187,7 +187,7 @@ def _plain(patches: _Patches, camera: CameraModel, gain: float, excess: float) -
                 plain.append(some)
                 break
     if not plain:
-        raise ValueError("no area is uniform")
+        raise ValueError("no uniform area was found")
     chosen, number = np.concatenate(plain), np.repeat(np.arange(len(plain)), [len(some) for some in plain])
     return _Plain(number, weak[chosen], components, signal[chosen], share / variance[chosen], patches.sites)
 
@@ -221,7 +221,7 @@ def _consistent(plain: _Plain, camera: CameraModel, gain: float) -> _Plain:
         agree = (means > 1 / AGREE) & (means < AGREE)
         if agree.sum() >= count / 4:
             return plain.chosen(agree[plain.level])
-    raise ValueError("no area is uniform")
+    raise ValueError("no uniform area was found")
 
 
 def _most_likely(plain: _Plain, camera: CameraModel, gain: float, excess: float | None) -> tuple[float, float]:

@@ -60,7 +60,7 @@ def illuminant_of(photo: PhotoRecipe, path: Path) -> Illuminant:
             f"{COVERED_NM[0]:g} to {COVERED_NM[1]:g} nm"
         )
     if radiance.max() <= 0:
-        raise InputFileError(f"{file} contains no light; measure the spectrum again")
+        raise InputFileError(f"{file}: the spectrum has no positive value; measure the spectrum again")
     return Illuminant(table.wavelength, radiance)
 
 

@@ -115,7 +115,7 @@ def require_whole_stack(path: Path, spec: Any, pages: int) -> None:
     if frames > pages * spec.nchannels:
         have = f"{pages} page{'s' if pages > 1 else ''}"
         raise InputFileError(
-            f"{path} has {frames} frames according to its description, but only {have}; save each frame as a page"
+            f"{path} has only {have}, but its description states {frames} frames; save each frame as a page"
         )
 
 

@@ -270,7 +270,7 @@ def _array(description: list[Any], file: BinaryIO) -> np.ndarray:
     if dtype.kind not in "biuf" or any(type(n) is not int or n < 0 for n in (*shape, offset)):
         raise ValueError("the array does not contain numbers")
     if offset + prod(shape) * dtype.itemsize > os.fstat(file.fileno()).st_size:
-        raise ValueError("the array exceeds the memory file")
+        raise ValueError("the array extends beyond the end of the memory file")
     file.seek(offset)
     return np.fromfile(file, dtype, prod(shape)).reshape(shape)
 

@@ -305,7 +305,7 @@ def _mono_lights(steps: Sequence[MonoRecipe], path: Path, read: ReadTable, at: A
             light = table.column(step.column)
             radiance = light.photons(step.unit)[0]
             if radiance.max() <= 0:
-                raise InputFileError(f"{table.path}: column {step.column} contains no light; measure the spectrum again")
+                raise InputFileError(f"{table.path}: column {step.column} has no positive value; measure the spectrum again")
             monitor, nm = step.monitor, float(light.wavelength[radiance.argmax()])
             with at(("mono", number, "monitor")):
                 ratio = monitor_at(monitor, nm, path.parent, read) if isinstance(monitor, MonitorRecipe) else monitor

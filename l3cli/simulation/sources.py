@@ -544,7 +544,8 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
     usual = float(np.median(reflectance[::MEDIAN_STEP, ::MEDIAN_STEP]))
     if source.holds == "reflectance" and usual > MAX_MEDIAN_REFLECTANCE:
         raise ValueError(
-            f"the median reflectance of the cube is {usual:.3g} times white; set white (100 for percent), or correct holds"
+            f"the median reflectance of the cube is {usual:.3g}, although white has a reflectance of 1; set white "
+            "(100 for percent), or correct the key holds"
         )
     return Scene(name, wavelength, reflectance, illuminant, ignored)
 

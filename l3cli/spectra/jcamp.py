@@ -194,7 +194,8 @@ def _unpacked(lines: list[str], path: Path) -> list[float]:
             if check and first:
                 if last != values[-1]:
                     raise InputFileError(
-                        f"{path}: a line begins with {last:g}, but the previous line ends with {values[-1]:g}; copy it again"
+                        f"{path}: a line begins with {last:g} instead of {values[-1]:g}, the last value of the previous "
+                        "line; copy the file again"
                     )
             else:
                 values.append(last)

@@ -211,7 +211,7 @@ def _is_finished(output: Path, parts: Parts, options: PartsOptions) -> bool:
         refuse_existing(output, options.force)
     if finished:
         parts.remove()  # stored parts remain if a run was killed just after it had written the output
-        options.console.info(f"{output} is finished already")
+        options.console.info(f"{output} is already finished")
     return finished
 
 

@@ -399,9 +399,7 @@ def _sorted_by_camera(files: Sequence[Path], listed: set[Path], console: Console
             continue
         cameras.setdefault(facts.camera, []).append((path, facts))
     if not cameras:
-        raise InputFileError(
-            f"{files[0].parent} contains no raw file that l3 can read; use raw files that contain the mosaic of a camera"
-        )
+        raise InputFileError(f"{files[0].parent} contains no raw file that l3 can read; use the camera's original raw files")
     return cameras
 
 

@@ -126,10 +126,10 @@ ODD: dict[str, tuple[Callable[[Path], object], str]] = {
     "colours": (with_colours, "page 2 "),
     "a subfile": (with_full_subfile, "images that are not pages"),
     "ImageJ without pages": (
-        lambda path: tifffile.imwrite(path, frames(), imagej=True, truncate=True), "but only 1 page"
+        lambda path: tifffile.imwrite(path, frames(), imagej=True, truncate=True), "has only 1 page"
     ),
     "tifffile without pages": (
-        lambda path: tifffile.imwrite(path, frames(), photometric="minisblack", truncate=True), "but only 1 page"
+        lambda path: tifffile.imwrite(path, frames(), photometric="minisblack", truncate=True), "has only 1 page"
     ),
     "cut": (cut_chain, "damaged"),
     "round": (round_chain, "damaged"),
@@ -171,7 +171,7 @@ def test_elsewhere_a_file_has_one_picture(refused: Refused, tmp_path: Path, tabl
             read(stack)
     hidden = tmp_path / "in/hidden.tif"
     tifffile.imwrite(hidden, frames(), imagej=True, truncate=True)
-    with pytest.raises(InputFileError, match="but only 1 page"):
+    with pytest.raises(InputFileError, match="has only 1 page"):
         read_image(hidden)
 
 

@@ -52,16 +52,17 @@ def test_noise_alone_tells_the_gain() -> None:
 def test_a_frame_without_plain_areas_is_refused() -> None:
     rng = np.random.default_rng(2)
     for share, reason in (
-        (cells(BAYER, rng, 1.0), "no area is uniform"),
+        (cells(BAYER, rng, 1.0), "no uniform area was found"),
         (np.full(SHAPE, 1.0), "clipped"),
         (np.zeros((4, 40)), "smaller than 8×8"),
     ):
         with pytest.raises(ValueError, match=reason):
             estimate_gain(frame_of(BAYER, taken(BAYER, share, 1.0)), BAYER)
-    with pytest.raises(ValueError, match="no area is uniform"):  # without noise
+    with pytest.raises(ValueError, match="no uniform area was found"):  # without noise
         estimate_gain(frame_of(BAYER, np.full(SHAPE, 1000, np.uint16)), BAYER)
     silent = replace(BAYER, noise=replace(BAYER.noise, read_noise=0.0, dsnu=0.0))
-    for noise, reason in ((5.0, "no area is uniform"), (0.289, "all pixels are black")):  # DN; 0.289: as rounding makes it
+    # The noise of 0.289 DN is the noise of rounding.
+    for noise, reason in ((5.0, "no uniform area was found"), (0.289, "all pixels are black")):
         below = np.rint(16 * rng.normal(BAYER.black_level - 40, noise, SHAPE)).astype(np.uint16)
         with pytest.raises(ValueError, match=reason):
             estimate_gain(RawFrame("dark", below, 16 * BAYER.black_level, 16 * BAYER.white_level), silent)

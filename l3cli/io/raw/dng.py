@@ -268,13 +268,13 @@ def _refuse_unsupported(path: Path, first: Any, raw: Any) -> None:
         raise InputFileError(f"{path} is already demosaicked (linear DNG); use the camera's original raw file")
     if raw.samplesperpixel > DUAL:
         raise InputFileError(
-            f"{path} has {raw.samplesperpixel} samples per pixel, but l3 supports only 1, or 2 from dual pixels; "
-            "use a raw mosaic"
+            f"{path} has {raw.samplesperpixel} samples per pixel, but l3 supports only one, or two for dual-pixel "
+            "sensors; use the camera's original raw file"
         )
     if raw.compression in UNREAD:
         raise InputFileError(
             f"{path} has {UNREAD[raw.compression]} compression, which l3 does not support; "
-            "convert it to lossless JPEG compression or to none"
+            "convert it to a DNG file with lossless JPEG compression or without compression"
         )
     for tag, (only, what) in ONLY.items():
         page = first if tag == "ColorimetricReference" else raw

@@ -76,7 +76,7 @@ def count_pages(path: Path) -> int:
     for number in range(1, count):
         if (kind := _kind(_page(path, number).spec())) != usual:
             raise InputFileError(
-                f"{path}: page {number + 1} has {kind}, but page 1 has {usual}; save pages that are all frames of one size"
+                f"{path}: page {number + 1} has {kind}, but page 1 has {usual}; save only frames of the same size and type"
             )
     return count
 

@@ -96,7 +96,8 @@ def _stacked(pictures: list[Path]) -> NDArray:
             cube = np.empty((*pixels.shape, len(pictures)), pixels.dtype)
         if pixels.shape != cube.shape[:2] or pixels.dtype != cube.dtype:
             raise InputFileError(
-                f"{picture} and {pictures[0].name} differ in size or bit depth; keep only pictures of bands in the folder"
+                f"{picture} and {pictures[0].name} differ in size or bit depth; "
+                "keep only the pictures of the bands in the folder"
             )
         cube[..., band] = pixels
     assert cube is not None

@@ -42,11 +42,11 @@ class Tally:
     def report(self, job: Job) -> None:
         """Report the number of frames and the speed at the end of the run, and the number of frames that were left out.
 
-        If this run has rendered no frames, the message says that the output is finished already.
+        If this run has rendered no frames, the message says that the output is already finished.
         """
         console, path = job.options.console, job.destination.path
         if not self.made:
-            console.info(f"{path} is finished already")
+            console.info(f"{path} is already finished")
         elif not job.sequence.stills:
             console.info(f"{path}: {self.done} frames, {self.done / self.seconds:.3g} per second")
         if self.failures:
