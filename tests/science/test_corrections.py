@@ -280,12 +280,14 @@ def test_workers_correct_alike_whoever_reads(flawed: Path) -> None:
     path, rendition = flawed / "frames/1.npy", Rendition(usual_balance(table), 1.0, 8)
     frame, reference = read_raw(path, table, known), FrameReference(1, "1", path)
 
-    def pool(function: Any, jobs: Iterable[Any]) -> Iterator[Any]:
+    def pool(function: Any, jobs: Iterable[Any], fits: Any) -> Iterator[Any]:
         for job in jobs:
             sent = pickle.dumps(job)
             assert shading is not None
             assert shading.gain.tobytes() not in sent
-            yield function(pickle.loads(sent))
+            made = function(pickle.loads(sent))
+            assert fits(job, made)
+            yield made
 
     setup = RenderSetup(flawed / "table.h5", sha256(flawed / "table.h5"), "reference", {}, known, rendition, None, file)
     read = FrameTask(reference, 0, frame=frame, scale=1.0)
