@@ -510,9 +510,9 @@ def _measurements(path: Path, options: InitOptions) -> Measurements:
     frame = replace(frame, black_level=black_level, white_level=white_level)
     if options.black_level is None and (share := share_below_black(frame)):
         raise InputFileError(
-            f"{path}: {share:.0%} of the pixels are below {BELOW * black_level:.0f} DN, although the file states a black "
-            f"level of {black_level:g} DN; the bit depth may be different, or black may already be subtracted; set "
-            "‹black_level› and ‹white_level›"
+            f"{path}: {share:.0%} of the pixels have values less than {BELOW * black_level:.0f} DN, although the file "
+            f"states a black level of {black_level:g} DN; the bit depth may be different, or black may already be "
+            "subtracted; set ‹black_level› and ‹white_level›"
         )
     if options.black_level is None and (black := black_doubt(frame, body.cfa)) is not None:
         options.console.warn(
