@@ -1,10 +1,11 @@
 """Contrast: how much the values in a patch vary, relative to the noise at their level (docs/method.md#contrast).
 
 For each channel, let n be the number of its pixels in the patch, S the sum of their values, Q the sum of the squared
-values and M = S · round(65536 / n) >> 16 the mean. (M is exact in uint32, because values have 12 bits.)
+values and M = S · round(65536 / n) >> 16 the mean. The product S · round(65536 / n) fits into uint32, because values have
+at most 12 bits.
 
     variance    V = min((Q − M (2 S − n M)) · round(512 / n), cap)   cap = (2³² − 1) // channels
-    contrast    number of contrast edges (at the pixel's level) that are below Σ V over the channels
+    contrast    number of contrast edges of the pixel's level that are below the sum of V over all channels
 """
 
 from typing import Any
@@ -40,18 +41,18 @@ def stored_edges(
     recipe : BasicKeys
         Keys of the class recipe.
     levels : ndarray, (level,)
-        Signal in the middle of each level, as in `noise_of_grey`.
+        Signal at the centre of each level in the most sensitive channel, as a fraction of full scale.
     camera : CameraModel
         The camera.
     shift : int
-        Number of bits by which values are shifted right before they are added.
+        Number of bits by which raw values are shifted right before they are summed, so that they have at most 12 bits.
     dark : float
         Dark signal, in DN, that was subtracted from the frame.
 
     Returns
     -------
     ndarray, (contrast edge, level)
-        Edges of the summed variance of the channels.
+        Edges of the contrast, as values of the sum of V over all channels (see the module docstring).
     """
     channels = len(camera.channels)
     variance = noise_of_grey(levels, camera, dark) / 4**shift + (1 / 12 if shift else 0.0) + MEAN_TRUNCATED
@@ -61,7 +62,7 @@ def stored_edges(
 
 
 def noise_of_grey(levels: NDArray[np.float64], camera: CameraModel, dark: float) -> NDArray[np.floating]:
-    """Return the noise variance of greys in DN², averaged over the channels. Clipped channels count as free of noise.
+    """Return the noise variance of greys in DN², averaged over the channels. Clipped channels are assumed to have no noise.
 
     Parameters
     ----------
@@ -111,5 +112,5 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.uint32]:
-    """Return the contrast edges, with the shape (contrast edge, level), which contrast.cl reads."""
+    """Return the contrast edges that contrast.cl reads, as an array (contrast edge, level)."""
     return rule.contrast_edges
