@@ -14,7 +14,7 @@ from l3cli.calibration.responsivity import COVERAGE, likely_mistake
 from l3cli.calibration.statistics import defect_counts
 from l3cli.errors import InputFileError
 from l3cli.physics import spectra
-from l3cli.physics.polarisation import difference
+from l3cli.physics.stokes import angle_difference
 from l3cli.system.text import columns, figure
 
 SHOWN = 8  # number of defective pixels that the text lists; JSON and the artifact contain all defective pixels
@@ -290,7 +290,7 @@ def _polariser_errors(measured: Polarisers, truth: CameraModel) -> dict[str, Any
     true = (truth.polarisers.leakage * truth.responsivity).sum(axis=1) / truth.responsivity.sum(axis=1)
     found = np.maximum(measured.leakage.mean(axis=1), TINY_LEAKAGE)
     return {
-        "polariser error (°)": difference(measured.polariser_deg, truth.polarisers.polariser_deg),
+        "polariser error (°)": angle_difference(measured.polariser_deg, truth.polarisers.polariser_deg),
         "extinction error (%)": 100.0 * (np.maximum(true, TINY_LEAKAGE) / found - 1.0),
     }
 

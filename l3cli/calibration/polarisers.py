@@ -23,7 +23,7 @@ from l3cli.calibration import statistics
 from l3cli.calibration.noise import TOLERATED
 from l3cli.errors import InputFileError, listed
 from l3cli.frames.measurement import LEAKAGE_NM, Body, Capture, PolariserCapture, Rotator
-from l3cli.physics.polarisation import difference, malus
+from l3cli.physics.stokes import angle_difference, malus
 
 BRIGHTNESS = 0.05  # relative standard deviation of the brightness of a capture, before it is estimated from the channels
 BLACK_ERROR = 0.05  # DN; standard deviation of the black level, which drifts after the dark frames
@@ -252,7 +252,7 @@ def _check_captures(captures: Sequence[PolariserCapture], fit: PolariserFit) -> 
             continue
         _, cosine, sine = np.linalg.lstsq(response[chosen], rate[chosen], rcond=None)[0]
         seen.append(np.degrees(np.arctan2(sine, cosine)) / 2.0 % 180.0)
-    wrong = difference(np.array(seen), fit.light_angle)
+    wrong = angle_difference(np.array(seen), fit.light_angle)
     worst = int(np.abs(wrong - np.median(wrong)).argmax())
     if abs(wrong[worst] - np.median(wrong)) > WRONG_ANGLE:
         raise InputFileError(
@@ -269,7 +269,7 @@ def _with_reference(fit: PolariserFit, reference: str, body: Body) -> PolariserF
     if body.polarisers is None or reference not in body.channels:
         raise InputFileError(f'the camera has no polariser of a channel "{reference}"; correct "rotator.reference"')
     channel = body.channels.index(reference)
-    shift = difference(body.polarisers.polariser_deg[channel], fit.angle[channel])
+    shift = angle_difference(body.polarisers.polariser_deg[channel], fit.angle[channel])
     error = np.where(fit.polarised, np.hypot(fit.angle_error, fit.angle_error[channel]), 0.0)
     error[channel] = 0.0
     return replace(
@@ -292,20 +292,20 @@ def contradiction(body: Body, measured: Array) -> str:
     """
     assert body.polarisers is not None
     stated, present = body.polarisers.polariser_deg, body.polarisers.present
-    wrong = np.flatnonzero(present & (np.abs(difference(measured, stated)) > OTHER_ANGLE))
+    wrong = np.flatnonzero(present & (np.abs(angle_difference(measured, stated)) > OTHER_ANGLE))
     if not wrong.size:
         return ""
     found = listed(f"{body.channels[each]} has {measured[each]:.1f}° instead of {stated[each]:g}°" for each in wrong)
     # The stated angle that is nearest to each measured angle.
     known = np.unique(stated[present])
-    nearest = known[np.abs(difference(measured[present][:, None], known)).argmin(axis=1)]
-    close = (np.abs(difference(measured[present], nearest)) <= OTHER_ANGLE).all()
+    nearest = known[np.abs(angle_difference(measured[present][:, None], known)).argmin(axis=1)]
+    close = (np.abs(angle_difference(measured[present], nearest)) <= OTHER_ANGLE).all()
     swapped = close and np.array_equal(np.sort(nearest), np.sort(stated[present]))
     cure = 'correct "polariser_deg" or "cfa.pattern"'
-    shift = difference(measured, stated)[present]
-    if (np.abs(difference(measured, -stated))[present] < OTHER_ANGLE).all():
+    shift = angle_difference(measured, stated)[present]
+    if (np.abs(angle_difference(measured, -stated))[present] < OTHER_ANGLE).all():
         cure += ', or count "angle_deg" counter-clockwise'
-    elif (np.abs(turned := difference(shift, shift[0])) < OTHER_ANGLE).all():
+    elif (np.abs(turned := angle_difference(shift, shift[0])) < OTHER_ANGLE).all():
         cure += f', or subtract {(shift[0] + turned.mean()) % 180.0:.0f}° from "angle_deg"'
     if swapped:
         return f"polarisers are swapped: {found}; {cure}"

@@ -13,7 +13,7 @@ from scipy.ndimage import correlate1d, find_objects, gaussian_filter, label, max
 
 from l3cli.errors import RecipeError
 from l3cli.physics.display import LUMA, daylight, delta_e_2000, displayed, displayed_xyz, lab, srgb_curve, white_luminance
-from l3cli.physics.stokes import aolp, behind, dolp, luminance_name, stokes_of
+from l3cli.physics.stokes import angle_difference, aolp, behind, dolp, luminance_name, stokes_of
 
 Array = NDArray[np.floating]
 BLUR = 4.0  # pixels; σ of the Gaussian that removes grain but keeps blotches
@@ -375,13 +375,13 @@ def judge_stokes(
     errors = error if inside is None else np.where(inside, error, np.nan)
     made, wanted = (of_counted(each, inside) for each in (made, wanted))
     degree, true = dolp(made), dolp(wanted)
-    turned = np.abs(aolp(made) - aolp(wanted))[true > POLARISED]
+    turned = angle_difference(aolp(made), aolp(wanted))[true > POLARISED]
     plain = true < UNPOLARISED
     behind_each = (np.stack([behind(each, angle) for angle in ANGLES]) for each in (made, wanted))
     return StokesQuality(
         mean_dolp_error=float(np.abs(degree - true).mean()),
         psnr_dolp=psnr(degree, true),
-        aolp_rmse=float(np.sqrt(np.mean(np.minimum(turned, 180 - turned) ** 2))) if turned.size else None,
+        aolp_rmse=float(np.sqrt(np.mean(turned**2))) if turned.size else None,
         dolp_bias=float((degree - true)[plain].mean()) if plain.any() else None,
         psnr_intensities=psnr(*behind_each),
         psnr_s0=psnr(made[0] / 2, wanted[0] / 2),

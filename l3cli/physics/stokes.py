@@ -1,4 +1,4 @@
-"""Linear polarisation: Stokes parameters, degree and angle (docs/polarisation.md).
+"""Linear polarisation: Stokes parameters, degree and angle, and Malus's law (docs/polarisation.md).
 
 S0 is the intensity. S1 and S2 are the differences of the intensities behind ideal polarisers at 0° and 90°, and at 45° and
 135°. Angles are counter-clockwise from the horizontal axis of the frame.
@@ -49,3 +49,33 @@ def behind(stokes: Array, angle: float) -> Array:
     """Return the intensity of S0, S1 and S2, (3, …), behind an ideal polariser at `angle` degrees."""
     double = 2 * np.radians(angle)
     return 0.5 * (stokes[0] + np.cos(double) * stokes[1] + np.sin(double) * stokes[2])
+
+
+def angle_difference(degrees: Array, others: Array | float) -> Array:
+    """Return the difference between directions of polarisation, from −90° to 90°. Directions repeat after 180°."""
+    return np.asarray((degrees - others + 90.0) % 180.0 - 90.0)
+
+
+def malus(light_angle: Array, gain: Array, angle: Array, leakage: Array, light_polarisation: float) -> Array:
+    """Return the signal of each channel for light that has passed through a polariser (Malus's law).
+
+    Parameters
+    ----------
+    light_angle : ndarray, (capture,)
+        Angle of the transmission axis of the polariser in front of the light, in degrees.
+    gain : ndarray, (channel,)
+        Signal for light that is fully polarised along the transmission axis of the channel.
+    angle : ndarray, (channel,)
+        Angle of the transmission axis of each channel in degrees.
+    leakage : ndarray, (channel,)
+        Inverse of the extinction ratio of each channel. It is 1 for a channel without a polariser.
+    light_polarisation : float
+        Degree of linear polarisation of the light.
+
+    Returns
+    -------
+    ndarray, (capture, channel)
+        Signals.
+    """
+    cosine = np.cos(2.0 * np.radians(angle - light_angle[:, None]))
+    return np.asarray(0.5 * gain * (1.0 + leakage + light_polarisation * (1.0 - leakage) * cosine))

@@ -4,9 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.frames.frame import upright
-from l3cli.physics.display import codes
-from l3cli.physics.spaces import SRGB
-from l3cli.physics.stokes import FEATURES, IN_ORDER, STOKES, aolp, dolp, has_stokes, stokes_of
+from l3cli.physics.display import codes, srgb_curve
+from l3cli.physics.stokes import DARKEST, FEATURES, IN_ORDER, STOKES, aolp, dolp, has_stokes, stokes_of
 
 Floats = NDArray[np.floating]
 
@@ -92,8 +91,8 @@ def picture_of(planes: Floats, outputs: tuple[str, ...], shown: str, bits: int) 
         bar = _hues(scale)
     else:
         bright = np.percentile(stokes[0], 99)
-        grey = SRGB.curve.encoded(np.clip(stokes[0] / max(bright, 1e-6), 0, 1)) if SRGB.curve else stokes[0]
-        ratios = stokes[1:] / np.maximum(stokes[0], 1e-6)
+        grey = srgb_curve(stokes[0] / max(bright, DARKEST))
+        ratios = stokes[1:] / np.maximum(stokes[0], DARKEST)
         panels = [np.repeat(grey[..., None], 3, axis=2), *(coloured((ratio + 1) / 2, DIVERGING) for ratio in ratios)]
         picture, bar = np.concatenate(panels, axis=1), coloured(scale, DIVERGING)
     return codes(_with_bar(picture, bar), bits)

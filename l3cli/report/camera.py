@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import QUANTISATION, CameraModel, sensitivity_threshold
 from l3cli.artifacts.fit import NoiseFit, PolariserFit
 from l3cli.physics.mosaic import array_rows
-from l3cli.physics.polarisation import malus
+from l3cli.physics.stokes import malus
 from l3cli.report import colours
 from l3cli.report.drawing import CHARACTER_WIDTH, Plot, box, escape, sheet, spanning
 from l3cli.report.parts import Block, Data, Details, Figure, Figures, Section, Subsection, Table, Text

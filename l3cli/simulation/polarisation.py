@@ -39,9 +39,8 @@ class Sheen:
     degree: Floats  # (leaf) degree of polarisation, or its largest value on the leaf
     angle: Floats  # (leaf) angle of polarisation at the centre, in radians
     slope: Floats  # (2, leaf) change of the angle per radius, down and across; for SKY, direction of the increase
-    albedo_power: (
-        Floats  # (leaf) the degree is proportional to brightness^-power; 1 if the reflection is only on the surface
-    )
+    # (leaf) The degree is proportional to brightness^-power. The power is 1 if only the surface reflects polarised light.
+    albedo_power: Floats
     colour: Floats  # (leaf) relative change of the degree per 100 nm
     retardance: Floats  # (3, leaf) in cycles at 550 nm: at the centre, per radius down and per radius across
 

@@ -381,8 +381,7 @@ def figures_by_gain(
     -------
     list of dict
         Metrics for each gain and illuminant, as in `Evaluation.document`. The list is empty if the noise is known at one
-        gain
-        only, or if all frames are real.
+        gain only, or if all frames are real.
     """
     least, most = known_gains(table)
     gains, lights = [gain for gain in GAINS if least <= gain <= most], dict[str, list[int]]()

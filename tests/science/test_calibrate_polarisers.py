@@ -29,7 +29,7 @@ from l3cli.frames.measurement import (
     SensorFigures,
 )
 from l3cli.io.measurements import read_measurements
-from l3cli.physics.polarisation import difference, malus
+from l3cli.physics.stokes import angle_difference, malus
 from l3cli.recipes.builtin import find_recipe
 from tests.helpers.calls import L3, Refused
 
@@ -68,10 +68,10 @@ def test_drifting_and_polarised_lamps_do_no_harm(light_polarisation: float) -> N
         deviation = np.sqrt(rate / 5000)
         rate += deviation * rng.standard_normal(rate.shape)
         fit = fit_polarisers(LIGHT, rate, deviation, np.ones(4, bool), light_polarisation, light_angle_error=0.05)
-        assert np.abs(difference(fit.angle, ANGLES)).max() < 0.1
+        assert np.abs(angle_difference(fit.angle, ANGLES)).max() < 0.1
         assert np.abs(fit.leakage / LEAKAGE - 1).max() < 0.05
         assert np.corrcoef(fit.brightness, lamp)[0, 1] > 0.999
-        off += [difference(fit.angle, ANGLES) / fit.angle_error, (fit.leakage - LEAKAGE) / fit.leakage_error]
+        off += [angle_difference(fit.angle, ANGLES) / fit.angle_error, (fit.leakage - LEAKAGE) / fit.leakage_error]
         off += [(fit.gain - GAIN / GAIN.mean()) / fit.gain_error]
     assert 0.6 < np.std(off) < 1.3
     assert np.abs(off).max() < 4.5
@@ -126,7 +126,7 @@ def test_angles_are_found_without_stated_angles(body: Body, figures: SensorFigur
     fit = measure_polarisers(captured(body, LIGHT), figures)
     assert fit is not None
     assert fit.polarised.all()
-    assert np.abs(difference(fit.angle, ANGLES)).max() < 0.05
+    assert np.abs(angle_difference(fit.angle, ANGLES)).max() < 0.05
     assert np.abs(fit.leakage - LEAKAGE).max() < 2e-4
     assert measure_polarisers(replace(captured(body, LIGHT), polariser=()), figures) is None
 
@@ -138,7 +138,7 @@ def test_a_reference_channel_sets_the_zero_of_the_scale(
     measured = captured(known, LIGHT, LIGHT + 27.0)
     fit = measure_polarisers(replace(measured, rotator=Rotator(angle_error=0.1, reference="p90")), figures)
     assert fit is not None
-    np.testing.assert_allclose(difference(fit.angle, ANGLES - 1.2), 0.0, atol=0.05)
+    np.testing.assert_allclose(angle_difference(fit.angle, ANGLES - 1.2), 0.0, atol=0.05)
     assert fit.angle_error[0] == 0.0
     with pytest.raises(InputFileError, match="27°"):
         measure_polarisers(measured, figures)
@@ -199,7 +199,7 @@ def test_responsivities_are_those_along_the_axis(
     camera = from_data_sheet(replace(measured, polariser=measured.polariser[:captures], curve=curves), figures)
     assert camera.polarisers is not None
     angles, leakage = (ANGLES, LEAKAGE) if captures else (stated.polariser_deg, np.full(4, 0.25))
-    np.testing.assert_allclose(difference(camera.polarisers.polariser_deg, angles), 0.0, atol=0.1)
+    np.testing.assert_allclose(angle_difference(camera.polarisers.polariser_deg, angles), 0.0, atol=0.1)
     np.testing.assert_allclose(camera.polarisers.leakage, np.repeat(leakage[:, None], 31, axis=1), atol=2e-4)
     passed = camera.responsivity * camera.stokes_response[:, 0]
     np.testing.assert_allclose(passed / passed.max(), curves.responsivity, rtol=1e-12)
@@ -305,6 +305,6 @@ def test_polarisers_of_a_known_camera(unit: Path, lab: Path, tmp_path: Path, l3:
     made, true = load(CameraModel, tmp_path / "camera.h5"), load_camera(unit / "camera.toml")
     assert made.polarisers is not None
     assert true.polarisers is not None
-    assert np.abs(difference(made.polarisers.polariser_deg, true.polarisers.polariser_deg)).max() < 0.1
+    assert np.abs(angle_difference(made.polarisers.polariser_deg, true.polarisers.polariser_deg)).max() < 0.1
     np.testing.assert_array_equal(made.responsivity, true.responsivity)
     assert read_measurements(lab / "base.toml").measurements.whites == ()
