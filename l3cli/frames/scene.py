@@ -126,6 +126,14 @@ def shown_alike(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
 
 
 @dataclass(frozen=True)
+class PolarisedPictures:
+    """Pictures behind a polariser at several angles, or pictures of Stokes parameters, as stored in a file or a folder."""
+
+    values: NDArray  # (picture, row, col, colour); there are 1 or 3 colours
+    angles: tuple[float, ...] | None  # degrees, angle of the polariser of each picture; None for pictures of S0, S1 and S2
+
+
+@dataclass(frozen=True)
 class SpectralCube:
     """A spectral cube as stored in a file, before its scale and illuminant are known."""
 

@@ -80,7 +80,7 @@ def of_one_kind(folder: Path, files: Iterable[Path]) -> list[Path]:
     return files
 
 
-def find_scenes(pattern: str, folder: Path, folders: bool = False) -> list[Path]:
+def find_scenes(pattern: str, folder: Path, folders: bool | None = False) -> list[Path]:
     """Find the scene files that a name or glob in a recipe refers to.
 
     Parameters
@@ -89,8 +89,8 @@ def find_scenes(pattern: str, folder: Path, folders: bool = False) -> list[Path]
         Name or glob relative to `folder`.
     folder : Path
         Folder of the recipe.
-    folders : bool
-        Whether scenes are folders instead of files.
+    folders : bool or None
+        Whether scenes are folders instead of files. None if they can be both.
 
     Returns
     -------
@@ -102,7 +102,7 @@ def find_scenes(pattern: str, folder: Path, folders: bool = False) -> list[Path]
     InputFileError
         If no file matches.
     """
-    wanted = Path.is_dir if folders else Path.is_file
+    wanted = {True: Path.is_dir, False: Path.is_file, None: Path.exists}[folders]
     single = folder / pattern
     if wanted(single):
         return [single]

@@ -51,6 +51,35 @@ def behind(stokes: Array, angle: float) -> Array:
     return 0.5 * (stokes[0] + np.cos(double) * stokes[1] + np.sin(double) * stokes[2])
 
 
+def malus_matrix(angles: Sequence[float]) -> Array:
+    """Return the matrix (picture, 3) that maps S0, S1 and S2 to intensities behind ideal polarisers at `angles` degrees."""
+    double = 2 * np.radians(np.asarray(angles, np.float64))
+    return 0.5 * np.stack([np.ones_like(double), np.cos(double), np.sin(double)], axis=1)
+
+
+def fit_stokes(intensities: Array, angles: Sequence[float]) -> tuple[Array, Array]:
+    """Fit Stokes parameters to intensities behind an ideal polariser at several angles, by least squares.
+
+    Parameters
+    ----------
+    intensities : ndarray, (picture, …)
+        Intensity behind the polariser at each angle.
+    angles : sequence of float
+        Angles of the transmission axis in degrees, at least three different ones.
+
+    Returns
+    -------
+    stokes : ndarray, (3, …)
+        S0, S1 and S2.
+    residual : ndarray, (picture, …)
+        Intensities minus the intensities that the fitted parameters have. With three angles, they are zero.
+    """
+    matrix = malus_matrix(angles)
+    inverse = np.linalg.pinv(matrix).astype(intensities.dtype)
+    stokes = np.tensordot(inverse, intensities, 1)
+    return stokes, intensities - np.tensordot(matrix.astype(intensities.dtype), stokes, 1)
+
+
 def angle_difference(degrees: Array, others: Array | float) -> Array:
     """Return the difference between directions of polarisation, from −90° to 90°. Directions repeat after 180°."""
     return np.asarray((degrees - others + 90.0) % 180.0 - 90.0)

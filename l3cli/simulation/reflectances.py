@@ -249,18 +249,18 @@ def shrunk(linear: NDArray[np.float32], by: int) -> NDArray[np.float32]:
 
     Parameters
     ----------
-    linear : ndarray, (row, col, 3)
+    linear : ndarray, (row, col, colour)
         The picture.
     by : int
         Side of a block in pixels. Incomplete blocks at the right and at the bottom are left out.
 
     Returns
     -------
-    ndarray, (row, col, 3)
+    ndarray, (row, col, colour)
         The smaller picture.
     """
     rows, cols = (length // by * by for length in linear.shape[:2])
-    return linear[:rows, :cols].reshape(rows // by, by, cols // by, by, 3).mean(axis=(1, 3))
+    return linear[:rows, :cols].reshape(rows // by, by, cols // by, by, -1).mean(axis=(1, 3))
 
 
 @functools.cache

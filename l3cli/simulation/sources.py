@@ -111,10 +111,35 @@ class IsetScenes(FileSource, tag_field="source", tag="iset", kw_only=True):
     light: str | None = None  # name or CSV file of the illuminant, for scene files without an illuminant
 
 
-class RgbPictures(FileSource, tag_field="source", tag="rgb", kw_only=True):
+class Pictures(FileSource, kw_only=True):
+    shrink: Count = 1  # side of the blocks of pixels that are averaged, which also removes JPEG and demosaicking artifacts
+
+
+class RgbPictures(Pictures, tag_field="source", tag="rgb", kw_only=True):
     # "sRGB": the values are colours. "codes": the values are linear signals of the camera channels r, g and b.
     holds: Literal["sRGB", "codes"] = "sRGB"
-    shrink: Count = 1  # side of the blocks of pixels that are averaged, which also removes JPEG and demosaicking artifacts
+
+
+class PolarisedPictures(Pictures, kw_only=True):
+    # Stored value of a perfect white that is not polarised (behind the polariser, if there is one). By default, it is 1 for
+    # floats, 255 for 8-bit integers, and 65535 for 16-bit integers that use the whole range. It is required for all other
+    # integers.
+    white: Positive | None = None
+
+
+class BehindPolariser(PolarisedPictures, tag_field="source", tag="polariser", kw_only=True):
+    """Pictures behind a polariser at three or more angles: a folder with one picture per angle, or a stack in one file."""
+
+    pictures: str = "*"  # glob that selects the pictures in the folder, such as "*_1.png"
+    # Angle of the polariser of each picture, in the order of the file names or of the stack; default: read from the names.
+    # Angles are counter-clockwise from the horizontal axis of the picture.
+    angles_deg: list[float] | None = None
+    # "linear": the values are proportional to the light. "sRGB": the values are encoded, as usual for 8-bit pictures.
+    holds: Literal["linear", "sRGB"] = "linear"
+
+
+class StokesPictures(PolarisedPictures, tag_field="source", tag="stokes", kw_only=True):
+    """An EXR, TIFF or .npy file with the Stokes parameters S0, S1 and S2."""
 
 
 class Spectral(FileSource, kw_only=True):
@@ -155,7 +180,7 @@ class ImageChannels(Spectral, tag_field="source", tag="channels", kw_only=True):
 Source = (
     DeadLeaves | Composition | ColorChecker | Munsell | Skin | Foliage | Surfaces
     | SlantedEdge | ZonePlate | Frequencies | GreyRamp
-    | IsetScenes | RgbPictures | BandFolder | Envi | Cube | ImageChannels
+    | IsetScenes | RgbPictures | BandFolder | Envi | Cube | ImageChannels | BehindPolariser | StokesPictures
 )  # fmt: skip
 
 
@@ -270,7 +295,7 @@ def of_measured_surfaces(source: Source) -> bool:
     """Whether the scenes of a source consist of the measured reflectances that come with l3."""
     if isinstance(source, Synthetic):
         return not isinstance(source, SlantedEdge | ZonePlate | Frequencies | GreyRamp)
-    return isinstance(source, RgbPictures) and not holds_codes(source)
+    return isinstance(source, Pictures) and not holds_codes(source)
 
 
 def holds_codes(source: Source) -> bool:
@@ -304,7 +329,7 @@ def check_size(size: tuple[int, ...], camera: CameraModel | None, error: type[L3
             f"{name} has {rows}×{cols} pixels, but a scene needs at least {MIN_SIDE_PIXELS}×{MIN_SIDE_PIXELS}; {larger}"
         )
     if camera and (rows > camera.rows or cols > camera.cols):
-        smaller = "set scale, crop or (rgb only) shrink" if error is InputFileError else "set a smaller size"
+        smaller = "set scale, crop or (pictures only) shrink" if error is InputFileError else "set a smaller size"
         raise error(
             f"{name} has {rows}×{cols} pixels and is larger than the sensor of {camera.rows}×{camera.cols}; {smaller}"
         )
@@ -516,7 +541,7 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
     reflectance of the nearest pixel with data, and are marked as ignored.
     """
     wavelength, values, ignored = _bands(cube, source)
-    white = source.white or cube.white or _usual_white(values, source, ignored)
+    white = source.white or cube.white or usual_white(values, source.holds == "reflectance", ignored)
     per_white = np.full(wavelength.size, 1.0 / white)
     illuminant = NO_ILLUMINANT
     if source.holds != "reflectance":
@@ -550,19 +575,22 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
     return Scene(name, wavelength, reflectance, illuminant, ignored)
 
 
-def _usual_white(values: NDArray, source: Spectral, ignored: NDArray[np.bool_] | None) -> float:
-    """Guess the stored value of a perfect white from the data type. Raise ValueError if this is impossible."""
+def usual_white(values: NDArray, is_reflectance: bool = True, ignored: NDArray[np.bool_] | None = None) -> float:
+    """Guess the stored value of a perfect white from the data type. Raise ValueError if this is impossible.
+
+    `values` has the axes row, column and band, or picture, row, column and colour.
+    """
     if values.dtype.kind not in "iu":
         return 1.0
     top = float(np.iinfo(values.dtype).max)
-    if source.holds != "reflectance" or values.dtype.itemsize == 1:
+    if not is_reflectance or values.dtype.itemsize == 1:
         return top  # radiance is scaled by its brightest pixels later, and 8-bit reflectances use the full range
-    brightest = np.max(values, axis=2, where=True if ignored is None else ~ignored[..., None], initial=0)
+    brightest = np.max(values, axis=-1, where=True if ignored is None else ~ignored[..., None], initial=0)
     reached = float(np.quantile(brightest, BRIGHT_QUANTILE))
     if values.dtype.kind == "u" and values.dtype.itemsize == 2 and reached >= FULL_RANGE * top:
         return top
     raise ValueError(
-        f"the cube contains {8 * values.dtype.itemsize}-bit integers up to {reached:g}, but no scale; set white to the "
+        f"the file contains {8 * values.dtype.itemsize}-bit integers up to {reached:g}, but no scale; set white to the "
         f"stored value of a perfect white, such as 10000 or {top:g}"
     )
 

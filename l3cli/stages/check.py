@@ -38,7 +38,14 @@ from l3cli.simulation.light import Filters, named_beyond_known
 from l3cli.simulation.recipe import SceneRecipe, curve_faults, scene_faults, shots
 from l3cli.simulation.sources import wanted_scenes
 from l3cli.simulation.summary import camera_lines, camera_meaning, lab_lines, lab_meaning, scene_lines
-from l3cli.stages.simulation.preparation import prepare, refusals, scene_files, size_of, unknown_of
+from l3cli.stages.simulation.preparation import (
+    polarisation_notes,
+    prepare,
+    refusals,
+    scene_files,
+    size_of,
+    unknown_of,
+)
 from l3cli.training.recipe import TrainingRecipe, class_recipe_faults
 from l3cli.training.summary import class_lines, class_meaning
 
@@ -149,8 +156,10 @@ def scene_meaning(recipe: SceneRecipe, source: RecipeSource) -> Meaning:
         for error in errors.values()
     ]
     assert source.camera is not None
-    whole = document | _sizes(recipe, run, files) | {"warnings": unknown_of(run, source.camera)}
-    return (document, bad) if bad else (whole, [])
+    if bad:
+        return document, bad
+    warnings = unknown_of(run, source.camera) + polarisation_notes(run, files)[0]
+    return document | _sizes(recipe, run, files) | {"warnings": warnings}, []
 
 
 def _sizes(recipe: SceneRecipe, run: SimulationRun, files: list[list[Path]]) -> dict[str, Any]:

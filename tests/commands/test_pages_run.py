@@ -20,6 +20,7 @@ import tifffile
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import ChannelRecipe, load_camera
 from l3cli.artifacts.store import load
+from l3cli.artifacts.training_set import open_training_set
 from l3cli.cli import run
 from l3cli.io.measurement_recipe import CaptureRecipe, CorrectionRecipe, MeasurementRecipe
 from l3cli.io.pictures.openimageio import write_mosaic
@@ -190,7 +191,7 @@ def test_the_keys_of_a_page_are_keys(name: str, block: str, tmp_path: Path) -> N
     if channels := content.get("channel"):
         msgspec.convert(channels, dict[str, ChannelRecipe])
         return
-    if "target" in content:
+    if "target" in content and "scene" not in content:
         block += '\n[[scene]]\nsource = "dead leaves"\nsize = [32, 32]\n'
         block = f"exposure_share = [0.5]\n{block}"
     kind: type[Recipe] = CorrectionRecipe if "base" in content else MeasurementRecipe
@@ -213,6 +214,24 @@ def test_the_example_of_spectral_scenes_prints_what_is_shown(
         (tmp_path / "SCENES.toml").write_text(f"{recipe}\n{white}")
         got, out, err = l3(*commands(line)[0])
         assert (got, (out + err).splitlines()) == (code, shown)
+
+
+def test_the_example_of_polarised_pictures_prints_what_is_shown(
+    l3: L3, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    page = PAGES["polarisation.md"]
+    (script,) = fenced(page, "python")
+    exec(script, {})
+    recipe = next(block for name, block in TABLES if name == "polarisation.md" and "[target]" in block)
+    (tmp_path / "SCENES.toml").write_text(recipe)
+    (((line, shown),),) = sessions(page)
+    code, out, err = l3(*commands(line)[0])
+    assert (code, (out + err).splitlines()) == (0, shown)
+    with open_training_set(tmp_path / "training.h5") as reader:
+        frame = reader.frame(0)
+    seen = frame.target[:, 16, 24] / frame.white[1]
+    np.testing.assert_allclose(seen, [0.1, 0.4, 0.173], atol=1e-3)  # S1, S0, S2
 
 
 def test_the_session_of_check_prints_what_is_shown(l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.frames.scene import Scene, SpectralCube
+from l3cli.frames.scene import PolarisedPictures, Scene, SpectralCube
 
 
 @dataclass(frozen=True)
@@ -25,26 +25,26 @@ class SceneFormat:
     module: str  # module in this folder
     suffixes: tuple[str, ...] = ()  # in lower case; empty for all suffixes that no earlier line lists
     keys: tuple[str, ...] = ()  # recipe keys that are passed to the reader
-    is_folder: bool = False  # whether a scene is a folder rather than a file
+    is_folder: bool | None = False  # whether a scene is a folder rather than a file; None if it can be either
     has_files: bool = False  # whether a scene consists of several files
     names_unknown: bool = False  # whether the module has a function `unknown`, which returns unknown header fields
     holds: str = ""  # description of the contents, for the documentation
     states: str = ""  # description of the metadata that l3 reads, for the documentation
 
-    def read(self, path: Path, **keys: Any) -> Scene | SpectralCube | NDArray[np.float32]:
+    def read(self, path: Path, **keys: Any) -> Scene | SpectralCube | PolarisedPictures | NDArray[np.float32]:
         """Read a scene.
 
         Returns
         -------
-        Scene, SpectralCube or ndarray
-            A scene with its illuminant, a cube of bands, or a linear picture (row, col, 3).
+        Scene, SpectralCube, PolarisedPictures or ndarray
+            A scene with its illuminant, a cube of bands, pictures of polarised light, or a linear picture (row, col, 3).
 
         Raises
         ------
         InputFileError
             If the file does not have this format.
         """
-        content: Scene | SpectralCube | NDArray[np.float32] = self._reader.read(path, **keys)
+        content: Scene | SpectralCube | PolarisedPictures | NDArray[np.float32] = self._reader.read(path, **keys)
         return content
 
     def size(self, path: Path, **keys: Any) -> tuple[int, int]:
@@ -89,6 +89,15 @@ FORMATS = (
         states="wavelengths in the names of channels and pages, in labels of ImageJ, channels of OME, metadata of tifffile "
         "and GDAL; scale, offset and nodata value of GDAL",
     ),
+    SceneFormat(
+        "polariser", "polariser", keys=("pictures", "angles_deg"), is_folder=None, has_files=True,
+        holds="folder of one picture per angle of a polariser, or a stack: TIFF with one page per angle, .npy",
+        states='angles in the names of the files: "scene_045.png", "45deg.tif"',
+    ),
+    SceneFormat(
+        "stokes", "stokes", holds="Stokes parameters S0, S1 and S2 (OpenEXR, TIFF, .npy)",
+        states="names of the channels of OpenEXR files",
+    ),
 )  # fmt: skip
 
 
@@ -98,6 +107,6 @@ def format_of(source: str, path: Path) -> SceneFormat:
     return next(each for each in FORMATS if each.source == source and (not each.suffixes or suffix in each.suffixes))
 
 
-def is_folder(source: str) -> bool:
-    """Whether each scene of a source is a folder."""
-    return any(each.is_folder for each in FORMATS if each.source == source)
+def is_folder(source: str) -> bool | None:
+    """Whether each scene of a source is a folder. None if a scene can be a folder or a file."""
+    return next((each.is_folder for each in FORMATS if each.source == source), False)

@@ -37,7 +37,7 @@ def read(path: Path) -> SpectralCube:
         wanted, wavelength = _named([picture.stem for picture in pictures])
         return SpectralCube(_stacked([pictures[index] for index in wanted]), wavelength)
     if path.suffix.lower() in TIFF:
-        return _of_tiff(*_read_tiff(path))
+        return _of_tiff(*read_tiff(path))
     pixels, names = read_image(path)
     wanted, wavelength = _named(names)
     return SpectralCube(pixels[..., wanted], wavelength)
@@ -108,7 +108,7 @@ def _stacked(pictures: list[Path]) -> NDArray:
 
 
 def _of_tiff(values: NDArray, names: list[str], stated: dict[str, Any]) -> SpectralCube:
-    """Convert the result of `_read_tiff` to a cube.
+    """Convert the result of `read_tiff` to a cube.
 
     The wavelengths come from the metadata or, if there are none, from the names of the bands. Scales and offsets are
     applied, and pixels with the no-data value are marked.
@@ -137,7 +137,7 @@ def _tiff_size(path: Path) -> tuple[int, int]:
 
 
 @isolated("OpenImageIO", "tifffile")
-def _read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
+def read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
     """Return the bands of a TIFF file (row, col, band), their names, and metadata from tags.
 
     The metadata are the wavelengths, the value of pixels without data, and the scales and offsets that GDAL writes. Raises

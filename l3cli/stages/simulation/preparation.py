@@ -57,7 +57,8 @@ def scene_files(source: sources.Source, recipe: Path) -> list[Path]:
 def files_of(source: sources.Source, path: Path) -> list[Path]:
     """Return all files that belong to the scene file or scene folder `path`.
 
-    A folder contains a file for each band. An ENVI header has a separate data file. Any other scene is a single file.
+    A folder contains a file for each band or angle. An ENVI header has a separate data file. Any other scene is a single
+    file.
     """
     return format_of(sources.name_of(source), path).files(path)
 
@@ -106,10 +107,10 @@ def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callabl
 def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "Scene | ChannelPicture":
     """Read a scene file.
 
-    Spectral cubes and RGB pictures are converted to scenes with reflectances. If the recipe says that the codes of a picture
-    are the signals of the channels, the result is a ChannelPicture.
+    Spectral cubes and pictures are converted to scenes with reflectances. If the recipe says that the codes of a picture are
+    the signals of the channels, the result is a ChannelPicture.
     """
-    from l3cli.frames.scene import ChannelPicture, Scene, SpectralCube
+    from l3cli.frames.scene import ChannelPicture, PolarisedPictures, Scene, SpectralCube
 
     source = wanted.source
     content = format_of(sources.name_of(source), path).read(path, **_keys(source, path, run))
@@ -123,6 +124,13 @@ def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "
             return scene_of(content, source, path.stem, run.recorded[source.light] if source.light else None)
     from l3cli.simulation import procedural, reflectances
 
+    if isinstance(content, PolarisedPictures):
+        from l3cli.simulation.polarised_pictures import scene_of_stokes, stokes_of_pictures
+
+        assert isinstance(source, sources.PolarisedPictures)
+        with raised_as(InputFileError, path):
+            scene = scene_of_stokes(stokes_of_pictures(content, source), procedural.grid(run.camera.wavelength), path.stem)
+        return scene if run.camera.polarisers is not None else replace(scene, polarisation=None)
     assert isinstance(source, sources.RgbPictures)
     linear = reflectances.shrunk(content, source.shrink)
     if sources.holds_codes(source):
@@ -197,7 +205,7 @@ def _file_size(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, in
     path, source = wanted.path, wanted.source
     assert path is not None
     rows, cols = format_of(sources.name_of(source), path).size(path, **_keys(source, path, run))
-    by = source.shrink if isinstance(source, sources.RgbPictures) else 1
+    by = source.shrink if isinstance(source, sources.Pictures) else 1
     return rows // by, cols // by
 
 
@@ -334,6 +342,47 @@ def note_unknown_fields(run: SimulationRun, files: list[list[Path]], console: Co
             f"{first}: l3 ignores the unknown field{'s' if len(found) > 1 else ''} {listed(found)} of the header; if this "
             "changes the meaning of the values, convert the data first"
         )
+
+
+def polarisation_notes(run: SimulationRun, files: list[list[Path]]) -> tuple[list[str], list[str]]:
+    """Read the scenes that were recorded behind a polariser, and describe their errors.
+
+    Parameters
+    ----------
+    run : SimulationRun
+        The run.
+    files : list of list of Path
+        The scene files of each source.
+
+    Returns
+    -------
+    list of str
+        Warnings about pictures that contradict each other.
+    list of str
+        Notes about pixels with an impossible polarisation.
+    """
+    from l3cli.frames.scene import PolarisedPictures
+    from l3cli.simulation.polarised_pictures import CONTRADICTION, stokes_of_pictures
+
+    warnings, notes = [], []
+    for source, paths in zip(run.recipe.scene, files, strict=True):
+        if not isinstance(source, sources.PolarisedPictures):
+            continue
+        for path in paths:
+            content = format_of(name_of(source), path).read(path, **_keys(source, path, run))
+            assert isinstance(content, PolarisedPictures)
+            with raised_as(InputFileError, path):
+                found = stokes_of_pictures(content, source)
+            if found.contradiction > CONTRADICTION:
+                warnings.append(
+                    f"{path}: the pictures contradict Malus's law by {found.contradiction:.1%} of their mean intensity; "
+                    "check their angles and exposures"
+                )
+            if found.impossible:
+                notes.append(
+                    f"{path}: {found.impossible:.2%} of the pixels have a degree of polarisation above 1; l3 limits it to 1"
+                )
+    return warnings, notes
 
 
 def input_files(run: SimulationRun, files: list[list[Path]]) -> dict[str, list[Path]]:

@@ -27,6 +27,7 @@ from l3cli.stages.simulation.preparation import (
     head_of,
     input_files,
     note_unknown_fields,
+    polarisation_notes,
     prepare,
     unknown_of,
 )
@@ -102,6 +103,11 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
         for text in unknown_of(run, model, camera):
             console.warn(text)
         note_unknown_fields(run, files, console)
+        contradictions, impossible = polarisation_notes(run, files)
+        for text in contradictions:
+            console.warn(text)
+        for text in impossible:
+            console.info(text)
         used = files_to_read({"scene recipe": [scenes], **inputs})
         with contextlib.ExitStack() as unfinished:
             done = [folder for folder in folders if stands and is_finished(folder, key)]

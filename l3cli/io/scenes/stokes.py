@@ -1,0 +1,63 @@
+"""Read pictures of the Stokes parameters S0, S1 and S2 from OpenEXR, TIFF and .npy files."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.errors import InputFileError
+from l3cli.frames.scene import PolarisedPictures
+from l3cli.io.images import read_image
+from l3cli.io.raw.npy import map_array
+from l3cli.io.scenes import bands
+from l3cli.physics.stokes import FEATURES, IN_ORDER
+
+
+def read(path: Path) -> PolarisedPictures:
+    """Read S0, S1 and S2.
+
+    Raises
+    ------
+    InputFileError
+        If the file does not contain S0, S1 and S2.
+
+    Notes
+    -----
+    Channels with the names S0, S1 and S2 are used, whatever their order. Without such names, a file has S0, S1 and S2, or
+    S0, S1, S2, DoLP and AoLP, which l3 itself writes. The first or the last axis of a .npy file has the length 3.
+    """
+    values, names = _planes(path)
+    if set(IN_ORDER) <= set(names):
+        chosen = [names.index(name) for name in IN_ORDER]
+    elif values.shape[2] in (len(IN_ORDER), len(IN_ORDER + FEATURES)) and path.suffix.lower() != ".exr":
+        chosen = list(range(len(IN_ORDER)))
+    else:
+        found = f" ({', '.join(names)})" if names else ""
+        raise InputFileError(f"{path} has {values.shape[2]} channels{found}; save S0, S1 and S2, in this order or named")
+    if values.dtype.kind == "u":
+        raise InputFileError(f"{path} has unsigned integers, but S1 and S2 can be negative; save floating-point numbers")
+    return PolarisedPictures(np.stack([values[..., index, None] for index in chosen]), None)
+
+
+def size(path: Path) -> tuple[int, int]:
+    """Return the number of rows and columns."""
+    rows, cols = read(path).values.shape[1:3]
+    return rows, cols
+
+
+def _planes(path: Path) -> tuple[NDArray, list[str]]:
+    """Return the planes (row, col, plane) of a file, and their names if it states any."""
+    suffix = path.suffix.lower()
+    if suffix == ".npy":
+        values = map_array(path)
+        if values.dtype.kind not in "fiu" or values.ndim != 3:
+            shape = "×".join(map(str, values.shape))
+            raise InputFileError(f"{path} has {shape} values of the type {values.dtype}; save an array (row, col, 3)")
+        if values.shape[2] != len(IN_ORDER) and values.shape[0] == len(IN_ORDER):
+            values = np.moveaxis(values, 0, 2)
+        return np.array(values), []
+    if suffix in bands.TIFF:
+        values, labels, _ = bands.read_tiff(path)
+        return values, labels
+    pixels, names = read_image(path)
+    return pixels, list(names)
