@@ -50,9 +50,10 @@ def read(path: Path, pictures: str, angles_deg: Sequence[float] | None) -> Polar
         angles = _angles(path, paths, angles_deg)
         values = _stacked(paths)
     else:
+        values = _stack(path)
         if angles_deg is None:
             raise InputFileError(f"{path} states no angles; set angles_deg to the angle of the polariser of each picture")
-        values, angles = _stack(path), tuple(angles_deg)
+        angles = tuple(angles_deg)
         if len(values) != len(angles):
             raise InputFileError(
                 f"{path} has {len(values)} pictures, but angles_deg states {len(angles)} angles; "
