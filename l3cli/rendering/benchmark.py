@@ -45,7 +45,7 @@ class Case:
     patch: int  # side of the windows of the first layer, in pixels
     cfa: str  # key of CFAS
     classes: str  # key of CLASSES
-    outputs: int = 3  # number of outputs; 3 outputs are encoded as 8-bit sRGB, and other numbers are written as float32
+    outputs: int = 3  # number of outputs; 3 outputs are encoded as 8-bit sRGB, any other number is returned as float32
 
 
 CFAS = {
@@ -58,8 +58,8 @@ CLASSES = {"fast": (10, 1), "single": (20, 8), "default": (10, 9)}  # class reci
 def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
     """Return a table with random transforms that takes as long to render as a trained table.
 
-    The numbers of levels and chromas are those of the class recipe. There are ten saturation cases, and two contrast classes
-    if the table has one layer. A table with two layers also has the direction classes, colour ratios, coarse chroma,
+    The table has as many levels and chromas as the class recipe. It has ten saturation cases, and a table with one layer
+    also has two contrast classes. A table with two layers also has the direction classes, colour ratios, coarse chroma,
     replacement of clipped areas and smoothed chroma of the class recipe `default`.
 
     The pixels of `synthetic_frame` fall into different chroma classes, because the chroma centres surround the grey of this
@@ -132,7 +132,7 @@ def _directions(case: Case, level_edges: NDArray[np.float64]) -> Feature:
 def _second_layer(
     first: ClassRule, sites: int, white: NDArray[np.float64], level_edges: NDArray[np.float64], rng: np.random.Generator
 ) -> PlaneLayer:
-    """Return a refinement layer with classes by structure, whose gradients are relative to the noise of the frame.
+    """Return a refinement layer whose classes depend on the structure, with gradients relative to the noise of the frame.
 
     The transform of each class outputs a grey with the mean luminance of the window, with small random deviations.
     """
@@ -191,7 +191,7 @@ def synthetic_frame(case: Case, rng: np.random.Generator) -> RawFrame:
 
 
 def _detail(case: Case, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a factor for each pixel. The factors add as many edges as a busy scene has.
+    """Return a texture factor for each pixel. The factors vary as often as the brightness of a busy scene.
 
     Because of these edges, most neighbouring pixels are in different structure classes, even at the same CFA site.
     """
@@ -221,7 +221,7 @@ SMALL_CASES = (Case(64, 48, 9, "five-band", "fast"),)
 def jobs(device: str | None, variant: str | None) -> list[Callable[[], dict[str, Any]]]:
     """Return functions without parameters, each of which runs one benchmark case.
 
-    Without `variant`, the default variant and the reference renderer are measured.
+    If `variant` is None, the default kernel variant and the reference renderer are measured.
     """
     planned: list[Callable[[], dict[str, Any]]] = [functools.partial(measure, case, device, variant) for case in FULL]
     return planned + [functools.partial(measure_reference, case) for case in SMALL_CASES if variant is None]
@@ -233,7 +233,7 @@ def measure(case: Case, device: str | None = None, variant: str | None = None) -
     Returns
     -------
     dict
-        Parameters of the measurement, and medians over `FRAMES` frames in ms:
+        Parameters of the benchmark case, and medians over `FRAMES` frames in ms:
 
         * "frame_ms": time that the caller waits for a frame
         * "stages_ms": time of each stage as measured by the device (see `OpenCLRenderer.stage_times`)

@@ -29,13 +29,15 @@ from l3cli.frames.frame import RawFrame
 from l3cli.physics.correlated_lights import mired_of
 
 MIN_VARIANCE = 1e-30  # assumed noise variance if all channels clip, in DN²
-# Refinement layers use no transforms from levels with a lower signal-to-noise ratio, because these would leave more noise.
+# Smallest signal-to-noise ratio of a level whose transforms are used in refinement layers. Transforms of darker levels
+# would leave more noise.
 DARKEST_REFINED = 2.0
-LEFT = (1 / 16, 1 / 4)  # remaining fractions of the noise for which the transforms of lower gains are used
-GAINS_PER_DOUBLING = 12  # number of gains per doubling for which there are transforms
+# If a temporal filter leaves one of these fractions of the noise, the transforms of a lower gain are used.
+LEFT = (1 / 16, 1 / 4)
+GAINS_PER_DOUBLING = 12  # transforms are computed for this number of gains per doubling
 SAME_GAIN = 0.01  # largest relative difference between gains that are treated as equal
 FAR_GAIN = 1.5  # l3 warns if a gain is outside the range of known analog gains by more than this factor
-CLEARLY_LESS = 0.75  # a set of transforms for less noise is added only if its noise is below this fraction of the next set's
+CLEARLY_LESS = 0.75  # transforms of a lower gain are used only if this gain is below 0.75 times the gain of the frame
 
 Layers = TypeVar("Layers", TransformTable, Condition)
 Float = TypeVar("Float", np.float32, np.float64)
@@ -50,7 +52,7 @@ class Mix:
 
     warm: int  # index of the illuminant with the lower colour temperature
     cool: int  # index of the illuminant with the higher colour temperature
-    share: float  # fraction of the cool illuminant
+    share: float  # weight of the cool illuminant, 0 to 1
 
 
 def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
@@ -83,9 +85,10 @@ def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
 
 
 def nearest_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
-    """Return a mixture that consists of only the nearer illuminant in the result of `mix_for`.
+    """Return only the illuminant with the larger weight in the result of `mix_for`, as a mixture.
 
-    This mixture is used for pictures, whose white balance corrects the remaining difference between the illuminants.
+    Pictures are rendered with this illuminant. Their white balance corrects the remaining difference between the
+    illuminants. The result is None if the table has no transforms for single illuminants.
     """
     mix = mix_for(table, white)
     return None if mix is None else replace(mix, share=float(mix.share >= 0.5))
@@ -166,16 +169,17 @@ def _between(warm: NDArray[Float], cool: NDArray[Float], share: NDArray[np.float
 def known_gains(table: TransformTable) -> tuple[float, float]:
     """Return the smallest and the largest analog gain at which the noise of a table's camera is known.
 
-    Gains are relative to the gain in the camera model.
+    Gains are relative to the gain in the camera model. A table without its camera returns (1, 1).
     """
     known = [1.0, *(table.camera.gains.analog_gain.tolist() if table.camera and table.camera.gains else ())]
     return min(known), max(known)
 
 
 def gain_of_frames(table: TransformTable, camera: CameraModel) -> float:
-    """Return the gain of the frames of `camera` relative to the camera of the table, after conversion to the same levels.
+    """Return the analog gain of the frames of `camera`, relative to the camera of the table.
 
-    The result is 1 if the table does not contain its camera.
+    The gain is the ratio of the full scales of the two cameras, because frames are converted to the levels of the table
+    before rendering. Differences below 1 % are ignored. The result is 1 if the table does not contain its camera.
     """
     gain = table.camera.full_scale / camera.full_scale if table.camera else 1.0
     return 1.0 if abs(gain - 1) < SAME_GAIN else gain
@@ -193,7 +197,8 @@ def nearest_step(gain: float) -> float:
 def at_gain(table: TransformTable, gain: float) -> TransformTable:
     """Convert a table for frames with a different analog gain (docs/method.md#gains).
 
-    Transforms for less noise are kept if they apply at this gain. A table without its camera is returned unchanged.
+    Transforms for temporally filtered frames are kept if they apply at this gain. A table without its camera is returned
+    unchanged.
 
     Parameters
     ----------
@@ -230,7 +235,7 @@ def _at_gain(table: TransformTable, gain: float) -> TransformTable:
 
 
 def _equivalent(table: TransformTable, gain: float) -> TransformTable:
-    """Return a table with a single set of transforms, which is for the given gain.
+    """Return a copy of a table with a single set of transforms, for the given gain.
 
     A level at this gain has the same relative noise as another level at the gain of the camera model. Each class gets the
     transforms of this other level. Classes of clipped pixels keep their own transforms.

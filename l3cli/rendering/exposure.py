@@ -152,9 +152,9 @@ def _white(luminance: NDArray[np.floating], clipped: NDArray[np.bool_]) -> float
     """Return the luminance that should be displayed as white: the 99th percentile, corrected for noise of clipped areas.
 
     Noise raises a percentile, so a uniform white would be displayed as grey. The effect is visible in areas in which
-    channels clip, because fewer channels measure the luminance there. Therefore the pixels whose luminance differs by less
-    than `NOISE_WHERE_CLIPPED` from the percentile are averaged. In this mean, pixels outside clipped areas count with the
-    percentile instead of their own luminance.
+    channels clip, because fewer channels measure the luminance there. Therefore the result is the mean over the pixels whose
+    luminance differs by less than `NOISE_WHERE_CLIPPED` from the percentile. In this mean, the percentile replaces the
+    luminance of pixels outside clipped areas.
     """
     white = white_percentile(luminance)
     alike = np.abs(luminance - white) <= NOISE_WHERE_CLIPPED * white

@@ -1,4 +1,4 @@
-"""Files and pictures of the outputs of polarisation cameras (docs/polarisation.md#pictures)."""
+"""Converts the outputs of polarisation cameras to values in files and to pictures (docs/polarisation.md#pictures)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +10,9 @@ from l3cli.physics.stokes import DARKEST, FEATURES, IN_ORDER, STOKES, aolp, dolp
 Floats = NDArray[np.floating]
 
 SHOWN = ("dolp", "aolp", "stokes")  # pictures that l3 can make of Stokes parameters
-FULL_BRIGHTNESS = 0.5  # degree of polarisation from which a picture of the angle has its full brightness
-BAR_FRACTION, MIN_BAR_PIXELS = 0.03, 6  # width of the colour bar and of the gap beside it, relative to the picture
-TICKS = 4  # number of intervals that the ticks mark on a colour bar
+FULL_BRIGHTNESS = 0.5  # smallest degree of polarisation with full brightness in a picture of the angle
+BAR_FRACTION, MIN_BAR_PIXELS = 0.03, 6  # width of the colour bar and of the gap beside it, relative to the picture's width
+TICKS = 4  # number of intervals into which ticks divide a colour bar
 # sRGB values of the colour map viridis (CC0, Smith and van der Walt, 2015) at equal distances
 VIRIDIS = np.array(
     [(68, 1, 84), (71, 44, 122), (59, 81, 139), (44, 113, 142), (33, 144, 141), (39, 173, 129), (92, 200, 99),
@@ -23,7 +23,7 @@ DIVERGING = np.array([(33, 102, 172), (146, 197, 222), (247, 247, 247), (244, 16
 
 
 def in_upright_frame(planes: Floats, outputs: tuple[str, ...], orientation: int) -> Floats:
-    """Return outputs (output, row, col) upright, according to a flip code of LibRaw (`frames.frame.upright`).
+    """Turn outputs (output, row, col) upright, according to a flip code of LibRaw (`frames.frame.upright`).
 
     Angles of polarisation are then relative to the horizontal axis of the upright picture: a mirrored picture changes the
     sign of S2, and a transposed one the sign of S1.
@@ -49,7 +49,7 @@ def names_in_files(outputs: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def planes_in_files(planes: Floats, outputs: tuple[str, ...]) -> Floats:
-    """Return the planes (value, row, col) of a linear file with the names of `names_in_files`.
+    """Return the values (value, row, col) of a linear file, in the order of `names_in_files`.
 
     `planes` (output, row, col) are the outputs of a table. DoLP is between 0 and 1, and AoLP is in degrees.
     """
@@ -105,7 +105,7 @@ def coloured(values: Floats, colours: Floats) -> Floats:
 
 
 def _hues(share: Floats) -> Floats:
-    """Return fully saturated colours (…, 3) of hues from 0 (red) to 1 (red again)."""
+    """Convert hues from 0 (red) to 1 (red again) to fully saturated colours (…, 3)."""
     sector = (share[..., None] * 6 + np.array([0.0, 4.0, 2.0])) % 6
     return np.clip(np.abs(sector - 3) - 1, 0, 1)
 

@@ -25,12 +25,12 @@ CLIPPED = 1e-3  # the sensor is assumed to clip if at least this fraction of the
 NEAR_BLACK = 0.75  # a value is near the black level if their ratio is between this number and its reciprocal
 BLACK_PERCENTILE = 0.1  # percentile of the values that is near the black level in most pictures
 SAME_DEPTH = 0.02  # largest relative difference between white levels that belong to the same bit depth
-SHEARED = 1.5  # a size is wrong if the difference between rows exceeds that of the exchanged size by this factor
+SHEARED = 1.5  # the size is probably wrong if rows differ more than with rows and columns swapped, by this factor
 ROW_PAIRS = 64  # number of pairs of rows that are compared
 
 NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # smallest fractions that are reported
 LONG = 60.0  # an exposure time that exceeds this number of seconds is probably in another unit
-MANY_TIMES = 100.0  # an exposure time that exceeds this multiple of the training's is probably in another unit
+MANY_TIMES = 100.0  # an exposure time that exceeds the training's mean by this factor is probably in another unit
 
 
 @dataclass
@@ -45,7 +45,7 @@ class FrameWarnings:
     _first_is_beyond: bool = False  # whether the first frame has values that the A/D converter cannot produce
     _untimed: list[str] = field(default_factory=list)  # names of frames without exposure time and dark frame
     _others: dict[str, tuple[str, int]] = field(default_factory=dict)  # warning → name of the first frame, number of frames
-    _notes: dict[str, str] = field(default_factory=dict)  # remark of the reader of a file → name of the first frame
+    _notes: dict[str, str] = field(default_factory=dict)  # remark about a file from its reader → name of the first frame
     # field of OutOfRange → fraction and name of the worst frame, number of frames
     _worst: dict[str, tuple[float, str, int]] = field(default_factory=dict)
 
@@ -224,13 +224,13 @@ def value_warnings(frame: RawFrame, table: TransformTable) -> Iterator[str]:
 def _too_high(frame: RawFrame, bits: int, top: int) -> str:
     """Return a warning about values far above the white level, otherwise "". `top` is the largest value of the frame.
 
-    The warning also says whether the bytes of the values are exchanged, or whether all values are multiples of a number.
+    The warning also says whether the bytes of the values are swapped, or whether all values are multiples of a number.
     """
     every, most = int(np.bitwise_or.reduce(frame.values, axis=None)), 2**bits - 1
     step = every & -every
     if 0 < every & 0xFF <= most >> 8 and bits < 16:
         return (
-            f"the two bytes of each value are exchanged, because no low byte is above {every & 0xFF}; write the low byte "
+            f"the two bytes of each value are swapped, because no low byte is above {every & 0xFF}; write the low byte "
             "first, or set ‹byte_order› big for a headerless file"
         )
     if step >= 4 and top // step <= most:
@@ -303,7 +303,7 @@ def _fog(frame: RawFrame, table: TransformTable) -> str:
 
 
 def _torn(frame: RawFrame, period: int) -> str:
-    """Return a warning if the picture would be much smoother with rows and columns exchanged, otherwise ""."""
+    """Return a warning if the picture would be much smoother with rows and columns swapped, otherwise ""."""
     rows, cols = frame.values.shape
     if not frame.exchangeable or rows == cols:
         return ""

@@ -20,7 +20,7 @@ from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
 
 # Neighbours that are averaged in chroma smoothing, as (row, column) offsets in pixels. Only eight are used, for speed. The
-# mixture of near and far neighbours averages out the patterns that remain of noise and aliasing.
+# mixture of near and far neighbours averages out the residual patterns of noise and aliasing.
 CHROMA_NEIGHBOURS = ((-1, -1), (-1, 1), (1, -1), (1, 1), (-4, 0), (4, 0), (0, -4), (0, 4))
 CHROMA_REACH = 4  # pixels; largest offset
 
@@ -317,15 +317,18 @@ def smoothed_spectra(planes: NDArray[np.float64], smoothing: SpectralSmoothing) 
 def smoothed_chroma(
     planes: NDArray[np.float64], smoothing: ChromaSmoothing, white: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Smooth the chroma of X, Y, Z (3, row, col) over neighbours that are alike, without changing the luminance.
+    """Smooth the chroma of X, Y, Z (3, row, col) by averaging similar neighbours, without changing the luminance.
 
-    Let p be a pixel, q its neighbours (CHROMA_NEIGHBOURS), and e_q = X_q Y_p − X_p Y_q, and f_q the same for Z:
+    Let p be a pixel and q one of its neighbours (CHROMA_NEIGHBOURS). X_w and Z_w belong to the white:
 
+        e_q = X_q Y_p − X_p Y_q
+        f_q = Z_q Y_p − Z_p Y_q
         w_q = max(0, 1 − ((Y_q − Y_p) / (reach · Y_p))² − ((e_q / X_w)² + (f_q / Z_w)²) / (likeness · Y_p²)²)²
         X_p ← X_p + Σ w_q e_q / (Y_p + Σ w_q Y_q)
 
-    Z is changed in the same way. The new X_p / Y_p is the mean of X over p and its neighbours divided by their mean of Y.
-    Areas of one chromaticity are unchanged to the last bit. At the borders, planes are mirrored about the outermost pixels.
+    Z is changed in the same way. The new ratio X_p / Y_p is the weighted mean of X over p and its neighbours, divided by the
+    weighted mean of Y. Areas of one chromaticity are unchanged to the last bit. At the borders, planes are mirrored about
+    the outermost pixels.
 
     Parameters
     ----------

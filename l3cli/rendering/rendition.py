@@ -46,7 +46,7 @@ class Rendition:
     stops: float = 0.0  # additional exposure in EV
     stated_exposure: bool = False  # whether to multiply by the exposure that the file of each frame states
     tone: Tone | None = None  # tone curve, if any
-    polarisation: str | None = None  # one of `polarisation.SHOWN` for a picture of Stokes parameters, without balance
+    polarisation: str | None = None  # one of `polarisation.SHOWN`, or None if the picture does not show Stokes parameters
 
     @property
     def is_linear(self) -> bool:

@@ -5,8 +5,8 @@ The standard deviation of an output at pixel p is modelled as
     σ(p) = G(class) · K(kind) · E(p) · s(p)
 
 s is the standard deviation of a raw value that is as bright as the output. G is a gain for each class of the last layer. K
-is a factor for each kind (chroma or saturation case) of the first layer. E is a factor for the outermost rows and columns.
-There, windows are mirrored and contain some raw values twice, so noise is averaged less.
+is a factor for each kind (chroma or saturation case) of the first layer. E is a factor for the outermost rows and columns,
+where windows are mirrored. A mirrored window contains some raw values twice, so it averages the noise less.
 
 G, K and E are determined by a parametric bootstrap. The rendered picture is treated as the true scene. Frames of this scene
 are simulated several times with new noise and are rendered. The factors are fitted so that the mean σ of each class, kind
@@ -50,7 +50,7 @@ PRIOR = 50  # weight, in pixels, of the assumption that a class has the gain of 
 # number of rows and columns at each border with factors of their own; farther in, σ changes by less than 2 %
 EDGE_PIXELS = 4
 TILES = (1, 2, 4, 8, 16)  # sides, in pixels, of the tiles whose means are evaluated
-MIN_TILES = 9  # smallest number of tiles of a size
+MIN_TILES = 9  # smallest number of tiles for which the noise of a tile size is evaluated
 MIN_VARIANCE = 1e-30  # avoids a division by zero if noise does not change any raw value, as in a black frame
 MIN_SIDE = 32  # smallest side of a frame, in pixels
 STRIP = 1 << 16  # number of pixels that are processed together, so that their values fit into the processor cache
@@ -64,7 +64,7 @@ class NoiseGains:
     by_class: NDArray[np.float32]  # (class of the last layer, output) gain G
     by_kind: NDArray[np.float32]  # (class of the first layer, output) factor K
     by_edge: NDArray[np.float32]  # (side, distance, output) factor E; the sides are top, bottom, left and right
-    area: Array  # (tile, output) variance of the mean of a tile times its number of pixels, relative to a single pixel
+    area: Array  # (tile size, output) variance of a tile's mean times its pixel count, relative to the variance of a pixel
     unit: float  # raw value above black, in DN, at which the brightness of the outputs is 1
 
 
@@ -84,7 +84,7 @@ class Uncertainty:
         Parameters
         ----------
         inside : ndarray of bool, (row, col)
-            Mask of the region.
+            Mask of the region, with at least one pixel.
 
         Returns
         -------
@@ -100,7 +100,8 @@ def require_known_noise(table: TransformTable) -> None:
     """Raise a RecipeError if the table does not contain the noise model of its camera."""
     if table.camera is None:
         raise RecipeError(
-            "the uncertainty needs the camera's noise model, which this table does not contain; train the table again"
+            "to compute the uncertainty, l3 needs the camera's noise model, which this table does not contain; train the "
+            "table again"
         )
 
 
@@ -127,8 +128,8 @@ def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = 
     """
     if frame.warps:
         raise RecipeError(
-            f"{frame.name} requests a lens warp, whose effect on the noise l3 does not compute; render the frame without it "
-            "by ‹opcodes› leave"
+            f"{frame.name} requests a lens warp, for which l3 cannot compute the uncertainty; set ‹opcodes› leave to render "
+            "the frame without the warp"
         )
     table = renderer.table
     require_known_noise(table)

@@ -51,7 +51,7 @@ def test_nothing_is_reported_of_what_cameras_give(table: TransformTable) -> None
 @pytest.mark.parametrize("share", [1.2, 0.3])
 def test_bytes_that_are_exchanged_and_values_that_are_shifted_up(table: TransformTable, share: float) -> None:
     values = picture(share)
-    assert "the two bytes of each value are exchanged" in words(values.byteswap(), table)
+    assert "the two bytes of each value are swapped" in words(values.byteswap(), table)
     for shift in (2, 4):
         text = words(values << shift, table)
         assert ("" if (values.max() << shift) < 1.5 * WHITE else f"all values are multiples of {2**shift}") in text

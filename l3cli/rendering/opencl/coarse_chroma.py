@@ -18,7 +18,7 @@ from l3cli.rendering.opencl.devices import pyopencl
 from l3cli.rendering.opencl.layout import COARSE_MACROS, COARSE_MARGIN, UNLIKE_ANY, clipping_macros, paired_source
 from l3cli.rendering.opencl.work import Band, Track, scratch
 
-BLOCK_MAPS = 8  # maps of a block in memory, where OpenCL stores them as a float8; the last one is the uniformity
+BLOCK_MAPS = 8  # values that are stored per block, as one OpenCL float8; the last value is the uniformity
 READ_AHEAD = 16  # number of elements after the end of the data that vector loads may read
 
 
@@ -73,7 +73,7 @@ class DeviceCoarseChroma:
         return events, (before, last)
 
     def _room(self, track: Track, shape: tuple[int, int]) -> list[Any]:
-        """Return the three buffers of a track for the blocks of planes with a shape. Their margins contain `UNLIKE_ANY`."""
+        """Return the track's three buffers for the blocks of planes of size `shape`. The margins contain `UNLIKE_ANY`."""
         if track.coarse is None or track.coarse[0] != shape:
             cl, context = pyopencl(), track.queue.context
             rows, columns = _blocks(shape)
@@ -98,7 +98,7 @@ class DeviceClipping:
         self._constants: list[Any] = []  # buffers with the CFA, and with the response and the white
 
     def maps(self, track: Track, band: Band, frame: RawFrame) -> tuple[list[Any], Any]:
-        """Enqueue the computation of the replacement for the quads of pixels of a band.
+        """Enqueue the kernels that compute, for each quad of pixels of a band, the values that replace clipped areas.
 
         The band includes the margins that the last layer reads. The frame must have the levels of the table.
 

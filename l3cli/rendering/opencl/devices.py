@@ -24,7 +24,9 @@ from l3cli.errors import DeviceError, shortened
 from l3cli.rendering.opencl.processor import compiled_for
 
 MIN_FREE_BYTES = 16 << 20  # free space that is required, several times the space for the kernels of a table
-LEFT = 86400  # age, in s, at which empty files are removed; every process with PoCL 3.0 leaves an empty file
+MAX_EMPTY_FILE_SECONDS = (
+    86400  # age, in s, at which empty files are removed; every process with PoCL 3.0 leaves an empty file
+)
 INSTALL = 'install a driver with: pip install "pyopencl[pocl]"'
 LINKER = "ld"  # linker that PoCL calls; without it, or without the libraries of a C compiler, PoCL aborts the process
 REFUSES_PROCESSOR = "unknown target CPU"  # part of the message of PoCL's compiler for a processor that is too new
@@ -41,6 +43,7 @@ def prepare_cache() -> str:
 
     The folder is created if necessary, with access only for the user. If it cannot be used, for example because other users
     can write to it or the disk is full, a temporary folder is used.
+
     Returns
     -------
     str
@@ -77,7 +80,7 @@ def cache_warning() -> str:
     if not prepare_cache.cache_info().currsize or not (reason := prepare_cache()):
         return ""
     return (
-        f"compiled kernels cannot be cached ({reason}), so every l3 command needs seconds to compile kernels; "
+        f"compiled kernels cannot be cached ({reason}), so every l3 command takes some seconds longer to compile kernels; "
         "set XDG_CACHE_HOME to a writable folder on a disk with free space"
     )
 
@@ -108,7 +111,7 @@ def _remove_empty(folder: Path) -> None:
     for file in os.scandir(folder):
         with contextlib.suppress(OSError):
             state = file.stat(follow_symlinks=False)
-            if stat.S_ISREG(state.st_mode) and not state.st_size and time.time() - state.st_mtime > LEFT:
+            if stat.S_ISREG(state.st_mode) and not state.st_size and time.time() - state.st_mtime > MAX_EMPTY_FILE_SECONDS:
                 os.unlink(file)
 
 

@@ -141,7 +141,10 @@ def encoder_source(variant: str) -> str:
 
 
 def encoding_source(variant: str, name: str, *shared: str) -> str:
-    """Return the joined .cl files of a kernel that encodes outputs after a step of its own, as in `paired_source`."""
+    """Return the source of a kernel that processes outputs and then encodes the result.
+
+    The source consists of the encoder, the files `shared`, and the two files called `name` (see `paired_source`).
+    """
     encoding = [each for each in VARIANTS[variant].encoder_sources if not each.endswith("encode.cl")]
     return joined_files(
         "common/lanes.cl", "common/vectors.cl", "common/encoding.cl", *encoding, *shared, f"common/{name}",
@@ -368,7 +371,7 @@ def refinement_weights(layer: PlaneLayer) -> Weights:
 
 @dataclass(frozen=True)
 class PlaneStep:
-    """Constant buffers for the kernels that compute the planes which a refinement layer reads, and its classes."""
+    """Constant buffers of a refinement layer, for the kernels that compute its input planes and its classes."""
 
     weights: Any  # weights of the previous layer, which computes the planes
     rule: tuple[Any, ...]  # constants of the kernel `structures` (gradient.cl, structure.cl, tree.cl)

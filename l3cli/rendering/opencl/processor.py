@@ -2,8 +2,8 @@
 
 PoCL gets the name of the processor from its compiler, LLVM 14 from 2022. For newer processors, the name is "generic", which
 LLVM does not accept as a target, so no kernel can be compiled (https://github.com/pocl/pocl/issues/1049). PoCL has no option
-to change the name. This module therefore replaces the name in PoCL's device structure by that of an older processor, which
-LLVM supports. The actual processor must have all instruction sets of the older processor (docs/limits.md).
+to change the name. This module therefore replaces the name in PoCL's device structure with the name of an older processor
+that LLVM supports. The actual processor must have all instruction sets of the older processor (docs/limits.md).
 """
 
 import ctypes

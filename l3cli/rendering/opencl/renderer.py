@@ -117,7 +117,7 @@ TRACKS = 2
 ENCODED_PIXELS = 1 << 22  # pixels that `encoded` copies to the device at once
 Labels = Mapping[int, NDArray]  # layer → array (row, col) to which the classes are written
 NO_LABELS: Labels = {}
-READ_AHEAD_BYTES = 16  # number of elements after the last pixel that vector loads may read
+READ_AHEAD = 16  # number of elements after the last pixel that vector loads may read
 
 
 class OpenCLRenderer:
@@ -259,9 +259,9 @@ class OpenCLRenderer:
     def stage_times(self, frame: RawFrame, display: Display | None) -> dict[str, float]:
         """Measure the time that the device spends in each of `stages`, in ms.
 
-        The classes and the transforms of the first layer are timed separately, even if one kernel usually computes both. The
-        time of "transforms" is that of a kernel without encoding, which writes one number per pixel. The time of "encode" is
-        the additional time of the kernel with encoding. The first call includes compilation, so its result is useless.
+        The classes and the transforms of the first layer are timed separately, even if one kernel usually computes both.
+        "transforms" is the time of a kernel without encoding, which writes one number per pixel. "encode" is the additional
+        time of the kernel with encoding. The first call includes compilation, so ignore its result.
 
         Parameters
         ----------
@@ -361,7 +361,7 @@ class OpenCLRenderer:
         return work
 
     def _start_encoding(self, outputs: Any, track: Track, display: Display, matrix: NDArray, picture: NDArray) -> Work:
-        """Enqueue the encoding of a buffer with outputs. `matrix` converts them to linear values of the picture."""
+        """Enqueue the encoding of a buffer with outputs. `matrix` converts the outputs to linear values of the picture."""
         work = Work(self.device, self.stages)
         with refusals(self.device):
             kernel = self._programs.encoder(layout.display_macros(display))
@@ -391,8 +391,8 @@ class OpenCLRenderer:
     def _chosen(self, frame: RawFrame, track: Track, band: Band, work: Work) -> tuple[Any, ...]:
         """Return the buffer with the number of the set of transforms for each pixel of a band."""
         rows = band.reads[0]
-        pixels = np.zeros((rows.stop - rows.start) * band.columns + READ_AHEAD_BYTES, np.uint8)
-        pixels[:-READ_AHEAD_BYTES].reshape(-1, band.columns)[...] = self._sets.chosen(frame)[rows]
+        pixels = np.zeros((rows.stop - rows.start) * band.columns + READ_AHEAD, np.uint8)
+        pixels[:-READ_AHEAD].reshape(-1, band.columns)[...] = self._sets.chosen(frame)[rows]
         if self._in_place:
             return (work.in_place(track.queue, pixels),)
         track.sets = self._scratch(track.sets, pixels.nbytes)
@@ -422,7 +422,7 @@ class OpenCLRenderer:
         work.add("structures", self._run(self._programs.classes(number + 1), track, made, *buffers, np.int32(rows)))
 
     def _reads(self, number: int, track: Track, band: Band, frame: RawFrame) -> tuple[tuple[Any, ...], tuple[np.int32, ...]]:
-        """Return the arguments of the kernel for the transforms of a layer: the first buffers, and the last integers.
+        """Return the leading buffers and the trailing integers of the arguments of a layer's transform kernel.
 
         The buffers contain the raw values or planes, the sources of the padded rows and columns, and the classes. If the
         kernel also determines the classes, the buffers that it needs for this purpose come before the classes.
@@ -468,7 +468,7 @@ class OpenCLRenderer:
         """Enqueue the computation of the first layer's outputs, which the last layer corrects, and return their buffer."""
         (rows, columns), step = band.shape(0), self._layers[0]
         size = 4 * len(self.table.outputs) * rows * columns
-        track.first = self._scratch(track.first, size + 4 * READ_AHEAD_BYTES)
+        track.first = self._scratch(track.first, size + 4 * READ_AHEAD)
         reads, ends = (track.raw, *band.mosaic_source, track.labels), (np.float32(frame.black_level), np.int32(0))
         buffers = *reads, self._first_weights, step.nothing, track.first
         work.add("transforms", self._run(self._programs.first_outputs(), track, (rows, columns), *buffers, *ends))

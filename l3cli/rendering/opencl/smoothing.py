@@ -23,7 +23,11 @@ def room_for(track: Track, band: Band, outputs: int) -> Any:
 
 
 def place_of(band: Band, frame_rows: int) -> tuple[np.int32, ...]:
-    """Return the number of rows before smoothing, the first of them, the first smoothed row, and the rows of the frame."""
+    """Return the trailing integer arguments of a smoothing kernel.
+
+    They are the number of rows before smoothing, the first of these rows, the first smoothed row, and the number of rows of
+    the frame.
+    """
     made, first = band.made, band.rows.start
     return tuple(map(np.int32, (made.stop - made.start, made.start, first, frame_rows)))
 
@@ -67,30 +71,31 @@ class DeviceSpectra:
 
 
 class DeviceChroma:
-    """The kernels that smooth chroma and write outputs or pictures. They are built for the first frame."""
+    """The kernels that smooth chroma and write outputs or pictures. A kernel is compiled when a frame first needs it."""
 
     def __init__(
         self, compiler: Compiler, run: Callable[..., Any], table: TransformTable, variant: str, cut: layout.Cut
     ) -> None:
-        """Store the arguments, without building anything.
+        """Store the arguments. Nothing is compiled yet.
 
-        `run` enqueues a kernel on a track, over rows and columns, which are divided by `cut`.
+        `run` is a function that enqueues a kernel on a track over rows and columns. `cut` divides a band into work-groups.
         """
         assert table.chroma_smoothing is not None
         self._compiler, self._run, self._variant, self._cut = compiler, run, variant, cut
         smoothing, white = table.chroma_smoothing, table.white_point / table.white_point[1]
         by_chroma = 1 / np.square(smoothing.likeness * white[::2])
         self._factors = tuple(map(np.float32, (1 / smoothing.reach**2, *by_chroma)))
-        self._kernels: dict[tuple[Any, ...], Any] = {}  # by ending
+        self._kernels: dict[tuple[Any, ...], Any] = {}  # macros for the form of the results → kernel
 
     def room(self, track: Track, band: Band) -> Any:
-        """Return the track's buffer for the outputs of a band before smoothing."""
+        """Return the buffer of a track for the outputs of a band before smoothing."""
         return room_for(track, band, 3)
 
     def smooth(self, track: Track, band: Band, encoding: Any, result: Any, frame_rows: int, ending: Macros) -> Any:
-        """Enqueue the smoothing of a band whose outputs are in the buffer `room`.
+        """Enqueue the smoothing of a band whose outputs are in the buffer from `room`.
 
-        The band's own rows go to `result`, as the macros `ending` determine. `encoding` are the constants of the display.
+        The smoothed outputs of the band, without the margins above and below, are written to `result` in the form that the
+        macros `ending` determine. `encoding` is a buffer with the constants of the display.
         """
         key = tuple(ending.items())
         if key not in self._kernels:

@@ -46,7 +46,7 @@ class Chunks:
         """
         chunks = chunks_of(place)
         self._filters = {chunk: self._filters.get(chunk) or self._make() for chunk in chunks}
-        made = [self._filters[chunk].filtered(frame) for chunk in chunks]  # made[1] is the lead-in of the next chunk
+        made = [self._filters[chunk].filtered(frame) for chunk in chunks]  # made[1], if any, is in the next chunk's lead-in
         return made[0]
 
 
@@ -92,7 +92,7 @@ class AnyOrder:
     make : callable
         Function that creates a filter.
     read : callable
-        Function that takes the index of a frame, counted from 0, and returns the raw frame. Its exceptions are passed on.
+        Function that takes the index of a frame, counted from 0, and returns the raw frame. It may raise any exception.
     most : int
         Number of filtered frames to keep, because several threads may request neighbouring frames out of order.
     """

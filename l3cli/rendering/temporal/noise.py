@@ -20,8 +20,8 @@ LINEAR_FRACTION = 8  # number of fractional bits of the linear noise term
 UNEVEN_FRACTION = 24  # number of fractional bits of the quadratic noise term
 NOISE_FRACTIONS = (1.0, 0.5, 0.25)  # fractions of the camera's noise variance to which class edges can be adapted
 MAX_UNEVEN = 1 << 20  # limit of the quadratic term, at which the fixed pattern is a quarter of the signal
-MAX_FIXED = 1 << 28  # limit of the constant fixed-pattern term, at which it is a quarter of the range
-ROW_PERIODS_PER_READ = 8  # the mean level of a frame is computed from one of this number of CFA periods along the rows
+MAX_FIXED = 1 << 28  # limit of the constant fixed-pattern term, at which the fixed pattern is a quarter of the range
+ROW_PERIODS_PER_READ = 8  # the mean level of a frame is computed from every eighth CFA period along the columns
 TABULATED_LEVELS = 256  # number of levels for which the noise of a difference is tabulated
 
 
@@ -114,9 +114,8 @@ class NoiseTerms:
     constant: int
     fixed: int
     uneven: int
-    spread: NDArray[
-        np.int32
-    ]  # (level) standard deviation of the difference between two frames, of means over a period, in u
+    # (level) standard deviation, in u, of the difference between two frames after averaging over a CFA period
+    spread: NDArray[np.int32]
 
 
 def noise_of(camera: CameraModel, black_level: float, white_level: float, sites: int) -> NoiseTerms:
@@ -170,7 +169,7 @@ def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
 
 
 def _mean(values: NDArray[np.uint16], period: int) -> float:
-    """Return the approximate mean of values (row, col), from one of `ROW_PERIODS_PER_READ` periods along the rows."""
+    """Return the approximate mean of values (row, col), from every eighth CFA period along the columns."""
     whole = values[: len(values) // (period * ROW_PERIODS_PER_READ) * period * ROW_PERIODS_PER_READ]
     sampled = whole.reshape(-1, period * ROW_PERIODS_PER_READ, values.shape[1])[:, :period] if whole.size else values
     return float(sampled.mean())
@@ -199,7 +198,10 @@ def settings_of(frame: RawFrame) -> tuple[float, float | None]:
 
 
 def times_brighter(now: tuple[float, float | None], before: tuple[float, float | None]) -> float:
-    """Return the factor by which the signals of the same scene differ between two results of `settings_of`."""
+    """Return the signal with the settings `now`, divided by the signal of the same scene with the settings `before`.
+
+    The settings are results of `settings_of`. If an exposure time is unknown, both exposure times are ignored.
+    """
     times = now[1] / before[1] if now[1] and before[1] else 1.0
     return times * now[0] / before[0]
 

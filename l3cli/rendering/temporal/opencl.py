@@ -1,4 +1,7 @@
-"""The temporal filter on an OpenCL device. Each kernel in opencl/common/temporal*.cl computes one step of reference.py."""
+"""The temporal filter on an OpenCL device.
+
+Each kernel in opencl/common/temporal*.cl computes one step of reference.py or motion.py.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -26,10 +26,10 @@ from l3cli.rendering.temporal.noise import (
 
 # Values are in units u, which the module `noise` defines. A residual is the difference between a frame and the filter state.
 ONE = 1 << 10  # the number 1 in fixed point, for weights and for fractions of noise
-# Residual power over 3 × 3 cells counts as motion, with a factor of 4, as far as it exceeds 5/4 of the expected noise.
+# Only the residual power over 3 × 3 cells above 5/4 of the expected noise counts as motion. The excess is multiplied by 4.
 POWER_FACTOR, POWER_FREE = 4, 5
-MEAN_FREE = 2  # the squared sum over a cell counts as motion as far as it exceeds this multiple of the expected noise
-WIDE_FREE = 6  # the squared sum over 3 × 3 cells counts as motion as far as it exceeds this multiple of the expected noise
+MEAN_FREE = 2  # the squared sum over a cell counts as motion only above this multiple of the expected noise
+WIDE_FREE = 6  # the squared sum over 3 × 3 cells counts as motion only above this multiple of the expected noise
 CUT = 8  # a cell shows a different scene if its residual power exceeds the expected noise by this factor
 CLIPPED = (1 << 14) - 1  # limit of residuals in u, so that sums of squares fit into 32 bits in kernels
 MOST_POWER = (1 << 32) - 1  # limit of the residual power of a cell in u², so that kernels need only 32 bits
@@ -48,7 +48,7 @@ class Blend:
     """The state of the filter after a frame."""
 
     values: NDArray[np.uint16]  # (row, col) filtered values in u, extended to whole blocks
-    left: Cells  # (cell row, cell col) remaining noise variance as a fraction of that of one frame, in units of 1/ONE
+    left: Cells  # (cell row, cell col) remaining noise variance, as a fraction of one frame's variance, in units of 1/ONE
 
 
 def first_blend(values: NDArray[np.uint16], grid: Grid) -> Blend:

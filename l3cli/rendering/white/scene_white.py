@@ -27,7 +27,7 @@ from l3cli.rendering.reference import ReferenceRenderer
 Array = NDArray[np.floating]
 MAX_CLIPPED = 0.01  # largest fraction of clipped pixels in a grey area that can be measured
 FLAT = 0.5  # a channel counts as clipped if more than this fraction of its pixels has the largest value of the frame
-# Fraction of full scale. A grey area with an uncertain mean is "too dark" below this mean, and "not uniform" otherwise.
+# A grey area with an uncertain mean is "too dark" if its mean is below this fraction of full scale, otherwise "not uniform".
 DARK_FRACTION = 0.01
 MIN_CERTAINTY = 50.0  # smallest ratio of the mean signal of a channel in a grey area to the standard error of the mean
 
@@ -138,8 +138,8 @@ class GreyRenderer:
 def _shading_corrected(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
     """Crop a frame to a small area, and correct the colour shading in the area.
 
-    The shading that all channels have in common is nearly constant over a small area, so it is not corrected. The `phase` is
-    still the phase of the uncropped frame.
+    The shading common to all channels is nearly constant over a small area, so it is not corrected. The `phase` of the
+    result is still the phase of the uncropped frame.
     """
     shading = frame.shading
     cut = None if shading is None else replace(shading, colour=None if shading.colour is None else shading.colour[where])
@@ -265,11 +265,11 @@ def _between(now: WhiteBalance, wanted: WhiteBalance, share: float) -> WhiteBala
 GREY_LEVEL = 0.4  # brightest channel of rendered grey areas, as a fraction of full scale; well trained in every table
 MAX_GAIN = 8.0  # largest gain of a channel; a channel that needs a higher gain contains mostly noise
 SURFACES = 64  # number of measured reflectances used to fit the colour correction for an illuminant
-UNSURE = 1e-3  # expected error of rendered colours; the squared error is the ridge of the fit of the correction
+UNSURE = 1e-3  # expected error of rendered colours; its square is the ridge penalty in the fit of the colour correction
 MIN_WEIGHT_LUMINANCE = 0.05  # relative luminance; darker surfaces are weighted as if they had this luminance
 MAX_DUV = 0.03  # largest plausible distance of an illuminant from the black-body locus in CIE 1960 uv
 SAME_WHITE = 5e-4  # distance in CIE 1960 uv below which two white points count as equal; users enter rounded values
-MAX_MISFIT = 0.12  # largest plausible RMS misfit of the logarithms of the signals; real lamps reach at most half of it
+MAX_MISFIT = 0.12  # largest plausible RMS misfit of the logarithms of the signals; the misfit of real lamps is at most half
 NEAR_WHITE = 0.02  # distance in CIE 1976 u′v′ above which two white points belong to different illuminants
 COOLEST, WARMEST = 24_000.0, 1_700.0  # range of plausible colour temperatures, in K
 
@@ -363,9 +363,9 @@ class Whites:
     def of_chromaticity(self, white: Array) -> SceneWhite:
         """Return the white point of a scene from the XYZ of a white object.
 
-        The illuminant is assumed to be the nearest black body or daylight, with a green or magenta tint. The white balance
-        has no gains and only adapts the outputs if this illuminant is not plausible, if the XYZ equals the white point of
-        the training, or if the table does not record its camera.
+        The illuminant is assumed to be the nearest black body or daylight, with a green or magenta tint. In three cases the
+        white balance has no gains and only adapts the outputs: this illuminant is not plausible, the XYZ equals the white
+        point of the training, or the table does not record its camera.
         """
         camera = self.table.camera
         if camera is None or np.linalg.norm(uv(white) - uv(self.table.white_point[:3])) < SAME_WHITE:
@@ -398,9 +398,8 @@ class Whites:
         weights = share ** (2 / 3) / share  # for a given colour cast, C*ab is proportional to the cube root of luminance
         made = self.of_neutral(weights @ signals)
         even = balanced(frame, self.table, made.balance.gains)
-        whole = [
-            number for number, grey in enumerate(greys) if self.grey.usable(even, grey)
-        ]  # grey areas that remain unclipped after the gains
+        # grey areas that remain unclipped after the gains
+        whole = [number for number, grey in enumerate(greys) if self.grey.usable(even, grey)]
         if not whole:
             return made
         shown = weights[whole] @ np.array([self.grey.of_part(even, greys[number].where) for number in whole])
@@ -476,7 +475,10 @@ def far_from_training(asked: str, white: SceneWhite, table: TransformTable) -> s
     if (white.modelled and "," not in asked) or _alike(white.light.xyz, table.white_point):
         return ""
     x, y = table.white_point[:2] / table.white_point.sum()
-    how = "l3 only adapts the colours; set ‹white› to the illuminant, or train with the illuminant in the scene recipe"
+    how = (
+        "l3 only adapts the colours; set ‹white› to the name of the scene's illuminant, or train with this illuminant in the "
+        "scene recipe"
+    )
     if white.modelled:
         how = (
             "l3 assumes a black body or daylight; for a fluorescent or LED lamp, set ‹white› to the name of the "
@@ -499,7 +501,7 @@ def implausible(what: str, white: SceneWhite) -> str:
 
 
 def unlike_stated(name: str, white: SceneWhite, stated: SceneWhite) -> str:
-    """Return a warning if the white point stored in a file differs from that measured on the chart, otherwise ""."""
+    """Return a warning if the white point stored in a file differs from the white point of the chart, otherwise ""."""
     if _alike(white.light.xyz, stated.light.xyz):
         return ""
     return (
