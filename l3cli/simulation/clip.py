@@ -48,7 +48,12 @@ def sprites(course: Course, colours: NDArray[np.floating], seed: tuple[int, ...]
     colours : ndarray, (leaf, band)
         Reflectance or signal of each leaf.
     seed : tuple of int
-        Seed. Each leaf has a random generator of its own, so a leaf looks the same whatever other leaves the clip contains.
+        Seed. Each leaf has its own random generator, so the appearance of a leaf does not depend on the other leaves.
+
+    Returns
+    -------
+    list of Sprite
+        One sprite per leaf, in the order of the leaves.
     """
     drawn = []
     for number, (radius, colour) in enumerate(zip(course.radius, colours, strict=True)):
@@ -245,7 +250,7 @@ def _sure(shown: NDArray[np.intp]) -> NDArray[np.bool_]:
 
 # ------------------------------------------------------------------------------------------------- clips of a run
 
-# These values are the last element of seeds, so that random motion, shapes and colours are independent of one another.
+# Each value is the last element of a seed, so that random motion, shapes and colours are independent.
 MOVING, LEAVES, COLOURS = 1, 2, 3
 
 

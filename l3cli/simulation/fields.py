@@ -24,8 +24,8 @@ Direction = tuple[float, float]  # elongation and its angle in radians
 
 LENGTHS, PHASES = 256, 256  # number of lengths and phases of the random coefficients; 16 random bits select one of each
 SLOW = 1 / 16  # cycles per pixel; at higher frequencies a piece has the same power as the whole field
-# Each texture: lowest and highest exponent of the amplitude spectrum, and stretch. Textures range from sand to clouds. The
-# last one looks brushed.
+# Lowest exponent of the amplitude spectrum, highest exponent, and stretch of each texture. The textures range from sand to
+# clouds, and the last texture looks brushed.
 PINK = ((0.3, 0.9, 1.0), (0.8, 1.3, 1.0), (1.6, 1.6, 1.0), (1.0, 1.0, 1.0), (0.6, 0.6, 1.0), (1.1, 1.1, 4.0))
 BLOTCHES, STRIPES = len(PINK), len(PINK) + 1  # indices of the last two textures, after those in PINK
 TEXTURES = len(PINK) + 2

@@ -401,7 +401,10 @@ def _grey_world_scale(values: NDArray[np.uint16], picture: NDArray[np.float32], 
     bright = picture[1] if len(picture) == 3 else picture.mean(axis=0)
     usable = (share < BRIGHT) & (bright < BRIGHT)
     if not usable.any() or bright[usable].mean() <= 0:
-        raise ValueError("the picture is black or white everywhere; use another picture, or set scale")
+        raise ValueError(
+            "the scale cannot be fitted, because all pixels of the picture are black or near white; use another picture, or "
+            "set scale"
+        )
     rates = white_rates(camera, make_light("D65", {}, camera.wavelength))
     response = (rates / rates.max())[camera.cfa].mean()
     return float(max(share[usable].mean(), 1e-6) / response / bright[usable].mean())
@@ -534,7 +537,7 @@ def project(cube: NDArray[np.float32], weights: Array) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class SimulationRun:
-    """Settings that all frames of a simulation share: recipe, camera, target and illuminants, after they were checked."""
+    """Checked settings that all frames of a simulation share: recipe, camera, target and illuminants."""
 
     recipe: SceneRecipe
     camera: CameraModel

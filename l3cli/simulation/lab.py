@@ -44,11 +44,10 @@ class MonoRecipe(Recipe):
     last_nm: Nanometres | None = None  # default: bandwidth_nm below the longest wavelength of the camera
     step_nm: Positive = 10.0
     bandwidth_nm: Nanometres = 10.0  # full width at half maximum
-    stray_light: Annotated[float, msgspec.Meta(ge=0, lt=MAX_STRAY_LIGHT)] = (
-        0.0005  # fraction of the peak, at each wavelength
-    )
+    # fraction of the peak, at each wavelength
+    stray_light: Annotated[float, msgspec.Meta(ge=0, lt=MAX_STRAY_LIGHT)] = 0.0005
     trials: Count = 1  # number of frames per step
-    # number of steps that are also captured with overexposure; the first and the last step are never among them
+    # number of steps that are captured a second time, overexposed; never the first or the last step
     overexposed: CountOrNone = 4
     level: Positive = 0.5  # fraction of full scale that the brightest channel reaches
     radiance: Positive = 1e18  # photons/s/sr/m² in each step
@@ -93,7 +92,7 @@ class PolariserRecipe(Recipe):
 
 
 class LabRecipe(Recipe):
-    """A lab recipe: the measurements of the lab. configs/lab/default.toml contains the default of each key."""
+    """A lab recipe, which describes the measurements. configs/lab/default.toml contains the default of each key."""
 
     title: ClassVar[str] = "a lab recipe"
 
@@ -116,7 +115,7 @@ class LabRecipe(Recipe):
 
 
 def lab_faults(recipe: LabRecipe, camera: CameraModel | None) -> Iterator[Fault]:
-    """Yield the faults of a lab recipe. If `camera` is not None, also yield the reasons why the lab cannot measure it."""
+    """Yield the faults of a lab recipe, and the reasons why the lab cannot measure `camera`, unless `camera` is None."""
     mono = recipe.mono
     if mono.bandwidth_nm <= recipe.spectrometer_step_nm:
         message = (
@@ -129,12 +128,14 @@ def lab_faults(recipe: LabRecipe, camera: CameraModel | None) -> Iterator[Fault]
     if camera is not None and (camera.rows < SMALLEST_SENSOR[0] or camera.cols < SMALLEST_SENSOR[1]):
         least = "×".join(map(str, SMALLEST_SENSOR))
         message = (
-            f"the sensor of {camera.rows}×{camera.cols} pixels is too small for a chart; use a sensor of at least {least}"
+            f"the sensor of {camera.rows}×{camera.cols} pixels is too small for a chart; use a sensor with at least {least} "
+            "pixels"
         )
         yield fault(message)
     if camera is not None and not camera.absolute:
         yield fault(
-            f"{camera.name} has only relative responsivities, but the lab needs quantum efficiencies; use another camera"
+            f"{camera.name} has only relative responsivities, but the lab needs quantum efficiencies; use a camera with "
+            "quantum efficiencies"
         )
 
 
@@ -181,7 +182,7 @@ class LabCapture:
     monitor: float  # reading of the lamp monitor, relative to the reading when the spectrum was measured
     wavelength: Array  # (wavelength,), measured wavelengths in nm
     radiance: Array  # (spectrum, wavelength), measured photons/s/sr/m²/nm; only mono and chart captures have spectra
-    angle: float = 0.0  # degrees, angle of the rotating polariser that its scale shows
+    angle: float = 0.0  # angle of the rotating polariser on its scale, in degrees
 
 
 @dataclass(frozen=True)
@@ -320,7 +321,7 @@ def plan(camera: CameraModel, recipe: LabRecipe, seed: int) -> tuple[LabCapture,
 
 
 def _plan_polariser(session: _Session, recipe: PolariserRecipe) -> None:
-    """Plan the captures behind a rotating polariser. They are the last, so that all other frames do not depend on them."""
+    """Plan the captures behind a rotating polariser, after all other captures so that the other frames stay the same."""
     wavelength = session.response.wavelength
     leakage = 1.0 / recipe.extinction
     light = _light(recipe.illuminant, wavelength, recipe.luminance)[None] * (1.0 + leakage) / 2.0
@@ -429,7 +430,7 @@ def falloff_at_patches(camera: CameraModel, missing: float) -> Array:
 
 
 def lab_recipe_faults(recipe: LabRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults of a lab recipe. If `source` has a camera, also yield the reasons why the lab cannot measure it."""
+    """Yield the faults of a lab recipe, and the reasons why the lab cannot measure the camera of `source`, if any."""
     yield from lab_faults(recipe, source.camera)
     yield from source.attempt(("white", "illuminant"), spectra.require_illuminant, recipe.white.illuminant)
     yield from source.attempt(("polariser", "illuminant"), spectra.require_illuminant, recipe.polariser.illuminant)

@@ -25,7 +25,7 @@ from l3cli.spectra.table import NOISE, gaps
 Array = NDArray[np.floating]
 Curve = tuple[Array, Array]  # (sample,), wavelengths in nm; (curve, sample), values
 
-SCENE_LIGHT = "scene"  # name in recipes of the illuminant under which a scene was measured
+SCENE_LIGHT = "scene"  # the name that recipes use for the illuminant under which a scene was measured
 WIDEST_GAP = 20.0  # nm; largest permitted distance between samples of a measured illuminant
 INCOMPLETE_FRACTION = 0.01  # fraction of the peak; a measured spectrum that ends above this value is incomplete
 
@@ -41,7 +41,7 @@ OUTPUTS = {
 }
 UNLIT = "reflectance 31"  # key of the outputs that do not depend on the illuminant
 NOTICEABLE = 0.01  # l3 warns if wavelengths without data produce more than this fraction of a channel's electrons
-CAMERA = "camera"  # name in recipes of the outputs that are the bands of the camera at full resolution
+CAMERA = "camera"  # the name that recipes use for the outputs of a camera's bands at full resolution
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class Filters(NamedTuple):
 
     @classmethod
     def of(cls, curves: Mapping[str, Array], wavelength: Array) -> "Filters":
-        """Create filters from the quantum efficiencies of each filter, by name, at the given wavelengths in nm."""
+        """Create filters from `curves`, the quantum efficiencies of each named filter at the wavelengths, in nm."""
         return cls(tuple(curves), np.asarray(wavelength), np.array(list(curves.values())) * spectra.bin_widths(wavelength))
 
 
@@ -216,16 +216,16 @@ def beyond_known(light: Light, measured: Mapping[str, Curve], camera: Sees) -> s
             ends, wavelength = (grid.min(), grid.max()), light.wavelength
             order = np.argsort(grid)
             held = spectra.photons_from_energy(wavelength, np.interp(wavelength, grid[order], power[0][order]))
-            what = "and assumed to be dark at other wavelengths; with a constant continuation, channel {} would collect "
-            what += "{:.0%} of its electrons there"
+            what = "; l3 assumes no light at other wavelengths, but if the last value continued there, channel {} would "
+            what += "collect {:.0%} of its electrons there"
         else:
             ends, held = spectra.known_range(name), spectra.illuminant(name, light.wavelength)
-            what = "and continued with a constant, where channel {} collects {:.0%} of its electrons"
+            what = "; l3 assumes the last value at other wavelengths, where channel {} collects {:.0%} of its electrons"
         one = spectra.at_luminance(held, light.wavelength, light.luminance * share / total)
         taken, channel = share_beyond(camera, replace(light, radiance=one), light, ends)
         if taken > max(found[0], NOTICEABLE):
             where = f"{ends[0]:g}…{ends[1]:g} nm"
-            text = f"illuminant {name} is known only at {where} {what.format(channel, taken)}"
+            text = f"illuminant {name} is known only at {where}{what.format(channel, taken)}"
             found = taken, f"{text}; use an illuminant that was measured at {span_of(camera)}"
     return found[1]
 
@@ -345,7 +345,7 @@ def camera_unknown(path: Path, camera: CameraModel, lights: Sequence[str]) -> li
 
 
 def _held(curves: Curve, wavelength: Array) -> Array:
-    """Resample curves to `wavelength`, and continue each curve with its last values. Return (curve, wavelength)."""
+    """Resample curves to `wavelength` (nm), and continue each curve with its end values. Return (curve, wavelength)."""
     order = np.argsort(curves[0])
     return np.array([np.interp(wavelength, curves[0][order], each[order]) for each in curves[1]])
 
@@ -355,7 +355,7 @@ def _file_ends(name: str, grid: Array, there: str, taken: float, wanted: str) ->
     if taken <= NOTICEABLE:
         return ""
     known = f"{name} contains values at {grid.min():g}…{grid.max():g} nm, and l3 assumes zero at other wavelengths"
-    return f"{known}; with a constant continuation, {there} there; use a file with values at {wanted}"
+    return f"{known}; if the last value continued there, {there}; use a file with values at {wanted}"
 
 
 def surfaces_beyond_known(light: Light, camera: CameraModel) -> str:
@@ -373,9 +373,9 @@ def surfaces_beyond_known(light: Light, camera: CameraModel) -> str:
         return ""
     first, last = spectra.SURFACES_MEASURED
     return (
-        f"the reflectances of the scenes were measured at {first:g}…{last:g} nm and are continued with a constant, where "
-        f"channel {channel} collects {taken:.0%} of its electrons under {light.name}; use scenes that were measured at "
-        f"{span_of(camera)}"
+        f"the reflectances of the scenes were measured at {first:g}…{last:g} nm; l3 assumes the last value at other "
+        f"wavelengths, where channel {channel} collects {taken:.0%} of its electrons under {light.name}; use scenes that "
+        f"were measured at {span_of(camera)}"
     )
 
 
@@ -416,8 +416,8 @@ def span_of(camera: Sees) -> str:
 def recorded_under(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
     """Return the illuminant under which a scene was recorded.
 
-    In contrast to `make_light`, a single measured illuminant keeps its wavelengths, because they are often the bands of the
-    scene.
+    In contrast to `make_light`, a single measured illuminant keeps its wavelengths, because these wavelengths are often the
+    bands of the scene.
     """
     return make_light(text, measured, measured[text][0] if text in measured else seen)
 
@@ -752,7 +752,7 @@ def require_seen(bands: Array, target: Target, camera: CameraModel) -> None:
     """Check that the bands of a scene cover the wavelengths that a target needs.
 
     A colour target needs the wavelengths that contribute to luminance, and a spectral target needs 400 to 700 nm. If the
-    outputs are the bands of the camera or matching functions from a file, the bands must cover at least one of them.
+    outputs are the bands of the camera or matching functions from a file, the scene must cover at least one output.
 
     Parameters
     ----------

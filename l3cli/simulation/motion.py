@@ -39,7 +39,7 @@ class Motion(Recipe):
     # motion of the camera (down, right); the content of the picture moves in the opposite direction
     pan_pixels_per_frame: tuple[float, float] = (0.0, 0.0)
     zoom_per_frame: Zoom = 1.0  # magnification about the centre, relative to the previous frame
-    shake_pixels: NotNegative = 0.0  # standard deviation of the random displacement of each frame, at most 3 times as large
+    shake_pixels: NotNegative = 0.0  # standard deviation of each frame's random displacement, which is clipped to 3 σ
     shutter: Share = 0.0  # fraction of the frame interval during which the shutter is open, which causes motion blur
     leaves: MovingLeaves | None = None
 

@@ -4,7 +4,7 @@ Each leaf has one of five kinds of surface, which are drawn in the proportions o
 
 matt       weakly polarised, with an angle that changes little over the leaf
 smooth     reflections on a curved dielectric: the degree follows Fresnel's equations, and the angle the curvature
-flat       reflections on a plane such as a window, with nearly constant degree and angle
+smooth     reflections on a curved dielectric: Fresnel's equations determine the degree, and the curvature the angle
 sky        a degree that increases linearly across the leaf, as in the sky
 plastic    transparent, birefringent plastic in polarised light, whose degree and angle depend on the wavelength
 
@@ -27,8 +27,8 @@ INDEX = 1.5  # refractive index of smooth surfaces
 MAX_DEGREE = 0.95
 MATT_DEGREE = 0.1  # largest degree of matt leaves
 COLOURED = 0.25  # fraction of the leaves whose degree depends on the wavelength
-CALM = 0.2  # fraction of the scenes in which all degrees are CALM times lower
-RIM = 0.98  # relative radius at which the surface of smooth leaves is perpendicular to the sensor
+CALM = 0.2  # fraction of the scenes with weak polarisation, and the factor by which all their degrees are multiplied
+RIM = 0.98  # largest sine of the angle of incidence on smooth leaves, which the surface reaches near the rim
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def stokes_of(
     curved = np.nonzero(kind == SMOOTH)
     v, u = down[curved], across[curved]
     square = np.maximum(u * u + v * v, np.float32(1e-12))
-    # The light is polarised across the plane of incidence, which contains the direction from the centre of the leaf.
+    # The light is polarised perpendicular to the plane of incidence. This plane contains the direction to the leaf's centre.
     first[curved], second[curved] = (v * v - u * u) / square, 2 * u * v / square
     degree[curved] *= fresnel_degree(np.minimum(np.sqrt(square), np.float32(RIM)))
     degree = np.minimum(degree, np.float32(MAX_DEGREE))[..., None]

@@ -125,7 +125,7 @@ def drawn_leaves(
 def _coats(rng: np.random.Generator, materials: Array, count: int) -> Coat:
     """Draw the appearance of `count` leaves.
 
-    A leaf has one of the materials, (material, band), or, with a probability of 40 %, a mixture of two materials.
+    Each leaf has one of `materials` (material, band) or, with a probability of 40 %, a mixture of two materials.
     """
     one, other = materials[rng.integers(len(materials), size=(2, count))]
     share = np.where(rng.random(count) < 0.4, rng.random(count), 1.0)[:, None]
@@ -175,8 +175,8 @@ def _draw(
 ) -> None:
     """Compute the reflectance of some rows of a scene and write it into `cube`.
 
-    Each pixel is the mean of its samples. Highlights are added, and values are limited to MAX_TIMES_WHITE. If the
-    scene is polarised (`sheen`), the mean of S0 over the bands, S1 and S2 are written into `stokes`.
+    Each pixel is the mean of its samples. Highlights are added, and values are limited to MAX_TIMES_WHITE. If `sheen` is not
+    None, the mean of S0 over the bands, S1 and S2 are written into `stokes`.
     """
     label = cover.label[rows].astype(np.intp)
     down = np.arange(rows.start, rows.stop, dtype=np.float32)[:, None]
@@ -413,7 +413,7 @@ def draw(wanted: sources.WantedScene, seed: int, camera_wavelength: Wavelength, 
     camera_wavelength : ndarray, (wavelength,)
         Wavelengths of the camera, in nm.
     polarised : bool
-        Whether leaves polarise light, for cameras with polarisers. Their reflectances do not depend on it.
+        Whether leaves polarise light, for cameras with polarisers. The reflectances are the same in both cases.
 
     Returns
     -------
@@ -526,7 +526,7 @@ MUNSELL_HUES, MUNSELL_VALUES, MUNSELL_CHROMAS = 20, (30, 50, 70, 85), (8, 20, 35
 def munsell(size: tuple[int, int], wavelength: Array) -> Cube:
     """Return a chart of colours in CIE LCh under D65. Hue varies along rows; lightness and chroma vary along columns.
 
-    Each patch has a smooth reflectance. The chroma of colours outside sRGB is reduced until they are inside sRGB.
+    Each patch has a smooth reflectance. If a colour is outside sRGB, its chroma is reduced until the colour is inside sRGB.
     """
     hue = np.arange(MUNSELL_HUES) * (2 * np.pi / MUNSELL_HUES)
     value, chroma, hue = (axis.ravel() for axis in np.meshgrid(MUNSELL_VALUES, MUNSELL_CHROMAS, hue, indexing="ij"))
@@ -578,10 +578,10 @@ def zone_plate(size: tuple[int, int], wavelength: Array, highest: float) -> Cube
 
 
 def frequencies(size: tuple[int, int], wavelength: Array, orders: int) -> Cube:
-    """Return a row of gratings. The frequency doubles from grating to grating and is 0.5 cycles per pixel in the last
-    grating.
+    """Return a row of gratings with different frequencies and with a contrast that decreases from top to bottom.
 
-    The contrast decreases from 1 at the top to 1/100 at the bottom.
+    The frequency doubles from grating to grating, up to 0.5 cycles per pixel in the last grating. The contrast is 1 at the
+    top and 1/100 at the bottom.
     """
     across = np.arange(size[1])
     order = across * orders // size[1]
@@ -627,7 +627,7 @@ def zone_plate_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
 def slanted_bars_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
     """Return dark and bright bars, slanted by 5°, whose width decreases from left to right.
 
-    Their edges can be analysed with ISO 12233.
+    The edges are suitable for the slanted-edge method of ISO 12233.
     """
     down, across = _centred(shape, 4)
     position = (across + np.tan(np.radians(5)) * down) / shape[1] + 0.5

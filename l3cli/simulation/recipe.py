@@ -32,9 +32,9 @@ class Lens(Recipe):
     """Lens effects to simulate, and settings that replace the lens of the camera (docs/method.md#optics)."""
 
     diffraction: bool = True
-    off_axis: bool = False  # whether corners are darker; a table cannot correct this, because it is the same everywhere
+    off_axis: bool = False  # whether corners are darker; a table cannot correct this, because it treats all places equally
     defocus_um: NotNegative = 0.0  # standard deviation of a Gaussian blur on the sensor
-    # Transmittance as a number or as the name of a CSV file. The responsivities of the camera are multiplied by it.
+    # Transmittance as a number or as the name of a CSV file. It multiplies the responsivities of the camera.
     transmittance: Annotated[float, msgspec.Meta(gt=0, le=1)] | str | None = None
     focal_length_mm: Positive | None = None
     f_number: Positive | None = None
@@ -57,11 +57,11 @@ class TargetRecipe(Recipe):
     # or "CIE 1931 + Stokes" (docs/polarisation.md), "camera" (the bands of the camera), or the name of a CSV file of
     # matching functions.
     outputs: str = "CIE 1931"
-    illuminant: str | None = None  # illuminant of the target, for illuminant correction; default: that of the frame
+    illuminant: str | None = None  # illuminant of the target, for illuminant correction; default: the frame's illuminant
 
 
 class Pair(Recipe):
-    """A raw file and the picture that a table should compute from it. The two are registered pixel by pixel."""
+    """A raw file and the picture that a table should compute from this file. Both are registered pixel by pixel."""
 
     raw: str  # path relative to the recipe
     picture: str  # encoded sRGB, or an EXR file whose channels have the names of the target outputs
@@ -235,7 +235,7 @@ def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fa
         message = f'target.outputs "{UNLIT}" does not depend on the illuminant; remove target.illuminant'
         yield fault(message, "target.illuminant")
     if recipe.target.illuminant == SCENE_LIGHT:
-        message = f'target.illuminant "{SCENE_LIGHT}" is not an illuminant; remove target.illuminant'
+        message = f'target.illuminant cannot be "{SCENE_LIGHT}"; remove target.illuminant, or set the name of an illuminant'
         yield fault(message, "target.illuminant")
     if recipe.pair and outputs == CAMERA:
         message = f'target.outputs "{CAMERA}" cannot be used with [[pair]], whose target is a picture; set other outputs'

@@ -26,7 +26,7 @@ from l3cli.simulation.light import make_light, matching_weights
 Array = NDArray[np.floating]
 
 COMPONENTS = 8  # number of principal components of the Gaussian in logit space
-# nm; wavelengths at which materials are drawn. They are the same for all cameras, so that the colours of materials are, too.
+# nm; wavelengths at which materials are drawn. They do not depend on the camera, so materials have the same colours for all.
 DRAWN = np.arange(SHOWN[0], SHOWN[1] + 1.0, 10.0)
 
 # Relative frequency of each type of material (docs/method.md#procedural-scenes).
@@ -239,7 +239,7 @@ def raise_to_spectra(linear: NDArray[np.float32], wavelength: NDArray[np.float64
         The scene, without an illuminant of its own.
     """
     cube = np.maximum(linear, np.float32(0.0)) @ primaries().astype(np.float32)
-    if not np.array_equal(wavelength, DRAWN):  # bands are selected after the product, so that all cameras have equal values
+    if not np.array_equal(wavelength, DRAWN):  # selecting bands after the product gives all cameras identical values
         cube = cube[..., abs(np.subtract.outer(wavelength, DRAWN)).argmin(axis=1)]
     return Scene(name, wavelength, cube, NO_ILLUMINANT)
 
@@ -267,7 +267,7 @@ def shrunk(linear: NDArray[np.float32], by: int) -> NDArray[np.float32]:
 def primaries() -> Array:
     """Return the smoothest reflectances whose colours under D65 are the sRGB primaries, at the wavelengths of DRAWN.
 
-    The reflectances, (3, band), are not negative, and their sum is 1 at each wavelength (after Mallett and Yuksel, "Spectral
+    The result (3, band) has no negative values, and its sum is 1 at each wavelength (after Mallett and Yuksel, "Spectral
     primary decomposition", 2019).
     """
     count = DRAWN.size

@@ -46,7 +46,7 @@ def _fixed_pattern(seed: int, rows: int, cols: int, prnu: float, dsnu: float, co
 
 
 def mosaic(electrons: NDArray[np.float32], cfa: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Select, for each pixel, the electrons of the channel that the CFA has there. The first pixel is at site (0, 0)."""
+    """Select the electrons of each pixel's channel according to the CFA. The first pixel is at site (0, 0)."""
     down, across = cfa.shape
     values = np.empty(electrons.shape[1:], electrons.dtype)
     for row, col in np.ndindex(cfa.shape):

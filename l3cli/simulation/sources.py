@@ -70,7 +70,7 @@ class Foliage(Random, tag_field="source", tag="foliage", kw_only=True):
 
 
 class Surfaces(Random, tag_field="source", tag="surfaces", kw_only=True):
-    """A chart of paints, plastics and textiles, which trains colours. It contains no patches of the ColorChecker."""
+    """A chart of paints, plastics and textiles, for training colours. It contains no patches of the ColorChecker."""
 
     patches: tuple[Count, Count] = (6, 9)
 
@@ -80,7 +80,7 @@ class ColorChecker(Synthetic, tag_field="source", tag="colorchecker", kw_only=Tr
 
 
 class Munsell(Synthetic, tag_field="source", tag="munsell", kw_only=True):
-    """A regular grid of colours with smooth reflectances. Hue varies along rows; lightness and chroma, along columns."""
+    """A regular grid of colours with smooth reflectances. Hue varies along rows. Lightness and chroma vary along columns."""
 
 
 class SlantedEdge(Synthetic, tag_field="source", tag="slanted edge", kw_only=True):
@@ -149,9 +149,9 @@ class Spectral(FileSource, kw_only=True):
     wavelength_range_nm: tuple[float, float, float] | None = None  # first, last and step; an alternative to wavelengths_nm
     # "radiance": the values are power per nm. "photons": the values are numbers of photons per nm.
     holds: Literal["reflectance", "radiance", "photons"] = "reflectance"
-    # Stored value of a perfect white. By default, it is read from the file. If the file does not contain it, it is 1 for
-    # floats, 255 for 8-bit integers, and 65535 for 16-bit integers that use the whole range. It is required for all other
-    # integers.
+    # Stored value of a perfect white. The default is the value in the file. If the file contains no such value, the default
+    # is 1 for floats, 255 for 8-bit integers, and 65535 for 16-bit integers that use the whole range. For all other
+    # integers, this key is required.
     white: Positive | None = None
     # Stored value that marks pixels without data, which training ignores. By default, it is read from the file.
     ignored: float | Literal["nan"] | None = None
@@ -383,8 +383,8 @@ def _polarisation_on_sensor(
 ) -> Polarisation:
     """Apply `framed` to the polarisation of a scene.
 
-    Samples are averaged in proportion to their brightness, (row, col, band) `reflectance`. A mirrored scene changes the sign
-    of S2, and a quarter turn the signs of S1 and S2.
+    Samples are weighted with their brightness, the mean of `reflectance` (row, col, band) over the bands. Mirroring changes
+    the sign of S2, and a quarter turn changes the signs of S1 and S2.
     """
     bright = np.maximum(reflectance.mean(axis=2, dtype=np.float32), np.float32(1e-6))[..., None]
     rows, cols, _, nodes = polarisation.ratio.shape
@@ -455,7 +455,7 @@ def _require_room(motion: Motion, size: tuple[int, int], scale: float) -> None:
 
 
 def scale_of(framing: Framing, camera: CameraModel, cols: int) -> float | None:
-    """Return the number of pixels per sample for a scene that is `cols` samples wide, or None if it is not resampled."""
+    """Return the number of pixels per sample for a scene of `cols` samples width, or None if the scene is not resampled."""
     if framing.field_of_view_deg is None:
         return framing.scale
     width = 2.0 * camera.optics.image_distance * np.tan(np.radians(framing.field_of_view_deg) / 2.0)
@@ -561,7 +561,7 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
     if ignored is not None:
         _fill(reflectance, ignored)
     if not np.isfinite(reflectance).all():
-        raise ValueError('the cube contains values that are not finite (NaN or Inf); repair it, or set ignored = "nan"')
+        raise ValueError('the cube contains values that are not finite (NaN or Inf); correct them, or set ignored = "nan"')
     _require_no_mark(values, ignored)
     np.maximum(reflectance, 0.0, out=reflectance)
     if source.holds != "reflectance" and source.white is None:

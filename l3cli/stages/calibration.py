@@ -1,5 +1,7 @@
-"""The stage of `l3 calibrate`: it estimates a camera model from measurements, or drafts a measurement file for a folder of
-captures."""
+"""The stage of `l3 calibrate`.
+
+It estimates a camera model from measurements, or writes a draft of a measurement file for a folder of captures.
+"""
 
 import itertools
 import os
@@ -128,7 +130,7 @@ def draft(folder: Path, output: Path, options: DraftOptions) -> FilesUsed:
 
     If the folder contains no raw frames, the draft describes its tables of responsivities. The frames contain no information
     about sensor, CFA and optics, so these values come from `options.camera`. Values that are still unknown are marked TODO
-    in the draft, and assumed values are marked ASSUMED. The most important of them are also printed.
+    in the draft, and assumed values are marked ASSUMED. The most important values of both types are also printed.
 
     Parameters
     ----------
@@ -197,7 +199,7 @@ def draft(folder: Path, output: Path, options: DraftOptions) -> FilesUsed:
 
 
 def _problem(text: str, output: Path) -> str:
-    """Return the error that `l3 calibrate` would report for a complete draft, or "" if there is none."""
+    """Return the error that `l3 calibrate` would report for a complete draft, or "" if the draft has no errors."""
     try:
         measurements_of(parse_measurements(text, output), output)
     except L3Error as error:
@@ -211,7 +213,7 @@ def _problem(text: str, output: Path) -> str:
 def named_from(path: Path, output: Path) -> str:
     """Return a path as it is written in the measurement file `output`.
 
-    The path is relative to the folder of the measurement file if this folder contains it. Otherwise it is absolute.
+    The path is relative to the folder of the measurement file if the path is inside this folder. Otherwise it is absolute.
     """
     relative = os.path.relpath(path, output.parent)
     return str(path.absolute()) if relative.startswith("..") else Path(relative).as_posix()

@@ -182,10 +182,10 @@ def _sizes(recipe: SceneRecipe, run: SimulationRun, files: list[list[Path]]) -> 
 
 
 def measurement_meaning(recipe: MeasurementRecipe | CorrectionRecipe, source: RecipeSource) -> Meaning:
-    """Return what `l3 check` reports about a measurement file: its sections.
+    """Return the summary of a measurement file for `l3 check`, and faults in its polariser frames.
 
-    Frames behind a rotating polariser that contradict each other, or the stated angles of the channels, are returned as
-    faults. If the file states no angles, they are those of the camera of `source`.
+    Frames behind a rotating polariser are faults if they contradict each other or the stated angles of the channels. If the
+    file states no angles, the angles of the camera in `source` are used.
     """
     measured = measurements_of(recipe, source.path)
     camera, body = source.camera, measured.body
@@ -199,7 +199,7 @@ class Kind(NamedTuple):
     """A type of recipe, such as camera recipes or class recipes."""
 
     name: str
-    # The structure of a complete recipe. If a recipe with the key `base` has another structure, it comes second.
+    # The structure of a complete recipe and, if different, the structure of a recipe with the key `base`.
     recipes: tuple[type[Recipe], ...]
     folder: str | None  # folder in configs/ that contains the recipes of this type that come with l3
 
@@ -298,7 +298,7 @@ INDENT = "  "
 # Similar faults have messages that differ only in the number of a list entry, or in the name of a missing file.
 ENTRY = re.compile(r"\[\d+\]|^.*(?= does not exist)")
 MAX_LISTED = 3  # more similar faults than this are printed as one line
-MAX_LINE_NUMBERS = 8  # largest number of line numbers in such a line
+MAX_LINE_NUMBERS = 8  # largest number of line numbers in a line about similar faults
 SYNTAX = re.compile(r"\(at line (\d+), column \d+\)")  # position in an error message of the TOML parser
 
 
@@ -337,8 +337,8 @@ def check(given: Sequence[str]) -> list[Judgement]:
     """Check recipes and return the results in the order of the arguments.
 
     Camera recipes are checked first, because the check of any other recipe needs a camera. The camera is the first camera
-    without faults in the folder of the recipe. If there is none, it is the first camera without faults in any folder. A file
-    that occurs twice is checked once.
+    without faults in the folder of the recipe. If this folder contains no such camera, the first camera without faults in
+    any folder is used. A file that occurs twice is checked once.
 
     Parameters
     ----------
@@ -411,7 +411,7 @@ def _is_camera(path: Path) -> bool:
 def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
     """Check one file.
 
-    The type of recipe is determined by the place of the file, if it comes with l3, or otherwise by its keys. A file that
+    If the file comes with l3, its folder determines the type of recipe. Otherwise its keys determine the type. A file that
     cannot be read, is not valid TOML, or has an unknown type has a single fault. If `camera` is set, the recipe is checked
     for this camera.
     """
@@ -496,7 +496,7 @@ def folded(findings: Iterable[Finding]) -> list[tuple[int, str]]:
     """Return the line number and the message of each finding, and combine similar findings.
 
     Findings are similar if their messages differ only in the number of a list entry or in the name of a missing file. If
-    more than MAX_LISTED findings are similar, only the first is returned. Its message lists the lines of the others.
+    more than MAX_LISTED findings are similar, only the first is returned. Its message lists the lines of the other findings.
     """
     alike: dict[str, list[Finding]] = {}
     for finding in findings:

@@ -92,4 +92,4 @@ def _write_page(comparison: Comparison, page: Path) -> None:
     sentences = {figure: comparison.sentences(figure) for figure in comparison.curves}
     doubt = [f"But {comparison.doubt}."] if comparison.doubt else []
     lead = " ".join([*itertools.chain(*sentences.values()), *comparison.clipping, *doubt])
-    write_whole(page, render_page(f"{names} over the light", lead, [luminance_section(values, sentences)]))
+    write_whole(page, render_page(f"{names} at different luminances", lead, [luminance_section(values, sentences)]))

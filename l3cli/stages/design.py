@@ -226,8 +226,8 @@ def _refuse(recipe: SceneRecipe, path: Path) -> None:
         )
     if recipe.pair or not recipe.scene or any(map(holds_codes, recipe.scene)):
         raise RecipeError(
-            f"{path}: moments can only be computed from spectral scenes; remove each [[pair]] and each picture whose codes "
-            "are signals of the channels"
+            f"{path}: moments can only be computed from spectral scenes; remove each [[pair]] and each scene with "
+            'holds = "codes"'
         )
     if any(isinstance(each, Spectral) and each.holds != "reflectance" and each.light is None for each in recipe.scene):
         raise RecipeError(
@@ -470,8 +470,8 @@ class _Run:
     def candidates(self, lists: Sequence[list[Cfa] | None]) -> Iterator[Cfa]:
         """Yield each CFA whose error is predicted, without duplicates.
 
-        These are all CFAs that fit a pattern of the recipe. For a pattern with too many CFAs, they are the results of
-        simulated annealing. All Bayer CFAs of the library of filters are also included.
+        All CFAs that fit a pattern of the recipe are candidates. If too many CFAs fit a pattern, the candidates are the
+        results of simulated annealing. All Bayer CFAs from the library of filters are also candidates.
 
         Parameters
         ----------
@@ -490,7 +490,7 @@ class _Run:
                 yield cfa
 
     def judged(self, arrays: Sequence[Cfa]) -> NDArray[np.float64]:
-        """Return the predicted errors, (CFA, level, group)."""
+        """Return the predicted errors of the CFAs as an array (CFA, level, group)."""
         groups = [arrays[start : start + CFAS_PER_PART] for start in range(0, len(arrays), CFAS_PER_PART)]
         return np.concatenate([part["errors"] for part in self._each("arrays", self.task.judged, groups)])
 

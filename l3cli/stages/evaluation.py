@@ -262,8 +262,11 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> tuple[dict[
 def document_of(
     evaluation: Evaluation, renderers: "FrameRenderers", head: TrainingSet, by_gain: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Return the output of `l3 evaluate --json`: the metrics of all evaluated frames, the metrics at several gains, and the
-    metrics on simulated charts, which are computed here."""
+    """Return the output of `l3 evaluate --json`.
+
+    It contains the metrics of all evaluated frames, the metrics at several gains, and metrics on simulated charts, which
+    this function computes.
+    """
 
     def planes(frame: TrainingPair) -> dict[str, NDArray]:
         return evaluation.developed(frame, renderers.of(frame).outputs(raw_of(frame, 0, head.camera)))
@@ -303,7 +306,7 @@ def warn_of_other_lights(
             lost.append(f"{', '.join(better)} under {group['illuminant']}")
     if lost:
         console.warn(
-            f"the table is worse than {listed(lost)}, because it was not trained for this light; add the illuminant to "
+            f"the table is worse than {listed(lost)}, because it was not trained for this illuminant; add the illuminant to "
             "illuminants in SCENES.toml and to learning.lights in CLASSES.toml"
         )
 

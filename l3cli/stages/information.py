@@ -28,12 +28,8 @@ from l3cli.rendering.opencl.devices import cache_warning, survey
 from l3cli.system.files import sha256
 from l3cli.system.limits import trusted
 
-WHOLE: tuple[type[Artifact], ...] = (
-    CameraModel,
-    TransformTable,
-    SceneMoments,
-    Design,
-)  # types that are small enough to be read whole
+# types that are small enough to be read whole
+WHOLE: tuple[type[Artifact], ...] = (CameraModel, TransformTable, SceneMoments, Design)
 
 
 def content(file: Path) -> dict[str, Any]:

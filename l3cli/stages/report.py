@@ -89,7 +89,7 @@ def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) ->
         If the page cannot be written.
     """
     if output.suffix != ".html":
-        raise RecipeError(f"{output} cannot contain a report, which is an HTML page; use a file name that ends in .html")
+        raise RecipeError(f"{output} is not the name of an HTML page; use a file name that ends in .html")
     console = options.console
     with OutputGuard(console) as guard:
         guard.protect(*artifacts)
@@ -238,8 +238,10 @@ def _array_sections(given: Given, cameras: list[tuple[str, CameraModel]], called
 
 
 def figures_of_camera(camera: CameraModel) -> dict[str, Any]:
-    """Return the output of `l3 calibrate --json` for a camera, and under "shortfall" why its fit is too poor ("" if it is
-    not)."""
+    """Return the output of `l3 calibrate --json` for a camera, with the additional entry "shortfall".
+
+    This entry says why the fit of the camera is too poor. It is "" if the fit is good, or if the camera was not fitted.
+    """
     doubt = shortfall(camera) if camera.fit else None
     return figures(camera) | {"shortfall": (doubt or "").partition(";")[0]}
 

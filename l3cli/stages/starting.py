@@ -1,4 +1,4 @@
-"""The stage of `l3 init`, which creates a folder with recipes and a Makefile for one camera, or for each of several cameras.
+"""The stage of `l3 init`, which creates a folder with recipes and a Makefile for each camera.
 
 The camera comes from one of these sources: a recipe that comes with l3, a recipe or design file of the user, the name of a
 known camera, or raw files. For raw files, l3 identifies the camera from their metadata.
@@ -281,7 +281,7 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> tu
 
 
 def refuse_as_table(photo: Path, inputs: Sequence[Path], output: Path) -> None:
-    """Raise the error for a raw file in the place where `l3 render` expects a table.
+    """Raise an error, because `l3 render` was called with a raw file in place of a table.
 
     The message contains commands that the user probably wants to run: the same command with the table first or, if the
     inputs contain no table, the commands that train a table and render the raw files.
@@ -385,8 +385,8 @@ def _raw_files(photo: Path) -> list[Path]:
 def _sorted_by_camera(files: Sequence[Path], listed: set[Path], console: Console) -> dict[str, list[tuple[Path, Stated]]]:
     """Group raw files by camera.
 
-    A file from a folder (`listed`) that is not a raw file is reported and skipped. Any other such file is an error. Raises
-    InputFileError if no file can be read.
+    A file that is not a raw file raises an InputFileError, unless it was found in a folder (`listed`). Such files are
+    reported and skipped. If no file remains, an InputFileError is raised, too.
     """
     cameras: dict[str, list[tuple[Path, Stated]]] = {}
     for path in dict.fromkeys(files):
@@ -453,8 +453,8 @@ def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
         if fit.guessed[0] and fit.likely is not None:
             light, white = f"an unknown illuminant ({guessed_light(fit.likely.of(0))})", CHART_WHITE
             options.console.warn(
-                f"{other.name}: l3 has estimated the illuminant of the chart, and all colours depend on the illuminant; "
-                "set it with ‹light›"
+                f"{other.name}: l3 has estimated the illuminant of the chart, and all colours depend on this estimate; "
+                "set the illuminant with ‹light›"
             )
         origin = f"of the {fit.charts[0]} ColorChecker in {other.name}, under {light}"
         if known.noise is None:
@@ -587,7 +587,7 @@ def _misplaced(body: Body, doubt: PhaseDoubt) -> str:
     else:
         least = f"and with {pattern} by only {doubt.least:.1%}"
         why = f"but with this CFA pixels of one channel differ by {doubt.stated:.1%}, {least}"
-    other = f", {others} if that makes colours right" if others else ""
+    other = f", or {others} if the colours are wrong" if others else ""
     return f"the file states the CFA {stated[1]}, {why}; set ‹phase› {best}{other}, or 0,0 if the file is right"
 
 
@@ -636,14 +636,14 @@ def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[r
         what = "the colour matrices" if len(chosen) > 1 else "the colour matrix"
         return responsivity.curves_of_matrices(
             stated, prior
-        ), f"from {what} for {lights}; a photo of a ColorChecker gives better ones"
+        ), f"from {what} for {lights}; a photo of a ColorChecker gives better curves"
     if prior.source == MEASURED:
         curves = responsivity.usual_curves(prior)
         origin = "assumed: the mean of 52 measured cameras, because the file states no colour matrix"
         neutral = measured.photos[0].frames[0].neutral
         if neutral is None or np.ptp(neutral) > 0:
             return curves, origin
-        # Equal signals for grey mean that the raw values have already been white-balanced, because no sensor responds so.
+        # If a grey has equal signals, the raw values are already white-balanced. No sensor responds equally in all channels.
         balanced = responsivity.balanced_curves(curves, "D65")
         return balanced, f"{origin}; balanced for D65, because the values in the file are white-balanced"
     if len(channels) == 1:

@@ -161,7 +161,7 @@ def test_an_array_that_the_pixels_belie_is_refused_until_answered(
     call = ("init", "--from", tmp_path / "a.dng", tmp_path / "mine")
     line = refused(3, *call)
     assert "a.dng: the file states the CFA rg/gb, but with this CFA pixels of one channel differ by " in line
-    assert line.endswith("set --phase 1,0, 0,1 (gr/bg) if that makes colours right, or 0,0 if the file is right\n")
+    assert line.endswith("set --phase 1,0, or 0,1 (gr/bg) if the colours are wrong, or 0,0 if the file is right\n")
     assert not (tmp_path / "mine").exists()
     code, _, err = l3(*call, "--phase", "1,0")
     assert code == 0, err

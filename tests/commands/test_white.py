@@ -341,7 +341,7 @@ def test_by_the_table_s_white_all_lights_are_taken_in_common(
 ) -> None:
     code, _, err = l3("render", several, warm, "--white", "table", "-o", tmp_path / "a.png", *FAST)
     assert code == 0
-    assert "transforms that all illuminants of the table share (A, D65); to use the transforms for one" in err
+    assert "transforms trained on all illuminants of the table (A, D65); to use the transforms for one" in err
     assert l3("render", table, warm, "--white", "table", "-o", tmp_path / "b.png", *FAST)[0] == 0
     one, other = (read_image(tmp_path / name)[0] for name in ("a.png", "b.png"))
     np.testing.assert_array_equal(one, other)

@@ -24,9 +24,7 @@ from l3cli.errors import DeviceError, shortened
 from l3cli.rendering.opencl.processor import compiled_for
 
 MIN_FREE_BYTES = 16 << 20  # free space that is required, several times the space for the kernels of a table
-MAX_EMPTY_FILE_SECONDS = (
-    86400  # age, in s, at which empty files are removed; every process with PoCL 3.0 leaves an empty file
-)
+MAX_EMPTY_FILE_SECONDS = 86400  # older empty files are removed; every process with PoCL 3.0 leaves an empty file
 INSTALL = 'install a driver with: pip install "pyopencl[pocl]"'
 LINKER = "ld"  # linker that PoCL calls; without it, or without the libraries of a C compiler, PoCL aborts the process
 REFUSES_PROCESSOR = "unknown target CPU"  # part of the message of PoCL's compiler for a processor that is too new

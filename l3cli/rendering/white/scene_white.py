@@ -476,8 +476,8 @@ def far_from_training(asked: str, white: SceneWhite, table: TransformTable) -> s
         return ""
     x, y = table.white_point[:2] / table.white_point.sum()
     how = (
-        "l3 only adapts the colours; set ‹white› to the name of the scene's illuminant, or train with this illuminant in the "
-        "scene recipe"
+        "l3 only adapts the colours; set ‹white› to the name of the scene's illuminant, or train with this illuminant in "
+        "the scene recipe"
     )
     if white.modelled:
         how = (

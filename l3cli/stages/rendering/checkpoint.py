@@ -145,8 +145,7 @@ class FrameOrigins:
         return self._with_origin(reference, hashlib.sha256(frame.values.tobytes()).hexdigest())
 
     def of_all(self, sequence: FrameSequence) -> str:
-        """Return the origin of a video or of a file with several pages. For frames from a stream without a file,
-        return ""."""
+        """Return the origin of a video or of a multi-page file, or "" for frames from a stream without a file."""
         if not sequence.is_stream:
             return _digest([self.of(reference).origin for reference in sequence.frames] + [str(sequence.part)])
         if not self._inputs.is_file():

@@ -68,8 +68,7 @@ def are_clips(inputs: Sequence[Path], table: Path, options: RenderOptions, outpu
 
 
 def _is_stack(path: Path, sensor: Callable[[], TransformTable], known: RawOverrides) -> bool:
-    """Whether a file contains several frames. Return False if the file cannot be read, because the error is
-    reported later."""
+    """Whether a file contains several frames. Return False for unreadable files, whose errors are reported later."""
     with contextlib.suppress(L3Error, OSError):
         return path.is_file() and holds_several(path, sensor, known)
     return False

@@ -20,9 +20,8 @@ class FlickerReport:
 
     frames: int = 0  # number of frames
     squares: float = 0.0  # sum of squares of the logarithms of the correction factors
-    mains: Counter[int | None] = field(
-        default_factory=Counter
-    )  # mains frequency in Hz (None: no flicker) → number of frames
+    # mains frequency in Hz (None: no flicker) → number of frames
+    mains: Counter[int | None] = field(default_factory=Counter)
 
     def line(self) -> str:
         """Return the report as one line of text."""

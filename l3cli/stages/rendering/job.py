@@ -70,7 +70,7 @@ class Job:
     options: RenderOptions
 
     def find(self, overrides: RawOverrides) -> FrameSequence:
-        """Return the frames of the inputs. Later, they are read with the given overrides."""
+        """Return the frames of the inputs, which are read later with the given overrides."""
         return find_frames(self.inputs, self.table, overrides, self.options.frames, self.options.dataset)
 
     @property
@@ -221,8 +221,7 @@ def _engine(options: RenderOptions) -> dict[str, str]:
 def _prepared_meanwhile(
     backend: str, engine: dict[str, str], suffix: str | None, scheduler: "Scheduler | None"
 ) -> BackgroundTask:
-    """Context manager that prepares the OpenCL device and the writer for files with `suffix` in the background during its
-    block."""
+    """Return a context manager that prepares the OpenCL device and the writer of `suffix` files while its block runs."""
 
     def work() -> None:
         if scheduler is None:
@@ -436,7 +435,7 @@ def light_mix_of_given(white: str | None, table: TransformTable, choice: Choice,
     if given is None:
         names = ", ".join(light.name for light in table.lights)
         console.info(
-            f"using the transforms that all illuminants of the table share ({names}); to use the transforms for one "
+            f"using the transforms trained on all illuminants of the table ({names}); to use the transforms for one "
             "illuminant, set ‹white›"
         )
         return None
@@ -474,8 +473,7 @@ def _rendition(destination: Destination, white: str | None, table: TransformTabl
 
 
 def warn_of_white(name: str, white: SceneWhite, table: TransformTable, console: Console) -> None:
-    """Warn if a white is far from the training illuminants, or if the camera has no data for part of the illuminant's
-    spectrum."""
+    """Warn if a white is far from the training illuminants, or if the camera is sensitive where its spectrum is unknown."""
     if doubt := far_from_training(name, white, table):
         console.warn(doubt)
     if table.camera is not None and "," not in name:

@@ -113,7 +113,7 @@ def _light_mix_of_first(source: WhiteSource, job: Job, sequence: FrameSequence) 
     if frame is None or white is None:
         if not is_single:
             console.info(
-                "the white of the first frame is unknown; using the transforms that all illuminants of the table share"
+                "the white of the first frame is unknown; using the transforms trained on all illuminants of the table"
             )
         return None, frames
     light_mix = nearest_for(job.table, white.light.xyz)
@@ -169,11 +169,11 @@ def _timing(job: Job) -> tuple[VideoChoice, Pacing]:
 
 
 def _temporal_filters(job: Job, table: TransformTable) -> Chunks:
-    """Return the temporal filters, which run in this process even if workers render the frames, because they need all frames
-    in order.
+    """Return the temporal filters of a run.
 
-    A single frame causes a warning. If workers render the frames and this machine has no OpenCL device, the filters run with
-    numpy.
+    The filters run in this process even if workers render the frames, because the filters need all frames in order. If
+    workers render the frames and this machine has no OpenCL device, the filters run with numpy. A warning is sent to the
+    console if there is only one frame.
     """
     if job.sequence.count == 1:
         job.options.console.warn("‹temporal› has no effect on a single frame; render a sequence, or leave ‹temporal› out")

@@ -85,7 +85,7 @@ class PictureMaker:
                 yield from self._displayed(run, usual)
 
     def _displayed(self, tasks: Iterable[FrameTask], usual: WhiteBalance) -> Iterator[tuple[FrameTask, Picture]]:
-        """Yield each frame with its encoded picture. The white balance is `usual` for frames that have none of their own."""
+        """Yield each frame with its encoded picture. Frames without their own white balance are rendered with `usual`."""
         started: deque[FrameTask] = deque()
 
         def displayed() -> Iterator[tuple[RawFrame, Display]]:

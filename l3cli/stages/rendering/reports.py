@@ -69,7 +69,7 @@ class WhiteReport:
     def add(self, frame: RawFrame, white: SceneWhite | None) -> None:
         """Add a frame and its white. `white` is None if the white of the frame is unknown.
 
-        The white of a still, and the white of the first frame of a sequence, are reported at once. The first white is
+        The white of a still, and the white of the first frame of a sequence, are reported immediately. The first white is
         checked.
         """
         if self._source is None:

@@ -75,7 +75,7 @@ def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callabl
     Raises
     ------
     InputFileError
-        If the scene cannot be read, is smaller than the sensor, or has no data at the wavelengths of the camera.
+        If the scene cannot be read, is too small or larger than the sensor, or has no data at the wavelengths of the camera.
     RecipeError
         If a synthetic scene cannot be used.
     """
@@ -156,7 +156,7 @@ def _keys(source: sources.Source, path: Path, run: SimulationRun) -> dict[str, A
 
 
 def refusals(run: SimulationRun, files: list[list[Path]]) -> list[dict[Path, InputFileError]]:
-    """Find the scene files that cannot be read or that are too small for the sensor. Only the headers are read.
+    """Find the scene files that cannot be read, are too small, or are larger than the sensor. Only the headers are read.
 
     Returns
     -------
@@ -166,7 +166,7 @@ def refusals(run: SimulationRun, files: list[list[Path]]) -> list[dict[Path, Inp
     Raises
     ------
     RecipeError
-        If a synthetic scene is too small.
+        If a synthetic scene is too small, or larger than the sensor.
     """
     bad: list[dict[Path, InputFileError]] = []
     for source, paths in zip(run.recipe.scene, files, strict=True):
@@ -189,9 +189,9 @@ def size_of(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, int]:
     Raises
     ------
     InputFileError
-        If a scene file cannot be read or is too small.
+        If a scene file cannot be read, or if the crop or the moving camera extends beyond the scene.
     RecipeError
-        If a synthetic scene is too small.
+        If the crop or the moving camera extends beyond a synthetic scene.
     """
     from l3cli.simulation.sources import framed_size
 

@@ -170,8 +170,7 @@ def _assemble(stored: StoredFrames, head: TrainingSet, output: Path, console: Co
         console.warn(f"the scene {worst.scene} has no data for {share}; use scenes with a wider range of wavelengths")
 
 
-# Channels of an EXR file with motion: displacement downwards, displacement to the right, and 1 if the pixel was visible
-# before
+# Channels of an EXR file with motion: displacement down and right in pixels, and 1 if the previous frame shows the pixel.
 MOTION_CHANNELS = ("down", "right", "seen")
 PICTURE_FILES = (f"*{RAW}", f"*{IDEAL}", "*_ideal.exr", f"*{MOTION}", "*.dng")  # names of the pictures that l3 writes
 

@@ -28,8 +28,7 @@ SAME_WHITE = 1e-3  # largest difference between two whites of one illuminant, on
 
 
 def learn_conditions(run: TrainingRun, table: TransformTable, execution: Execution) -> TransformTable:
-    """Train additional transforms for each combination of illuminant and noise in the recipe, and return the table with
-    these transforms."""
+    """Train additional transforms for each illuminant and noise in the recipe, and add the transforms to the table."""
     table = _with_noises(run, pass_of(run, table), table, table, execution)
     for name, of_light in runs_by_light(run):
         execution.console.info(f"training transforms for {name} on {len(of_light.patches)} frames")
@@ -81,7 +80,7 @@ def runs_by_light(run: TrainingRun) -> list[tuple[str, TrainingRun]]:
     if run.head.outputs[:3] != XYZ or run.head.target_light is not None:
         raise InputFileError(
             f"{named}: the key learning.lights needs XYZ targets that were computed under the illuminant of each frame; "
-            "remove learning.lights, or remove `illuminant` from [target] in the scene recipe and simulate again"
+            'remove learning.lights, or remove "illuminant" from [target] in the scene recipe and simulate again'
         )
     frames, mireds = _frames_by_light(run, named)
     for light in lights:

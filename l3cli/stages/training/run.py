@@ -106,7 +106,7 @@ class TrainingRun:
         """Whether refinement layers apply.
 
         Tables with three outputs may have any number of refinement layers. Spectral tables may have exactly one layer, with
-        structure classes. It refines the leading components of the spectra.
+        structure classes. This layer refines the leading components of the spectra.
         """
         layers = self.recipe.layer
         corrects = len(layers) == 1 and not (layers[0].leaves or layers[0].coarse_chroma) and has_components(self.head)

@@ -205,8 +205,7 @@ def _write_shard(
 def _sums(
     run: TrainingRun, pass_: TrainingPass, table: TransformTable | None, shard: tuple[int, int], execution: Execution
 ) -> Iterator[ClassSums]:
-    """Yield the sums over the frames of a shard, for each canonical site in order. A shard without frames yields
-    empty sums."""
+    """Yield the sums of each canonical site, in order, over the frames of a shard. Without frames, the sums are empty."""
     index, count = shard
     blocks = frame_blocks(pass_.patches)[index - 1 :: count]
     sums = summed(sum_unit, run, pass_, table, blocks, execution)
@@ -310,7 +309,7 @@ def _learned(pass_: TrainingPass, readers: list[PartialSumsReader], condition: i
 
 
 def _recipe_and_seed(reader: PartialSumsReader, path: Path) -> tuple[TrainingRecipe, int]:
-    """Return the class recipe and the seed of the training run to which partial sums belong. They are stored in the history.
+    """Return the class recipe and the seed of a training run from the history of its partial sums.
 
     Raises
     ------
