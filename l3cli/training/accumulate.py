@@ -4,7 +4,7 @@ This takes two steps, so that intermediate arrays fit into the processor caches:
 
 1. Small groups of patches are scaled to random levels, get noise, and are assigned to classes. Only the class, level and
    scale of each patch are kept.
-2. The patches are sorted by class. Then they are scaled again, this time without noise, and weighted, and their products are
+2. The patches are sorted by class. They are then scaled again, this time without noise, and weighted. Their products are
    added to the sums of the classes.
 """
 
@@ -97,9 +97,8 @@ class _Batch:
     ) -> None:
         self.pass_, self.patches, self.neighbours, self.site, self.weighting = pass_, patches, neighbours, site, weighting
         member = (neighbours.channel[site][:, None] == np.arange(neighbours.count.shape[1])) / neighbours.count[site]
-        self.tap_share = member.mean(axis=1).astype(
-            np.float32
-        )  # weights of the taps in the level, the mean of the channel means
+        # weight of each tap in the level, which is the mean of the channel means
+        self.tap_share = member.mean(axis=1).astype(np.float32)
 
     def add_to(self, sums: ClassSums, rng: np.random.Generator) -> None:
         """Scale the patches to random levels, determine their classes, and add them to `sums`."""

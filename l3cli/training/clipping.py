@@ -58,7 +58,7 @@ def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Ar
     weight = np.maximum(over, 1.0) ** -EXPOSURE_POWER / (len(signals) * target[:, 1] * seen.mean(axis=1))
     features, missing = (np.concatenate([each, _changes(each)]) for each in (features, missing))
     weight = np.concatenate([weight, CHANGE_WEIGHT * weight[len(weight) // EXPOSURES.size :]])
-    # The result of BLAS would depend on its number of threads.
+    # einsum instead of BLAS, because the results of BLAS depend on the number of threads
     system = np.einsum("r,ri,rj->ij", weight, features, features, optimize=False)
     right = np.einsum("r,ri,rj->ij", weight, features, missing, optimize=False)
     system += SAMPLE_RIDGE * np.eye(len(system))
@@ -74,7 +74,7 @@ def _changes(values: Array) -> Array:
 
 
 def _colours(signals: Array, outputs: Array) -> Array:
-    """Fit a matrix (channel, output) from signals to outputs, both relative to white. It reproduces white exactly."""
+    """Fit a matrix (channel, output) from signals to outputs, both relative to white. White is reproduced exactly."""
     weight = 1 / signals.mean(axis=1)
     about, wanted = (each - signals.mean(axis=1, keepdims=True) for each in (signals, outputs))
     power = np.einsum("s,si,sj->ij", weight**2, about, about, optimize=False)

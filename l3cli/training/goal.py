@@ -23,7 +23,7 @@ ONE_LIGHT = 0.001  # largest spread of illuminants that are treated as one illum
 
 @dataclass(frozen=True)
 class Goal:
-    """Everything except the training samples on which the transforms of the first layer depend."""
+    """Everything on which the transforms of the first layer depend, except the training samples."""
 
     outputs: tuple[str, ...]
     channels: tuple[str, ...]

@@ -128,8 +128,8 @@ def patches_of(
 def colourless_frame(frame: TrainingPair, head: TrainingSet) -> TrainingFrame | None:
     """Return a version of the frame without colour, or None if this is not possible.
 
-    The frame must be simulated under a known illuminant, and its outputs must begin with X, Y, Z or be Stokes parameters,
-    which are then those of unpolarised light.
+    The frame must be simulated under a known illuminant, and its outputs must begin with X, Y, Z or be Stokes parameters.
+    The Stokes parameters of the new frame describe unpolarised light.
     """
     if not isinstance(frame, TrainingFrame) or frame.light is None or head.outputs[:3] not in (XYZ, STOKES):
         return None

@@ -1,4 +1,4 @@
-"""Train uniform areas on measured surfaces, besides the patches of scenes (docs/method.md#uniform-surfaces).
+"""Train uniform areas on measured surfaces, in addition to the patches of scenes (docs/method.md#uniform-surfaces).
 
 Most patches of scenes are textured. From such patches, a class learns to infer colour from detail, which gives wrong colours
 in uniform areas. Therefore each class of uniform areas is also trained on uniform areas of measured surfaces of its chroma.
@@ -117,8 +117,8 @@ def shares(signals: Array) -> Array:
 def optimal_reflectances(wavelength: Array) -> Array:
     """Return reflectances near Schrödinger's optimal colours, the most saturated colours that a surface can have.
 
-    Each reflectance is 1 within one wavelength band, or everywhere except in one band. Elsewhere it has one of the values
-    `BLACKS`.
+    Each reflectance is 1 within one wavelength band, or everywhere except in one band. At all other wavelengths, the
+    reflectance is one of the values `BLACKS`.
 
     Returns
     -------
@@ -173,7 +173,7 @@ class PlainSurfaces:
     white: Array  # (channel) signals of white
     greys: int  # number of white and grey paints, which are the last surfaces
     beyond: Array  # (sample, channel) signals of stripes that look like impossible colours, then of optimal colours
-    beyond_outputs: Array  # (sample, 3) X, Y, Z of these samples; for stripes, those of white
+    beyond_outputs: Array  # (sample, 3) X, Y, Z of these samples; all stripes have the X, Y, Z of white
     stripes: int  # number of samples that are stripes
 
     def moments(self, rule: ClassRule, window: NDArray[np.int64]) -> list[Array | None]:
@@ -223,8 +223,8 @@ class PlainSurfaces:
         stripes = np.bincount(chroma[: self.stripes], minlength=rule.chromas)
         vivid = np.bincount(chroma[self.stripes :], minlength=rule.chromas)
         surfaces = np.bincount(_nearest(self.signals, chroma_centres(rule)), minlength=rule.chromas)
-        # Only stripes have a chroma if it contains few surfaces, and at least half of the modulations of one pattern. Other
-        # chromas contain only stripes of low modulation.
+        # A chroma is trained on stripes if it contains few surfaces and at least half of the modulations of one pattern.
+        # Chromas with fewer modulations contain only stripes of low modulation.
         theirs = np.flatnonzero((stripes >= len(MODULATIONS) / 2) & (surfaces < MIN_SURFACES * self.signals.shape[1]))
         every = {}
         for each in theirs.tolist():
@@ -246,7 +246,7 @@ def _moments(signals: Array, outputs: Array, count: Array, window: NDArray[np.in
     """Return the weighted mean moments (column, column) of samples. `count` contains the weight of each sample."""
     weight = count / count.sum() / (signals.mean(axis=1) * outputs[:, 1])
     values = np.concatenate([signals, np.zeros((len(signals), 1)), outputs], axis=1)
-    # The result of BLAS would depend on its number of threads.
+    # einsum instead of BLAS, because the results of BLAS depend on the number of threads
     products = np.einsum("s,si,sj->ij", weight, values, values, optimize=False)
     channels = signals.shape[1]
     columns = np.concatenate([window, np.arange(channels, values.shape[1])])  # all taps of a channel have the same value
@@ -295,7 +295,7 @@ def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpect
 
 
 def _seen(reflectances: Array, to_signals: Array, to_outputs: Array) -> tuple[Array, Array]:
-    """Return the signals and outputs of surfaces. The result of BLAS would depend on its number of threads."""
+    """Return the signals and outputs of surfaces. Results of BLAS would depend on the number of threads."""
     return np.einsum("sw,cw->sc", reflectances, to_signals), np.einsum("sw,ow->so", reflectances, to_outputs)
 
 

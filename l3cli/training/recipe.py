@@ -57,8 +57,8 @@ class LearningRecipe(Recipe):
     # fraction of the temporal noise for which a second set of transforms is trained, which is used for pixels in which
     # --temporal has left little noise (docs/method.md#noise-sets); with 0 there is no second set
     noise_left: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.0
-    # illuminants of the training frames that get transforms of their own, besides the common transforms; the white of a
-    # rendered scene selects the transforms (docs/method.md#several-illuminants)
+    # illuminants of the training frames for which additional transforms are trained; the white of a rendered scene selects
+    # the transforms (docs/method.md#several-illuminants)
     lights: tuple[str, ...] = ()
     # training samples have the weight level^-power: with 1, errors count relative to the level, and with 0, absolutely
     level_power: Share = 1.0
@@ -83,10 +83,10 @@ class LearningRecipe(Recipe):
     spectral_window: Annotated[int, msgspec.Meta(ge=0, le=WINDOWS[-1])] = 0
     # smoothing ignores pixels whose brightness differs from the central pixel by at least this fraction
     spectral_reach: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.3
-    # X, Y, Z only: limit of the difference of X/Y and Z/Y, relative to those of white, for averaging the chroma of a pixel
-    # with that of a neighbour (docs/method.md#smoothed-chroma); with 0, chroma is not smoothed
+    # X, Y, Z only: the chroma of a pixel is averaged with the chroma of a neighbour if X/Y and Z/Y, relative to white,
+    # differ by less than this limit (docs/method.md#smoothed-chroma); with 0, chroma is not smoothed
     chroma_likeness: NotNegative = 0.0
-    # limit of the relative difference of luminance for averaging the chroma
+    # the chroma of two pixels is averaged only if their luminances differ by less than this fraction
     chroma_reach: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.6
     symmetry: bool = True  # whether rotated and mirrored CFA sites are trained together (docs/method.md#symmetry)
     # whether all CFA sites must produce the same outputs for a uniform patch (docs/method.md#equal-response)
@@ -149,8 +149,10 @@ class LayerRecipe(Recipe):
 
 
 class TrainingRecipe(Recipe):
-    """A class recipe: the classes of the first layer, how they are trained, and up to three refinement layers. Omitted keys
-    have the defaults below, which describe a single layer."""
+    """A class recipe: the classes of the first layer, their training, and up to three refinement layers.
+
+    Omitted keys have the defaults below, which describe a single layer.
+    """
 
     title: ClassVar[str] = "a class recipe"
 
@@ -162,9 +164,9 @@ class TrainingRecipe(Recipe):
 def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
     """Return a copy of the recipe in which the levels that depend on the camera are set.
 
-    If `darkest` is 0, it becomes the level at which the signal equals its noise, or the lowest level of the classes if that
-    is higher (docs/method.md#level-rescaling). If the channels have different exposures or gains, `brightest` is raised so
-    that the least sensitive channel clips, too (docs/method.md#exposures).
+    If `darkest` is 0, it becomes the level at which the signal equals its noise, or the lowest level of the classes if this
+    level is higher (docs/method.md#level-rescaling). If the channels have different exposures or gains, `brightest` is
+    raised so that the least sensitive channel clips, too (docs/method.md#exposures).
 
     Parameters
     ----------
@@ -253,7 +255,9 @@ def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
         message = f'learning.noise_left is {recipe.noise_left:g}, but learning.noise is "none"; remove one of the two keys'
         yield fault(message, "learning.noise_left")
     if recipe.lights and len(set(recipe.lights)) < max(2, len(recipe.lights)):
-        yield fault("learning.lights must name at least two illuminants, and each illuminant only once", "learning.lights")
+        yield fault(
+            "learning.lights must contain at least two illuminants, and each illuminant only once", "learning.lights"
+        )
     if recipe.spectral_window not in (0, *WINDOWS):
         message = (
             f"learning.spectral_window is {recipe.spectral_window}; use 0 for no smoothing, or one of "

@@ -33,7 +33,8 @@ from l3cli.training.symmetry import Turn
 
 Array = NDArray[np.float64]
 CASE_SHARE = 0.1  # smallest fraction of the pseudo-patches that are a mean over all levels of the saturation case
-# If the level and saturation case of a parent have this number of patches, the fraction is 0.55. It falls with more patches.
+# If the level and saturation case of a parent have this number of patches, the fraction is 0.55. With more patches, the
+# fraction falls towards CASE_SHARE.
 THIN_PARENT = 100.0
 
 
@@ -286,10 +287,10 @@ def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Arr
 
 
 def _near_white(rule: ClassRule, goal: Goal) -> Array:
-    """Return 2000 χ for each class, where χ is the nearness of its chroma to white (see WHITE_FADES).
+    """Return the factor 2000 χ of each class, which determines how fast noise reduces the weight of uniform surfaces.
 
-    The larger this value, the more noise reduces the weight of uniform surfaces in the class. Noise moves greys into classes
-    with chromas near white, and these greys must stay grey.
+    χ is the nearness of the chroma of the class to white (see WHITE_FADES). Noise moves greys into classes with chromas near
+    white. These greys must stay grey, so noisy classes near white are trained less on uniform surfaces.
     """
     kind = rule.split(np.arange(rule.classes_per_site)).kind
     if goal.surfaces is None:
@@ -398,8 +399,9 @@ def _constrained(
 
 
 def _exact_white(solutions: list[Solution], goal: Goal) -> Array | None:
-    """Return the signals of white if the outputs are colours or Stokes parameters, and if the patches of every site agree
-    with these signals.
+    """Return the signals of white, or None if they are unknown or contradict the patches of a site.
+
+    The result is also None if the outputs are neither colours nor Stokes parameters.
     """
     known, borne = goal.white_signal, [solution.white for solution in solutions]
     if (
@@ -450,7 +452,7 @@ def _nearest(filled: NDArray[np.bool_], rule: ClassRule) -> NDArray[np.int64]:
     """Return, for each class, the solved class whose transform it uses.
 
     A solved class uses its own transform. Any other class uses the class of the same kind at the nearest level and contrast,
-    preferably with the same direction. If no class of the same kind is solved, it uses the nearest class of any kind.
+    preferably with the same direction. If no class of the same kind is solved, the nearest class of any kind is used.
     """
     _, level, contrast, combination, kind = rule.split(np.arange(filled.size))
     known = np.flatnonzero(filled)

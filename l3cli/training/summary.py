@@ -253,7 +253,7 @@ def _kinds(layer: dict[str, Any]) -> str:
 
 
 def class_meaning(recipe: TrainingRecipe, source: RecipeSource) -> Meaning:
-    """Return the `class_figures` of a recipe and an empty list of text lines, for ``l3 check``."""
+    """Return the summary of a class recipe for ``l3 check``, and an empty list of faults."""
     return class_figures(recipe, source.camera), []
 
 
@@ -271,16 +271,15 @@ def class_figures(recipe: TrainingRecipe, camera: CameraModel | None) -> dict[st
     -------
     dict
         Number of values of each feature, number of classes per site of each layer, and training settings. The number of
-        saturation cases is the largest possible one. With a camera, ``table_bytes`` is the size of the table in bytes.
+        saturation cases is the largest possible number. With a camera, ``table_bytes`` is the size of the table in bytes.
     """
     classes = recipe.classes
     levels, contrasts = level.edge_shares(classes).size + 1, len(classes.contrasts) + 1
     cases = classes.max_cases if camera is None else min(classes.max_cases, 2 ** len(camera.channels))
     sizes: dict[str, int] = {}
     if camera is not None:
-        rule = make_rule(
-            classes, camera, np.zeros(2 ** len(camera.channels), np.uint16)
-        )  # saturation cases do not matter here
+        # the saturation cases do not affect the sizes
+        rule = make_rule(classes, camera, np.zeros(2 ** len(camera.channels), np.uint16))
         sizes = {feature.name: feature.size for feature in rule.feature_list}
     chromas = max(1, classes.chromas)
     first = levels * contrasts * int(np.prod(list(sizes.values()), initial=1)) * (chromas + cases - 1)

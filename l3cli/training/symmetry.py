@@ -31,7 +31,7 @@ HALF_TURN: Allowed = (0, 2)  # for polarisers, because all other orientations ch
 
 
 def orientations_of_scenes(camera: CameraModel) -> Allowed:
-    """Return the orientations in which a scene is as likely, and is recorded in the same way, as the scene itself."""
+    """Return the orientations in which a turned scene is as likely as the scene itself, and is recorded in the same way."""
     return EVERY_ORIENTATION if camera.polarisers is None else HALF_TURN
 
 

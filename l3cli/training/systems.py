@@ -106,7 +106,7 @@ def fits_between(transforms: Array) -> NDArray[np.bool_]:
 
 
 def _moderate(solutions: Array, member: Array, taps: int, integers: Integers) -> NDArray[np.bool_]:
-    """Return, for each class, whether its transform is at most 1/`EQUAL_RESPONSE_MARGIN` of the largest possible one.
+    """Return, for each class, whether its transform is at most 1/`EQUAL_RESPONSE_MARGIN` of the largest possible transform.
 
     The change of the taps that raises the response to one channel by 1 must also stay below this limit.
     """

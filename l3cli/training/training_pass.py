@@ -80,8 +80,8 @@ class TrainingPass:
     def brightness(self, target: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the brightness of each target (patch, output). Training errors are relative to the brightness.
 
-        The brightness is the output Y or S0, or the mean of the outputs if there is neither. Negative values are replaced
-        by 0.
+        The brightness is the output Y or S0, or the mean of the outputs if they contain neither. Negative values are
+        replaced by 0.
         """
         return np.maximum(brightness_of(target, self.head.outputs), np.float32(0.0))
 
@@ -132,7 +132,7 @@ def spread_patches(patches: int, frames: Sequence[int], shares: Sequence[Fractio
 
 
 def brightness_of(target: NDArray, outputs: tuple[str, ...]) -> NDArray:
-    """Return the luminance of targets (…, output): the output Y or S0, or the mean of the outputs if there is neither."""
+    """Return the luminance of targets (…, output): the output Y or S0, or the mean of the outputs without Y and S0."""
     name = luminance_name(outputs)
     return target[..., outputs.index(name)] if name in outputs else target.mean(axis=-1)
 

@@ -1,8 +1,8 @@
-// Areas where channels clip (l3cli/classes/clipping.py). The kernels compute the means and the range of each block of the mosaic, and from
-// the means and the range seven map values. The first four maps replace the outputs in uniform areas. Map 0 is the replaced fraction of the
-// outputs, and maps 1 to 3 are the values added to X, Y and Z. The last three maps then change the hue of pixels to the hue of unclipped
-// blocks. Map 4 is the degree of this change, maps 5 and 6 are X/Y and Z/Y of the new hue multiplied by the degree. The maps are
-// interpolated at quads (2 × 2 pixels). The eighth value of a block is its uniformity.
+// Areas where channels clip (l3cli/classes/clipping.py). The kernels compute the means and the range of each block of the mosaic. From these
+// statistics they compute seven maps. Maps 0 to 3 replace the outputs in uniform areas: map 0 is the replaced fraction of the outputs, and
+// maps 1 to 3 are the values added to X, Y and Z. Maps 4 to 6 then change the hue of pixels to the hue of unclipped blocks: map 4 is the
+// degree of this change, and maps 5 and 6 are X/Y and Z/Y of the new hue multiplied by this degree. The maps are interpolated at quads
+// (2 × 2 pixels). The eighth value of a block is its uniformity.
 
 // Built-in functions are function calls in PoCL 3.0, and therefore slow. These macros replace max, min and clamp.
 #define MORE(a, b) ((a) > (b) ? (a) : (b))
@@ -98,10 +98,10 @@ INLINE void add_clipped(float added[3], const float *signal, float factor, __glo
     }
 }
 
-// Computes the first four maps and the uniformity of block (y, x). `response` is (clipped, signal, output), followed by the signals of a white. Blocks whose
-// means are far below BEGINS are skipped, because a uniform area that contains such a block has no bright blocks. Ignored blocks are
-// skipped, too, because they differ from neighbours that are not ignored. Blocks without a clipped channel are not skipped, because the
-// grey of the same brightness may clip.
+// Computes the first four maps and the uniformity of block (y, x). `response` is (clipped, signal, output), followed by the signals of a
+// white. Blocks whose means are far below BEGINS are skipped, because a uniform area that contains such a block has no bright blocks.
+// Ignored blocks are skipped, too, because they differ from neighbours that are not ignored. Blocks without a clipped channel are not
+// skipped, because the grey of the same brightness may clip.
 INLINE float4 replacement_of(int y, int x, __global const float *restrict means, __global const float *restrict response, int rows,
                              int columns, float *uniformity) {
     const size_t plane = (size_t)rows * columns, at = (size_t)y * columns + x;

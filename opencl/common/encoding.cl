@@ -172,7 +172,7 @@ INLINE uints encode(floats linear) {
 // Calls of library functions would prevent vectorisation. Instead, y = x^(-1/4) is computed with CURVE_STEPS steps of Newton's iteration.
 // The error of the first guess is below 3 %, because the bits of a float are nearly its logarithm. The power part of the curve is then a
 // polynomial in z = x y^3 = x^(1/4) with the coefficients CURVE_TERMS, lowest power first. 8-bit pictures need fewer steps and terms than
-// others (layout.curve_macros).
+// 16-bit pictures (layout.curve_macros).
 INLINE floats curve(floats linear) {
     const float term[] = {CURVE_TERMS};
     const floats x = linear > 0.003f ? linear : (floats)0.003f, part = x * -0.25f;

@@ -59,7 +59,7 @@ INLINE void means_of(int *columns, __global ushort *plane, int count) {
     }
 }
 
-#define DEEPEST (1 << (PLANES - 1))  // samples of the finest plane per sample of the coarsest, along each axis
+#define DEEPEST (1 << (PLANES - 1))  // samples of the finest plane per sample of the coarsest plane, along each axis
 
 INLINE int2 size_of(int level, int block_rows, int block_columns) {
     return (int2)(block_rows * UNITS_DOWN, block_columns * UNITS_ACROSS) >> level;

@@ -1,8 +1,8 @@
-// Processor variant: X, Y and Z of a band → the same with smoothed chroma, encoded (smoothed_chroma.cl).
+// Processor variant: smooths the chroma of X, Y and Z in a band of rows, and encodes the result (common/smoothed_chroma.cl).
 //
-// One work-item processes a tile of TILE columns and BAND rows.
+// A work-item processes a tile of TILE columns and BAND rows.
 
-// LANES values of X, Y and Z from column x on. If not all neighbours of these pixels are inside the frame, columns are mirrored.
+// Reads LANES values of X, Y and Z, starting at column x. If `inside` is false, columns outside the frame are mirrored.
 INLINE void read_three(floats *value, __global const float *row, size_t stride, int x, int columns, bool inside) {
     #pragma unroll
     for (int o = 0; o < 3; o++) value[o] = inside ? LOAD_GLOBAL(floats, row + o * stride + x) : read_across(row + o * stride, x, columns);
@@ -24,11 +24,11 @@ INLINE void smooth_pixels(floats *own, __global const float *const *row, size_t 
 
 COMPILED_ONCE smooth_chroma_tile(int x0, int y0,
                                  __global const float *restrict made,    // (output, made row, col)
-                                 __global const float *restrict matrix,  // (3, 3) encoded values from X, Y, Z, before the curve
+                                 __global const float *restrict matrix,  // (3, 3) from X, Y, Z to linear picture values
                                  __global CODE *restrict picture,        // (row, col, 3), or (output, row, col)
                                  float by_luminance, float by_x, float by_z,
-                                 int made_rows, int top,                 // number of made rows, and the frame's row of the first
-                                 int first, int frame_rows,              // the frame's row of the first written row, and the frame's rows
+                                 int made_rows, int top,                 // number of rows in `made`, and row of the frame where they begin
+                                 int first, int frame_rows,              // row of the frame where the written rows begin, and rows of the frame
                                  int rows, int columns) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const size_t stride = (size_t)made_rows * columns, pixels = (size_t)rows * columns;

@@ -97,7 +97,7 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
 
 #endif
 
-#define FOURS ((OUTPUTS + 3) / 4)  // number of vectors of four that hold the outputs
+#define FOURS ((OUTPUTS + 3) / 4)  // number of vectors, each of which contains four outputs
 #ifdef RATIO_TAPS
 #define TAPS_OF_RATIOS RATIO_TAPS
 
@@ -205,7 +205,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
     for (int f = 0; f < FOURS; f++) total[f] += sum[0] * share * *weight++;
     for (int f = 0; f < FOURS; f++) total[f] += sum[SOURCES - 1] * share * *weight++;
 #if RATIO_TAPS > 2
-    // Two further taps: the mean difference of the chroma of similar pixels.
+    // Two more taps: the mean difference in chroma between similar pixels and this pixel.
     __local const tap *own = signal[line + RADIUS][column + RADIUS];
     float reach = 0.0f, weighed = 0.0f, first = 0.0f, third = 0.0f;
     for (int n = 0; n < PATCH * PATCH; n++) reach += square_between(signal[line + n % PATCH][column + n / PATCH], own);

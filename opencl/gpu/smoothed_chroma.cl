@@ -1,12 +1,13 @@
-// Graphics variant: X, Y and Z of a band → the same with smoothed chroma, encoded, with one work-item per pixel (smoothed_chroma.cl).
+// Graphics variant: smooths the chroma of X, Y and Z in a band of rows, and encodes the result (common/smoothed_chroma.cl). A work-item
+// processes a pixel.
 
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void smooth_chroma(__global const float *restrict made,    // (output, made row, col)
-                   __global const float *restrict matrix,  // (3, 3) encoded values from X, Y, Z, before the curve
+                   __global const float *restrict matrix,  // (3, 3) from X, Y, Z to linear picture values
                    __global CODE *restrict picture,        // (row, col, 3), or (output, row, col)
                    float by_luminance, float by_x, float by_z,
-                   int made_rows, int top,                 // number of made rows, and the frame's row of the first
-                   int first, int frame_rows,              // the frame's row of the first written row, and the frame's rows
+                   int made_rows, int top,                 // number of rows in `made`, and row of the frame where they begin
+                   int first, int frame_rows,              // row of the frame where the written rows begin, and rows of the frame
                    int rows, int columns) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= columns || y >= rows) return;

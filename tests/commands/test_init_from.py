@@ -320,7 +320,7 @@ def test_a_camera_by_the_chart_in_its_photo(bayer: CameraModel, tmp_path: Path, 
     code, _, err = l3("init", "--from", tmp_path / "taken/b.dng", tmp_path / "unnamed")
     assert code == 0, err
     assert re.search(r"under an unknown illuminant \(guessed: [^;]*D65 \d+ %", err)
-    assert "set it with --light" in err
+    assert "set the illuminant with --light" in err
     assert "--white" not in err
     assert "WHITE ?= chart\n" in (tmp_path / "unnamed/Makefile").read_text()
     made, truth = load_camera(tmp_path / "mine/camera.toml"), photos.drawn(1)

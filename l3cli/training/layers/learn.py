@@ -248,7 +248,7 @@ class LayerPass:
     learning: LearningRecipe
     mosaics: tuple[int, ...]  # (frame) number of mosaics to draw from each frame
     pictures: bool  # whether the outputs are X, Y, Z
-    stokes: bool  # whether the outputs are Stokes parameters, whose noise is visible like that of luminance and chroma
+    stokes: bool  # whether the outputs are Stokes parameters, whose noise is as visible as noise of luminance and chroma
     exposure: float  # mean exposure time of the training frames, in s
     seed: int
 

@@ -1,4 +1,6 @@
-"""Training of the class rule of a refinement layer: by structure (docs/method.md#structure) or tree (docs/method.md#trees).
+"""Training of the class rule of a refinement layer.
+
+The rule classifies pixels by structure (docs/method.md#structure) or by a decision tree (docs/method.md#trees).
 
 A tree is grown from a random subset of the samples. Each step splits the leaf for which a split reduces the squared error
 most. To evaluate a split, l3 fits one filter to the samples on each side of the threshold. Two filters always fit the

@@ -46,7 +46,7 @@ class Reading:
 
     canonical: Integers  # (site) canonical site of each site
     order: Integers  # (site, tap) position of each tap in the window
-    ratio_taps: int = 0  # number of taps after those of the windows, which do not depend on the orientation
+    ratio_taps: int = 0  # number of taps that follow the taps of the windows and do not depend on the orientation
     outputs: int = PLANES  # number of outputs
     corrects: bool = False  # whether the outputs are corrections of the first layer; noise then changes the ideal outputs
 
@@ -67,8 +67,8 @@ class Reading:
     def offsets(self, cols: int) -> Integers:
         """Return, for each site, the index differences between the taps of a window and its central pixel.
 
-        The planes have `cols` columns and are indexed as flat arrays. If more numbers follow the window than it has taps,
-        zeros are appended.
+        The planes have `cols` columns and are indexed as flat arrays. If a sample has more ratio taps, constants and outputs
+        than taps of a window, zeros are appended.
 
         Returns
         -------
@@ -99,7 +99,7 @@ def empty_sums(rule: PlaneRule, reading: Reading) -> LayerSums:
 def grid_steps(rule: PlaneRule, first: ClassRule, camera: CameraModel, taps: int, outputs: int) -> NDArray[np.float64]:
     """Return the grid steps to which the sums of a refinement layer are rounded, for each level and pair of columns.
 
-    If a level of the layer joins several levels of the first layer, the darkest of them determines the step.
+    If a level of the layer joins several levels of the first layer, the darkest of these levels determines the step.
     """
     darkest = np.searchsorted(rule.level_of(np.arange(first.levels)), np.arange(rule.levels))
     return steps_of_columns(intercept_scale(first, camera)[darkest], taps, outputs)
