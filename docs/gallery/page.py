@@ -6,28 +6,28 @@ Entries = dict[str, dict[str, Any]]  # by name of the recipe
 NAMES = {"ours": "l3", "malvar": "Malvar", "menon": "Menon"}
 HEAD = """# Gallery
 
-This page is for readers who want to see results before they try l3. It shows one picture for each colour filter array
-for which `l3 init` has a recipe.
+This page is for readers who want to see results before they try l3. It shows one rendered scene for each colour filter
+array for which `l3 init` has a recipe.
 
-For each colour filter array, a table is trained with the scene recipe `{scenes}` and the class recipe that `l3 init`
-selects. The table then renders a simulated frame of a scene that is not in the training set. The illuminant is D65, and
-a perfect white has a signal of 0.9 of full scale. The errors are the differences between the rendered picture and the
-*ideal* picture, as both look on a display. `make gallery` writes this page and its pictures.
+For each colour filter array, we trained a table with the scene recipe `{scenes}` and the class recipe that `l3 init`
+selects. With this table, we rendered a simulated frame of a scene that is not in the training set. The illuminant is
+D65, and a perfect white has a signal of 0.9 of full scale. The errors are the differences between the displayed sRGB
+values of the rendered picture and of the *ideal* picture. `make gallery` writes this page and its pictures.
 
-The pictures are compared with methods that are not trained:
+For comparison, the frames are also rendered with methods that are not trained:
 
 * *basic* interpolates each channel separately, corrects the white balance and applies a colour matrix.
-* *Malvar* and *Menon* are demosaicing methods for colour filter arrays that are arranged as a Bayer array.
+* *Malvar* and *Menon* are demosaicing methods for arrays with the geometry of a Bayer array.
 * *long*, *short*, *high gain* and *low gain* are variants of *basic* that use only the pixels with this exposure or gain.
 
 """
 PICTURES = """![Filters and responsivities of {title}](gallery/{name}.svg)
 
-| Original size. Upper row: raw frame, ideal. Lower row: l3, basic. |
+| Original size. Top: the raw frame and the ideal picture. Bottom: l3 and basic. |
 |---|
 | ![{title}. Top: raw and ideal. Bottom: l3 and basic](gallery/{name}.jpg) |
 
-| A part of the pictures above, enlarged 4 times |
+| A part of the same pictures, enlarged 4 times |
 |---|
 | ![{title}, enlarged. Top: raw and ideal. Bottom: l3 and basic](gallery/{name}_crop.png) |
 """
@@ -79,7 +79,7 @@ def section(name: str, entry: dict[str, Any]) -> str:
     ]
     errors = "\n".join(["| method | mean ΔE00 | PSNR (dB) |", "|---|---|---|", *rows])
     twins = ", ".join(f"`{twin}`" for twin in entry["twins"])
-    also = f" These recipes describe the same colour filter array, but begin at a different pixel: {twins}." if twins else ""
+    also = f" Other recipes describe the same array, but with a different first pixel: {twins}." if twins else ""
     period, _, about = entry["summary"].rpartition("  ")
     pictures = PICTURES.format(name=name, title=entry["title"])
     return f"## {name}\n\n{about} ({' '.join(period.split())}).{also}\n\n{errors}\n\n{pictures}"

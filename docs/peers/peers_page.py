@@ -13,62 +13,65 @@ METHOD = "method.md"  # in the folder of the page
 HEAD = """# Other methods
 
 This page is for readers who want to know how l3 compares with other demosaicing methods. All methods process the same
-mosaics. The other methods come from PyPI packages, LibRaw and RawTherapee. They include a neural network and the
-denoiser CBM3D. The command `make peers` measures the methods and writes this page, including a list of programs that
-are not installed. No picture on this page was used to train the l3 tables.
+mosaics. The other methods come from PyPI packages, LibRaw and RawTherapee, and include a neural network and the
+denoiser CBM3D. None of the test pictures was used to train the l3 tables. The command `make peers` repeats all
+measurements and writes this page.
 
 * **Settings.** If a method has several settings, each column contains the result of the setting that is best for this
   column. l3 has only one setting.
-* **Raw files.** LibRaw and RawTherapee read DNG files with the exact white balance and colour matrix.
-* **Values** are means over all pictures, without the outermost 10 pixels of each picture. The best value in each column
-  is bold.
-* **Time** (core-s/MP) is the CPU time in seconds per megapixel, summed over all cores. All times in a table were
-  measured in the same run. To exclude the start-up time, the time for a picture of 504² pixels is subtracted from the
-  time for a picture of 1512² pixels. CBM3D is measured only on the small picture. The times of LibRaw and RawTherapee
-  include writing and reading the DNG file.
+* **Raw files.** LibRaw and RawTherapee read DNG files, which contain the exact white balance and colour matrix.
+* **Values.** The values are means over all pictures, without the outermost 10 pixels of each picture. The best value in
+  each column is bold. A dash means that no value is available.
+* **Time.** The column "core-s/MP" contains the CPU time in seconds per megapixel, summed over all cores. All times in a
+  table were measured in the same run. To exclude the start-up time, the time for a picture of 504×504 pixels was
+  subtracted from the time for a picture of 1512×1512 pixels. CBM3D was measured only on the small picture. The times of
+  LibRaw and RawTherapee include the time to write and read the DNG file.
 """
 TEXTS = {
     "bayer": f"""## Bayer, as published
 
-The usual benchmark samples a mosaic from the 8-bit values of RGB pictures without any conversion. It then compares the
+The usual benchmark samples a mosaic from the 8-bit values of RGB pictures without any conversion, and compares the
 demosaiced picture with the original (CPSNR over all three channels). The l3 table was trained on a hundred other
-pictures (`l3 init benchmark-bayer`). **We did not measure the last two columns.** They are published values for all
-pictures of the data sets ({published.SOURCE}). The other PSNR columns are for the twelve Kodak pictures with odd
-numbers.
+pictures (`l3 init benchmark-bayer`). The column "Kodak, odd twelve" contains our measurements on the twelve Kodak
+pictures with odd numbers.
 
-If the data folder contains the eighteen McMaster pictures in `demosaicking/mcmaster`, `make peers` also measures these
-pictures. All methods on this page, including LibRaw and RawTherapee, interpret the 8-bit values as linear. The network
-is from Gharbi et al. (2016). We found no other demosaicing network with trained weights on PyPI.
+**We did not measure the last two columns.** These columns contain published values for all pictures of the data sets
+({published.SOURCE}).
+
+All methods, including LibRaw and RawTherapee, interpret the 8-bit values as linear. The network is from Gharbi et al.
+(2016). We found no other demosaicing network with trained weights on PyPI. If the data folder contains the eighteen
+McMaster pictures in `demosaicking/mcmaster`, `make peers` also measures the methods on these pictures.
 """,
     "xtrans": """## X-Trans
 
-The Kodak pictures and the class recipe are the same as in the previous section, but the pictures are sampled with the
-6×6 X-Trans array. *1 pass*, *3 passes* and *4 passes* are variants of Markesteijn's method in LibRaw and RawTherapee.
-*bilinear* is a Gaussian-weighted mean of the samples of each channel. The network is from Gharbi et al. (2016), with
-the X-Trans weights from the package.
+The Kodak pictures and the class recipe are the same as in the previous section, but the mosaics have the 6×6 X-Trans
+array. *1 pass*, *3 passes* and *4 passes* are variants of Markesteijn's method in LibRaw and RawTherapee. *bilinear* is
+a Gaussian-weighted mean of the samples of each channel. The network is from Gharbi et al. (2016), with the X-Trans
+weights from the package.
 """,
     "bands": f"""## Sixteen bands
 
-These results are for a noisy snapshot camera with 16 narrow bands, on three multispectral scenes and five hyperspectral
-faces. The l3 table (`bands`) was trained on dead-leaves scenes only. PSNR (of 8-bit values) and SSIM are means over the
-bands. SAM (spectral angle mapper) is the mean spectral angle. [Method]({METHOD}#baselines-for-bands) describes the
-other methods.
+These results are for a snapshot camera with 16 narrow bands and realistic noise. The test frames show three
+multispectral scenes and five hyperspectral faces. The l3 table (`bands`) was trained on dead-leaves scenes only. PSNR
+(of 8-bit values) and SSIM are means over the bands. SAM (spectral angle mapper) is the mean spectral angle.
+[Method]({METHOD}#baselines-for-bands) describes the other methods.
 """,
     "noise": """## Bayer with noise, as raw files
 
-These results are for a small sensor (`bayer`, 2.2 µm, 6 000 e⁻). The scenes are a composition of dead leaves, charts and
-fine patterns, five faces and four photographs, at mean signals of 0.2, 0.02 and 0.01 of full scale. None of these scenes
-was used in training. PSNR compares the displayed sRGB pictures with the ideal pictures. ΔE00 is the mean CIEDE2000.
+These results are for a small sensor (camera recipe `bayer`: pixels of 2.2 µm with a full-well capacity of 6 000 e⁻). There
+are ten scenes: a composition of dead leaves, charts and fine patterns, five faces and four photographs. Each scene is
+exposed to mean signals of 0.2, 0.02 and 0.01 of full scale. None of these scenes was used in training. PSNR compares the
+displayed sRGB pictures with the ideal pictures. ΔE00 is the mean CIEDE2000 difference.
 
-* **All other methods** use the true white balance, black level and dark current, and a colour matrix fitted for the
-  camera and the illuminant. If a method includes noise reduction, it is measured without noise reduction and at several
-  strengths. LibRaw's wavelet denoising is excluded, because it crashes rawpy 0.28. The RawTherapee settings are the
-  strengths of luminance and colour noise reduction, and the median filter.
-* **The network** was trained without noise. It is measured on linear values and on sRGB values.
-* **CBM3D** uses the camera's noise model. A variance-stabilising transform is applied before Menon's demosaicing, and
-  the unbiased inverse transform after CBM3D. CBM3D also uses the power spectrum of the noise after demosaicing. CBM3D
-  takes four minutes per megapixel. The package licence does not allow commercial use.
-* **l3.** The l3 class recipes were developed with these frames, among others.
+* **Other methods.** All other methods use the true white balance, black level and dark current, and a colour matrix that
+  is fitted for the camera and the illuminant. A method that includes noise reduction is measured without noise
+  reduction and at several strengths. LibRaw's wavelet denoising is excluded, because it crashes rawpy 0.28. The
+  RawTherapee settings are the strengths of luminance and colour noise reduction, and the median filter.
+* **Network.** The network was trained without noise. It is measured on linear values and on sRGB values.
+* **CBM3D.** CBM3D uses the camera's noise model, and the power spectrum of the noise after demosaicing. A
+  variance-stabilising transform is applied before Menon's demosaicing, and the unbiased inverse transform after CBM3D.
+  CBM3D takes four minutes per megapixel. The licence of the package does not allow commercial use.
+* **l3.** These frames are among the frames with which we developed the l3 class recipes.
 """,
 }
 COLUMNS = {
@@ -98,7 +101,7 @@ def common_run(parts: dict[str, Part]) -> str:
     """Return a sentence about the run of the parts, if all parts come from one run."""
     runs = {_run(part[key]) for part in parts.values() for key in ("run", "rivals", "timed") if key in part}
     every = f"All results come from one run: {runs.pop()}." if len(runs) == 1 else "The sections come from several runs."
-    return f"\n{every} *Source* is a digest of `l3cli/`, `opencl/` and `configs/`.\n"
+    return f"\n{every} *Source* is a digest of the files in `l3cli/`, `opencl/` and `configs/`.\n"
 
 
 def origin(part: Part) -> str:
@@ -133,7 +136,7 @@ def section(name: str, part: Part) -> str:
         title = f"{ours['name']} and {rival['name']} on each frame"
         lines.append(folded(title, frame_by_frame(columns, part["frames"], ours, rival)))
     if any("seconds" not in row for row in part["rows"]):
-        lines.append("Times were not measured for all methods; `make help` says how to measure them.\n")
+        lines.append("Times were not measured for all methods; `make help` describes how to measure them.\n")
     lines += [f"Not installed: {each}.\n" for each in part["missing"]]
     lines += [f"Not measured, because the pictures are missing: {each}.\n" for each in part["absent"]]
     lines.append(origin(part))
