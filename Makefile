@@ -75,8 +75,8 @@ $(DEMO)/rendered.png: $(DEMO)/table.h5 $(DEMO)/unseen.h5
 $(DEMO)/report.html: $(DEMO)/camera.h5 $(DEMO)/training.h5 $(DEMO)/table.h5 $(DEMO)/unseen.h5
 	$(TIMED) $(L3) report $^ -o $@ --force
 
-# There is one process more than there are cores, because many tests wait for processes that they start. The files keep their order, with
-# small files last, so that no long file begins late.
+# The number of processes exceeds the number of cores by one, because many tests wait for processes that they start. The test files run in
+# a fixed order with small files last, so that no long file starts late.
 test: ## run the test suite
 	$(call needs,test)
 	$(BIN)/python -m pytest -n $$(( $(JOBS) + 1 )) --dist loadfile --no-loadscope-reorder
@@ -99,7 +99,7 @@ peers: ## make docs/peers.md, which compares l3 with other methods on the pictur
 	$(call needs,peers)
 	PYTHONPATH="$$PWD" $(BIN)/python docs/peers/peers.py $(PARTS) --jobs $(JOBS)
 
-notebooks: ## run the notebooks of docs/ and write pages with their code and outputs (half a minute)
+notebooks: ## run the notebooks in docs/notebooks, and write pages with their code and outputs (half a minute)
 	$(call needs,test docs)
 	rm -rf $(NOTEBOOKS)
 	$(BIN)/python -m pytest tests/unit/test_notebooks.py
@@ -143,7 +143,7 @@ study: ## measure calibrations with 21 seeds, quality, and time and memory of la
 	$(call needs,test)
 	$(BIN)/python -m pytest -m slow -s --ignore tests/studies/test_video_rate.py
 
-soak: ## kill every stage forty times, fill disks, test endurance, and run sweeps of which `make test` runs one case each (half an hour)
+soak: ## kill every stage forty times, fill disks, test endurance, and run all cases of tests of which `make test` runs only one case (half an hour)
 	$(call needs,test)
 	$(BIN)/python -m pytest -m soak -s
 
@@ -155,7 +155,8 @@ fuzz: ## test 20 000 corrupted inputs (ten minutes); failing inputs are kept in 
 	$(call needs,test snakemake)
 	PYTHONPATH="$$PWD" nice $(BIN)/python -m tests.helpers.fuzz --inputs $(INPUTS) --jobs $(JOBS)
 
-# Oclgrind 21.10 does not support prefetching and the intrinsics that inlining creates, so the kernels are compiled without both.
+# Oclgrind 21.10 supports neither prefetching nor the intrinsics that inlining creates, so the kernels are compiled without prefetching
+# and without inlining.
 kernels: ## check the kernels for out-of-bounds accesses and data races in Oclgrind, and test them on Intel's OpenCL (a quarter of an hour)
 	$(call needs,test)
 	@test -e $(OCLGRIND) || { echo "Oclgrind is missing; install it with apt-get install oclgrind, or set OCLGRIND to the path of liboclgrind-rt-icd.so" >&2; exit 1; }
@@ -209,6 +210,6 @@ bench: ## measure the time per frame of each stage, compared with multiply-adds 
 	$(L3) bench
 	$(BIN)/python -m pytest -m slow -s tests/studies/test_speed_study.py
 
-clean: ## remove all files that other targets made
+clean: ## remove all files that other targets created
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +
