@@ -1,7 +1,7 @@
 """Scenes from pictures behind a polariser, and from pictures of Stokes parameters (docs/polarisation.md#pictures-as-scenes).
 
-S0 becomes a reflectance like any other picture: grey, or a spectrum for each colour. The ratios S1/S0 and S2/S0 of colour
-pictures depend on the wavelength, because each colour can have its own polarisation.
+S0 is converted to reflectances in the same way as ordinary pictures. Pictures with one channel become grey surfaces. The
+ratios S1/S0 and S2/S0 of colour pictures depend on the wavelength, because the polarisation of the three colours can differ.
 """
 
 from dataclasses import dataclass, replace
@@ -20,9 +20,9 @@ Floats = NDArray[np.float32]
 # nm; wavelengths at which the polarisation of colour pictures is sampled. Interpolation changes S1 and S2 by less than 0.3 %
 # of S0 (RMS), even if the polarisations of the colours are unrelated.
 NODES = np.arange(450.0, 651.0, 20.0)
-BLOCK = 16  # pixels; contradictions are averaged over blocks of this side, which reduces the noise
-CONTRADICTION = 0.01  # contradiction above which l3 warns; photographs from good cameras reach 0.004
-NOISE_LIMIT = 3.0  # smallest contradiction in units of its noise
+BLOCK = 16  # pixels, side of the blocks over which differences from Malus's law are averaged, to reduce the noise
+CONTRADICTION = 0.01  # `StokesPicture.contradiction` above which l3 warns; photos from good cameras reach 0.004
+NOISE_LIMIT = 3.0  # smaller differences from Malus's law, in units of their noise, count as noise
 ROUNDING = 1e-4  # a degree of polarisation may exceed 1 by this much
 
 
@@ -31,7 +31,7 @@ class StokesPicture:
     """Linear pictures of S0, S1 and S2, where an S0 of 1 is white."""
 
     stokes: Floats  # (3, row, col, colour); there are 1 or 3 colours; the degree of polarisation is at most 1
-    contradiction: float  # RMS difference between the pictures and Malus's law, relative to the mean intensity; 0 in noise
+    contradiction: float  # RMS difference from Malus's law, relative to the mean intensity; 0 if the differences are noise
     impossible: float  # fraction of the pixels whose degree of polarisation was above 1
 
 
@@ -59,7 +59,8 @@ def stokes_of_pictures(content: PolarisedPictures, source: sources.PolarisedPict
         stokes = linear
     else:
         fitted, residual = fit_stokes(linear, content.angles)
-        stokes = fitted * np.float32(0.5)  # half of unpolarised light passes the polariser, and white is the value behind it
+        # A white is 1 behind the polariser, which transmits half of unpolarised light, so the fitted S0 of white is 2.
+        stokes = fitted * np.float32(0.5)
         contradiction = _contradiction(residual, float(linear.mean(dtype=np.float64)))
     usual = float(np.median(stokes[0]))
     if usual > sources.MAX_MEDIAN_REFLECTANCE:

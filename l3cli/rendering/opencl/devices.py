@@ -251,8 +251,8 @@ def refusals(device: Any) -> Iterator[None]:
     except cl.Error as error:
         if REFUSES_PROCESSOR in str(error):
             raise DeviceError(
-                f"{device.name.strip()}: this PoCL is older than the processor and does not support the processor; install "
-                "a newer PoCL (Debian, Ubuntu: pocl-opencl-icd; conda: pocl) and choose its device with ‹device›"
+                f"{device.name.strip()}: this PoCL is older than the processor and does not support it; install a "
+                "newer PoCL (Debian, Ubuntu: pocl-opencl-icd; conda: pocl) and choose its device with ‹device›"
             ) from error
         if DAMAGED in str(error):
             raise DeviceError(

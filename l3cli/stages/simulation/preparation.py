@@ -345,7 +345,7 @@ def note_unknown_fields(run: SimulationRun, files: list[list[Path]], console: Co
 
 
 def polarisation_notes(run: SimulationRun, files: list[list[Path]]) -> tuple[list[str], list[str]]:
-    """Read the scenes that were recorded behind a polariser, and describe their errors.
+    """Read the scenes that are pictures of polarised light, and describe their errors.
 
     Parameters
     ----------
@@ -357,9 +357,9 @@ def polarisation_notes(run: SimulationRun, files: list[list[Path]]) -> tuple[lis
     Returns
     -------
     list of str
-        Warnings about pictures that contradict each other.
+        Warnings about pictures that differ from Malus's law.
     list of str
-        Notes about pixels with an impossible polarisation.
+        Notes about pixels whose degree of polarisation is above 1.
     """
     from l3cli.frames.scene import PolarisedPictures
     from l3cli.simulation.polarised_pictures import CONTRADICTION, stokes_of_pictures
