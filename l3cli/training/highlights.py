@@ -187,10 +187,10 @@ def white_channels(
 
 
 def error_of_white(light: LightSpectrum, camera: CameraModel) -> Array:
-    """Return the relative error of the signals of white that a regression on measured surfaces predicts.
+    """Predict the signals of white from X, Y and Z by a regression on measured surfaces, and return the relative error.
 
     The error is a few per cent for visible light, but large for a camera that is sensitive to infrared light, which X, Y
-    and Z do not contain.
+    and Z do not contain. The result is 0 if a surface has no luminance or white has no signal in a channel.
 
     Returns
     -------

@@ -70,8 +70,8 @@ def uniform_stripes(cfa: NDArray[np.integer], channels: int) -> Array:
 def false_colours(camera: CameraModel, wavelength: Array, photons: Array) -> Array:
     """Return the stripes of `uniform_stripes` that look like a colour which no surface can have.
 
-    The distance of the stripes to the nearest optimal colour must be at least `UNLIKE` times their distance from white, and
-    their distance from white at least `MIN_STRIPE_CHROMA`.
+    The distance from the stripes to white must be at least `MIN_STRIPE_CHROMA`. The distance from the stripes to the nearest
+    optimal colour must be at least `UNLIKE` times the distance to white.
 
     Parameters
     ----------

@@ -54,20 +54,20 @@ class LearningRecipe(Recipe):
     # "analytic" adds the computed covariance of the noise to noise-free patches; "sampled" adds random noise to the patches,
     # so that luminance_noise and chroma_noise have no effect; "none" trains for frames without noise
     noise: Literal["analytic", "sampled", "none"] = "analytic"
-    # fraction of the temporal noise for which a second set of transforms is trained, which is used for pixels in which
-    # --temporal has left little noise (docs/method.md#noise-sets); with 0 there is no second set
+    # A second set of transforms is trained for this fraction of the temporal noise. l3 render --temporal uses this set for
+    # pixels that have little noise left (docs/method.md#noise-sets). With 0, there is no second set.
     noise_left: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.0
     # illuminants of the training frames for which additional transforms are trained; the white of a rendered scene selects
     # the transforms (docs/method.md#several-illuminants)
     lights: tuple[str, ...] = ()
-    # training samples have the weight level^-power: with 1, errors count relative to the level, and with 0, absolutely
+    # training samples have the weight level^-power: 1 minimises errors relative to the level, 0 minimises absolute errors
     level_power: Share = 1.0
     brightness_power: Share = 0.5  # training samples have the weight (Y / level)^-power (docs/method.md#sample-weights)
     # samples of the second pass have the weight (e² + ¼)^-power, where e is the error of the first pass
     # (docs/method.md#second-pass)
     error_power: ErrorPower = 0.25
     ridge: Positive = 1e-5  # regularisation of the least squares, relative to the mean power of a tap
-    # weight of the noise covariance for Y, and also for spectral outputs, for which it is limited to 1
+    # weight of the noise covariance for Y; outputs other than X, Y and Z have the same weight, but at most 1
     # (docs/method.md#noise-weights)
     luminance_noise: NotNegative = 1.5
     chroma_noise: NotNegative = 2.0  # weight of the noise covariance for the two chroma outputs
@@ -78,8 +78,8 @@ class LearningRecipe(Recipe):
     parent_patches: CountOrNone = 200
     # number of uniform areas of measured surfaces per patch in classes of uniform areas (docs/method.md#uniform-surfaces)
     plain_surfaces: NotNegative = 0.3
-    # spectral outputs only: width in pixels (odd) of the window over which spectra are smoothed while each pixel keeps its
-    # brightness (docs/method.md#smoothed-spectra); with 0, spectra are not smoothed
+    # spectral outputs only: width in pixels (odd) of the window over which spectra are smoothed; the brightness of each
+    # pixel does not change (docs/method.md#smoothed-spectra); with 0, spectra are not smoothed
     spectral_window: Annotated[int, msgspec.Meta(ge=0, le=WINDOWS[-1])] = 0
     # smoothing ignores pixels whose brightness differs from the central pixel by at least this fraction
     spectral_reach: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.3

@@ -43,8 +43,8 @@ def insight(table: TransformTable) -> dict[str, Any]:
         * ``kinds``: name and number of patches of each chroma and saturation case
         * ``features``: name and number of patches of each value of each further feature, such as direction
         * ``noise_gain``: for each output, median and maximum of √Σw² over the trained classes
-        * ``dc_gain``: for each output, its value for a uniform signal of 1 in one channel, as a median over the trained
-          unsaturated classes
+        * ``dc_gain``: for each output and channel, the output for a uniform signal of 1 in this channel and 0 in the
+          others, as a median over the trained unsaturated classes
         * ``condition``: median and maximum of the condition number over the trained classes
         * ``worst``: the trained classes with the largest noise gain of Y, or of any output if there is no Y
         * ``later``: `refinement_layer` of each refinement layer

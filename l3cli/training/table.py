@@ -343,7 +343,7 @@ def _dark_signal(frame: TrainingPair, camera: CameraModel) -> float:
 
 
 def _unit_white(frame: TrainingPair, outputs: tuple[str, ...]) -> NDArray[np.float64]:
-    """Return the outputs of white for a frame, scaled to Y = 1 or S0 = 1, or to a mean of 1 without Y and S0.
+    """Return the outputs of white for a frame, scaled so that Y or S0 is 1. If there is neither, the mean is 1.
 
     Raises InputFileError if the white is dark, or does not have one value per output.
     """

@@ -239,7 +239,7 @@ def refusals(device: Any) -> Iterator[None]:
     """Convert an OpenCL error in the `with` block to a DeviceError with a one-line message.
 
     The message says what to do if the device has too little memory, if PoCL is too old for the processor, or if the kernel
-    cache is damaged. For any other error, it quotes the driver.
+    cache is damaged. For any other error, the message quotes the driver.
     """
     cl = pyopencl()
     try:

@@ -440,8 +440,8 @@ class OpenCLRenderer:
     ) -> None:  # fmt: skip
         """Enqueue all steps of the last layer for a band, and write the results to `result`.
 
-        The steps are coarse chroma and the replacement of clipped areas, then the transforms with the encoding, and finally
-        the smoothing of spectra or chroma. Steps that the table does not use are left out.
+        The steps are coarse chroma, the replacement of clipped areas, the transforms with the encoding, and the smoothing of
+        spectra or chroma. Steps that the table does not use are left out.
         """
         number = len(self._layers)
         smooths = self._spectra or self._chroma

@@ -144,7 +144,7 @@ def _by_cell(of_block: NDArray, grid: Grid) -> NDArray:
 def _evidence(
     values: NDArray[np.uint16], residual: Cells, left: Cells, vectors: Vectors, grid: Grid, noise: NoiseTerms
 ) -> tuple[Cells, Cells, Cells, Cells]:
-    """Return three measures of motion in the 3 × 3 cells around each cell, and their expected value due to noise.
+    """Return three measures of motion in the 3 × 3 cells around each cell, and the value that noise causes.
 
     The measures are the sum of the squared residuals, the sum of the squared sums over cells, and the square of the sum over
     all nine cells.

@@ -179,7 +179,8 @@ def last_read(job: Job) -> int | None:
 def _identity(reference: FrameReference, frame: RawFrame) -> str:
     """Return the identity of a frame, which is stored in the metadata of its picture.
 
-    The identity is derived from the SHA-256 of the file of the frame or, if the frame has no file of its own, of its values.
+    The identity is derived from the SHA-256 of the frame's file. If the frame has no file of its own, the identity is
+    derived from the SHA-256 of the values.
     """
     if reference.source is not None:
         return file_identity(sha256(reference.source))

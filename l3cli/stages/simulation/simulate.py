@@ -178,7 +178,7 @@ PICTURE_FILES = (f"*{RAW}", f"*{IDEAL}", "*_ideal.exr", f"*{MOTION}", "*.dng")  
 def write_pictures(
     run: SimulationRun, files: list[list[Path]], frames: Iterable[TrainingPair], options: SimulateOptions
 ) -> list[Path]:
-    """Write pictures and DNG files of the frames, as far as the options specify folders for them.
+    """Write the types of pictures and DNG files for which the options specify folders.
 
     For each clip, the console also receives the value of ‹exposure› with which `l3 render` makes pictures that are as bright
     as the ideal pictures.
@@ -220,8 +220,8 @@ def _write_pictures(
 ) -> dict[int, float]:
     """Write the raw mosaic and the ideal picture of each frame.
 
-    If the outputs are X, Y and Z, the ideal picture is an sRGB file. Its exposure is chosen as in `l3 render`, that is, the
-    99th percentile of Y becomes white. For other outputs, the ideal picture is an EXR file with the linear outputs.
+    If the outputs are X, Y and Z, the ideal picture is an sRGB file. Its exposure is chosen as in `l3 render`: the 99th
+    percentile of Y becomes white. For other outputs, the ideal picture is an EXR file with the linear outputs.
 
     Parameters
     ----------

@@ -259,9 +259,9 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
     Returns
     -------
     list of ndarray, (2, level)
-        One array per measured frame. The first row contains, for each level, the sum over pixels of the mean squared
-        difference of the noise between the left and right and between the upper and lower neighbours. The second row
-        contains the number of pixels.
+        One array per measured frame. The second row contains the number of pixels of each level. The first row contains the
+        sum, over these pixels, of the mean of two squared differences of the noise: right minus left neighbour, and lower
+        minus upper neighbour.
     """
     see, noisy, measured = layer.seer(), replace(layer.exposed, noisy=True, inner=PILOT_SIDE), []
     brightest = MAX_MEASURED_LEVEL * layer.camera.sensitivity.mean() / layer.camera.sensitivity.min()
