@@ -49,7 +49,7 @@ class Renderer(Protocol):
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
         """Return the frame as a picture (row, col, 3) in uint8 or uint16.
 
-        Raises a RecipeError if the outputs of the table are not X, Y, Z or only Y.
+        Raises a RecipeError if the outputs of the table are not X, Y, Z, only Y, or Stokes parameters.
         """
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
@@ -61,7 +61,7 @@ class Renderer(Protocol):
     def encoded(self, outputs: NDArray[np.float32], display: Display) -> NDArray:
         """Return a picture (row, col, 3) of outputs (output, row, col) that were changed after rendering.
 
-        Raises a RecipeError if the outputs of the table are not X, Y, Z or only Y.
+        Raises a RecipeError if the outputs of the table are not X, Y, Z, only Y, or Stokes parameters.
         """
 
 

@@ -136,7 +136,7 @@ def shown_as(
     Raises
     ------
     RecipeError
-        If an argument is invalid, or if the outputs of the table are not X, Y, Z or only Y.
+        If an argument is invalid, or if the outputs of the table are not X, Y, Z, only Y, or Stokes parameters.
     """
     if exposure is not None and not (isinstance(exposure, Real) and MIN_EXPOSURE <= exposure <= MAX_EXPOSURE):
         given_as = f"{exposure:g}" if isinstance(exposure, Real) else f'"{exposure}"'

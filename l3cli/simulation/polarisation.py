@@ -3,8 +3,8 @@
 Each leaf has one of five kinds of surface, which are drawn in the proportions of SHARES:
 
 matt       weakly polarised, with an angle that changes little over the leaf
-smooth     reflections on a curved dielectric: the degree follows Fresnel's equations, and the angle the curvature
 smooth     reflections on a curved dielectric: Fresnel's equations determine the degree, and the curvature the angle
+flat       reflections on a plane such as a window, with nearly constant degree and angle
 sky        a degree that increases linearly across the leaf, as in the sky
 plastic    transparent, birefringent plastic in polarised light, whose degree and angle depend on the wavelength
 

@@ -222,7 +222,7 @@ class OpenCLRenderer:
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
         """Return the frame as a picture (row, col, 3), which is encoded on the device.
 
-        Raises a RecipeError if the outputs of the table are not X, Y, Z or only Y.
+        Raises a RecipeError if the outputs of the table are not X, Y, Z, only Y, or Stokes parameters.
         """
         picture, work = self._start_picture(frame, display)
         work.end()
