@@ -4,6 +4,7 @@ S0 is the intensity. S1 and S2 are the differences of the intensities behind ide
 135°. Angles are counter-clockwise from the horizontal axis of the frame.
 """
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,6 +18,9 @@ STOKES = ("S1", "S0", "S2")
 IN_ORDER = ("S0", "S1", "S2")  # order in files and pictures
 FEATURES = ("DoLP", "AoLP")
 DARKEST = 1e-6  # smallest S0 that ratios are divided by
+MAX_CORRELATION = 0.95  # of the noise of S0 and of polarised light; estimated covariances can exceed it by chance
+MAX_DOLP_SIGMA = 0.5  # largest standard deviation that a value between 0 and 1 can have
+CLEAR_SIGNAL = 12.0  # ratio of polarised light to noise above which the noise of degree and angle is Gaussian
 
 
 def has_stokes(outputs: Sequence[str]) -> bool:
@@ -43,6 +47,76 @@ def dolp(stokes: Array) -> Array:
 def aolp(stokes: Array) -> Array:
     """Return the angle of linear polarisation of S0, S1 and S2, (3, …), in degrees from 0 to below 180."""
     return np.degrees(0.5 * np.arctan2(stokes[2], stokes[1])) % 180
+
+
+@functools.cache
+def _weak_signal() -> tuple[Array, Array, Array]:
+    """Return the standard deviations of the length and the direction of a vector with Gaussian noise, for short vectors.
+
+    Returns
+    -------
+    ratio : ndarray
+        Length of the vector without noise, relative to the standard deviation of its two components.
+    length : ndarray
+        Standard deviation of the length (Rice distribution), relative to the standard deviation of the components.
+    angle : ndarray
+        Standard deviation of half of the direction, in radians. It is π/√12 for a vector of length 0.
+    """
+    from scipy.special import i0e, i1e, ndtr  # imported here to save start-up time, because few runs need it
+
+    ratio = np.linspace(0, CLEAR_SIGNAL, 481)
+    half = np.square(ratio) / 4
+    mean = np.sqrt(np.pi / 2) * ((1 + 2 * half) * i0e(half) + 2 * half * i1e(half))
+    length = np.sqrt(2 + np.square(ratio) - np.square(mean))
+    phase = (np.arange(3600) + 0.5) * (np.pi / 3600)
+    along = ratio[:, None] * np.cos(phase)
+    density = np.exp(-np.square(ratio[:, None]) / 2) + np.sqrt(2 * np.pi) * along * ndtr(along) * np.exp(
+        -np.square(ratio[:, None] * np.sin(phase)) / 2
+    )
+    angle = 0.5 * np.sqrt((density * np.square(phase)).sum(axis=1) / density.sum(axis=1))
+    return ratio, length, angle
+
+
+def polarisation_sigma(stokes: Array, covariance: Array) -> Array:
+    """Return the standard deviations of the degree and the angle of polarisation, by propagation of noise.
+
+    Parameters
+    ----------
+    stokes : ndarray, (3, …)
+        Noisy S0, S1 and S2.
+    covariance : ndarray, (3, 3, …)
+        Covariance matrix of S0, S1 and S2.
+
+    Returns
+    -------
+    ndarray, (2, …)
+        Standard deviation of DoLP, and of AoLP in degrees, up to 180°/√12 = 52° for light that is not polarised.
+
+    Notes
+    -----
+    S1 and S2 are a vector with Gaussian noise. If the vector is long, its length and its direction have Gaussian noise, too.
+    If it is not longer than its noise, its length has a Rice distribution, and its direction is almost uniform. The length
+    without noise is estimated from the square of the noisy length minus the variances of S1 and S2.
+    """
+    strength = np.hypot(stokes[1], stokes[2])
+    bright = np.maximum(stokes[0], DARKEST)
+    direction = np.arctan2(stokes[2], stokes[1])
+    unit = np.stack([np.cos(direction), np.sin(direction)])
+    radial = np.einsum("i...,ij...,j...->...", unit, covariance[1:, 1:], unit)
+    both = covariance[1, 1] + covariance[2, 2]
+    noise = np.sqrt(np.maximum(both / 2, np.finfo(np.float32).tiny))
+    clean = np.sqrt(np.maximum(np.square(strength) - both, 0))
+    ratio, of_length, of_angle = _weak_signal()
+    degree = np.minimum(clean / bright, 1)
+    most = MAX_CORRELATION * np.sqrt(np.maximum(radial * covariance[0, 0], 0))
+    with_s0 = np.clip(np.einsum("i...,i...->...", unit, covariance[0, 1:]), -most, most)
+    variance = np.square(np.interp(clean / noise, ratio, of_length)) * radial
+    variance += np.square(degree) * covariance[0, 0] - 2 * degree * with_s0
+    across = np.sqrt(np.maximum(both - radial, 0))
+    weak = np.interp(clean / np.maximum(across, np.finfo(np.float32).tiny), ratio, of_angle)
+    angle = np.where(clean < CLEAR_SIGNAL * across, weak, 0.5 * across / np.maximum(clean, np.finfo(np.float32).tiny))
+    dolp_sigma = np.minimum(np.sqrt(np.maximum(variance, 0)) / bright, MAX_DOLP_SIGMA)
+    return np.stack([dolp_sigma, np.degrees(angle)])
 
 
 def behind(stokes: Array, angle: float) -> Array:

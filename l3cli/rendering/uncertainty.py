@@ -30,6 +30,7 @@ from l3cli.classes.coarse_chroma import BLOCK
 from l3cli.errors import RecipeError
 from l3cli.frames.frame import RawFrame, upright
 from l3cli.physics.mosaic import shifted_cfa, tiled
+from l3cli.physics.stokes import MAX_CORRELATION, has_stokes, luminance_name, polarisation_sigma, stokes_of
 from l3cli.rendering.reference import at_table_levels, mosaic_of
 from l3cli.rendering.renderer import Renderer
 
@@ -53,6 +54,7 @@ TILES = (1, 2, 4, 8, 16)  # sides, in pixels, of the tiles whose means are evalu
 MIN_TILES = 9  # smallest number of tiles for which the noise of a tile size is evaluated
 MIN_VARIANCE = 1e-30  # avoids a division by zero if noise does not change any raw value, as in a black frame
 MIN_SIDE = 32  # smallest side of a frame, in pixels
+SUMS = ((0, 1), (0, 2), (1, 2))  # pairs of Stokes parameters whose sums are evaluated to obtain their covariances
 STRIP = 1 << 16  # number of pixels that are processed together, so that their values fit into the processor cache
 SEED = 20
 
@@ -61,6 +63,7 @@ SEED = 20
 class NoiseGains:
     """Ratios between the noise of outputs and the noise of raw values, for all frames of one scene."""
 
+    # For tables with Stokes parameters, the gains and factors of SUMS follow those of the outputs.
     by_class: NDArray[np.float32]  # (class of the last layer, output) gain G
     by_kind: NDArray[np.float32]  # (class of the first layer, output) factor K
     by_edge: NDArray[np.float32]  # (side, distance, output) factor E; the sides are top, bottom, left and right
@@ -75,6 +78,8 @@ class Uncertainty:
     sigma: NDArray[np.float32]  # (row, col, output) standard deviation due to the noise of the camera
     mask: NDArray[np.uint8]  # (row, col) bits CLIPPED and UNTRAINED, or 0 for reliable pixels
     gains: NoiseGains  # result of the bootstrap, which can be used for other frames of the same scene
+    # (row, col, 2) standard deviations of DoLP, and of AoLP in degrees; None for tables without Stokes parameters
+    polarisation: NDArray[np.float32] | None = None
 
     def of_mean(self, inside: NDArray[np.bool_]) -> Array:
         """Return the standard deviation of the mean of the outputs over a region.
@@ -139,7 +144,8 @@ def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = 
     gains = like.gains if like else _noise_gains(renderer, frame, outputs, scale)
     flags = _flags(table)
     by_class, by_kind = (np.ascontiguousarray(each.T) for each in (gains.by_class, gains.by_kind))
-    sigma, mask, terms = np.empty_like(outputs), _replaced(table, frame), _noise_terms(table, frame)
+    sigma = np.empty((by_class.shape[0], rows, columns), outputs.dtype)
+    mask, terms = _replaced(table, frame), _noise_terms(table, frame)
     for first in range(0, rows, step := max(STRIP // columns, 1)):
         strip = np.s_[first : first + step]
         cells, share = [each[strip].astype(np.intp) for each in labels], scale[strip] if scale.ndim else scale
@@ -153,8 +159,39 @@ def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = 
                 plane *= of_kind.take(cells[0])
     for of_side, side in zip(gains.by_edge, _sides(sigma), strict=True):
         side *= of_side.T[:, :, None]
-    turn = frame.orientation
-    return Uncertainty(upright(np.moveaxis(sigma, 0, -1), turn), upright(mask, turn), gains)
+    turn, own, polarisation = frame.orientation, sigma[: len(outputs)], None
+    if has_stokes(table.outputs):
+        polarisation = upright(_of_polarisation(table, outputs, sigma), turn)
+    return Uncertainty(upright(np.moveaxis(own, 0, -1), turn), upright(mask, turn), gains, polarisation)
+
+
+def _with_sums(table: TransformTable, outputs: Array) -> Array:
+    """Append the SUMS of Stokes parameters to outputs (output, …), if there are any."""
+    if not has_stokes(table.outputs):
+        return outputs
+    stokes = stokes_of(outputs, table.outputs)
+    return np.concatenate([outputs, [stokes[one] + stokes[other] for one, other in SUMS]])
+
+
+def _of_polarisation(table: TransformTable, outputs: Array, sigma: Array) -> NDArray[np.float32]:
+    """Return the standard deviations of DoLP and AoLP (row, col, 2).
+
+    `sigma` (output, row, col) contains the standard deviations of the outputs and of SUMS. The covariance of two parameters
+    follows from the variances of both and of their sum.
+    """
+    made = np.empty((*outputs.shape[1:], 2), np.float32)
+    for first in range(0, len(made), step := max(STRIP // made.shape[1], 1)):
+        strip = np.s_[:, first : first + step]
+        stokes = stokes_of(outputs[strip], table.outputs).astype(np.float64)
+        each = stokes_of(sigma[: len(outputs)][strip], table.outputs).astype(np.float64)
+        covariance = np.zeros((3, *stokes.shape))
+        covariance[np.arange(3), np.arange(3)] = np.square(each)
+        for (one, other), of_sum in zip(SUMS, sigma[len(outputs) :][strip], strict=True):
+            most = MAX_CORRELATION * each[one] * each[other]
+            product = (np.square(of_sum) - np.square(each[one]) - np.square(each[other])) / 2
+            covariance[one, other] = covariance[other, one] = np.clip(product, -most, most)
+        made[first : first + step] = np.moveaxis(polarisation_sigma(stokes, covariance), 0, -1)
+    return made
 
 
 @dataclass(frozen=True)
@@ -290,7 +327,8 @@ def _raw_sigma(
 
 
 def _brightness(table: TransformTable, outputs: Array) -> Array:
-    return np.asarray(outputs[table.outputs.index("Y")] if "Y" in table.outputs else outputs.mean(axis=0))
+    name = luminance_name(table.outputs)
+    return np.asarray(outputs[table.outputs.index(name)] if name in table.outputs else outputs.mean(axis=0))
 
 
 def _noise_terms(table: TransformTable, frame: RawFrame) -> tuple[Array, Array, float]:
@@ -336,16 +374,18 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Arr
     constant, linear, quadratic = terms = _noise_terms(table, frame)
     sigma = np.sqrt(np.maximum(constant[channel] + (linear[channel] + quadratic * signal) * signal - QUANTISATION, 0))
     draws = int(np.clip(BUDGET // signal.size, *DRAWS))
-    made = np.empty((len(outputs), draws, *signal.shape), np.float32)
+    own = len(outputs)
+    made = np.empty((len(_with_sums(table, scene)), draws, *signal.shape), np.float32)
     first, last = np.empty((2, draws, *signal.shape), np.intp)
     rng = np.random.default_rng(SEED)
     for draw in range(draws):
         noisy = table.black_level + signal + sigma * rng.standard_normal(signal.shape, np.float32)
         values = np.clip(np.rint(noisy), 0, 2**table.bits - 1).astype(np.uint16)
         again = RawFrame("again", values, table.black_level, table.white_level, levelled.phase)
-        made[:, draw], labels = renderer.classified(again)
+        rendered, labels = renderer.classified(again)
+        made[:, draw] = _with_sums(table, rendered)
         first[draw], last[draw] = labels[0], labels[-1]
-    spread = _raw_sigma(table, terms, unit, made, np.ones((), np.float32))
+    spread = _raw_sigma(table, terms, unit, made[:own], np.ones((), np.float32))
     deviations = made - made.mean(axis=1, keepdims=True)
     # Expected value of the sample standard deviation of `draws` values, relative to the true standard deviation.
     chi = math.exp(math.lgamma(draws / 2) - math.lgamma((draws - 1) / 2)) * math.sqrt(2 / draws)
@@ -359,7 +399,7 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Arr
         expected *= by_kind[first]
     by_edge = _edge_factors(measured, np.moveaxis(expected.mean(axis=0), -1, 0), inner)
     gains, factors, edges = (each.astype(np.float32) for each in (by_class, by_kind, by_edge))
-    return NoiseGains(gains, factors, edges, _areas(_cut(deviations, *inner)), unit)
+    return NoiseGains(gains, factors, edges, _areas(_cut(deviations[:own], *inner)), unit)
 
 
 def _edge_factors(measured: Array, expected: Array, inner: tuple[Labels, Labels]) -> Array:

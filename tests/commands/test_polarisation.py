@@ -103,6 +103,18 @@ def test_pictures_of_intensity_and_polarisation(trained: Path, l3: L3) -> None:
         assert np.ptp(picture.astype(int), axis=2).max() > 20
 
 
+def test_uncertainty_of_degree_and_angle(trained: Path, l3: L3) -> None:
+    sigma, outputs = trained / "sigma.exr", load(TransformTable, trained / "table.h5").outputs
+    arguments = ("render", trained / "table.h5", trained / "raw.npy", "-o", trained / "picture.exr", "--force")
+    code, _, err = l3(*arguments, "--uncertainty", sigma)
+    assert code == 0, err
+    pixels, names = read_image(sigma)
+    assert set(names) == {*(f"sigma.{name}" for name in (*outputs, "DoLP", "AoLP")), "mask"}
+    degree, angle = (pixels[..., names.index(f"sigma.{name}")] for name in ("DoLP", "AoLP"))
+    assert 0 < degree.min() < degree.max() <= 0.5
+    assert 0 < angle.min() < angle.max() <= 52
+
+
 def test_show_is_refused_where_it_has_no_effect(trained: Path, refused: Refused) -> None:
     table, raw = trained / "table.h5", trained / "raw.npy"
     for options in (("new.exr",), ("new.png", "--exposure", 2), ("new.png", "--tone", "aces"), ("new.dng",)):

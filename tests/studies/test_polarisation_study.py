@@ -9,8 +9,10 @@ photographs, which are noisy themselves: I0 + I90 and I45 + I135 differ by 1.3 %
 table0.h5, table1.h5 and table2.h5, nothing is trained.
 """
 
+import itertools
 import os
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +25,15 @@ from l3cli.evaluation.demosaic import bilinear
 from l3cli.evaluation.quality import StokesQuality, judge_stokes
 from l3cli.frames.frame import RawFrame
 from l3cli.io.images import read_image
-from l3cli.physics.stokes import STOKES, behind, dolp, stokes_of
+from l3cli.physics.stokes import STOKES, angle_difference, aolp, behind, dolp, stokes_of
 from l3cli.rendering.renderer import make_renderer
+from l3cli.rendering.uncertainty import uncertainty
+from l3cli.simulation import procedural
+from l3cli.simulation.frame import simulate
+from l3cli.simulation.light import Target, make_light
+from l3cli.simulation.recipe import Lens
+from l3cli.simulation.sensor import expose, mosaic
+from l3cli.simulation.sources import DeadLeaves, WantedScene
 from tests.helpers.paths import CONFIGS
 
 Array = NDArray[np.float64]
@@ -157,3 +166,44 @@ def test_flat_areas_stay_unpolarised(table: tuple[float, TransformTable]) -> Non
         of_sites = [np.abs(stokes[1:, row::2, col::2].mean(axis=(1, 2))).max() / (2 * grey) for row, col in np.ndindex(2, 2)]
         assert max(of_sites) < 0.005
         assert dolp(stokes).mean() < dolp(plain).mean() or not noise
+
+
+@pytest.mark.slow
+def test_uncertainty_of_degree_and_angle(table: tuple[float, TransformTable]) -> None:
+    """The stated standard deviations of DoLP and AoLP beside those of 60 noisy frames of three unseen scenes."""
+    noise, trained = table
+    if not noise or trained.camera is None:
+        return
+    camera, renderer = replace(trained.camera, rows=128, cols=160), make_renderer("opencl", trained)
+    light = make_light("D65", {}, camera.wavelength).at(100.0)
+    for share in (0.25, 0.03):  # mean signal as a fraction of full scale
+        degrees, stated, measured = [], [], []
+        for number in range(3):
+            scene = procedural.draw(WantedScene(DeadLeaves(size=(128, 160)), number=number), 77, camera.wavelength, True)
+            target = Target(STOKES, "", "Stokes")
+            plain = mosaic(simulate(camera, scene, light, 1.0, Lens(), (0,), target, "none").electrons, camera.cfa)
+            electrons = plain * np.float32(share * camera.full_scale / plain.mean())
+            stokes, maps = [], []
+            for seed in range(60):
+                rng = np.random.default_rng([seed, 3])
+                values = expose(replace(camera, fixed_pattern_seed=seed), electrons, 0.01, rng)
+                frame = RawFrame("frame", values, camera.black_level, camera.white_level)
+                stokes.append(stokes_of(renderer.outputs(frame), STOKES))
+                if seed < 4:
+                    found = uncertainty(renderer, frame)
+                    assert found.polarisation is not None
+                    maps.append(found.polarisation)
+            every = np.stack(stokes, axis=1).astype(np.float64)
+            usual = aolp(np.stack([dolp(every), *every[1:] / every[0]]).mean(axis=1))  # direction of the mean vector
+            inside = found.mask == 0
+            degrees.append(dolp(every.mean(axis=1))[inside])
+            stated.append(np.mean(maps, axis=0)[inside])
+            spread = [dolp(every).std(axis=0, ddof=1), np.sqrt((angle_difference(aolp(every), usual) ** 2).mean(axis=0))]
+            measured.append(np.stack(spread, axis=-1)[inside])
+        degree, ours, real = (np.concatenate(each) for each in (degrees, stated, measured))
+        for low, high in itertools.pairwise((0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 1.01)):
+            group = (degree >= low) & (degree < high)
+            ratio = ours[group].mean(axis=0) / real[group].mean(axis=0)
+            print(f"noise {noise:.0%}, signal {share}, DoLP {low} to {high}: stated / measured DoLP, AoLP {ratio.round(2)}")
+            assert 0.85 < ratio[0] < 1.15
+            assert 0.85 < ratio[1] < 1.6

@@ -6,6 +6,7 @@ import numpy as np
 
 from l3cli.errors import InputFileError
 from l3cli.io.pictures.registry import write_picture
+from l3cli.physics.stokes import FEATURES
 from l3cli.rendering.renderer import NoiseRenderer
 from l3cli.stages.rendering.job import Job
 from l3cli.stages.rendering.look import Look
@@ -34,8 +35,11 @@ def write_uncertainty(job: Job, look: Look) -> Path:
     if frame is None:
         raise InputFileError("‹uncertainty› needs a frame, but the input contains no frames; use an input with one frame")
     result = uncertainty(NoiseRenderer(job.options.backend, table, **job.engine).of_frame(frame), frame)
-    pixels = np.concatenate([result.sigma, result.mask[..., None].astype(np.float32)], axis=2)
-    write_picture(path, pixels, (*(f"sigma.{name}" for name in table.outputs), "mask"))
+    planes, names = [result.sigma], table.outputs
+    if result.polarisation is not None:
+        planes, names = [*planes, result.polarisation], names + FEATURES
+    pixels = np.concatenate([*planes, result.mask[..., None].astype(np.float32)], axis=2)
+    write_picture(path, pixels, (*(f"sigma.{name}" for name in names), "mask"))
     fraction = float((result.mask > 0).mean())
     job.options.console.info(
         f"{path}: written; {fraction:.1%} of the pixels are in the mask, because they are clipped or their classes have no "
