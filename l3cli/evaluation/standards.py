@@ -17,6 +17,7 @@ from l3cli.artifacts.training_set import TrainingFrame
 from l3cli.evaluation.basic import electrons_of, lit_library
 from l3cli.physics.display import delta_e_2000, lab
 from l3cli.physics.lens import diffraction_transfer
+from l3cli.physics.stokes import luminance_name
 
 Array = NDArray[np.floating]
 BINS_PER_PIXEL = 4  # oversampling of the edge profile
@@ -206,8 +207,9 @@ def known_sharpness(camera: CameraModel, wavelength: Array, weights: Array) -> S
 
 
 def brightness(planes: Array, outputs: tuple[str, ...]) -> Array:
-    """Return the luminance Y of a picture without its margin (row, col). If Y is not an output, return the mean output."""
-    plane = planes[outputs.index("Y")] if "Y" in outputs else planes.mean(axis=0)
+    """Return the luminance (Y or S0), or else the mean of the outputs, of a picture without its margin (row, col)."""
+    name = luminance_name(outputs)
+    plane = planes[outputs.index(name)] if name in outputs else planes.mean(axis=0)
     return np.asarray(plane[MARGIN_PIXELS:-MARGIN_PIXELS, MARGIN_PIXELS:-MARGIN_PIXELS], np.float64)
 
 

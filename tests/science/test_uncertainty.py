@@ -115,7 +115,7 @@ def test_sigma_of_degree_and_angle_is_what_noisy_frames_give() -> None:
     found = uncertainty(renderer, frames[0])
     assert found.polarisation is not None
     assert found.sigma.shape == (SIDE, SIDE, 3)
-    wanted = [measured(degree[..., None])[0], measured(angle_difference(angle, np.median(angle))[..., None])[0]]
+    wanted = [measured(degree[..., None])[0], measured(angle_difference(angle, float(np.median(angle)))[..., None])[0]]
     inside = found.polarisation[8:-8, 8:-8]
     assert np.sqrt((inside**2).mean(axis=(0, 1))) == pytest.approx(wanted, rel=0.04)
     alone = np.zeros((3, 3, *inside.shape[:2]))

@@ -9,6 +9,7 @@ import pytest
 from l3cli.artifacts.camera import CameraModel, Polarisers
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.classes.windows import neighbourhoods
+from l3cli.evaluation import standards
 from l3cli.evaluation.basic import develop_stokes
 from l3cli.evaluation.demosaic import stokes_baselines
 from l3cli.evaluation.quality import judge_stokes
@@ -160,6 +161,13 @@ def test_errors_of_stokes_parameters() -> None:
     assert quality.aolp_rmse == pytest.approx(10.0)
     assert quality.dolp_bias is None
     assert errors.max() < 1e-12
+
+
+def test_the_brightness_of_stokes_parameters_is_s0() -> None:
+    """Sharpness and signal-to-noise ratio must not depend on S1 and S2."""
+    planes = np.random.default_rng(1).random((3, 64, 64))
+    margin = standards.MARGIN_PIXELS
+    np.testing.assert_array_equal(standards.brightness(planes, STOKES), planes[1, margin:-margin, margin:-margin])
 
 
 def test_only_half_turns_leave_the_record_of_a_scene_alike(camera: CameraModel) -> None:
