@@ -24,7 +24,7 @@ from l3cli.rendering.renderer import make_renderer
 
 Array = NDArray[np.floating]
 Figures = dict[str, float]
-Row = dict[str, Any]  # of figures.json: name, program, ours, figures, settings (of several), seconds, by_frame (of some)
+Row = dict[str, Any]  # row of figures.json: name, program, ours, figures, settings, seconds; for some methods by_frame
 BORDER = 10  # pixels left out at each edge
 LOWER = ("delta_e", "angle")  # metrics that are better if they are smaller
 OURS = "l3"

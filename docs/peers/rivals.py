@@ -40,7 +40,7 @@ class NotInstalled(Exception):
 
 @dataclass(frozen=True)
 class Rival:
-    """A method with one or more settings. The best setting counts."""
+    """A method with one or more settings. Its result is the result with the best setting."""
 
     name: str
     program: str  # with its version

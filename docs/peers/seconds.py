@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 SIDES = (504, 1512)  # sides of two pictures in pixels (whole periods); the difference is timed
-ROUNDS = 3  # rounds over all methods; the smallest time of each counts
+ROUNDS = 3  # rounds over all methods; the result is the smallest time of each method
 ENOUGH = 3.0  # s of CPU time, after which a slow method is not run again
 LONG = 20.0  # s of CPU time; a method that needs more for the small picture is measured only on this picture
 
