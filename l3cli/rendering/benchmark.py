@@ -132,9 +132,9 @@ def _directions(case: Case, level_edges: NDArray[np.float64]) -> Feature:
 def _second_layer(
     first: ClassRule, sites: int, white: NDArray[np.float64], level_edges: NDArray[np.float64], rng: np.random.Generator
 ) -> PlaneLayer:
-    """Return a refinement layer whose classes depend on the structure, with gradients relative to the noise of the frame.
+    """Return a refinement layer with structure classes for the noise of `synthetic_frame`.
 
-    The transform of each class outputs a grey with the mean luminance of the window, with small random deviations.
+    Each transform returns a grey with the mean luminance of the window. Small random deviations are added to its weights.
     """
     noise = np.sqrt(
         2 * _variance(np.append(level_edges, WHITE_LEVEL)) / first.patch**3
@@ -191,9 +191,10 @@ def synthetic_frame(case: Case, rng: np.random.Generator) -> RawFrame:
 
 
 def _detail(case: Case, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a texture factor for each pixel. The factors vary as often as the brightness of a busy scene.
+    """Return a factor for each pixel that adds a random texture to the scene.
 
-    Because of these edges, most neighbouring pixels are in different structure classes, even at the same CFA site.
+    The texture changes the brightness as often as a busy scene does. Most neighbouring pixels therefore have different
+    structure classes, even if they have the same CFA site.
     """
     blocks = np.zeros((case.height, case.width))
     for side in (3, 7, 15):

@@ -85,10 +85,11 @@ def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
 
 
 def nearest_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
-    """Return only the illuminant with the larger weight in the result of `mix_for`, as a mixture.
+    """Return the illuminant of a table that is closest to the white of a scene.
 
-    Pictures are rendered with this illuminant. Their white balance corrects the remaining difference between the
-    illuminants. The result is None if the table has no transforms for single illuminants.
+    This is the illuminant with the larger weight in `mix_for`. Pictures are rendered with the transforms for this
+    illuminant. The white balance corrects the remaining difference between the two illuminants. The result is None if the
+    table has no transforms for single illuminants.
     """
     mix = mix_for(table, white)
     return None if mix is None else replace(mix, share=float(mix.share >= 0.5))
@@ -154,9 +155,10 @@ def _mixed_layers(common: Layers, warm: Layers, cool: Layers, shares: Sequence[N
 
 
 def _between(warm: NDArray[Float], cool: NDArray[Float], share: NDArray[np.float64] | float) -> NDArray[Float]:
-    """Return the weighted mean of two arrays. `share` is the weight of `cool`: a number, or an array along the first axis.
+    """Return the weighted mean of two arrays, in which `share` is the weight of `cool`.
 
-    Elements that are equal in both arrays stay unchanged to the last bit.
+    `share` is one number, or one number for each element of the first axis. Values that are equal in both arrays stay
+    unchanged to the last bit.
     """
     one, other = warm.astype(np.float64), cool.astype(np.float64)
     share = np.asarray(share).reshape(-1, *[1] * (one.ndim - 1))
@@ -169,7 +171,7 @@ def _between(warm: NDArray[Float], cool: NDArray[Float], share: NDArray[np.float
 def known_gains(table: TransformTable) -> tuple[float, float]:
     """Return the smallest and the largest analog gain at which the noise of a table's camera is known.
 
-    Gains are relative to the gain in the camera model. A table without its camera returns (1, 1).
+    Gains are relative to the gain in the camera model. The result is (1, 1) if the table does not contain its camera.
     """
     known = [1.0, *(table.camera.gains.analog_gain.tolist() if table.camera and table.camera.gains else ())]
     return min(known), max(known)
@@ -297,14 +299,15 @@ def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
 
 
 def noise_limits(table: TransformTable) -> dict[NoiseScale, float]:
-    """Return the largest noise fraction at which each set of transforms for less noise is used.
+    """Return, for each set of transforms for less noise, the noise fraction up to which the set is used.
 
-    The limit is between the noise of the set and the next larger noise, at a quarter of the logarithmic distance.
+    Sets of transforms are sorted by their noise. Between two adjacent sets, the limit is at a quarter of the logarithmic
+    distance, measured from the set with less noise.
 
     Returns
     -------
     dict of NoiseScale to float
-        Limit for the noise of each set. The set with the largest noise comes first.
+        Limit for each noise level, in order of decreasing noise.
     """
     lower = sorted((each.noise for each in table.noises if each.noise and each.noise.shot < 1), key=lambda each: -each.shot)
     return {each: each.shot**0.75 * above.shot**0.25 for above, each in itertools.pairwise([NoiseScale(), *lower])}

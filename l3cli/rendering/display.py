@@ -125,9 +125,9 @@ def linear_matrix(adaptation: NDArray[np.floating], scale: float, space: Space) 
 
 
 def require_xyz(outputs: tuple[str, ...]) -> None:
-    """Raise a RecipeError if pictures cannot be made from these outputs.
+    """Raise a RecipeError unless pictures can be made from these outputs.
 
-    They must be X, Y, Z, only Y, or Stokes parameters.
+    Pictures can be made from X, Y and Z, from Y alone, and from Stokes parameters.
     """
     if outputs not in (("X", "Y", "Z"), GREY, STOKES):
         raise RecipeError(

@@ -1,4 +1,4 @@
-"""Measures the automatic exposure of frames (docs/method.md#display), and the pixels outside the range of the training.
+"""Measures the automatic exposure of frames, and finds pixels for which the table was not trained (docs/method.md#display).
 
 The measurements use a sample of about 1500 pixels per frame.
 """
@@ -149,12 +149,12 @@ def still_scale(luminance: NDArray[np.floating], frame: RawFrame, table: Transfo
 
 
 def _white(luminance: NDArray[np.floating], clipped: NDArray[np.bool_]) -> float:
-    """Return the luminance that should be displayed as white: the 99th percentile, corrected for noise of clipped areas.
+    """Return the luminance that should be displayed as white: the 99th percentile, corrected for the noise of clipped areas.
 
-    Noise raises a percentile, so a uniform white would be displayed as grey. The effect is visible in areas in which
-    channels clip, because fewer channels measure the luminance there. Therefore the result is the mean over the pixels whose
-    luminance differs by less than `NOISE_WHERE_CLIPPED` from the percentile. In this mean, the percentile replaces the
-    luminance of pixels outside clipped areas.
+    Noise raises a percentile, so a uniform white would be displayed as grey. The effect is visible in areas in which some
+    channels clip, because fewer channels measure the luminance there. The result is therefore a mean over the pixels whose
+    luminance differs from the percentile by less than `NOISE_WHERE_CLIPPED`. Pixels outside clipped areas enter this mean
+    with the percentile instead of their luminance.
     """
     white = white_percentile(luminance)
     alike = np.abs(luminance - white) <= NOISE_WHERE_CLIPPED * white
@@ -197,7 +197,10 @@ def _windows(length: int, period: int, patch: int, most: int) -> tuple[np.ndarra
 
 @functools.lru_cache(1)
 def _places(down: tuple[int, int, int, int], across: tuple[int, int, int, int]) -> np.ndarray:
-    """Return the index (patch, tap) of each tap in the flattened frame. One index is twice as fast as two indices."""
+    """Return the index (patch, tap) of each tap in the flattened frame.
+
+    One index per tap is twice as fast as a row index and a column index.
+    """
     (_, row), (_, col) = _windows(*down), _windows(*across)
     places = row[:, None, :, None].astype(np.intp) * across[0] + col[None, :, None, :]
     places.flags.writeable = False
@@ -229,7 +232,10 @@ class SteadyExposure:
 
 @dataclass(frozen=True)
 class OutOfRange:
-    """Fractions of the pixels of a frame for which the table was not trained. The first three fractions do not overlap."""
+    """Fractions of the pixels of a frame for which the table was not trained.
+
+    No pixel is counted in more than one of `darker`, `brighter` and `untrained`.
+    """
 
     darker: float  # pixels that are darker than all levels with training patches
     brighter: float  # pixels that are brighter than all levels with training patches
@@ -245,7 +251,7 @@ class RangeMeter:
         self._samples = table.first.rule.by_feature(table.first.samples)
 
     def outside(self, frame: RawFrame) -> OutOfRange:
-        """Return the fractions for one frame."""
+        """Measure the fractions of pixels in a frame that are too dark, too bright, untrained or saturated."""
         rule = self._table.first.rule
         _, site, labels = self._spread.of(frame)
         place = rule.split(labels)
@@ -257,7 +263,7 @@ class RangeMeter:
         return OutOfRange(*(float(np.mean(mask)) for mask in (darker, brighter, untrained, saturated)))
 
     def learned_range(self) -> tuple[float, float]:
-        """Return the smallest and the largest signal of the levels with training patches, as fractions of full scale."""
+        """Return the lowest and the highest signal for which the table was trained, as fractions of full scale."""
         table = self._table
         learned = np.flatnonzero(self._samples.sum(axis=(0, 2, 3, 4)) > 0)
         edges = np.concatenate([[0.0], level.inner_bounds(table.first.rule, table.black_level, table.white_level), [1.0]])

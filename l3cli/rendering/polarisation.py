@@ -25,8 +25,8 @@ DIVERGING = np.array([(33, 102, 172), (146, 197, 222), (247, 247, 247), (244, 16
 def in_upright_frame(planes: Floats, outputs: tuple[str, ...], orientation: int) -> Floats:
     """Turn outputs (output, row, col) upright, according to a flip code of LibRaw (`frames.frame.upright`).
 
-    Angles of polarisation are then relative to the horizontal axis of the upright picture: a mirrored picture changes the
-    sign of S2, and a transposed one the sign of S1.
+    Angles of polarisation become relative to the horizontal axis of the upright picture. Mirroring a picture changes the
+    sign of S2, and transposing a picture changes the sign of S1.
     """
     turned = np.moveaxis(upright(np.moveaxis(planes, 0, -1), orientation), -1, 0)
     if has_stokes(outputs) and orientation:
@@ -39,9 +39,9 @@ def in_upright_frame(planes: Floats, outputs: tuple[str, ...], orientation: int)
 
 
 def names_in_files(outputs: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of the values in a linear file: S0, S1, S2 in this order, then DoLP and AoLP.
+    """Return the names of the values in a linear file: S0, S1 and S2, followed by DoLP and AoLP.
 
-    Outputs without Stokes parameters are unchanged.
+    The names are `outputs` if the outputs are not Stokes parameters.
     """
     if not has_stokes(outputs):
         return outputs
@@ -99,13 +99,17 @@ def picture_of(planes: Floats, outputs: tuple[str, ...], shown: str, bits: int) 
 
 
 def coloured(values: Floats, colours: Floats) -> Floats:
-    """Return colours (…, 3) for values from 0 to 1, interpolated between equidistant `colours` (colour, 3)."""
+    """Map values from 0 to 1 to a colour scale.
+
+    The scale interpolates linearly between the equidistant `colours` (colour, 3). The result has an additional last axis for
+    R, G and B.
+    """
     at = np.linspace(0, 1, len(colours))
     return np.stack([np.interp(values, at, channel) for channel in colours.T], axis=-1)
 
 
 def _hues(share: Floats) -> Floats:
-    """Convert hues from 0 (red) to 1 (red again) to fully saturated colours (…, 3)."""
+    """Return fully saturated R, G and B for hues on a circle from 0 (red) to 1 (red again)."""
     sector = (share[..., None] * 6 + np.array([0.0, 4.0, 2.0])) % 6
     return np.clip(np.abs(sector - 3) - 1, 0, 1)
 

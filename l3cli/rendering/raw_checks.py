@@ -313,7 +313,10 @@ def _torn(frame: RawFrame, period: int) -> str:
 
 
 def _step(values: NDArray[np.uint16], period: int) -> float:
-    """Return the mean absolute difference between rows at a distance of `period`, which have the same channels."""
+    """Return the mean absolute difference between rows that are `period` rows apart.
+
+    Rows at this distance contain the same channels.
+    """
     last = len(values) - period
     if last < 1:
         return 0.0

@@ -53,12 +53,15 @@ class ReferenceRenderer:
         return self.outputs(frame), [self.labels(frame, number) for number in sorted({0, len(self.table.later)})]
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
-        """Return the frame as a picture (row, col, 3). Raises RecipeError if the table has no outputs for pictures."""
+        """Render a frame as a picture (row, col, 3).
+
+        Raises RecipeError if pictures cannot be made from the outputs of the table.
+        """
         require_xyz(self.table.outputs)
         return encode(self.exact_outputs(frame), display)
 
     def encoded(self, outputs: NDArray[np.float32], display: Display) -> NDArray:
-        """Return a picture (row, col, 3) of outputs (output, row, col)."""
+        """Encode the outputs (output, row, col) of a frame as a picture (row, col, 3)."""
         return encode(outputs, display)
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
@@ -144,7 +147,7 @@ def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
 
 
 def mosaic_of(levelled: RawFrame, table: TransformTable) -> Mosaic:
-    """Return the input for the replacement of uniform clipped areas. The frame must have the levels of the table."""
+    """Prepare a frame for the replacement of uniform clipped areas. The frame must have the levels of the table."""
     cfa = shifted_cfa(table.cfa, levelled.phase)
     return Mosaic(levelled.values, cfa, levelled.black_level, table.white_level)
 
@@ -230,24 +233,24 @@ def refinement_outputs(
 
 
 def _mosaic_windows(values: NDArray, table: TransformTable) -> NDArray:
-    """Return the window around each pixel of a mosaic, as an array (1, row, col, window row, window col)."""
+    """Return the window around each pixel of a mosaic, with the axes (1, row, col, window row, window col)."""
     patch = table.first.rule.patch
     padded = pad_mosaic(values, table.first.rule.radius, table.cfa.shape)
     return np.lib.stride_tricks.sliding_window_view(padded[None], (patch, patch), (1, 2))
 
 
 def _windows(planes: NDArray, layer: PlaneLayer) -> NDArray:
-    """Return the windows around each pixel in all planes, as an array (plane, row, col, window row, window col)."""
+    """Return the window around each pixel in every plane, with the axes (plane, row, col, window row, window col)."""
     return np.lib.stride_tricks.sliding_window_view(mirrored(planes, layer.radius), (layer.side, layer.side), (1, 2))
 
 
 def _patches(windows: NDArray, row: int) -> NDArray:
-    """Return the taps of all windows in one row, as an array (col, tap). The taps of each plane are consecutive."""
+    """Return the taps (col, tap) of all windows in one row of the picture. The taps of each plane are consecutive."""
     return np.moveaxis(windows[:, row], 0, 1).reshape(windows.shape[2], -1)
 
 
 def _fixed_point_planes(windows: NDArray, labels: Integers, fixed: FixedPoint) -> NDArray[np.int32]:
-    """Apply fixed-point transforms to windows (plane, row, col, …), and return the planes (plane, row, col)."""
+    """Apply fixed-point transforms to windows (plane, row, col, …), and return planes (plane, row, col)."""
     made = np.empty((fixed.weights.shape[1], *labels.shape), np.int32)
     for row, label in enumerate(labels):
         sums = (fixed.weights[label] * _patches(windows, row)[:, None]).sum(axis=-1) + fixed.intercept[label]
@@ -258,9 +261,9 @@ def _fixed_point_planes(windows: NDArray, labels: Integers, fixed: FixedPoint) -
 def _transformed(
     windows: NDArray, labels: Integers, layer: MosaicLayer | PlaneLayer, ratios: NDArray | None = None
 ) -> NDArray[np.float64]:
-    """Apply floating-point transforms to windows (plane, row, col, …), and return the outputs (output, row, col).
+    """Apply floating-point transforms to windows (plane, row, col, …), and return outputs (output, row, col).
 
-    `ratios` (row, col, tap) contains the taps that follow the taps of the windows.
+    `ratios` (row, col, tap) contains the colour ratios, which are additional taps after the taps of the windows.
     """
     outputs = np.empty((layer.weights.shape[1], *labels.shape))
     for row, label in enumerate(labels):  # row by row, because the transforms of all pixels would need gigabytes

@@ -47,9 +47,9 @@ class Renderer(Protocol):
         """
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
-        """Return the frame as a picture (row, col, 3) in uint8 or uint16.
+        """Render a frame as a picture (row, col, 3) in uint8 or uint16.
 
-        Raises a RecipeError if the outputs of the table are not X, Y, Z, only Y, or Stokes parameters.
+        Raises a RecipeError unless the table outputs X, Y and Z, Y alone, or Stokes parameters.
         """
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
@@ -59,9 +59,9 @@ class Renderer(Protocol):
         """
 
     def encoded(self, outputs: NDArray[np.float32], display: Display) -> NDArray:
-        """Return a picture (row, col, 3) of outputs (output, row, col) that were changed after rendering.
+        """Encode outputs (output, row, col) that were changed after rendering, as a picture (row, col, 3).
 
-        Raises a RecipeError if the outputs of the table are not X, Y, Z, only Y, or Stokes parameters.
+        Raises a RecipeError unless the table outputs X, Y and Z, Y alone, or Stokes parameters.
         """
 
 

@@ -100,7 +100,7 @@ def chosen_space(name: str | None, linear: bool) -> Space:
 
 
 def outputs_as_they_are(table: TransformTable) -> Rendition:
-    """Return the settings that write the outputs of a table unchanged. The file states that X, Y, Z are colours."""
+    """Return the settings for writing the outputs of a table unchanged. Files with X, Y and Z are marked as CIE XYZ."""
     if table.outputs != ("X", "Y", "Z"):
         return OUTPUTS
     return replace(OUTPUTS, space=replace(XYZ, title="CIE XYZ", neutral=chromaticity_of(table.white_point)))
@@ -136,7 +136,7 @@ def shown_as(
     Raises
     ------
     RecipeError
-        If an argument is invalid, or if the outputs of the table are not X, Y, Z, only Y, or Stokes parameters.
+        If an argument is invalid, or if the outputs of the table are neither X, Y and Z, nor Y alone, nor Stokes parameters.
     """
     if exposure is not None and not (isinstance(exposure, Real) and MIN_EXPOSURE <= exposure <= MAX_EXPOSURE):
         given_as = f"{exposure:g}" if isinstance(exposure, Real) else f'"{exposure}"'
@@ -176,7 +176,7 @@ def rendered(
     pixels : ndarray, (row, col, value)
         The picture in upright orientation.
     scale : float
-        Exposure scale of the picture. It is not applied to pictures for raw converters.
+        Exposure scale of the picture. Pictures for raw converters are stored without this scale.
     """
     balance = balance or rendition.balance
     if balance is not None and not rendition.is_linear:
@@ -204,7 +204,7 @@ def rendered(
 def frame_and_display(
     renderer: Renderer, frame: RawFrame, rendition: Rendition, balance: WhiteBalance, scale: float
 ) -> tuple[RawFrame, Display]:
-    """Multiply the channels of a frame by the gains of the white balance, and determine its display settings.
+    """Apply the white-balance gains to a frame, and determine the display settings of the picture.
 
     A `scale` of 0 means automatic exposure.
     """
@@ -249,7 +249,7 @@ class FrameMeter:
         return bool(self._light or self._source or self._stated)
 
     def measured(self, frame: RawFrame) -> tuple[float, WhiteBalance | None, SceneWhite | None]:
-        """Measure the next frame.
+        """Measure the exposure and the white balance of the next frame.
 
         Returns
         -------
@@ -258,7 +258,7 @@ class FrameMeter:
         balance : WhiteBalance or None
             White balance, or None for the white balance of the rendition.
         white : SceneWhite or None
-            Measured white, or None if there is no source of the white or the frame has no usable pixels.
+            Measured white, or None if the white is not measured or if the frame has no usable pixels.
 
         Raises
         ------
@@ -269,7 +269,7 @@ class FrameMeter:
         return self.scale(frame, brightness), balance, white
 
     def looked_at(self, frame: RawFrame) -> tuple[float, WhiteBalance | None, SceneWhite | None]:
-        """Measure the next frame without updating the exposure.
+        """Measure the brightness and the white balance of the next frame, without updating the exposure.
 
         Returns
         -------

@@ -61,7 +61,7 @@ SEED = 20
 
 @dataclass(frozen=True)
 class NoiseGains:
-    """Ratios between the noise of outputs and the noise of raw values, for all frames of one scene."""
+    """Factors G, K and E, which convert the noise of raw values to the noise of outputs (see the head of the module)."""
 
     # For tables with Stokes parameters, the gains and factors of SUMS follow those of the outputs.
     by_class: NDArray[np.float32]  # (class of the last layer, output) gain G
@@ -118,9 +118,9 @@ def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = 
     renderer : Renderer
         A renderer with one set of transforms, for the gain and the noise of the frame.
     frame : RawFrame
-        Frame that the renderer renders.
+        The raw frame.
     like : Uncertainty, optional
-        Uncertainty of another frame of the same scene, whose gains are used instead of a new bootstrap.
+        Uncertainty of another frame of the same scene. Its factors are used instead of a new bootstrap.
 
     Returns
     -------
@@ -272,7 +272,7 @@ def within_polygon(shape: tuple[int, ...], polygon: Sequence[tuple[float, float]
 
 
 def _flags(table: TransformTable) -> list[NDArray[np.uint8]]:
-    """Return the bits of the mask for each class of the first layer, and for each class of the last layer."""
+    """Return the bits CLIPPED and UNTRAINED of each class in the first layer, and of each class in the last layer."""
     rule, samples = table.first.rule, [table.first.samples, *(layer.samples for layer in table.later[-1:])]
     flags = [np.where(each > 0, 0, UNTRAINED).astype(np.uint8) for each in samples]
     flags[0][rule.case(rule.split(np.arange(len(table.first.weights))).kind) > 0] |= CLIPPED
@@ -280,7 +280,7 @@ def _flags(table: TransformTable) -> list[NDArray[np.uint8]]:
 
 
 def _replaced(table: TransformTable, frame: RawFrame) -> NDArray[np.uint8]:
-    """Return a mask (row, col) that is CLIPPED where the outputs or the hue of clipped areas are replaced, otherwise 0."""
+    """Return a mask (row, col) of the pixels that the replacement of clipped areas changes: CLIPPED or 0."""
     none, clipping = np.zeros(frame.values.shape, np.uint8), table.later[-1].clipping if table.later else None
     if clipping is None:
         return none
@@ -311,10 +311,10 @@ def _sides(planes: NDArray[Any]) -> list[NDArray[Any]]:
 def _raw_sigma(
     table: TransformTable, terms: tuple[Array, Array, float], unit: float, outputs: Array, scale: Array
 ) -> Array:  # fmt: skip
-    """Return the standard deviation of raw values that are as bright as the outputs, as a fraction of full scale.
+    """Return the noise s of a raw value that is as bright as the output of each pixel, as a fraction of full scale.
 
-    The noise terms are averaged over the channels. `outputs` (output, …) are the results of the transforms, multiplied by
-    `scale` (…). The returned standard deviation (…) is multiplied by `scale`, too.
+    The noise terms are averaged over the channels. `outputs` (output, …) are already multiplied by `scale` (…), the exposure
+    and shading gain of each pixel. The returned standard deviation is multiplied by `scale` in the same way.
     """
     span = table.white_level - table.black_level
     constant, linear, quadratic = (np.mean(term) / span**2 for term in terms)
@@ -348,7 +348,7 @@ def _noise_terms(table: TransformTable, frame: RawFrame) -> tuple[Array, Array, 
 
 
 def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Array) -> NoiseGains:
-    """Determine the gains by a bootstrap. `outputs` are the outputs of the frame, which contain the factor `scale`.
+    """Determine the factors G, K and E by a bootstrap. The `outputs` of the frame are already multiplied by `scale`.
 
     Raises RecipeError if the frame is too small.
     """
@@ -403,9 +403,10 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Arr
 
 
 def _edge_factors(measured: Array, expected: Array, inner: tuple[Labels, Labels]) -> Array:
-    """Return the factors E (side, distance, output): the ratio of the measured to the expected standard deviation.
+    """Return the factors E (side, distance, output) of the outermost rows and columns.
 
-    Corners and the seams between pieces are left out.
+    Each factor is the ratio of the measured to the expected standard deviation. Corners and the seams between simulated
+    pieces are left out.
     """
     rows, cols = inner
     pairs = zip((cols, cols, rows, rows), _sides(measured), _sides(expected), strict=True)
@@ -423,11 +424,27 @@ def _cut(planes: NDArray[Any], rows: Labels, cols: Labels) -> NDArray[Any]:
 
 
 def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labels], outputs: Array) -> tuple[Array, float]:
-    """Fit a matrix (channel, output) that converts outputs to signals in DN. Also return the mean DN per unit brightness.
+    """Fit the inverse of rendering: a matrix (channel, output) that converts outputs to raw signals in DN.
 
-    The fit uses robust least squares over the means of blocks, because outputs do not resolve fine patterns. The errors are
-    relative to the brightness of a block. `sampled` contains the indices of the rows and columns to use. The frame has the
-    levels of the table.
+    The fit compares means of blocks, because the outputs cannot reproduce fine patterns. Robust least squares weights the
+    errors of each block relative to its brightness.
+
+    Parameters
+    ----------
+    table : TransformTable
+        Table that rendered the outputs.
+    levelled : RawFrame
+        The frame, converted to the levels of the table.
+    sampled : (ndarray, ndarray)
+        Indices of the rows and of the columns that `outputs` contains.
+    outputs : ndarray, (output, row, col)
+        The outputs.
+
+    Returns
+    -------
+    matrix : ndarray, (channel, output)
+    unit : float
+        Mean signal in DN of outputs with a brightness of 1.
     """
     sides = block_sides(table.cfa)
     rows, cols = (length // side for length, side in zip(outputs.shape[1:], sides, strict=True))
@@ -465,7 +482,7 @@ def _sampled(length: int, unit: int) -> NDArray[np.int64]:
 
 
 def _counts(indices: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return a mask of the indices from `_sampled` that are far enough from the seams between pieces and from the ends."""
+    """Return a mask that excludes the first and last indices from `_sampled`, and the indices near seams between pieces."""
     seams = np.concatenate([[-0.5], np.flatnonzero(np.diff(indices) != 1) + 0.5, [indices.size - 0.5]])
     return np.asarray(np.abs(np.arange(indices.size)[:, None] - seams).min(axis=1) > SEAM_PIXELS)
 
@@ -473,9 +490,9 @@ def _counts(indices: NDArray[np.int64]) -> NDArray[np.bool_]:
 def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, measured: Array) -> tuple[Array, Array]:
     """Fit the gains G and the factors K by iterative proportional fitting.
 
-    In each of several groups of pixels, the mean of the predicted standard deviations is made equal to the mean of the
-    measured standard deviations. The groups are the levels, the classes of the last layer joined over the sites, the classes
-    of the last layer, and the kinds of the first layer.
+    Pixels are grouped in four ways: by level, by the class of the last layer without its site, by the class of the last
+    layer with its site, and by the kind of the first layer. In each group, the mean of the predicted standard deviations is
+    made equal to the mean of the measured standard deviations.
 
     Parameters
     ----------
@@ -531,7 +548,7 @@ def _summed(part: Labels, values: NDArray[Any], size: int) -> Array:
 
 
 def _areas(deviations: Array) -> Array:
-    """Return `NoiseGains.area` from the deviations (output, draw, row, col) of the renderings from their mean."""
+    """Return `NoiseGains.area` from the deviations (output, draw, row, col) of each rendering from the mean rendering."""
     areas, means = [], deviations
     for side in TILES:
         if side > 1:

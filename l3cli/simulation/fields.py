@@ -121,10 +121,10 @@ def _drawn(rng: np.random.Generator, amplitude: Field, cols: int, variance: floa
 
 @functools.lru_cache(maxsize=1)
 def _normals() -> NDArray[np.complex64]:
-    """Return LENGTHS · PHASES complex numbers that together follow a normal distribution with E|z|² = 1.
+    """Return LENGTHS · PHASES complex numbers whose values follow a normal distribution with E|z|² = 1.
 
-    Picking coefficients from this list takes a third of the time of generating normal random numbers. Each sample of the
-    field is a sum of many coefficients and is therefore still Gaussian.
+    Picking coefficients from this list takes a third of the time of drawing normal random numbers. Each sample of the field
+    is a sum of many coefficients and is therefore still Gaussian.
     """
     length = np.sqrt(-np.log((np.arange(LENGTHS) + 0.5) / LENGTHS))
     length /= np.sqrt(np.mean(length**2))
@@ -158,7 +158,7 @@ def _logarithm(down: Field, across: Field, direction: Direction, longest: float)
 
 
 def _slow_power(shape: tuple[int, int], exponent: float, direction: Direction, longest: float) -> float:
-    """Return the power per pixel at frequencies above 0 and up to SLOW. A coefficient of amplitude 1 has power 1."""
+    """Return the power per pixel at frequencies above 0 and up to SLOW. A coefficient with amplitude 1 has power 1."""
     down, across = (np.arange(-int(n * SLOW), int(n * SLOW) + 1, dtype=np.float32) / np.float32(n) for n in shape)
     power = np.exp(_logarithm(down[:, None], across, direction, longest) * np.float32(-2 * exponent))
     power[len(down) // 2, len(across) // 2] = 0.0
@@ -273,7 +273,7 @@ def _set_contrast(
 
 @dataclass(frozen=True)
 class Patterns:
-    """Regular patterns on the leaves, which are strokes with a second reflectance.
+    """Regular patterns on leaves. A pattern consists of strokes with a second reflectance.
 
     Lengths are in samples. Arrays have one value per leaf, unless a shape is stated.
     """
@@ -364,7 +364,7 @@ def coverage(patterns: Patterns, label: NDArray[np.integer], down: Array, across
     Returns
     -------
     ndarray, (row, col)
-        Covered fraction, 0 to 1. It is 0 on leaves without a pattern.
+        Covered fraction, from 0 to 1. Leaves without a pattern have a fraction of 0.
     """
     cosine, sine = np.cos(patterns.angle)[label], np.sin(patterns.angle)[label]
     u, v = across * cosine + down * sine, down * cosine - across * sine

@@ -152,7 +152,7 @@ def exposed_again(frame: TrainingFrame, camera: CameraModel, gain: float) -> Tra
 
 
 class AtGain:
-    """The simulated frames of a training set, simulated again with the analog gain multiplied by `gain`."""
+    """The simulated frames of a training set, simulated again at an analog gain that is higher by the factor `gain`."""
 
     def __init__(self, reader: TrainingSetReader, gain: float) -> None:
         self.head = replace(reader.head, camera=reader.head.camera.at_gain(gain))
@@ -317,7 +317,7 @@ def spectral_planes(
 def _signalled(
     camera: CameraModel, picture: ChannelPicture, light: Light
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-    """Return the results of `_collected` for a picture of channel signals. The target has the unit of the camera bands."""
+    """Return the results of `_collected` for a picture of channel signals. The target has the same unit as the camera bands."""
     full = (white_rates(camera, light) * camera.channel_gains).max()
     white = full * camera.saturation_exposure / camera.full_scale
     signal = np.moveaxis(picture.signal, -1, 0)
@@ -345,7 +345,7 @@ def make_pair(
     camera : CameraModel
         The camera.
     pair : Pair
-        Offset and scale from the recipe. A picture value multiplied by the scale is the fraction of full scale that a white
+        Offset and scale from the recipe. The scale converts a picture value to the fraction of full scale that a white
         surface of the same brightness reaches. If the recipe has no scale, the scale is fitted under the assumption that the
         mean of the scene is grey.
     name : str

@@ -276,7 +276,7 @@ class _Session:
         )
 
     def _next_light(self) -> tuple[float, float]:
-        """Return the output of the lamp relative to its measured spectrum, and the reading of the lamp monitor."""
+        """Return the output of the lamp, relative to its measured spectrum, and the reading of the lamp monitor."""
         fresh = self.recipe.lamp_drift * np.sqrt(1.0 - DRIFT_CORRELATION**2) * self.rng.standard_normal()
         self.drift = DRIFT_CORRELATION * self.drift + fresh
         light = 1.0 + self.drift
@@ -321,7 +321,10 @@ def plan(camera: CameraModel, recipe: LabRecipe, seed: int) -> tuple[LabCapture,
 
 
 def _plan_polariser(session: _Session, recipe: PolariserRecipe) -> None:
-    """Plan the captures behind a rotating polariser, after all other captures so that the other frames stay the same."""
+    """Plan the captures behind a rotating polariser.
+
+    These captures come last, so that they do not change the random numbers of all other frames.
+    """
     wavelength = session.response.wavelength
     leakage = 1.0 / recipe.extinction
     light = _light(recipe.illuminant, wavelength, recipe.luminance)[None] * (1.0 + leakage) / 2.0
@@ -366,7 +369,7 @@ def chart_corners(camera: CameraModel) -> list[tuple[float, float]]:
 
 
 def chart_regions(camera: CameraModel) -> NDArray[np.int64]:
-    """Return the index of the patch at each pixel, (row, col): 0 to 23 for patches, and 24 for the mount."""
+    """Return the index of the chart patch at each pixel (row, col): 0 to 23 for patches, and 24 for the mount."""
     (left, top), _, (right, bottom), _ = chart_corners(camera)
     x = (np.arange(camera.cols) - left) / (right - left) * CHART_COLS
     y = (np.arange(camera.rows) - top) / (bottom - top) * CHART_ROWS

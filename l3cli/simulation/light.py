@@ -129,7 +129,7 @@ def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
 
 
 class Sees(Protocol):
-    """Protocol of objects that convert light to electrons: a camera, or colour filters on a pixel."""
+    """Protocol of objects that convert light to electrons, such as a camera or the colour filters on a pixel."""
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -145,7 +145,7 @@ class Sees(Protocol):
 
 
 class Filters(NamedTuple):
-    """Colour filters on a pixel, as an implementation of `Sees`."""
+    """Colour filters on a pixel. `Filters` can be used in place of a camera (see `Sees`)."""
 
     channels: tuple[str, ...]
     wavelength: NDArray[np.float64]
@@ -188,7 +188,7 @@ def named_beyond_known(names: Iterable[str], camera: Sees) -> list[str]:
 
 
 def beyond_known(light: Light, measured: Mapping[str, Curve], camera: Sees) -> str:
-    """Return a warning if a channel collects more than 1 % of its electrons at wavelengths where an illuminant is unknown.
+    """Return a warning if a channel collects more than 1 % of its electrons at wavelengths where an illuminant has no data.
 
     Outside the range of its table, a standard illuminant is continued with its last value, and a measured illuminant with
     zero. For the warning, a measured illuminant is also continued with its last value.
@@ -231,11 +231,10 @@ def beyond_known(light: Light, measured: Mapping[str, Curve], camera: Sees) -> s
 
 
 def lens_beyond_known(name: str, transmittance: Curve, light: Light, camera: CameraModel) -> str:
-    """Return a warning if a file of lens transmittances does not cover all wavelengths at which a channel collects
-    electrons.
+    """Return a warning if the transmittance of a lens is not known at all wavelengths at which a channel collects electrons.
 
-    Outside the range of the file, l3 uses a transmittance of zero. The fraction of missing electrons is estimated with the
-    last value of the file instead.
+    l3 uses a transmittance of zero at wavelengths outside the file. To estimate the fraction of electrons that are missing,
+    the warning assumes that the last value of the file continues.
 
     Parameters
     ----------
@@ -262,8 +261,8 @@ def lens_beyond_known(name: str, transmittance: Curve, light: Light, camera: Cam
 def functions_beyond_known(name: str, functions: Curve, names: Sequence[str], light: Light) -> str:
     """Return a warning if a file of matching functions does not cover all wavelengths that contribute to an output.
 
-    Outside the range of the file, l3 uses zero. The missing fraction of an output is estimated for a white surface, with the
-    last values of the file instead.
+    l3 uses zero at wavelengths outside the file. To estimate the missing fraction of an output for a white surface, the
+    warning assumes that the last values of the file continue.
 
     Parameters
     ----------
@@ -294,8 +293,8 @@ def functions_beyond_known(name: str, functions: Curve, names: Sequence[str], li
 def curves_beyond_known(recipe: Path, light: Light, camera: CameraModel) -> str:
     """Return a warning if the curve file of a camera recipe does not cover all wavelengths at which a channel is sensitive.
 
-    Outside the range of the file, l3 uses a responsivity of zero. The fraction of missing electrons is estimated with the
-    last values of the file instead.
+    l3 uses a responsivity of zero at wavelengths outside the file. To estimate the fraction of electrons that are missing,
+    the warning assumes that the last values of the file continue.
 
     Parameters
     ----------
@@ -324,7 +323,7 @@ def curves_beyond_known(recipe: Path, light: Light, camera: CameraModel) -> str:
 
 
 def camera_unknown(path: Path, camera: CameraModel, lights: Sequence[str]) -> list[str]:
-    """Return warnings about electrons from wavelengths where the curves of a camera or an illuminant are unknown.
+    """Return warnings about electrons at wavelengths for which the curves of a camera or an illuminant have no data.
 
     Parameters
     ----------
@@ -345,7 +344,10 @@ def camera_unknown(path: Path, camera: CameraModel, lights: Sequence[str]) -> li
 
 
 def _held(curves: Curve, wavelength: Array) -> Array:
-    """Resample curves to `wavelength` (nm), and continue each curve with its end values. Return (curve, wavelength)."""
+    """Resample curves to `wavelength` (nm). Outside the range of a curve, its end values are used.
+
+    The result has the shape (curve, wavelength).
+    """
     order = np.argsort(curves[0])
     return np.array([np.interp(wavelength, curves[0][order], each[order]) for each in curves[1]])
 
@@ -359,7 +361,7 @@ def _file_ends(name: str, grid: Array, there: str, taken: float, wanted: str) ->
 
 
 def surfaces_beyond_known(light: Light, camera: CameraModel) -> str:
-    """Return a warning if a channel collects more than 1 % of its electrons where the reflectances were not measured.
+    """Return a warning if a channel collects more than 1 % of its electrons at wavelengths without measured reflectances.
 
     Outside the measured range, reflectances are continued with their last values.
 
@@ -540,7 +542,10 @@ def stokes_weights(camera: CameraModel, light: Light, bands: Array) -> Array:
 
 
 def _of_bands(weights: Array, camera: Sees, light: Light, bands: Array) -> Array:
-    """Convert `weights` (…, wavelength), electrons for unit photon radiance, to electrons for a reflectance of 1."""
+    """Return the electrons in each band for a reflectance of 1.
+
+    `weights` (…, wavelength) are the electrons for unit photon radiance. The last axis of the result contains the bands.
+    """
     seen = weights @ spectra.sampling_matrix(light.wavelength, camera.wavelength)
     return (seen * light.radiance) @ spectra.held_interpolation(bands, light.wavelength)
 
@@ -634,7 +639,7 @@ def automatic_exposure(camera: CameraModel, light: Light, share: float) -> float
 
 
 def uncovered_share(camera: CameraModel, bands: Array) -> float:
-    """Return the largest fraction of the electrons of a channel that comes from wavelengths outside the bands of a scene.
+    """Return the largest fraction of a channel's electrons that comes from wavelengths outside the bands of a scene.
 
     The fraction is computed for a white under an equal-photon illuminant.
     """
@@ -656,7 +661,7 @@ class Target:
 
     @property
     def luminance(self) -> int:
-        """Index of the luminance in outputs with Stokes parameters."""
+        """Index of the output that contains the luminance, if the outputs contain Stokes parameters."""
         return self.outputs.index(luminance_name(self.outputs))
 
 
@@ -714,9 +719,8 @@ def output_weights(target: Target, camera: CameraModel, light: Light, bands: Arr
     Returns
     -------
     ndarray, (output, band)
-        Outputs for a reflectance of 1 in the band, in cd/m². If the outputs are the bands of the camera, they are the
-        fraction of full scale per second, multiplied by the saturation exposure of the camera. The light is not polarised,
-        so the outputs S1 and S2 are 0.
+        Outputs for a reflectance of 1 in the band, in cd/m². Camera bands are fractions of full scale per second, multiplied
+        by the saturation exposure of the camera. The light is not polarised, so the outputs S1 and S2 are 0.
     """
     if target.light:
         light = target.light.at(light.luminance)

@@ -1,4 +1,4 @@
-"""The table [scene.motion] of a scene recipe: a clip with moving camera and objects (docs/method.md#motion).
+"""The table [scene.motion] of a scene recipe: a clip with a moving camera and moving leaves (docs/method.md#motion).
 
 Positions are (down, right), measured from the centre of the scene in pixels of a frame without zoom. The unit of time is the
 frame interval. In the middle of the clip, the centre of the frame shows the centre of the scene.
@@ -54,7 +54,7 @@ class View:
 
 @dataclass(frozen=True)
 class Course:
-    """Motion of the camera and of the leaves in one clip, which the function `course` draws at random."""
+    """Motion of the camera and of the leaves in one clip, drawn at random by the function `course`."""
 
     motion: Motion
     shake: Array  # (frame, 2), random displacement in pixels
@@ -70,11 +70,11 @@ class Course:
         return View((centre[0], centre[1]), self.motion.zoom_per_frame**since)
 
     def leaves(self, frame: int, moment: float = 0.0) -> Array:
-        """Return the row and column of each leaf at the same time as in `view`."""
+        """Return the row and column of each leaf at the instant that is described in `view`."""
         return self.start + self.velocity * (self._since_middle(frame) + moment)
 
     def moments(self) -> list[float]:
-        """Return the times over which a frame is averaged for motion blur, relative to the middle of its exposure."""
+        """Return the instants over which a frame is averaged for motion blur, relative to the middle of the exposure."""
         if self.motion.shutter == 0:
             return [0.0]
         return [self.motion.shutter * ((step + 0.5) / SUBFRAMES - 0.5) for step in range(SUBFRAMES)]

@@ -70,9 +70,10 @@ def stokes_of_pictures(content: PolarisedPictures, source: sources.PolarisedPict
 
 
 def _contradiction(residual: Floats, intensity: float) -> float:
-    """Return the RMS of block means of the residual (picture, row, col, colour), relative to the mean intensity.
+    """Return how strongly pictures behind a polariser contradict each other, relative to the mean intensity.
 
-    The result is 0 if the residual is noise.
+    The result is the RMS of block means of the residual (picture, row, col, colour). It is 0 if noise can explain the
+    residual.
     """
     rows, cols = (length // BLOCK for length in residual.shape[1:3])
     if not (rows and cols and intensity > 0):

@@ -35,10 +35,9 @@ FINER = 8  # samples per pixel in each direction for straight edges
 
 
 def grid(wavelength: Array) -> NDArray[np.float64]:
-    """Return the wavelengths, in nm, at which procedural scenes are drawn for a camera.
+    """Return the wavelengths, in nm, at which procedural scenes are drawn for a camera with the wavelengths `wavelength`.
 
-    These are the wavelengths of DRAWN, extended in steps of 10 nm to the range of `wavelength`, the wavelengths of the
-    camera.
+    The grid contains the wavelengths of DRAWN. It is extended in steps of 10 nm to the range of the camera.
     """
     first = max(np.floor(min(wavelength[0], DRAWN[0]) / 10.0) * 10.0, 10.0)  # not 0: materials divide by the wavelength
     last = np.ceil(max(wavelength[-1], DRAWN[-1]) / 10.0) * 10.0
@@ -238,8 +237,8 @@ def _shading(
 def _average(cube: Cube, materials: NDArray[np.float32], label: NDArray[np.integer], amount: NDArray[np.float32]) -> None:
     """Fill `cube` with the mean over each block of OVERSAMPLING × OVERSAMPLING samples.
 
-    The value of a sample is the product of the spectrum of its leaf and its amount. Most blocks show a single leaf. In these
-    blocks, the amounts are summed first, so that the spectrum is multiplied only once.
+    The value of a sample is the spectrum of its leaf, multiplied by the amount of the sample. Most blocks show a single
+    leaf. In these blocks, the amounts are summed first, so that the spectrum is multiplied only once.
 
     Parameters
     ----------
@@ -524,9 +523,9 @@ MUNSELL_HUES, MUNSELL_VALUES, MUNSELL_CHROMAS = 20, (30, 50, 70, 85), (8, 20, 35
 
 
 def munsell(size: tuple[int, int], wavelength: Array) -> Cube:
-    """Return a chart of colours in CIE LCh under D65. Hue varies along rows; lightness and chroma vary along columns.
+    """Return a chart of colours in CIE LCh under D65. Hue varies along rows, and lightness and chroma vary along columns.
 
-    Each patch has a smooth reflectance. If a colour is outside sRGB, its chroma is reduced until the colour is inside sRGB.
+    Each patch has a smooth reflectance. The chroma of colours outside sRGB is reduced until the colours are inside sRGB.
     """
     hue = np.arange(MUNSELL_HUES) * (2 * np.pi / MUNSELL_HUES)
     value, chroma, hue = (axis.ravel() for axis in np.meshgrid(MUNSELL_VALUES, MUNSELL_CHROMAS, hue, indexing="ij"))

@@ -61,7 +61,7 @@ class TargetRecipe(Recipe):
 
 
 class Pair(Recipe):
-    """A raw file and the picture that a table should compute from this file. Both are registered pixel by pixel."""
+    """A raw file, and the picture that a table should compute from the raw file. Both are registered pixel by pixel."""
 
     raw: str  # path relative to the recipe
     picture: str  # encoded sRGB, or an EXR file whose channels have the names of the target outputs

@@ -137,7 +137,7 @@ def _dye(rng: np.random.Generator, of: Surfaces, kind: str, saturation: float) -
 
 
 def _painted(rng: np.random.Generator, reflectance: Array, wavelength: Array) -> Array:
-    """Apply the absorption edge of titanium white, as in paints, plastics and papers, to a reflectance."""
+    """Apply the absorption edge of titanium white, which occurs in paints, plastics and papers, to a reflectance."""
     edge = np.exp(rng.normal(np.log(0.2), 0.7))
     return with_titanium_white(reflectance, wavelength, edge, rng.uniform(5.0, 11.0))
 
@@ -166,11 +166,12 @@ def _skin(rng: np.random.Generator, of: Surfaces) -> Array:
 
     Notes
     -----
-    The absorption coefficient, in cm⁻¹, is the sum of whole blood with 150 g/l haemoglobin (64 500 g/mol), the blood-free
-    baseline of [1]_ and the melanin of [1]_, which is proportional to λ^−3.33. Reduced scattering is 46 (λ/500)^−b cm⁻¹.
-    Light does not reach the blood in the middle of a vessel [2]_. The mean blood and melanin contents and VESSEL are chosen
-    so that the mean reflectance agrees within 2 % with the mean of 41 measured skins (Vrhel and others 1994; University of
-    Utah). The mean of 71 other skins differs by at most 5 %.
+    The absorption coefficient, in cm⁻¹, has three parts: the absorption of whole blood with 150 g/l haemoglobin (64 500
+    g/mol), the baseline of blood-free skin [1]_, and the absorption of melanin [1]_, which is proportional to λ^−3.33. The
+    reduced scattering coefficient is 46 (λ/500)^−b cm⁻¹. The absorption of blood is reduced, because hardly any light
+    reaches the middle of a vessel [2]_. The mean blood and melanin contents and VESSEL are chosen so that the mean
+    reflectance agrees within 2 % with the mean of 41 measured skins (Vrhel and others 1994; University of Utah). The mean of
+    71 other skins differs by at most 5 %.
 
     References
     ----------
@@ -265,10 +266,10 @@ def shrunk(linear: NDArray[np.float32], by: int) -> NDArray[np.float32]:
 
 @functools.cache
 def primaries() -> Array:
-    """Return the smoothest reflectances whose colours under D65 are the sRGB primaries, at the wavelengths of DRAWN.
+    """Return the smoothest reflectances (3, band) whose colours under D65 are the sRGB primaries.
 
-    The result (3, band) has no negative values, and its sum is 1 at each wavelength (after Mallett and Yuksel, "Spectral
-    primary decomposition", 2019).
+    The bands are the wavelengths DRAWN. The reflectances are not negative, and their sum is 1 at each wavelength (after
+    Mallett and Yuksel, "Spectral primary decomposition", 2019).
     """
     count = DRAWN.size
     rough = np.diff(np.eye(count), axis=0)

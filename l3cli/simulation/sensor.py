@@ -31,7 +31,7 @@ class FixedPattern:
 
 
 def fixed_pattern(camera: CameraModel) -> FixedPattern:
-    """Return the PRNU and DSNU of each pixel of the sensor, which the `fixed_pattern_seed` of the camera determines."""
+    """Return the PRNU and DSNU of each pixel of the sensor. Both are determined by the `fixed_pattern_seed` of the camera."""
     noise = camera.noise
     return _fixed_pattern(camera.fixed_pattern_seed, camera.rows, camera.cols, noise.prnu, noise.dsnu, noise.column_noise)
 
@@ -57,13 +57,13 @@ def mosaic(electrons: NDArray[np.float32], cfa: NDArray[np.uint8]) -> NDArray[np
 def signals(camera: CameraModel, rates: NDArray[np.floating]) -> NDArray[np.floating]:
     """Multiply the electron rate of each pixel, in e-/s, by the relative gain of its channel.
 
-    The product of the result and the gain of the camera is the signal in DN per second.
+    Multiplied by the gain of the camera, the result is the signal in DN per second.
     """
     return rates if camera.readout is None else rates * camera.channel_gains[camera.channel_map(rates.shape)]
 
 
 def saturating_exposure(camera: CameraModel, rates: NDArray[np.floating], share: float) -> float:
-    """Return the exposure time, in s, at which the fraction `share` of the pixels saturates.
+    """Return the exposure time, in s, at which a given fraction of the pixels saturates.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def saturating_exposure(camera: CameraModel, rates: NDArray[np.floating], share:
 
 
 def averaging_exposure(camera: CameraModel, rates: NDArray[np.floating], share: float) -> float:
-    """Return the exposure time, in s, at which the mean signal before clipping is the fraction `share` of full scale.
+    """Return the exposure time, in s, at which the mean signal before clipping is a given fraction of full scale.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def _collected(
 ) -> NDArray[np.float32]:  # fmt: skip
     """Return the electrons in each pixel, with dark current and noise.
 
-    `noises` is "all", "shot" (only shot noise) or "none". With "all", the fixed pattern is applied too. Signals are limited
+    `noises` is "all", "shot" (shot noise only) or "none". The fixed pattern is only applied with "all". Signals are limited
     to MAX_ELECTRONS before noise is added.
     """
     noise = camera.noise

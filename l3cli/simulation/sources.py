@@ -143,7 +143,7 @@ class StokesPictures(PolarisedPictures, tag_field="source", tag="stokes", kw_onl
 
 
 class Spectral(FileSource, kw_only=True):
-    """A spectral cube. The keys supply information that its file does not contain."""
+    """A spectral cube. The keys supply information that the file of the cube does not contain."""
 
     wavelengths_nm: list[float] | None = None  # wavelengths of the bands; default: read from the file
     wavelength_range_nm: tuple[float, float, float] | None = None  # first, last and step; an alternative to wavelengths_nm
@@ -287,7 +287,7 @@ def _spectral_faults(source: Spectral, name: str) -> Iterator[Fault]:
 
 
 def has_light(source: Source) -> bool:
-    """Whether the scenes of a source contain their own illuminant, separately or as a factor of their radiance."""
+    """Whether the scenes of a source contain an illuminant, either as a separate spectrum or as a factor of their radiance."""
     return isinstance(source, IsetScenes) or (isinstance(source, Spectral) and source.holds != "reflectance")
 
 
@@ -304,7 +304,10 @@ def holds_codes(source: Source) -> bool:
 
 
 def can_be_relit(source: Source) -> bool:
-    """Whether the reflectances of a source are known. They are unknown for radiance under an unknown illuminant."""
+    """Whether the reflectances of a source are known, so that scenes can be simulated under any illuminant.
+
+    Radiance under an unknown illuminant has no known reflectances.
+    """
     return not (isinstance(source, Spectral) and source.holds != "reflectance" and source.light is None)
 
 
@@ -316,7 +319,7 @@ def check_size(size: tuple[int, ...], camera: CameraModel | None, error: type[L3
     size : tuple of int
         Rows and columns of the scene.
     camera : CameraModel or None
-        The camera. If it is None, only the smallest size is checked.
+        The camera, or None to check only the smallest size.
     error : type
         Class of the error.
     name : str
@@ -345,7 +348,7 @@ def framed(cube: NDArray[np.float32], framing: Framing, camera: CameraModel) -> 
     framing : Framing
         Crop, orientation and scale.
     camera : CameraModel
-        The camera. A scene that becomes larger than its sensor is cropped.
+        The camera. A scaled scene that is larger than the sensor is cropped.
 
     Returns
     -------
@@ -411,7 +414,7 @@ def turned(cube: NDArray[np.float32], framing: Framing) -> NDArray[np.float32]:
 
 
 def framed_size(size: tuple[int, int], framing: Framing, camera: CameraModel) -> tuple[int, int]:
-    """Return the rows and columns of the result of `framed` for a scene of `size` or, for a clip, of each frame.
+    """Return the rows and columns of a scene of `size` after `framed`. For a clip, return the rows and columns of a frame.
 
     Raises
     ------
@@ -455,7 +458,7 @@ def _require_room(motion: Motion, size: tuple[int, int], scale: float) -> None:
 
 
 def scale_of(framing: Framing, camera: CameraModel, cols: int) -> float | None:
-    """Return the number of pixels per sample for a scene of `cols` samples width, or None if the scene is not resampled."""
+    """Return the number of pixels per sample for a scene with `cols` columns, or None if the scene is not resampled."""
     if framing.field_of_view_deg is None:
         return framing.scale
     width = 2.0 * camera.optics.image_distance * np.tan(np.radians(framing.field_of_view_deg) / 2.0)
@@ -475,7 +478,7 @@ def _scaled(cube: NDArray[np.float32], scale: float, most: tuple[int, int]) -> N
 def resampled(cube: NDArray[np.float32], down: Any, across: Any) -> NDArray[np.float32]:
     """Resample the rows of a cube (row, col, band) with the sparse matrix `down`, and the columns with `across`.
 
-    The columns are resampled row by row, which limits the memory.
+    The columns are resampled row by row, which limits the use of memory.
     """
     rows, cols, bands = cube.shape
     tall = (down @ cube.reshape(rows, cols * bands)).reshape(-1, cols, bands)
@@ -524,7 +527,7 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
     name : str
         Name of the scene.
     light : Light or None
-        Illuminant under which radiance was measured. None if it is unknown.
+        Illuminant under which radiance was measured, or None if the illuminant is unknown.
 
     Raises
     ------
@@ -622,7 +625,7 @@ def _require_no_mark(values: NDArray, ignored: NDArray[np.bool_] | None) -> None
 
 
 def _photons(wavelength: np.ndarray, source: Spectral) -> np.ndarray:
-    """Return the number of photons per unit of the stored values at each wavelength, up to a common factor."""
+    """Return the number of photons that one unit of the stored values represents at each wavelength, up to a common factor."""
     one = np.ones(wavelength.size)
     return spectra.photons_from_energy(wavelength, one) if source.holds == "radiance" else one
 

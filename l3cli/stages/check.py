@@ -163,7 +163,11 @@ def scene_meaning(recipe: SceneRecipe, source: RecipeSource) -> Meaning:
 
 
 def _sizes(recipe: SceneRecipe, run: SimulationRun, files: list[list[Path]]) -> dict[str, Any]:
-    """Return the name of the camera, the size of the largest frame in pixels and in bytes, and the total number of bytes."""
+    """Return the size of the frames that a scene recipe produces with a camera, for the summary of `l3 check`.
+
+    The result contains the name of the camera, the size of the largest frame in pixels and in bytes, and the total number of
+    bytes.
+    """
     sizes = []
     for scene, paths in zip(recipe.scene, files, strict=True):
         each = len(recipe.illuminants) * len(recipe.luminances()) * len(recipe.exposures()[1])
@@ -247,9 +251,9 @@ def _likeness(content: Mapping[str, Any], kind: Kind) -> tuple[int, int]:
 
 
 def _fits(field: msgspec.structs.FieldInfo, value: Any) -> bool:
-    """Whether a value has the form of a field: a table, a list or a single value.
+    """Whether a value has the form that a field requires: a table, a list or a single value.
 
-    Faults inside a table or list do not matter.
+    The content of a table or list is not checked.
     """
     try:
         msgspec.convert(value, field.type)
@@ -437,10 +441,10 @@ def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
 
 
 def _judged(kind: Kind, source: RecipeSource) -> tuple[dict[str, Any], list[Fault]]:
-    """Check a recipe, and return the summary of its content, and its faults.
+    """Check a recipe. Return the summary of its content, and its faults.
 
-    First the types of the values are checked, then the values. If both checks find no faults, the summary is computed. This
-    can find further faults, for example in files to which the recipe refers.
+    The types of the values are checked first, and then the values. If both checks find no faults, the summary is computed.
+    The summary can reveal further faults, for example in files to which the recipe refers.
     """
     recipe, faults = typed(dict(source.content), kind.structure(source.content))
     if recipe is not None:

@@ -114,7 +114,7 @@ PARTS = 8  # number of parts into which the scenes are divided, independent of t
 
 
 def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -> tuple[SceneMoments, FilesUsed]:
-    """Compute the second moments of scenes, as recorded by the lens and the bare pixels of a camera, and write them.
+    """Compute the second moments of scenes as recorded by the lens and the bare pixels of a camera, and write the moments.
 
     The colour filters of the camera have no influence.
 
@@ -132,7 +132,7 @@ def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOpt
     Returns
     -------
     SceneMoments
-        The moments. If `resume` is set and the output is finished, they are read from the output.
+        The moments. If `resume` is set and the output is finished, the moments are read from the output.
     FilesUsed
         The files that were read and written.
 
@@ -199,7 +199,7 @@ def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOpt
 def _is_finished(output: Path, parts: Parts, options: PartsOptions) -> bool:
     """Whether `resume` is set and an earlier run with the same inputs and options has already finished the output.
 
-    If so, the stored parts are removed and a message is sent to the console.
+    If the output is finished, the stored parts are removed and a message is sent to the console.
 
     Raises
     ------
@@ -390,7 +390,8 @@ TUNED = " (tuned)"  # suffix of the name of a CFA with tuned filters
 def design(recipe: Path, output: Path, options: DesignOptions) -> tuple[Design, FilesUsed]:
     """Rank the CFAs of a design recipe by their predicted error, and write the design.
 
-    If the recipe asks for it, filters are also tuned. If `options.truth` is set, the best CFAs are trained and evaluated.
+    If the recipe contains the table [optimise], filters are also tuned. If `options.truth` is set, tables for the best CFAs
+    are trained and evaluated.
 
     Parameters
     ----------
@@ -404,7 +405,7 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> tuple[Design, 
     Returns
     -------
     Design
-        The design. If `resume` is set and the output is finished, it is read from the output.
+        The design. If `resume` is set and the output is finished, the design is read from the output.
     FilesUsed
         The files that were read and written.
 
@@ -476,7 +477,7 @@ class _Run:
         Parameters
         ----------
         lists : sequence of list of CFA, or None
-            The CFAs of each pattern. None if a pattern has too many CFAs to predict the error of each of them.
+            The CFAs of each pattern, or None for a pattern with too many CFAs to predict the error of every CFA.
         """
         runs = [(number, run) for number, arrays in enumerate(lists) if arrays is None for run in range(ANNEALING_RUNS)]
         work = functools.partial(self.task.annealed, self.options.seed)

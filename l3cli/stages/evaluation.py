@@ -60,8 +60,8 @@ CHART_BANDS = np.array([*np.arange(SHOWN[0], SHOWN[1], 20.0), SHOWN[1]])  # nm; 
 def standard_figures(head: TrainingSet, planes: PlanesOf) -> dict[str, Any]:
     """Compute sharpness, signal-to-noise ratio and colour uncertainty of pipelines on simulated charts.
 
-    The signal-to-noise ratio is left out (None) for cameras with relative responsivities. The colour uncertainty is left out
-    for outputs other than X, Y, Z, and for cameras without a confidence band of the responsivities.
+    The signal-to-noise ratio is None for cameras with relative responsivities. The colour uncertainty is None for outputs
+    other than X, Y and Z, and for cameras without a confidence band of the responsivities.
 
     Parameters
     ----------
@@ -264,8 +264,8 @@ def document_of(
 ) -> dict[str, Any]:
     """Return the output of `l3 evaluate --json`.
 
-    It contains the metrics of all evaluated frames, the metrics at several gains, and metrics on simulated charts, which
-    this function computes.
+    The output contains the metrics of all evaluated frames, the metrics at several gains, and metrics on simulated charts.
+    The metrics on charts are computed by this function.
     """
 
     def planes(frame: TrainingPair) -> dict[str, NDArray]:
@@ -449,7 +449,7 @@ def evaluate_frame(
     index : int
         Index of the frame.
     rivals : mapping of str to Path, optional
-        Picture of this frame by each rival.
+        For each rival pipeline, the file of the picture that the rival rendered from this frame.
     counted : bool
         Whether to add the metrics of the frame to the evaluation.
 
@@ -492,7 +492,7 @@ def _planes(path: Path, frame: TrainingPair) -> NDArray[np.floating]:
 
 
 def _name_of(rival: Path) -> str:
-    """Return the name of a rival, which is the name of the folder with its pictures."""
+    """Return the name of a rival pipeline, which is the name of the folder with its pictures."""
     return (rival if rival.is_dir() else rival.parent).absolute().name
 
 

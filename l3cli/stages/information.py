@@ -102,7 +102,7 @@ def verification(file: Path, inputs: tuple[Path, ...]) -> Verification:
 
 
 def _read_whole(file: Path) -> None:
-    """Read the whole content of an artifact, which raises InputFileError if the content is incomplete or invalid.
+    """Read the whole content of an artifact, to find missing or invalid values. Raises InputFileError if there are any.
 
     Large artifacts are read frame by frame or site by site.
     """

@@ -114,7 +114,7 @@ def _chart_name(capture: LabCapture) -> str:
 def _described(
     model: CameraModel, chosen: LabRecipe, captures: tuple[LabCapture, ...], folder: Path
 ) -> files.MeasurementRecipe:
-    """Write the files of spectra into `folder`, and return the content of the measurement file without writing it."""
+    """Write the files of spectra into `folder`. Return the content of the measurement file, which is written later."""
     mono: list[files.MonoRecipe] = []
     charts: list[files.ChartRecipe] = []
     others: dict[str, list[files.CaptureRecipe]] = {"white": [], "dark": [], "polariser": []}

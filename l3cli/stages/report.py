@@ -1,4 +1,4 @@
-"""The stage of `l3 report`, which writes an HTML page about any set of artifacts."""
+"""The stage of `l3 report`, which writes an HTML page about any combination of artifacts."""
 
 import functools
 from collections.abc import Sequence
@@ -111,7 +111,7 @@ def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) ->
 
 
 def _read(paths: tuple[Path, ...]) -> Given:
-    """Read the files. If several files have the same content, only the first of them is used.
+    """Read all files. If several files have the same content, only the first of these files is used.
 
     Raises InputFileError if a table and a training set of the same camera have different outputs.
     """
@@ -240,7 +240,7 @@ def _array_sections(given: Given, cameras: list[tuple[str, CameraModel]], called
 def figures_of_camera(camera: CameraModel) -> dict[str, Any]:
     """Return the output of `l3 calibrate --json` for a camera, with the additional entry "shortfall".
 
-    This entry says why the fit of the camera is too poor. It is "" if the fit is good, or if the camera was not fitted.
+    This entry is the reason why the fit of the camera is too poor, or "" if the fit is good or if the camera was not fitted.
     """
     doubt = shortfall(camera) if camera.fit else None
     return figures(camera) | {"shortfall": (doubt or "").partition(";")[0]}
@@ -259,7 +259,10 @@ def _warn_of_arrays(given: Given, console: Console) -> None:
 
 
 def _warn_of_cameras(given: Given, console: Console) -> None:
-    """Warn about each camera that differs from the camera of the first table or, if there is no table, of the first file."""
+    """Warn about each camera that differs from a reference camera.
+
+    The reference is the camera of the first table or, if there is no table, of the first file.
+    """
     tables, cameras = given.of(TransformTable), given.of(CameraModel)
     held = [(entry, head.camera) for entry, head in given.of(TrainingSet)]
     known: Sequence[tuple[Entry, Any]] = [*tables, *cameras, *held]

@@ -109,8 +109,8 @@ def start(starter: Path, folder: Path, options: InitOptions) -> FilesUsed:
 def start_recipe(recipe: Path, folder: Path, options: InitOptions) -> FilesUsed:
     """Create a folder from a camera recipe of the user.
 
-    The folder contains copies of the recipe, of its base recipe and of its curve files. The file names in the copies are
-    changed, so that they refer to the copies.
+    The folder contains copies of the recipe, of its base recipe and of its curve files. File names in the copies are changed
+    to refer to the copies.
 
     Raises
     ------
@@ -385,8 +385,8 @@ def _raw_files(photo: Path) -> list[Path]:
 def _sorted_by_camera(files: Sequence[Path], listed: set[Path], console: Console) -> dict[str, list[tuple[Path, Stated]]]:
     """Group raw files by camera.
 
-    A file that is not a raw file raises an InputFileError, unless it was found in a folder (`listed`). Such files are
-    reported and skipped. If no file remains, an InputFileError is raised, too.
+    A file that is not a raw file is reported and skipped if it was found in a folder (`listed`). Otherwise, or if no raw
+    file remains, an InputFileError is raised.
     """
     cameras: dict[str, list[tuple[Path, Stated]]] = {}
     for path in dict.fromkeys(files):
@@ -473,11 +473,11 @@ def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
 
 
 def _measurements(path: Path, options: InitOptions) -> Measurements:
-    """Read a raw file. Values in the options replace values in the file.
+    """Read a raw file, and replace values of the file by values in the options.
 
-    If the black level of the file is doubtful, the user is warned. If the pixels contradict the CFA of the file and the
-    options do not specify a CFA, InputFileError is raised. Raises RecipeError if the black level in the options is not below
-    the white level.
+    If the black level of the file is doubtful, a warning is sent to the console. Raises InputFileError if the pixels
+    contradict the CFA of the file and the options do not specify a CFA. Raises RecipeError if the black level in the options
+    is not below the white level.
     """
     try:
         answers = {name: value for name in RAW_OVERRIDES if (value := getattr(options, name)) is not None}
@@ -566,7 +566,7 @@ def neutral_by_name(frame: RawFrame, body: Body, channels: Sequence[str]) -> tup
 
 
 def _another_array(body: Body, doubt: ArrayDoubt) -> str:
-    """Return the message for pixels that do not fit the stated CFA in any phase."""
+    """Return the error message for pixels that contradict the stated CFA in every phase."""
     stated = "/".join(array_rows(body.channels, body.cfa, ""))
     likely = doubt.likely({name: array_named(name)[1] for name in (*known_arrays(), NONA)})
     named = " or ".join(f'"{each}"' if "/" in each else each for each in likely[:2])
@@ -577,7 +577,7 @@ def _another_array(body: Body, doubt: ArrayDoubt) -> str:
 
 
 def _misplaced(body: Body, doubt: PhaseDoubt) -> str:
-    """Return the message for pixels that fit the stated CFA in another phase."""
+    """Return the error message for pixels that fit the stated CFA only in another phase."""
     phases = [(0, 0), *doubt.phases]
     patterns = ["/".join(array_rows(body.channels, shifted_cfa(body.cfa, each), "")) for each in phases]
     stated, *shown = [(f"{row},{col}", pattern) for (row, col), pattern in zip(phases, patterns, strict=True)]
@@ -592,7 +592,7 @@ def _misplaced(body: Body, doubt: PhaseDoubt) -> str:
 
 
 def _by_chart(measured: Measurements, console: Console) -> CameraModel | None:
-    """Return the camera model that is fitted to the ColorChecker in a photo. Warnings about the fit are sent to the console.
+    """Fit a camera model to the ColorChecker in a photo. Warnings about the fit are sent to the console.
 
     The result is None if the photo shows no usable chart, or if the fit is too poor.
     """
@@ -609,7 +609,7 @@ def _by_chart(measured: Measurements, console: Console) -> CameraModel | None:
 
 
 def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[responsivity.Curves, str]:
-    """Return the responsivities of a camera without a chart, and a text about their source.
+    """Return the responsivities of a camera whose photos show no chart, and a text about the source of the responsivities.
 
     l3 uses the first available source: (1) measured curves of this camera; (2) the colour matrices in the file; (3) the mean
     of the measured cameras; (4) for a single channel, bare silicon behind an infrared filter. If the white balance of the

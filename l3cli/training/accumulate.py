@@ -35,7 +35,7 @@ def sum_sites(
     blocks: Iterable[tuple[int, tuple[int, ...], Iterator[TrainingPair]]],
     weightings: Mapping[int, SampleWeighting | None],
 ) -> dict[int, ClassSums]:
-    """Compute the sums of canonical sites over blocks of frames.
+    """Add up the products of all training patches, by site and class.
 
     Parameters
     ----------
@@ -67,10 +67,10 @@ def _batches(
     neighbours: Neighbourhoods,
     rngs: dict[int, np.random.Generator],
 ) -> Iterator[tuple[int, Patches]]:
-    """Yield (site, patches) for a block of frames. `first` is the index of its first frame.
+    """Yield pairs (site, patches) from a block of frames. `first` is the index of the first frame in the block.
 
-    A site usually gets all patches of the block in one batch. If a frame has more than `BATCH_PATCHES` patches, the site
-    gets several batches.
+    A site usually receives all its patches of the block in one batch. If a frame has more than `BATCH_PATCHES` patches, the
+    site receives several batches.
     """
     waiting: dict[int, list[Patches]] = {site: [] for site in rngs}
     for index, frame in enumerate(frames, first):
@@ -90,7 +90,7 @@ def _batches(
 
 
 class _Batch:
-    """Patches of one site, which `add_to` adds to the sums."""
+    """Patches of one site, which `add_to` adds to the sums of this site."""
 
     def __init__(
         self, pass_: TrainingPass, patches: Patches, neighbours: Neighbourhoods, site: int, weighting: SampleWeighting | None
@@ -114,7 +114,8 @@ class _Batch:
     def _exposed(self, rng: np.random.Generator) -> tuple[NDArray[np.unsignedinteger], Floats, Floats]:
         """Scale each patch to several levels, add noise, and determine the classes.
 
-        Returns the class, the level with noise and clipping, and the scale factor, as flat arrays (draw · patch).
+        Returns three flat arrays with one value per draw and patch: the class, the level with noise and clipping, and the
+        scale factor.
         """
         pass_, signal = self.pass_, self.patches.signal
         patch_level = np.maximum(signal @ self.tap_share, 1e-3)
@@ -139,9 +140,9 @@ class _Batch:
     def _seen(
         self, batch: slice, scale: Floats, order: TapOrder, rng: np.random.Generator
     ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-        """Scale the patches in `batch` by each row of `scale` (draw, patch), and add noise.
+        """Scale patches to several levels, add noise, and determine the classes.
 
-        For each row, yield the classes and the levels of the noisy patches.
+        Yields the classes and the levels of the noisy patches, once for each row of `scale` (draw, patch).
         """
         pass_, patches = self.pass_, self.patches
         signal: Floats = np.ascontiguousarray(patches.signal[batch].T)[order.taps]

@@ -68,7 +68,7 @@ def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Ar
 
 
 def _changes(values: Array) -> Array:
-    """Return the differences between successive exposures. The rows of `values` are ordered by exposure, then surface."""
+    """Return how signals or outputs change from each exposure to the next. Rows are sorted by exposure, then by surface."""
     by_exposure = values.reshape(EXPOSURES.size, -1, values.shape[1])
     return np.diff(by_exposure, axis=0).reshape(-1, values.shape[1])
 
@@ -86,10 +86,10 @@ def _colours(signals: Array, outputs: Array) -> Array:
 
 
 def _target(outputs: Array, over: Array, white: Array, brightest: float) -> Array:
-    """Return the wanted outputs of surfaces at the exposures `over`.
+    """Return the outputs to which clipped surfaces should be rendered, at the exposures `over`.
 
-    An exposure of 1 just clips the first channel of a surface. At higher exposures, the wanted colour becomes paler. The
-    luminance is limited to `brightest`, the luminance of the white whose last channel just clips.
+    At an exposure of 1, the first channel of a surface just clips. At higher exposures, the target colour becomes paler. The
+    luminance is limited to `brightest`, the luminance of a white whose last channel just clips.
     """
     luminance = np.minimum(outputs[:, 1:2], brightest)
     chroma = outputs / outputs[:, 1:2] - white

@@ -1,4 +1,4 @@
-"""What the transforms are trained for: outputs, levels of the camera, illuminant and surfaces.
+"""The goal of a training: the outputs, and the properties of the camera, illuminant and surfaces on which transforms depend.
 
 The goal is the same for all sites and for both passes of a training.
 """
@@ -44,7 +44,7 @@ def one_light(light: LightSpectrum | None) -> LightSpectrum | None:
 
 
 def has_components(head: TrainingSet) -> bool:
-    """Whether a refinement layer can refine leading components. The outputs must be a spectrum of more than three values."""
+    """Whether a refinement layer can refine leading components, which requires spectral outputs with more than three values."""
     return len(head.outputs) > PLANES and is_spectrum(head.outputs, head.camera.channels)
 
 

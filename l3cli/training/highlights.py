@@ -47,9 +47,9 @@ def grey_patches(
 ) -> dict[int, Array]:
     """Return the moments of uniform greys for the saturated classes of the lowest contrast.
 
-    The moments of a class are the mean over the greys that belong to the class, times the number of greys per patch. Each
-    grey also belongs to the classes of the next darker and the next brighter level. For the case in which every channel
-    clips, only greys that are clipped in every channel are used.
+    The moments of a class are the mean over all greys that belong to the class, multiplied by the number of greys per patch.
+    Each grey also belongs to the same class at the next darker and the next brighter level. For the saturation case in which
+    every channel clips, only greys that are fully clipped in every channel are used.
 
     Parameters
     ----------
@@ -110,12 +110,12 @@ def grey_patches(
 def steps_back(
     common: Array, clipping: NDArray[np.int64], rule: ClassRule, signal: Array, black_level: float, white_level: float
 ) -> tuple[NDArray[np.int64], Array]:
-    """Find by how much the rendered luminance of a grey would fall when its last channel clips.
+    """Find by how much the rendered luminance of a grey would fall at the exposure at which the last channel clips.
 
     Parameters
     ----------
     common : ndarray, (class, channel + 1)
-        Luminance that each class in `clipping` adds per unit signal of each channel, then the intercept.
+        For each class in `clipping`, the luminance per unit signal of each channel, followed by the intercept.
     clipping : ndarray, (class)
         Numbers of the saturated classes.
     rule : ClassRule
@@ -128,10 +128,10 @@ def steps_back(
     Returns
     -------
     last : ndarray of int
-        Positions in `clipping` of the classes to which a grey that clips in every channel belongs.
+        Positions in `clipping` of the classes to which a fully clipped grey can belong.
     missing : ndarray
-        For each of these classes, the luminance by which the clipped grey is darker than the brightest grey that does not
-        clip fully, or 0 if the clipped grey is brighter.
+        For each class in `last`, the amount by which the fully clipped grey is darker than the brightest grey with an
+        unclipped channel, or 0 if the clipped grey is not darker.
     """
     threshold = (rule.saturation - black_level) / (white_level - black_level)
     greys = np.exp(np.arange(np.log(threshold / signal.max()), np.log(threshold / signal.min()), np.log(GREY_RATIO)))
@@ -187,10 +187,11 @@ def white_channels(
 
 
 def error_of_white(light: LightSpectrum, camera: CameraModel) -> Array:
-    """Predict the signals of white from X, Y and Z by a regression on measured surfaces, and return the relative error.
+    """Return the relative error of each channel if the signals of white are predicted from X, Y and Z.
 
-    The error is a few per cent for visible light, but large for a camera that is sensitive to infrared light, which X, Y
-    and Z do not contain. The result is 0 if a surface has no luminance or white has no signal in a channel.
+    The prediction is a regression on measured surfaces. The error is a few per cent for visible light, but large for a
+    camera that is sensitive to infrared light, because X, Y and Z contain no infrared light. The error is set to 0 if a
+    surface has no luminance or if a channel has no signal for white.
 
     Returns
     -------
@@ -227,9 +228,9 @@ def flat_moments(sums: ClassSums, rule: ClassRule, width: int) -> Array:
 
 
 def _channels_of(moments: Array, window: NDArray[np.int64], white: Array) -> Array | None:
-    """Estimate the signals of white by a regression of the channels on the outputs, or return None without patches.
+    """Estimate the signals of white by a regression of the channels on the outputs. Return None if there are no patches.
 
-    The error is one or two per cent, because few training surfaces are white.
+    The estimate has an error of one or two per cent, because few training surfaces are white.
     """
     taps = window.size
     power = moments[taps + 1 :, taps + 1 :]

@@ -343,10 +343,10 @@ def _normal_deviates() -> Floats:
 
 
 def _normal(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
-    """Return standard normal values, which are read from 2²⁰ precomputed values starting at a random position.
+    """Return standard normal values from a table of 2²⁰ values, starting at a random position in the table.
 
-    This is twenty times as fast as drawing new values. The repetition does no harm, because the values only affect the class
-    of each patch.
+    This is twenty times as fast as drawing new values. The repetition does no harm, because the values only determine the
+    class of each patch.
     """
     pool, size = _normal_deviates(), math.prod(shape)
     start = rng.integers(max(pool.size - size, 0), endpoint=True)
@@ -401,7 +401,7 @@ def lacking_variance(
     dark: float = 0.0,
     channel: NDArray[np.integer] | None = None,
 ) -> Floats:
-    """Return the variance of the noise that the camera would add to each signal, in full scale².
+    """Return the variance of the noise that each signal lacks, compared with a frame of the camera, in full scale².
 
     The variance is 0 for clipped values. The parameters are the same as for `expose_patches`.
     """
@@ -420,8 +420,8 @@ def _variance(
 ) -> Floats:
     """Return the variance of the noise to add to each signal, in full scale².
 
-    The result is the noise variance of the camera, minus the variance `carried` that the signals already contain, minus the
-    variance `later`, in DN², that rounding will add.
+    This is the noise variance of the camera, minus the variance `carried` that the signals already contain, and minus the
+    variance `later` (in DN²) that rounding will add.
     """
     if carried is not None:  # only measured signals can be negative
         signal = np.clip(signal, 0.0, np.inf)

@@ -68,10 +68,11 @@ def uniform_stripes(cfa: NDArray[np.integer], channels: int) -> Array:
 
 
 def false_colours(camera: CameraModel, wavelength: Array, photons: Array) -> Array:
-    """Return the stripes of `uniform_stripes` that look like a colour which no surface can have.
+    """Return the stripes from `uniform_stripes` whose raw values correspond to a colour that no surface can have.
 
-    The distance from the stripes to white must be at least `MIN_STRIPE_CHROMA`. The distance from the stripes to the nearest
-    optimal colour must be at least `UNLIKE` times the distance to white.
+    Stripes are selected by distances between channel fractions. The distance from the stripes to white must be at least
+    `MIN_STRIPE_CHROMA`, and the distance to the nearest optimal colour must be at least `UNLIKE` times as large as the
+    distance to white.
 
     Parameters
     ----------
@@ -102,7 +103,7 @@ def false_colours(camera: CameraModel, wavelength: Array, photons: Array) -> Arr
 
 
 def stripe_shares(white: Array, stripes: Array) -> Array:
-    """Return the chroma centre of each pattern in `stripes` on a white surface, as channel fractions (stripe, channel).
+    """Return the chroma centres of stripe patterns on a white surface, as channel fractions (stripe, channel).
 
     `white` contains the signals of the white surface, one per channel.
     """
@@ -177,7 +178,7 @@ class PlainSurfaces:
     stripes: int  # number of samples that are stripes
 
     def moments(self, rule: ClassRule, window: NDArray[np.int64]) -> list[Array | None]:
-        """Return, for each chroma, the mean moments of uniform patches of its surfaces.
+        """Return, for each chroma, the mean moments of uniform patches that show the surfaces of this chroma.
 
         Parameters
         ----------
@@ -201,14 +202,14 @@ class PlainSurfaces:
         return every
 
     def nearness(self, rule: ClassRule) -> Array:
-        """Return a number between 0 and 1 for each chroma. It is 1 for the chroma of white, and 0 far from white."""
+        """Return the nearness of each chroma to white: 1 for the chroma of white, and almost 0 far from white."""
         if rule.chromas == 1:
             return np.zeros(1)
         distance = (chroma_centres(rule) - shares(self.white[None])) * rule.channels / NEAR_WHITE
         return np.asarray(np.exp(-(distance**2).sum(axis=1)))
 
     def moments_of_stripes(self, rule: ClassRule, window: NDArray[np.int64]) -> dict[int, Array]:
-        """Return the mean moments of stripes and optimal colours for each chroma that only stripes have.
+        """Return the mean moments of stripes and optimal colours, for the chromas that occur only in stripes.
 
         The parameters are the same as for `moments`.
 
@@ -295,7 +296,7 @@ def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpect
 
 
 def _seen(reflectances: Array, to_signals: Array, to_outputs: Array) -> tuple[Array, Array]:
-    """Return the signals and outputs of surfaces. Results of BLAS would depend on the number of threads."""
+    """Compute the signals and the outputs of surfaces, without BLAS, whose results depend on the number of threads."""
     return np.einsum("sw,cw->sc", reflectances, to_signals), np.einsum("sw,ow->so", reflectances, to_outputs)
 
 
@@ -330,8 +331,8 @@ def output_gains(moments: Array, window: NDArray[np.int64]) -> Array | None:
 def single_bands(moments: Array, window: NDArray[np.int64], gains: Array) -> Array:
     """Return the moments of uniform patches in which each band varies independently around the mean colour of a class.
 
-    The standard deviation of a band is `BAND_DEVIATION` times its mean. There are as many of these patches as the class has
-    training patches.
+    Each band has a standard deviation of `BAND_DEVIATION` times its mean. The number of these patches equals the number of
+    training patches of the class.
 
     Parameters
     ----------

@@ -83,9 +83,9 @@ def shrunk(
 def parents_of(sums: ClassSums, rule: ClassRule) -> ClassSums:
     """Return the mean sums per patch of each parent (docs/method.md#classes-with-few-patches).
 
-    A parent joins all classes of the same level, contrast and saturation case. If these classes have no patches, the parent
-    joins all contrasts. The mean over all levels of the saturation case is mixed in, with more weight if the level has few
-    patches. The `count` of a parent is the number of patches of its level and saturation case.
+    A parent represents all classes with the same level, contrast and saturation case. If none of these classes has patches,
+    the mean over all contrasts is used. A mean over all levels of the saturation case is mixed in, with a larger weight if
+    the level has few patches. The `count` of a parent is the number of patches of its level and saturation case.
     """
     first = np.unique(rule.case(np.arange(rule.kinds)), return_index=True)[1]  # first kind of each saturation case
 
@@ -123,7 +123,7 @@ CLASSES_AT_ONCE = 64  # number of classes that are solved together
 
 
 class OutputKind(NamedTuple):
-    """Settings in which the equations of the outputs differ."""
+    """Settings of the equations that differ between outputs."""
 
     noise_weight: float  # weight of noise relative to bias (docs/method.md#noise-weights)
     # Whether the output is also trained on uniform greys, surfaces and single bands (docs/method.md#clipped-areas).
@@ -256,9 +256,10 @@ def solve(
 def _averaged(
     sums: ClassSums, parents: ClassSums, batch: NDArray[np.intp], turns: list[Turn], rule: ClassRule, recipe: LearningRecipe
 ) -> tuple[Array, Array]:
-    """Apply `shrunk` to a batch of classes, and average over `turns`.
+    """Return the supported sums of a batch of classes, averaged over the orientations `turns`.
 
-    Returns the moments (class, column, column) and the noise (class, tap).
+    The sums are supported by neighbouring levels and parents, as in `shrunk`. Returns the moments (class, column, column)
+    and the noise (class, tap).
     """
     width = width_of(sums.moments)
     moments, noise = np.zeros((batch.size, sums.moments.shape[1])), np.zeros((batch.size, sums.noise.shape[1]))
@@ -270,10 +271,11 @@ def _averaged(
 
 
 def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Array | None) -> dict[int, Array]:
-    """Return the moments of uniform surfaces and of stripes for the unsaturated classes of the lowest contrast.
+    """Return the moments of additional training patches for each unsaturated class of the lowest contrast.
 
-    Only classes without a direction get the moments of uniform surfaces. Classes with any direction get the moments of
-    stripes. The result is empty if the training patches contradict the computed white of the camera.
+    Classes without a direction are trained on uniform surfaces. Classes whose chroma occurs only in stripes are trained on
+    stripes, whatever their direction. The result is empty if the training patches contradict the white that is computed from
+    the camera model.
     """
     if goal.surfaces is None or white is None or goal.white_signal is None or not np.array_equal(white, goal.white_signal):
         return {}
@@ -289,8 +291,9 @@ def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Arr
 def _near_white(rule: ClassRule, goal: Goal) -> Array:
     """Return the factor 2000 χ of each class, which determines how fast noise reduces the weight of uniform surfaces.
 
-    χ is the nearness of the chroma of the class to white (see WHITE_FADES). Noise moves greys into classes with chromas near
-    white. These greys must stay grey, so noisy classes near white are trained less on uniform surfaces.
+    χ describes how near the chroma of the class is to white (see WHITE_FADES). Because of noise, some greys fall into
+    classes whose chroma is only near white. These greys must stay grey, so noisy classes near white are trained less on
+    uniform surfaces.
     """
     kind = rule.split(np.arange(rule.classes_per_site)).kind
     if goal.surfaces is None:
@@ -303,9 +306,9 @@ def equal_responses(
 ) -> list[Transforms]:
     """Constrain the transforms of all sites to a common response (docs/method.md#equal-response).
 
-    All sites then produce the same outputs for a uniform patch, and white is rendered exactly as white. In textured classes
-    of spectral outputs, the responses may differ if this reduces the error. If a class has no solution at some site, all
-    sites use the transform of the nearest class that has solutions at all sites.
+    All sites then produce the same outputs for a uniform patch, and white is rendered exactly as white. For spectral
+    outputs, the responses of textured classes may differ if this reduces the error. If a class has no solution at some site,
+    all sites use the transform of the nearest class that is solved at all sites.
 
     Parameters
     ----------
@@ -357,8 +360,8 @@ def _constrained(
 ) -> list[Array]:
     """Return the taps (class, tap + 1, output) of each site, constrained to the common response with the least error.
 
-    White is rendered exactly as white, if `_exact_white` returns its signals. The luminance of a grey does not fall when its
-    last channel clips (`steps_back`).
+    If `_exact_white` returns the signals of white, white is rendered exactly as white. The luminance of a grey must not fall
+    at the exposure at which its last channel clips (see `steps_back`).
     """
     constrained = [solution.taps.copy() for solution in solutions]
     saturated = rule.case(rule.split(np.arange(solved.size)).kind) > 0
@@ -414,9 +417,10 @@ def _exact_white(solutions: list[Solution], goal: Goal) -> Array | None:
 
 
 def _colour_compliance(solutions: list[Solution], copies: list[int]) -> Array:
-    """Return how far the responses of sites may differ, as a matrix (channel, channel).
+    """Return the matrix (channel, channel) that determines how far the responses of different sites may differ.
 
-    The allowed difference is smallest for the colours that are most frequent in uniform patches of the scenes.
+    The smallest differences are allowed for colours that are frequent in uniform patches of the scenes. No difference is
+    allowed for greys.
     """
     colour_compliance = np.linalg.inv(np.average([solution.colours for solution in solutions], axis=0, weights=copies))
     white = solutions[0].white
@@ -449,10 +453,11 @@ def _opponent_basis(goal: Goal) -> Array:
 
 
 def _nearest(filled: NDArray[np.bool_], rule: ClassRule) -> NDArray[np.int64]:
-    """Return, for each class, the solved class whose transform it uses.
+    """Return, for each class, the number of the solved class whose transform the class uses.
 
-    A solved class uses its own transform. Any other class uses the class of the same kind at the nearest level and contrast,
-    preferably with the same direction. If no class of the same kind is solved, the nearest class of any kind is used.
+    A solved class uses its own transform. An unsolved class uses the transform of the solved class of the same kind at the
+    nearest level and contrast, preferably with the same direction. If no class of the same kind is solved, the nearest class
+    of any kind is used.
     """
     _, level, contrast, combination, kind = rule.split(np.arange(filled.size))
     known = np.flatnonzero(filled)

@@ -132,7 +132,7 @@ def refinement_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, A
 
 
 def _features(rule: PlaneRule) -> dict[str, Any]:
-    """Return the entries of `refinement_layer` that depend on the type of the class rule."""
+    """Return the entries of `refinement_layer` that depend on whether the class rule uses structure or a tree."""
     if isinstance(rule, StructureRule):
         return {"strengths": rule.strengths, "directions": DIRECTIONS}
     nodes = np.bincount(rule.test[rule.branch > 0], minlength=len(EVERY)).tolist()
@@ -153,7 +153,7 @@ def _values_of_features(table: TransformTable, combination: NDArray[np.int64]) -
 
 
 def _spread(values: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, dict[str, float]]:
-    """Return the median and the maximum of each column of `values` (class, name), by the name of the column."""
+    """Return the median and the maximum of each column of `values` (class, name), by column name."""
     if not len(values):
         return {name: {"median": 0.0, "worst": 0.0} for name in names}
     return {
@@ -253,7 +253,10 @@ def _kinds(layer: dict[str, Any]) -> str:
 
 
 def class_meaning(recipe: TrainingRecipe, source: RecipeSource) -> Meaning:
-    """Return the summary of a class recipe for ``l3 check``, and an empty list of faults."""
+    """Return the summary of a class recipe for ``l3 check``.
+
+    The list of faults in the result is always empty, because the summary finds no further faults.
+    """
     return class_figures(recipe, source.camera), []
 
 
@@ -265,7 +268,7 @@ def class_figures(recipe: TrainingRecipe, camera: CameraModel | None) -> dict[st
     recipe : TrainingRecipe
         Recipe to summarise.
     camera : CameraModel or None
-        If given, the size of a table for this camera is added.
+        Camera for which the size of the table is computed, or None to leave out this size.
 
     Returns
     -------

@@ -1,9 +1,9 @@
 """Exact sums of products, from which the transforms are solved (docs/method.md#exact-sums).
 
-The sums are the normal equations of the least squares. There is one set of sums per class and canonical site, which is one
-of several symmetric CFA sites. The columns of a sample are its taps, the intercept (the constant 1) and its outputs. A
-*moment* is the sum of the products of two columns. Moment matrices are symmetric, so only their upper triangle is stored,
-with one number per *pair* of columns.
+The sums are the normal equations of the least-squares fit. There is one set of sums for each class of each canonical site. A
+canonical site represents all CFA sites that are symmetric to it. The columns of a sample are its taps, the intercept (the
+constant 1) and its outputs. A *moment* is the sum of the products of two columns. Moment matrices are symmetric, so only
+their upper triangle is stored, with one number per *pair* of columns.
 
 Every product is rounded to a multiple of a fixed grid step before it is added. As long as a sum stays below 2⁵³ grid steps,
 float64 adds such multiples without any rounding. The result is therefore the same to the last bit for any order, and for any
@@ -39,7 +39,7 @@ def pairs(width: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def width_of(packed: Array) -> int:
-    """Return the number of columns of the moment matrices whose upper triangles are stored in `packed` (…, pair)."""
+    """Return the number of columns of a moment matrix whose upper triangle is stored in the last axis of `packed`."""
     return (math.isqrt(8 * packed.shape[-1] + 1) - 1) // 2
 
 
@@ -59,7 +59,7 @@ def same_shapes(sums: ClassSums | LayerSums, others: ClassSums | LayerSums) -> b
 
 
 def rounding_number(step: Array | float) -> Array:
-    """Return 1.5 · 2⁵² steps, a number that rounds a float64 value to whole steps when it is added to the value."""
+    """Return 1.5 · 2⁵² steps. Adding this number to a float64 value rounds the value to whole steps."""
     return np.asarray(step * (1.5 * 2.0**52))
 
 
@@ -81,17 +81,17 @@ def add_rounded(total: Array, more: NDArray[np.float32], large: Array) -> None:
 
 
 def runs_of(label: NDArray[np.integer]) -> list[tuple[int, int, int]]:
-    """Return (class, first sample, end sample) for each class in `label`, which contains the sorted classes of samples."""
+    """Return (class, first sample, end sample) for each class in `label`, the sorted classes of samples."""
     changes = (np.flatnonzero(label[1:] != label[:-1]) + 1).tolist()
     first, last = [0, *changes], [*changes, len(label)]
     return list(zip(label[first].tolist(), first, last, strict=True)) if len(label) else []
 
 
 def pieces_of(label: NDArray[np.integer]) -> Iterator[slice]:
-    """Divide samples, whose sorted classes are `label`, into slices of about `PIECE_SAMPLES` samples.
+    """Divide samples into slices of about `PIECE_SAMPLES` samples. `label` contains the class of each sample, sorted.
 
-    A matrix product takes little more time for many samples than for a few. Therefore only a class with more than
-    `MAX_CLASS_PIECE_SAMPLES` samples is divided between slices.
+    Several small classes share a slice, because a matrix product takes little more time for many samples than for a few. A
+    class is divided between slices only if its samples would not fit into a slice of `MAX_CLASS_PIECE_SAMPLES` samples.
     """
     start = np.array([first for _, first, _ in runs_of(label)], np.int64)
     first = start[np.unique(start // PIECE_SAMPLES, return_index=True)[1]].tolist()
@@ -137,9 +137,9 @@ def add(sums: ClassSums | LayerSums, more: ClassSums | LayerSums) -> None:
 
 
 def grid_steps(rule: ClassRule, camera: CameraModel, outputs: int) -> Array:
-    """Return the grid steps to which the sums of the first layer are rounded, for each level and pair of columns.
+    """Return the grid steps (level, pair) of the products in the first layer.
 
-    All steps are powers of two.
+    Products are rounded to multiples of these steps before they are added. All steps are powers of two.
     """
     return steps_of_columns(intercept_scale(rule, camera), rule.patch**2, outputs)
 
@@ -154,7 +154,10 @@ def intercept_scale(rule: ClassRule, camera: CameraModel) -> Array:
 
 
 def steps_of_columns(intercept: Array, taps: int, outputs: int) -> Array:
-    """Return the grid steps for each level and pair of columns. `intercept` is the scale of the intercept at each level."""
+    """Return the grid steps (level, pair) for products of columns.
+
+    `intercept` contains the scale of the intercept column at each level. All other columns have a scale of 1.
+    """
     scale = np.ones((len(intercept), taps + 1 + outputs))
     scale[:, taps] = intercept
     row, col = pairs(scale.shape[1])
@@ -175,7 +178,10 @@ def require_exact(sums: ClassSums, rule: ClassRule, steps: Array) -> None:
 
 
 def turned_places(turn: NDArray[np.integer], width: int) -> NDArray[np.intp]:
-    """Return the index of each pair of columns after `turn` permutes the taps. The taps are the first columns."""
+    """Return the permutation of the stored pairs of columns that corresponds to the permutation `turn` of the taps.
+
+    The taps are the first of the `width` columns. The other columns stay in place.
+    """
     row, col = pairs(width)
     place = np.empty((width, width), dtype=np.intp)
     place[row, col] = place[col, row] = np.arange(row.size)

@@ -31,7 +31,11 @@ HALF_TURN: Allowed = (0, 2)  # for polarisers, because all other orientations ch
 
 
 def orientations_of_scenes(camera: CameraModel) -> Allowed:
-    """Return the orientations in which a turned scene is as likely as the scene itself, and is recorded in the same way."""
+    """Return the orientations in which simulated scenes may be turned for training.
+
+    All orientations are equally likely in a scene. A camera with polarisers only allows a half turn, which does not change
+    the angle of polarisation.
+    """
     return EVERY_ORIENTATION if camera.polarisers is None else HALF_TURN
 
 
@@ -101,10 +105,10 @@ def stabilisers(window: Indices, patch: int, allowed: Allowed = EVERY_ORIENTATIO
 
 
 def turned_classes(rule: ClassRule, number: int) -> Indices:
-    """Map each class to the class of the same patches when read in orientation `number`.
+    """Map each class to the class that its patches have if they are read in orientation `number`.
 
-    Level, contrast, chroma and saturation depend only on sums over all taps, so orientation does not change them. Features
-    such as direction can change.
+    Level, contrast, chroma and saturation case are the same in every orientation, because they depend only on sums over all
+    taps. Features such as direction can change.
 
     Parameters
     ----------
@@ -146,7 +150,7 @@ def turns_of(rule: ClassRule, window: Indices, allowed: Allowed = EVERY_ORIENTAT
 
 
 def turned_structures(rule: StructureRule, number: int) -> Indices:
-    """Map each structure class to the class that its windows have when they are read in orientation `number`.
+    """Map each structure class to the class that its windows have if they are read in orientation `number`.
 
     Only the direction of an edge changes.
     """

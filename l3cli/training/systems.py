@@ -28,7 +28,7 @@ class Integers(NamedTuple):
 
 
 class Equations(NamedTuple):
-    """Normal equations of several classes, for the outputs with the same noise weight (docs/method.md#solution)."""
+    """Normal equations of several classes, for all outputs with the same noise weight (docs/method.md#solution)."""
 
     power: Array  # (class, tap, tap) X Xᵀ; in saturated classes the last tap is the intercept
     noise: Array  # (class, tap) diagonal of the noise matrix Λ, without the intercept
@@ -74,10 +74,10 @@ def solve_within(equations: Equations, ridge: float, member: Array, integers: In
 
 
 def fits(transforms: Array, white: Array, integers: Integers) -> NDArray[np.bool_]:
-    """Return, for each class, whether the planes that its transform produces fit the integer formats.
+    """Return, for each class, whether its planes fit the integer formats.
 
-    Transforms to three outputs are converted to planes first. Transforms to more outputs are tested without a conversion,
-    because the outputs are larger than their leading components.
+    Transforms to three outputs are first converted to transforms to planes. Transforms to more than three outputs are tested
+    without conversion, which is stricter, because outputs are larger than their leading components.
 
     Parameters
     ----------
@@ -106,9 +106,11 @@ def fits_between(transforms: Array) -> NDArray[np.bool_]:
 
 
 def _moderate(solutions: Array, member: Array, taps: int, integers: Integers) -> NDArray[np.bool_]:
-    """Return, for each class, whether its transform is at most 1/`EQUAL_RESPONSE_MARGIN` of the largest possible transform.
+    """Return, for each class, whether its transform leaves enough room in the integer formats for a later correction.
 
-    The change of the taps that raises the response to one channel by 1 must also stay below this limit.
+    The equal-response constraint corrects each transform later. The transform must therefore be at most
+    1/`EQUAL_RESPONSE_MARGIN` of the largest possible transform. The same limit applies to the correction that changes the
+    response to one channel by 1.
     """
     outputs, used = solutions.shape[2] - len(member), member.any(axis=1)
     compliance = solutions[..., outputs:][..., used]
@@ -118,7 +120,7 @@ def _moderate(solutions: Array, member: Array, taps: int, integers: Integers) ->
 
 
 def _systems(equations: Equations, chosen: NDArray[np.intp], ridge: float) -> Array:
-    """Return X Xᵀ + noise_weight · Λ + ridge for the chosen classes, as an array (class, tap, tap)."""
+    """Return the matrices X Xᵀ + noise_weight · Λ + ridge (class, tap, tap) of the chosen classes."""
     taps = equations.noise.shape[1]
     systems = equations.power[chosen]
     diagonal = np.einsum("cii->ci", systems)  # a view, so changing the diagonal changes `systems`

@@ -192,7 +192,7 @@ def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) 
 
 
 def add_up(pass_: TrainingPass, parts: Iterable[ClassSums]) -> ClassSums:
-    """Add up the partial sums in `parts`. Raises L3Error if a class has too many patches for an exact total."""
+    """Add up the partial sums `parts` of a pass. Raises L3Error if a class has too many patches for exact addition."""
     outputs = len(pass_.head.outputs)
     sums = empty_sums(pass_.rule, outputs)
     for part in parts:
@@ -220,7 +220,7 @@ def learn_site(pass_: TrainingPass, parts: Iterable[ClassSums], site: int) -> So
     Raises
     ------
     L3Error
-        If a class has too many patches for an exact addition, or if no class has patches.
+        If a class has too many patches for exact addition, or if no class has patches.
     """
     sums = add_up(pass_, parts)
     camera, rule = pass_.head.camera, pass_.rule
@@ -292,14 +292,20 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
 
 
 def _spectra(head: TrainingSet, recipe: LearningRecipe) -> SpectralSmoothing | None:
-    """Return the settings for smoothing spectra, or None if the outputs are no spectrum or the recipe has no smoothing."""
+    """Return the settings for smoothing spectra, or None if spectra are not smoothed.
+
+    Spectra are smoothed if the outputs are a spectrum and the recipe sets `spectral_window`.
+    """
     if not recipe.spectral_window or len(head.outputs) == 1 or not spectra.is_spectrum(head.outputs, head.camera.channels):
         return None
     return SpectralSmoothing(recipe.spectral_window, recipe.spectral_reach)
 
 
 def _chroma_smoothing(head: TrainingSet, recipe: LearningRecipe) -> ChromaSmoothing | None:
-    """Return the settings for smoothing chroma, or None if the outputs are not X, Y, Z or the recipe has no smoothing."""
+    """Return the settings for smoothing chroma, or None if chroma is not smoothed.
+
+    Chroma is smoothed if the outputs are X, Y and Z and the recipe sets `chroma_likeness`.
+    """
     if not recipe.chroma_likeness or head.outputs != XYZ:
         return None
     return ChromaSmoothing(recipe.chroma_reach, recipe.chroma_likeness)
@@ -308,10 +314,10 @@ def _chroma_smoothing(head: TrainingSet, recipe: LearningRecipe) -> ChromaSmooth
 def _components(
     head: TrainingSet, solutions: dict[int, Solution], copies: list[int], white: NDArray[np.float64]
 ) -> LeadingComponents | None:
-    """Return the leading components of the outputs, or None if the outputs are not a spectrum of more than three values.
+    """Return the leading components of the outputs, or None unless the outputs are a spectrum of more than three values.
 
     The second component is the mean of the outputs, relative to white. The first and the third component are the two
-    directions in which the remaining part of the targets varies most. The components are rounded, because eigenvectors
+    directions in which the targets vary most after their mean is removed. The components are rounded, because eigenvectors
     differ slightly between machines.
     """
     if not has_components(head):
@@ -404,7 +410,8 @@ def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int
 def finished_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums], table: TransformTable) -> PlaneLayer:
     """Solve the next refinement layer of a table.
 
-    If the recipe has coarse chroma, the layer also gets the noise of the coarse planes, and the correction of clipped areas.
+    If the recipe uses coarse chroma, the noise for the coarse chroma filter and the correction of clipped areas are added to
+    the layer.
 
     Parameters
     ----------
@@ -440,7 +447,7 @@ def with_noises(usual: TransformTable, tables: Sequence[TransformTable], noises:
 
 
 def by_noise(table: TransformTable) -> list[TransformTable]:
-    """Divide a table into one table per noise level, beginning with the noise of the camera model.
+    """Divide a table into one table per noise level. The first table is for the noise of the camera model.
 
     The table must not have transforms for single illuminants.
     """

@@ -53,9 +53,9 @@ class TrainingPass:
 
     @functools.cached_property
     def goal(self) -> Goal:
-        """The goal of the training.
+        """Goal of the training, derived from the properties that all frames share.
 
-        The goal is cached for all sites, because its computation can take as long as solving the equations of one site.
+        The goal is cached, because its computation can take as long as solving the equations of one site.
         """
         return goal_of(self.head, self.white_point, self.light)
 
@@ -132,7 +132,7 @@ def spread_patches(patches: int, frames: Sequence[int], shares: Sequence[Fractio
 
 
 def brightness_of(target: NDArray, outputs: tuple[str, ...]) -> NDArray:
-    """Return the luminance of targets (…, output): the output Y or S0, or the mean of the outputs without Y and S0."""
+    """Return the brightness of targets (…, output): Y, S0, or the mean of all outputs if there is neither Y nor S0."""
     name = luminance_name(outputs)
     return target[..., outputs.index(name)] if name in outputs else target.mean(axis=-1)
 
@@ -154,7 +154,7 @@ SUM_BYTES = 200 << 20  # bytes for the sums in one process, except that at least
 
 @dataclass(frozen=True)
 class WorkShare:
-    """Part of the work of a pass, for one process: blocks of frames, and the sites whose sums the process computes."""
+    """Part of a pass that one process computes: blocks of frames, and the sites to sum."""
 
     blocks: tuple[tuple[range, tuple[int, ...]], ...]  # frames of each block, and the canonical sites to sum
     whole: tuple[int, ...]  # sites whose sums this share computes over all blocks

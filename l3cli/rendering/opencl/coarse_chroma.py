@@ -73,7 +73,10 @@ class DeviceCoarseChroma:
         return events, (before, last)
 
     def _room(self, track: Track, shape: tuple[int, int]) -> list[Any]:
-        """Return the track's three buffers for the blocks of planes of size `shape`. The margins contain `UNLIKE_ANY`."""
+        """Return the three block buffers of a track for planes of size `shape`, and create the buffers if necessary.
+
+        Margins around the blocks are filled with `UNLIKE_ANY`, so that the filter never averages over the edge of the frame.
+        """
         if track.coarse is None or track.coarse[0] != shape:
             cl, context = pyopencl(), track.queue.context
             rows, columns = _blocks(shape)
@@ -98,9 +101,7 @@ class DeviceClipping:
         self._constants: list[Any] = []  # buffers with the CFA, and with the response and the white
 
     def maps(self, track: Track, band: Band, frame: RawFrame) -> tuple[list[Any], Any]:
-        """Enqueue the kernels that compute, for each quad of pixels of a band, the values that replace clipped areas.
-
-        The band includes the margins that the last layer reads. The frame must have the levels of the table.
+        """Enqueue the kernels that compute the replacement values for clipped areas, for each 2 × 2 quad of pixels.
 
         Returns
         -------

@@ -141,9 +141,10 @@ def encoder_source(variant: str) -> str:
 
 
 def encoding_source(variant: str, name: str, *shared: str) -> str:
-    """Return the source of a kernel that processes outputs and then encodes the result.
+    """Return the source of a kernel that processes outputs and then encodes the result as a picture.
 
-    The source consists of the encoder, the files `shared`, and the two files called `name` (see `paired_source`).
+    `name` is the name of two source files: one in opencl/common/, and one in the folder of the variant. The encoder and the
+    files `shared` are placed before these two files.
     """
     encoding = [each for each in VARIANTS[variant].encoder_sources if not each.endswith("encode.cl")]
     return joined_files(
@@ -159,9 +160,10 @@ def joined_files(*names: str) -> str:
 
 
 def paired_source(variant: str, name: str, *shared: str) -> str:
-    """Return the source of a kernel that has one file in opencl/common/ and one file with the same name for the variant.
+    """Return the source of a kernel that is divided between two files called `name`.
 
-    The files `shared` come first.
+    One file is in opencl/common/, and the other file is in the folder of the variant. The files `shared` are placed before
+    these two files.
     """
     return joined_files("common/vectors.cl", *shared, f"common/{name}", f"{FOLDERS[variant]}/{name}")
 

@@ -67,12 +67,12 @@ class DeviceShading:
         return {} if shading is None else {"SHADED": 1, "GAIN_STEP": NODE_SPACING_COLUMNS}
 
     def gain(self, shading: Shading | None, rows: slice) -> tuple[Any, ...]:
-        """Return the additional arguments of the last layer's kernels: the gains of a band, if the frame has shading."""
+        """Return a tuple with the buffer of shading gains for a band, or an empty tuple if the frame has no shading."""
         return () if shading is None else (self._buffer(shading, "gain", rows),)
 
     @staticmethod
     def corrects(frame: RawFrame) -> bool:
-        """Return whether a frame has colour shading. Its raw values on the device must then be writable."""
+        """Return whether a frame has colour shading, so that its raw values on the device must be writable."""
         return frame.shading is not None and frame.shading.colour is not None
 
     def correct(self, frame: RawFrame, track: Track, band: Band) -> Any:
@@ -220,9 +220,9 @@ class OpenCLRenderer:
         return planes
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
-        """Return the frame as a picture (row, col, 3), which is encoded on the device.
+        """Render a frame as a picture (row, col, 3). The picture is encoded on the device.
 
-        Raises a RecipeError if the outputs of the table are not X, Y, Z, only Y, or Stokes parameters.
+        Raises a RecipeError unless the table outputs X, Y and Z, Y alone, or Stokes parameters.
         """
         picture, work = self._start_picture(frame, display)
         work.end()
@@ -245,7 +245,7 @@ class OpenCLRenderer:
             yield picture
 
     def encoded(self, outputs: NDArray[np.float32], display: Display) -> NDArray:
-        """Return a picture (row, col, 3) of outputs (output, row, col)."""
+        """Encode the outputs (output, row, col) of a frame as a picture (row, col, 3)."""
         require_xyz(self.table.outputs)
         rows, columns = outputs.shape[1:]
         picture, self._unread = np.empty((rows, columns, 3), display.dtype), None
@@ -375,7 +375,7 @@ class OpenCLRenderer:
         return work
 
     def _bring(self, values: NDArray, frame: RawFrame, track: Track, band: Band, work: Work) -> None:
-        """Enqueue the upload of a band, including the rows above and below that the layers read."""
+        """Enqueue the upload of a band, including the rows above and below the band that its windows cover."""
         source, (rows, columns) = values[band.raw_rows], band.shape(0)
         track.labels = self._scratch(track.labels, 4 * rows * columns)
         if self._in_place and not self._shading.corrects(frame):
@@ -399,7 +399,7 @@ class OpenCLRenderer:
         return (work.upload(track.queue, pixels, track.sets),)
 
     def _decides(self, track: Track, band: Band) -> tuple[Any, ...]:
-        """Return the buffers from which the classes of the first layer are determined, and the buffer for the classes."""
+        """Return the buffer arguments of the kernel that determines the classes of the first layer."""
         return track.raw, *band.mosaic_source, *self._class_buffers, *track.chosen, track.labels
 
     def _site(self, band: Band, frame: RawFrame) -> tuple[np.int32, np.int32]:
@@ -422,10 +422,10 @@ class OpenCLRenderer:
         work.add("structures", self._run(self._programs.classes(number + 1), track, made, *buffers, np.int32(rows)))
 
     def _reads(self, number: int, track: Track, band: Band, frame: RawFrame) -> tuple[tuple[Any, ...], tuple[np.int32, ...]]:
-        """Return the leading buffers and the trailing integers of the arguments of a layer's transform kernel.
+        """Return the first and the last arguments of the kernel that applies the transforms of a layer.
 
-        The buffers contain the raw values or planes, the sources of the padded rows and columns, and the classes. If the
-        kernel also determines the classes, the buffers that it needs for this purpose come before the classes.
+        The first arguments are buffers with the raw values or planes, the index buffers for padding, and the classes. If the
+        kernel also determines the classes, the buffers with the class rule are added. The last arguments are integers.
         """
         if self._joined and not number:
             return self._decides(track, band), self._site(band, frame)
@@ -475,9 +475,9 @@ class OpenCLRenderer:
         return (track.first,)
 
     def _target(self, track: Track, parts: list[NDArray], work: Work) -> Any:
-        """Return the buffer for the results of a band.
+        """Return the buffer to which the results of a band are written.
 
-        If there is one array and the device shares the memory of the host, the buffer uses the memory of the array.
+        If there is only one result array and the device uses host memory, this buffer shares the memory of the array.
         """
         if self._in_place and len(parts) == 1:
             return work.in_place(track.queue, parts[0], written=True)

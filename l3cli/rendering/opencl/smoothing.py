@@ -17,16 +17,16 @@ DARKEST: Macros = {"DARKEST": f"{SMOOTHING_DARKEST!r}f"}
 
 
 def room_for(track: Track, band: Band, outputs: int) -> Any:
-    """Return the track's buffer for the outputs of a band before smoothing."""
+    """Return a buffer of the track for the outputs of a band before they are smoothed."""
     track.made = scratch(track.queue.context, track.made, 4 * outputs * (band.made.stop - band.made.start) * band.columns)
     return track.made
 
 
 def place_of(band: Band, frame_rows: int) -> tuple[np.int32, ...]:
-    """Return the trailing integer arguments of a smoothing kernel.
+    """Return the last arguments of a smoothing kernel, which describe the rows of a band.
 
-    They are the number of rows before smoothing, the first of these rows, the first smoothed row, and the number of rows of
-    the frame.
+    The arguments are the number of rows before smoothing, the first of these rows, the first smoothed row, and the number of
+    rows of the frame.
     """
     made, first = band.made, band.rows.start
     return tuple(map(np.int32, (made.stop - made.start, made.start, first, frame_rows)))
@@ -49,13 +49,13 @@ class DeviceSpectra:
         self._kernel: Any = None
 
     def room(self, track: Track, band: Band) -> Any:
-        """Return the buffer of a track for the outputs of a band before smoothing."""
+        """Return the buffer into which the outputs of a band are written before smoothing."""
         return room_for(track, band, self._outputs)
 
     def smooth(self, track: Track, band: Band, result: Any, frame_rows: int) -> Any:
-        """Enqueue the smoothing of a band whose outputs are in the buffer from `room`.
+        """Enqueue the smoothing of the outputs of a band, which are in the buffer from `room`.
 
-        The smoothed outputs of the band, without the margins above and below, are written to `result`.
+        The smoothed outputs are written to `result`, without the margins above and below the band.
         """
         if self._kernel is None:
             macros: Macros = {
@@ -88,14 +88,15 @@ class DeviceChroma:
         self._kernels: dict[tuple[Any, ...], Any] = {}  # macros for the form of the results → kernel
 
     def room(self, track: Track, band: Band) -> Any:
-        """Return the buffer of a track for the outputs of a band before smoothing."""
+        """Return the buffer into which the outputs of a band are written before smoothing."""
         return room_for(track, band, 3)
 
     def smooth(self, track: Track, band: Band, encoding: Any, result: Any, frame_rows: int, ending: Macros) -> Any:
-        """Enqueue the smoothing of a band whose outputs are in the buffer from `room`.
+        """Enqueue the smoothing of the outputs of a band, which are in the buffer from `room`.
 
-        The smoothed outputs of the band, without the margins above and below, are written to `result` in the form that the
-        macros `ending` determine. `encoding` is a buffer with the constants of the display.
+        The smoothed outputs are written to `result`, without the margins above and below the band. The macros `ending`
+        determine whether they are written as outputs or as an encoded picture. `encoding` is a buffer with the constants of
+        the display.
         """
         key = tuple(ending.items())
         if key not in self._kernels:

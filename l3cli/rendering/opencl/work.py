@@ -235,9 +235,9 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
     across = {margin: constant(_int32(mirrored_indices(columns, margin, 1))) for margin in sides}
 
     def outside(seen: slice, margin: int, there: slice) -> Source:
-        """Return the index buffer of the rows `seen` with `margin` additional rows on both sides.
+        """Return an index buffer for the rows `seen` and a margin of `margin` rows above and below.
 
-        Indices are counted from the first row of `there`. Rows outside the frame are mirrored.
+        Indices are counted from the first row of `there`. Rows outside the frame are mirrored into the frame.
         """
         return constant(_int32(mirrored_indices(rows, margin, 1)[seen.start : seen.stop + 2 * margin] - there.start))
 

@@ -23,7 +23,7 @@ class Filter(Protocol):
     """A recursive temporal filter of one backend."""
 
     def filtered(self, frame: RawFrame) -> RawFrame:
-        """Return the next frame, blended with the previous frames."""
+        """Blend the next frame with the previous frames, and return the result."""
 
 
 class Chunks:
@@ -53,20 +53,20 @@ class Chunks:
 def chunks_of(place: int) -> range:
     """Return the numbers of the chunks whose filters read the frame with index `place`.
 
-    These are the chunk of the frame and, if the frame belongs to the lead-in of the next chunk, the next chunk.
+    A frame in the lead-in of the next chunk belongs to two chunks. All other frames belong to one chunk.
     """
     return range(place // CHUNK, (place + LEAD) // CHUNK + 1)
 
 
 def needed(wanted: Iterable[tuple[int, bool]]) -> Iterator[bool]:
-    """Yield, for each frame, whether the filter must read the frame.
+    """Yield, for each frame, whether the temporal filter must read this frame.
 
-    The filter must read a frame if the frame is wanted, or if a later frame that depends on it is wanted.
+    A frame must be read if its result is wanted, or if the result of a later frame depends on it.
 
     Parameters
     ----------
     wanted : iterable of (int, bool)
-        Index of each frame, and whether the frame is wanted. Up to `LEAD` + `CHUNK` pairs are read in advance.
+        Index of each frame, and whether its result is wanted. Up to `LEAD` + `CHUNK` pairs are read in advance.
     """
     prefetched: list[tuple[int, bool]] = []
     frames = iter(wanted)

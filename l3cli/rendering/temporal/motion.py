@@ -3,8 +3,8 @@
 All computations use integers. Both frames are averaged over CFA periods, which removes the mosaic. The resolution of the
 resulting planes is halved repeatedly until a sample is about as large as a block. The search starts in the coarsest plane
 and ends in the finest plane. All displacements are whole CFA periods, so that every pixel is compared with a pixel of the
-same channel. A block is not searched if it does not move, or if the vector from the coarser plane leaves only differences
-that noise explains.
+same channel. A block is not searched if it does not move, or if noise can explain the differences that remain after a
+displacement by the vector from the coarser plane.
 """
 
 import itertools
@@ -116,7 +116,7 @@ class _Search:
         return np.minimum(differences, CLIPPED).sum(axis=(2, 3), dtype=np.int64)
 
     def settled(self, vector: Vectors) -> NDArray[np.bool_]:
-        """Return, for each block, whether the difference with this vector can be explained by noise."""
+        """Return, for each block, whether noise can explain the differences that remain after a displacement by `vector`."""
         return self._cost(vector) <= self._settled
 
     def best_of(self, candidates: list[Vectors]) -> Vectors:
@@ -131,7 +131,7 @@ class _Search:
         return best
 
     def _within(self, vector: Vectors) -> Vectors:
-        """Limit vectors so that all displaced blocks stay inside the frame."""
+        """Limit vectors such that all displaced blocks stay inside the frame."""
         grid, limited = self._grid, vector.copy()
         for axis in (0, 1):
             unit = grid.period[axis] << self._level
@@ -150,7 +150,7 @@ def root_of(window: tuple[int, int]) -> int:
 def _neighbours(vectors: Vectors) -> Iterator[Vectors]:
     """Yield arrays with the vectors of the upper, lower, left and right neighbour of each block.
 
-    A block at the edge of the frame has its own vector in place of a missing neighbour's.
+    At the edge of the frame, the vector of the block itself replaces the vector of a missing neighbour.
     """
     padded = np.pad(vectors, ((1, 1), (1, 1), (0, 0)), mode="edge")
     for down, across in NEIGHBOURS:

@@ -40,7 +40,7 @@ class Grid:
 
     @staticmethod
     def of(shape: tuple[int, ...], period: tuple[int, ...]) -> "Grid":
-        """Return the grid for frames of `shape` and a CFA with `period`, each given as rows and columns."""
+        """Create the grid for frames of size `shape` and a CFA of size `period`. Both sizes are (rows, columns)."""
         down, across = (_sides(side, lanes) for side, lanes in zip(period, (1, LANES), strict=True))
         blocks = (-(-shape[0] // down[2]), -(-shape[1] // across[2]))
         planes = 1
@@ -64,9 +64,10 @@ class Grid:
         return self.cell[0] * self.cell[1]
 
     def window(self, level: int) -> tuple[int, int]:
-        """Return the size of the windows that the motion search compares in a plane, as rows and columns.
+        """Return the size (rows, columns) of the windows that the motion search compares in one plane.
 
-        The window of a block is the block itself. For a small block, the window is two samples larger on each side.
+        The window of a block is the block itself. If a block has at most four rows or columns in the plane, the window is
+        larger by two rows or columns on each side.
         """
         units = (side // (period << level) for side, period in zip(self.block, self.period, strict=True))
         rows, cols = (count + 4 if count <= 4 else count for count in units)
@@ -91,7 +92,7 @@ def _sides(period: int, lanes: int) -> tuple[int, int, int]:
 
 
 def _repeated(there: int, wanted: int, period: int) -> NDArray[np.intp]:
-    """Return the source indices of `wanted` samples, of which only the first `there` exist. The last period is repeated."""
+    """Return the indices that extend an axis of `there` samples to `wanted` samples by repeating the last period."""
     index = np.arange(wanted)
     beyond = index - there
     last = index - (beyond // period + 1) * period if there >= period else np.full(wanted, there - 1)
@@ -154,9 +155,9 @@ def noise_of(camera: CameraModel, black_level: float, white_level: float, sites:
 
 
 def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
-    """Return the fraction of the camera's noise variance that remains after the filter, at the mean level of a frame.
+    """Return the fraction of the noise variance that remains in a filtered frame, at the mean level of the frame.
 
-    The filter reduces only the temporal noise, whose remaining fraction is `left`. It does not reduce the fixed pattern. The
+    The filter reduces the temporal noise to the fraction `left` of its variance, but does not reduce the fixed pattern. The
     result is rounded up to one of `NOISE_FRACTIONS`.
     """
     stretch = (camera.white_level - camera.black_level) / (frame.white_level - frame.black_level)
@@ -176,7 +177,7 @@ def _mean(values: NDArray[np.uint16], period: int) -> float:
 
 
 def to_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:
-    """Convert DN to u. Values that would not fit into 16 bits, which all exceed the white level, are limited."""
+    """Convert DN to u. Values too large for 16 bits are limited. All of these values exceed the white level."""
     most = np.uint16((1 << DEEP - noise.protect) - 1)
     return np.minimum(values, most) << np.uint16(noise.protect)
 
@@ -198,9 +199,9 @@ def settings_of(frame: RawFrame) -> tuple[float, float | None]:
 
 
 def times_brighter(now: tuple[float, float | None], before: tuple[float, float | None]) -> float:
-    """Return the signal with the settings `now`, divided by the signal of the same scene with the settings `before`.
+    """Return how many times brighter a scene is with the settings `now` than with the settings `before`.
 
-    The settings are results of `settings_of`. If an exposure time is unknown, both exposure times are ignored.
+    The settings are results of `settings_of`. If one of the exposure times is unknown, only the gains are compared.
     """
     times = now[1] / before[1] if now[1] and before[1] else 1.0
     return times * now[0] / before[0]

@@ -167,10 +167,11 @@ class OpenCLFilter:
         self._settings: tuple[float, float | None] = (1.0, None)  # gain and exposure time of the previous frame
 
     def filtered(self, frame: RawFrame) -> RawFrame:
-        """Return the next frame, blended with the previous frames, and with the fraction of the noise that remains.
+        """Blend the next frame with the previous frames, and return the result.
 
-        If the frame differs from the previous frame in size, phase or levels, the filter begins again. If the gain or the
-        exposure time differs, the previous frames are converted first.
+        The result also states the fraction of the noise that remains. If the frame differs from the previous frame in size,
+        phase or levels, filtering starts again. If the gain or the exposure time differs, the previous frames are converted
+        first.
         """
         with refusals(self._device.device):
             first = kind_of(frame) != self._kind
@@ -225,13 +226,17 @@ class OpenCLFilter:
         self._planes(buffers.history[0], buffers.before, buffers.now, 0)
 
     def _planes(self, values: Any, made: Any, before: Any, free_bits: int) -> None:
-        """Compute all planes of `values` into `made`, and the coarser planes of `before` from its finest plane."""
+        """Compute all planes of the new frame `values`, and the coarser planes of the previous frame.
+
+        The planes of the new frame are written to `made`. The finest plane of the previous frame is already in `before`, to
+        which its coarser planes are added.
+        """
         grid = self._grid
         parts = -(-grid.shape[0] // (grid.period[0] << grid.planes - 1))
         self._device.run("planes", 2 * parts, grid.blocks[1], values, made, before, free_bits, *grid.blocks)
 
     def _borders(self, work: Work, values: NDArray[np.uint16], made: NDArray[np.uint16]) -> tuple[Any, Any]:
-        """Return the device buffer with the values of the frame, and the buffer for the filtered values."""
+        """Return two device buffers: the values of the frame, and the destination of the filtered values."""
         device, buffers = self._device, self._buffers
         if buffers.borders is None:
             return work.in_place(device.queue, values), work.in_place(device.queue, made, written=True)
@@ -266,7 +271,7 @@ class OpenCLFilter:
 
 
 def _units(grid: Grid) -> int:
-    """Return the number of elements of all planes, including the margins that windows may read."""
+    """Return the number of samples of all planes of a frame, including margins into which windows may extend."""
     rows, cols = (side // period for side, period in zip(grid.shape, grid.period, strict=True))
     planes = ((rows >> level, cols >> level) for level in range(grid.planes))
     return sum(

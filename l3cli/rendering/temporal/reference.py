@@ -127,7 +127,7 @@ def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: G
 
 
 def _moved_left(left: Cells, vectors: Vectors, grid: Grid) -> Cells:
-    """Return, for each cell, the remaining noise of the previous state at the displaced centre of the cell."""
+    """Return the fraction of the noise that remained in the previous frame, at the displaced centre of each cell."""
     rows, cols = (
         (np.arange(count) * side + side // 2 + _by_cell(vectors[..., axis], grid).swapaxes(0, axis).swapaxes(0, 1)) // side
         for axis, (count, side) in enumerate(zip(grid.cells, grid.cell, strict=True))
@@ -136,7 +136,7 @@ def _moved_left(left: Cells, vectors: Vectors, grid: Grid) -> Cells:
 
 
 def _by_cell(of_block: NDArray, grid: Grid) -> NDArray:
-    """Convert one value per block to one value per cell."""
+    """Expand an array with one value per block to one value per cell."""
     down, across = (block // cell for block, cell in zip(grid.block, grid.cell, strict=True))
     return of_block.repeat(down, 0).repeat(across, 1)
 
@@ -144,10 +144,11 @@ def _by_cell(of_block: NDArray, grid: Grid) -> NDArray:
 def _evidence(
     values: NDArray[np.uint16], residual: Cells, left: Cells, vectors: Vectors, grid: Grid, noise: NoiseTerms
 ) -> tuple[Cells, Cells, Cells, Cells]:
-    """Return three measures of motion in the 3 × 3 cells around each cell, and the value that noise causes.
+    """Return three measures of motion around each cell, and the value that these measures have without motion.
 
-    The measures are the sum of the squared residuals, the sum of the squared sums over cells, and the square of the sum over
-    all nine cells.
+    All measures are sums over a neighbourhood of 3 × 3 cells: the sum of the squared residuals of all pixels, the sum of the
+    squared residuals of the cells, and the squared residual of the whole neighbourhood. The residual of a cell is the sum of
+    its pixels.
     """
     signal = np.maximum(_sums(values.astype(np.int64), grid) - grid.sites * noise.black, 0)
     variance = np.minimum((signal * noise.linear >> LINEAR_FRACTION) + grid.sites * noise.constant, MOST_VARIANCE)
@@ -193,10 +194,11 @@ class ReferenceFilter:
         self.vectors: Vectors | None = None  # motion vectors of the latest frame, or None for the first frame
 
     def filtered(self, frame: RawFrame) -> RawFrame:
-        """Return the next frame, blended with the previous frames, and with the fraction of the noise that remains.
+        """Blend the next frame with the previous frames, and return the result.
 
-        If the frame differs from the previous frame in size, phase or levels, the filter begins again. If the gain or the
-        exposure time differs, the previous frames are converted first.
+        The result also states the fraction of the noise that remains. If the frame differs from the previous frame in size,
+        phase or levels, filtering starts again. If the gain or the exposure time differs, the previous frames are converted
+        first.
         """
         kind = kind_of(frame)
         grid = Grid.of(frame.values.shape, self._period)

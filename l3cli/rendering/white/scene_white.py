@@ -124,7 +124,10 @@ class GreyRenderer:
         return not _measured(frame, self.table, grey.where)[1]
 
     def of_part(self, frame: RawFrame, where: tuple[slice, slice]) -> NDArray[np.float64]:
-        """Return the mean rendered outputs of an area, given by rows and columns in sensor orientation."""
+        """Render a part of a frame, and return the mean of each output.
+
+        `where` contains the rows and columns of the part, in sensor orientation.
+        """
         rows, cols = where
         margin = self._reach + max(self.table.cfa.shape)
         top, left = max(rows.start - margin, 0), max(cols.start - margin, 0)
@@ -147,9 +150,9 @@ def _shading_corrected(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
 
 
 def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]) -> tuple[NDArray[np.float64], str]:
-    """Return the mean signal of each channel in an area, in DN, and the reason why the area cannot be used.
+    """Return the mean signal of each channel in an area, in DN. Also return the reason why the area cannot be used, or "".
 
-    The reason continues a message that begins with the name of the area. For a usable grey area, the reason is empty.
+    The reason is the end of a sentence whose subject is the area, such as "is clipped in 12% of its pixels".
     """
     values, means = _shading_corrected(frame, where).values, np.zeros(len(table.channels))
     clipped = float((values >= frame.white_level).mean())
@@ -314,7 +317,7 @@ class Whites:
     def trained(self) -> NDArray[np.float64] | None:
         """Signal of a perfect white in each channel under the training illuminant.
 
-        None if the table does not record its camera and its training illuminant.
+        The value is None if the table does not contain both its camera and its training illuminant.
         """
         camera, light = self.table.camera, self.table.light
         if camera is None or light is None:
@@ -416,7 +419,7 @@ class Whites:
         return WhiteBalance(gains, matrix, float(before / after / raised))
 
     def _gains(self, neutral: Array) -> NDArray[np.float64]:
-        """Return gains of at least 1 that give a grey object the channel ratios it has under the training illuminant."""
+        """Return gains of at least 1 that give a grey object the same channel ratios as under the training illuminant."""
         if self.trained is None:
             return np.ones(len(neutral))
         seen = (neutral > 0) & (self.trained > 0)  # an infrared channel may receive no light from some lamps
@@ -424,7 +427,7 @@ class Whites:
         return np.clip(ratio / ratio.min(where=seen, initial=np.inf), 1.0, MAX_GAIN)
 
     def _shown(self, neutral: Array) -> NDArray[np.float64]:
-        """Return the X, Y, Z that the table renders from the signals of a grey object."""
+        """Render a grey object with the given channel signals, and return X, Y and Z."""
         return _white(self.grey.outputs_of(GREY_LEVEL * neutral[None] / neutral.max())[0])
 
     def _correction(self, radiance: Array, gains: Array) -> NDArray[np.float64]:

@@ -71,10 +71,7 @@ class AutoWhite:
         return self._made[place]
 
     def _nearest(self, estimate: Array) -> tuple[int, int]:
-        """Return the indices of the most probable illuminant on the fine grid.
-
-        `estimate` contains the estimated logarithms of the cone ratios.
-        """
+        """Return the indices of the most probable illuminant on the fine grid, for estimated logarithms of L/M and S/M."""
         green = np.linspace(GREENS[0], GREENS[-1], SEARCH_POINTS[1])
         error = ((self._places - estimate) ** 2).sum(axis=-1) / LIKELY_ERROR**2 + (green / LIKELY_GREEN) ** 2
         row, col = np.unravel_index(int(error.argmin()), error.shape)
@@ -129,8 +126,8 @@ def estimated(cones: Array, usable: NDArray[np.bool_]) -> Array | None:
     Returns
     -------
     ndarray, (2,), or None
-        Logarithms of the cone ratios of white: first to second response, and third to second response. None if too few
-        pixels are usable.
+        Natural logarithms of L/M and S/M for white, where L, M and S are the cone responses. None if too few pixels are
+        usable.
     """
     if int(usable.sum()) < MIN_SAMPLES:
         return None
@@ -159,7 +156,7 @@ def _neutrals(table: TransformTable) -> Array:
 
 
 def _ratios(cones: Array) -> Array:
-    """Return the logarithms (…, 2) of two cone ratios: first to second response, and third to second response."""
+    """Return the natural logarithms of L/M and S/M for cone responses L, M and S, along the last axis."""
     return np.log(cones[..., [0, 2]] / cones[..., 1:2])
 
 

@@ -1,1 +1,1 @@
-"""The render stage: raw frames through a table → pictures (`render`)."""
+"""The stage of `l3 render`: it renders raw frames with a transform table to pictures or video."""

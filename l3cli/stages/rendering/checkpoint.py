@@ -1,4 +1,4 @@
-"""List of the finished outputs of a rendering and of their origins, with which `--resume` continues an interrupted run.
+"""List of the finished outputs of a rendering, with which `--resume` continues an interrupted run.
 
 A picture is finished if its file has not changed since the run wrote it, and if its frame and its settings are the same as
 in the earlier run. Files are compared by size, times and inode, because SHA-256 digests would add about 10 % to the
@@ -47,7 +47,8 @@ class PictureCheckpoint(Checkpoint):
     def continue_run(self, output: Path, force: bool) -> None:
         """Read the checkpoint of an earlier run.
 
-        If there is no checkpoint, or if it does not match and `force` is set, do nothing.
+        Without a checkpoint file, this method does nothing. It also does nothing if the checkpoint belongs to a different
+        run and `force` is set.
 
         Raises
         ------
@@ -67,23 +68,26 @@ class PictureCheckpoint(Checkpoint):
         return file.name in self.items and dated(file) == self.items[file.name]["file"]
 
     def has(self, file: Path, origin: str) -> bool:
-        """Whether an output is finished and has the given origin. Return False if `origin` is "" (unknown).
+        """Whether an output is finished and has the given origin. The result is False if `origin` is "" (unknown).
 
-        The output is then no longer listed in `abandoned`.
+        After this call, the output is no longer listed in `abandoned`.
         """
         self._unseen.discard(file.name)
         return bool(origin) and self.is_ours(file) and self.items[file.name]["origin"] == origin
 
     def list_output(self, file: Path, temporary: Path, origin: str, **counts: int) -> None:
-        """Add an output to the list, just before its temporary file is renamed. `counts` are numbers of frames."""
+        """Add an output to the list. Call this method just before the temporary file of the output is renamed.
+
+        `counts` are numbers of frames.
+        """
         self.add(file.name, {"file": dated(temporary), "origin": origin, **counts})
 
     @contextlib.contextmanager
     def kept(self) -> Iterator[None]:
-        """Context manager that writes the checkpoint file during the block, and renames it to `finished` afterwards.
+        """Context manager that writes the checkpoint file during the block, and renames the file to `finished` afterwards.
 
-        If the block fails, the file keeps its name, so that the run can be continued. If no output was finished by then, the
-        file is deleted.
+        If the block fails, the file keeps its name, so that the run can be continued. If the block fails before any output
+        is finished, the file is deleted.
         """
         refuse_protected(self.finished)
         self.begin()
@@ -128,7 +132,7 @@ class FrameOrigins:
         self._inputs, self._before, self._follow = inputs, _digest(settings), follow
 
     def of(self, reference: FrameReference) -> FrameReference:
-        """Return the reference of a frame with its origin. If its frame has no file, the reference is returned unchanged.
+        """Return the reference of a frame with its origin. A frame without a file of its own is returned unchanged.
 
         Call this method before the frame is read, because the file could change during reading.
         """
@@ -138,7 +142,7 @@ class FrameOrigins:
     def of_read(self, reference: FrameReference, frame: RawFrame) -> FrameReference:
         """Return the reference of a frame with its origin, after the frame was read.
 
-        Without a file, the pixels identify the frame.
+        If the frame has no file of its own, the origin is computed from the pixels.
         """
         if reference.origin:
             return reference

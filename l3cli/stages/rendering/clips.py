@@ -34,7 +34,7 @@ MAX_WARNINGS = 1000  # largest number of warnings in the report of a clip
 
 
 def clips_of(inputs: Sequence[Path], table: Path, options: RenderOptions, output: Path) -> tuple[Path, ...]:
-    """Return the inputs. A folder that contains several clips is replaced by its clips.
+    """Replace each folder that contains several clips by the clips in this folder, and return all inputs.
 
     Raises
     ------
@@ -113,7 +113,7 @@ class Summary:
 
     @property
     def exit_code(self) -> int:
-        """0 if every frame of every clip was rendered, otherwise 1, or the code of the first error if all clips failed."""
+        """0 if every frame of every clip was rendered, the code of the first error if all clips failed, and otherwise 1."""
         states = {clip.state for clip in self.clips}
         if self.first_error_code is not None and states == {FAILED}:
             return self.first_error_code
@@ -188,7 +188,7 @@ def render_clips(table: Path, clips: Sequence[Path], folder: Path, options: Rend
 def _refuse_folder(folder: Path, options: RenderOptions) -> None:
     """Raise RecipeError if the output is not a folder, or if an option cannot be used for clips.
 
-    Raise L3Error if the folder cannot be written to.
+    Raise L3Error if files cannot be created in the folder.
     """
     if folder == STDIN or is_video(folder) or PATTERN.search(folder.name) or folder.is_file():
         raise RecipeError(

@@ -37,9 +37,9 @@ def deflickered(
 ) -> Iterator[FrameTask]:
     """Yield the frames, each with an exposure scale that removes the flicker.
 
-    The flicker in a frame is fitted to the brightness of LOOKAHEAD frames before and after the frame. A frame is therefore
-    yielded only after the following frames have been read. Frames that were not read, for example because of an error, are
-    yielded unchanged.
+    The flicker of a frame is estimated from the brightness of the LOOKAHEAD frames before and after this frame. A frame is
+    therefore yielded only after these later frames have been read. Frames that were not read, for example because of an
+    error, are yielded unchanged.
     """
     rate, unit = look.video.rate, job.sequence.unit
     window: deque[tuple[float, float]] = deque()  # time in frames, and brightness ratio, of the frames around the next frame

@@ -70,7 +70,7 @@ class Job:
     options: RenderOptions
 
     def find(self, overrides: RawOverrides) -> FrameSequence:
-        """Return the frames of the inputs, which are read later with the given overrides."""
+        """List the frames of the inputs. The frames are read later, with the given overrides."""
         return find_frames(self.inputs, self.table, overrides, self.options.frames, self.options.dataset)
 
     @property
@@ -80,7 +80,7 @@ class Job:
 
     @property
     def frames_depend_on_earlier(self) -> bool:
-        """Whether a picture depends on previous frames."""
+        """Whether the picture of a frame depends on previous frames."""
         measures = self.rendition.measures_exposure or self.white_source is not None or self.options.deflicker
         return (self.in_order and measures) or self.options.temporal
 
@@ -221,7 +221,7 @@ def _engine(options: RenderOptions) -> dict[str, str]:
 def _prepared_meanwhile(
     backend: str, engine: dict[str, str], suffix: str | None, scheduler: "Scheduler | None"
 ) -> BackgroundTask:
-    """Return a context manager that prepares the OpenCL device and the writer of `suffix` files while its block runs."""
+    """Context manager that prepares the OpenCL device and the writer of `suffix` files while its block runs."""
 
     def work() -> None:
         if scheduler is None:
@@ -357,7 +357,7 @@ def _nearest(position: int, grid: int) -> int:
 
 
 def _protect_frames(sequence: FrameSequence, guard: OutputGuard) -> None:
-    """Ensure that no output replaces a file with a frame. The frames of a stream, which may be endless, have no files."""
+    """Ensure that no output replaces a file with a frame. A stream has no such files, and may be endless."""
     if not sequence.is_stream:
         guard.protect(*(reference.source for reference in sequence.frames if reference.source))
 
@@ -394,7 +394,7 @@ def _folder_or_file(inputs: tuple[Path, ...]) -> str:
 
 
 def _files_read(table_file: Path, inputs: tuple[Path, ...], sequence: FrameSequence, options: RenderOptions) -> FilesUsed:
-    """Return the files that are read. Frames from a stream, which may be endless, are not listed."""
+    """Return the files that a rendering reads. Frames from a stream are not listed, because a stream may be endless."""
     frames = () if sequence.is_stream else sequence.frames
     files = [frame.source for place, frame in enumerate(frames) if frame.source and sequence.renders(place)]
     return files_to_read({"table": [table_file], "inputs": files or inputs, "dark frames": options.dark})
@@ -406,7 +406,7 @@ Choice = Callable[[TransformTable, NDArray[np.floating]], Mix | None]  # mix_for
 
 
 def light_mix_of_given(white: str | None, table: TransformTable, choice: Choice, console: Console) -> Mix | None:
-    """Return and report the mixture of a table's illuminants that fits a white.
+    """Find the mixture of a table's illuminants that fits a white, report the mixture on the console, and return it.
 
     Parameters
     ----------
@@ -422,7 +422,7 @@ def light_mix_of_given(white: str | None, table: TransformTable, choice: Choice,
     Returns
     -------
     Mix or None
-        The mixture. None for the table's common transforms, which are used for the white of the table.
+        The mixture, or None for the white of the table, which is rendered with the table's common transforms.
 
     Raises
     ------
@@ -446,10 +446,10 @@ def light_mix_of_given(white: str | None, table: TransformTable, choice: Choice,
 
 
 def _rendition(destination: Destination, white: str | None, table: TransformTable, options: RenderOptions) -> Rendition:
-    """Return the settings with which outputs become pictures.
+    """Return the settings with which the outputs of the table become pictures.
 
-    If the user has set a white, check it and send warnings to the console. Raises RecipeError if an option for pictures is
-    invalid.
+    If the user has set a white, the white is checked, and warnings about the white are sent to the console. Raises
+    RecipeError if an option for pictures is invalid.
     """
     if options.show is not None:
         return replace(OUTPUTS, bits=options.bits, space=SRGB, polarisation=options.show)
@@ -473,7 +473,10 @@ def _rendition(destination: Destination, white: str | None, table: TransformTabl
 
 
 def warn_of_white(name: str, white: SceneWhite, table: TransformTable, console: Console) -> None:
-    """Warn if a white is far from the training illuminants, or if the camera is sensitive where its spectrum is unknown."""
+    """Warn if a white is far from the training illuminants, or if the spectrum of the white is not known far enough.
+
+    The spectrum must be known at all wavelengths at which the camera is sensitive.
+    """
     if doubt := far_from_training(name, white, table):
         console.warn(doubt)
     if table.camera is not None and "," not in name:

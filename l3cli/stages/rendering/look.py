@@ -100,7 +100,7 @@ def _light_mix_of_first(source: WhiteSource, job: Job, sequence: FrameSequence) 
     Returns
     -------
     Mix or None
-        The mixture. None if the white of the first frame is unknown.
+        The mixture, or None if the white of the first frame is unknown.
     FrameSequence
         All frames, including the first frame.
     """
@@ -159,7 +159,7 @@ def _first_frame(sequence: FrameSequence) -> tuple[RawFrame | None, FrameSequenc
 
 
 def _timing(job: Job) -> tuple[VideoChoice, Pacing]:
-    """Return the settings of the video encoder, with the frame rate, and the times of the frames."""
+    """Return the settings of the video encoder, which include the frame rate, and the pacing of the frames."""
     sequence, options = job.sequence, job.options
     stated = sequence.times() if sequence.times is not None and options.fps is None else None
     uneven = None if stated is None or stated.are_even else stated

@@ -1,7 +1,7 @@
-"""Rendering of measured frames to finished pictures, in this process or on workers on other machines.
+"""Rendering of measured frames to finished pictures, in this process or in workers on other machines.
 
-Both use `PictureMaker.pictures`. A worker also encodes the file of the picture. If a frame need not be measured, the worker
-also reads the raw file.
+This process and the workers both use `PictureMaker.pictures`. A worker also encodes the file of the picture. If a frame need
+not be measured, the worker also reads the raw file.
 """
 
 import functools
@@ -121,7 +121,7 @@ class LocalPictures:
 
 
 class RemotePictures:
-    """Renders pictures on workers on other machines. If each frame becomes a file, the workers also encode the file.
+    """Renders pictures in workers on other machines. If each picture is a separate file, the workers also encode the files.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ class RemotePictures:
 
 
 def _without_shading(task: FrameTask, shading: "Shading | None") -> FrameTask:
-    """Return the frame without the shading of the camera model.
+    """Remove the shading of the camera model from a frame before the frame is sent to a worker.
 
     The shading takes more bytes than the frame. Workers therefore read the shading from the file of the camera model.
     """
@@ -161,7 +161,7 @@ def _without_shading(task: FrameTask, shading: "Shading | None") -> FrameTask:
 
 
 def _made_by_worker(job: tuple[RenderSetup, FrameTask]) -> Any:
-    """Render a frame in a worker, and return a picture, the bytes of a file, or the error in the raw file."""
+    """Render a frame in a worker. Return the picture, the bytes of its file, or the error in the raw file."""
     setup, sent = job
     table, renderer = _renderer_of_worker(
         setup.table,
@@ -192,7 +192,7 @@ def _is_made(job: tuple[RenderSetup, FrameTask], made: Any) -> bool:
 
 
 def _read_by_worker(task: FrameTask, setup: RenderSetup, table: TransformTable) -> FrameTask:
-    """Return a frame with the corrections of the camera model. If the frame was not sent, it is read from its file."""
+    """Return a frame with the corrections of the camera model, and read its file if the frame itself was not sent."""
     correction = None if setup.camera is None else correction_again(setup.camera)
     if task.frame is None:
         assert task.reference.source is not None
@@ -208,7 +208,7 @@ def _read_by_worker(task: FrameTask, setup: RenderSetup, table: TransformTable) 
 def _renderer_of_worker(
     path: Path, digest: str, backend: str, engine: tuple[tuple[str, str | None], ...], pictures: bool, light_mix: Mix | None
 ) -> tuple[TransformTable, Renderer]:
-    """Return the table and its renderer, which a worker creates once for all frames."""
+    """Return the table and a renderer for the table. A worker creates both once and uses them for all frames."""
     require_same(path, digest)
     loaded = load(TransformTable, path)
     table = mixed(loaded.pictured() if pictures else loaded, light_mix)
@@ -216,7 +216,7 @@ def _renderer_of_worker(
 
 
 class Renderers:
-    """Cache of the last renderer, which the next clip can use.
+    """Cache of the latest renderer, so that the next clip can use this renderer again.
 
     Creating a renderer takes time, and OpenCL never frees the programs that it has built.
     """

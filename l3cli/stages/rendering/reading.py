@@ -1,4 +1,4 @@
-"""The first steps of a rendering: it reads the frames and measures exposure and white in order.
+"""First steps of the rendering of frames: reading the frames, and measuring exposure and white in the order of the frames.
 
 Each frame becomes a `FrameTask`, to which the later steps add their results. A frame whose picture is already finished is
 read only if later frames depend on it.
@@ -76,8 +76,8 @@ class FrameReader:
     def frames(self) -> Iterator[FrameTask]:
         """Yield a task for each frame.
 
-        A frame that is needed is read and measured, unless a worker reads it. A frame that is not needed is marked as
-        finished.
+        A task is marked as finished if its frame is not needed. All other frames are read and measured, except for frames
+        that a worker reads.
         """
         listed, ahead = itertools.tee(self._listed()) if self._looks_ahead else (self._listed(), iter(()))
         needs = needed((task.place, not task.is_finished) for task in ahead)
@@ -96,7 +96,7 @@ class FrameReader:
                 yield replace(measured, is_filtered=filtered and measured.frame is not None)
 
     def _listed(self) -> Iterator[FrameTask]:
-        """Yield a task for each frame before the frame is read. If its picture exists, the task is marked as finished."""
+        """Yield a task for each frame before the frame is read. If a picture already exists, its task is marked as finished."""
         references = itertools.islice(self._sequence.frames, last_read(self._job))
         for place, reference in enumerate(references):
             is_counted = self._sequence.renders(place)
@@ -109,11 +109,10 @@ class FrameReader:
         return self._checkpoint is not None and self._checkpoint.has(file, reference.origin)
 
     def _left_to_worker(self, task: FrameTask) -> FrameTask:
-        """Return the task of a frame that a worker reads, with the digest of its file.
+        """Return a task for a worker that reads the file of a frame. The task contains the digest of this file.
 
-        If the file cannot be read, the task contains the error instead.
-
-        The first frame is never left to a worker, because it is needed for warnings.
+        If the file cannot be read, the task contains the error instead. The first frame is never left to a worker, because
+        it is needed for warnings.
         """
         assert task.reference.source is not None
         try:
@@ -148,14 +147,14 @@ class FrameReader:
         )  # fmt: skip
 
     def _missing_at_end(self, task: FrameTask) -> Iterator[FrameTask]:
-        """Yield a task with an error if a stream ended before the last selected frame."""
+        """If a stream ended before the last selected frame, yield a task with an error."""
         if numbers := self._sequence.rest(task.reference.number):
             yield replace(task, error=self._sequence.absent(numbers), lost=len(numbers), is_counted=True)
 
     def _require_shape(self, frame: RawFrame) -> None:
-        """Raise InputFileError if a frame of a video, or a page of a file, differs in size from the first frame.
+        """Raise InputFileError if a frame of a video or of a multi-page file differs in size from the first frame.
 
-        Separate pictures may differ.
+        Frames in separate files may differ in size.
         """
         shape = upright(frame.values, frame.orientation).shape
         self._shape = first = self._shape or shape
@@ -179,8 +178,8 @@ def last_read(job: Job) -> int | None:
 def _identity(reference: FrameReference, frame: RawFrame) -> str:
     """Return the identity of a frame, which is stored in the metadata of its picture.
 
-    The identity is derived from the SHA-256 of the frame's file. If the frame has no file of its own, the identity is
-    derived from the SHA-256 of the values.
+    The identity is derived from the SHA-256 of the file or, if the frame has no file of its own, from the SHA-256 of its raw
+    values.
     """
     if reference.source is not None:
         return file_identity(sha256(reference.source))

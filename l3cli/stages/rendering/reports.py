@@ -1,4 +1,4 @@
-"""Messages of a rendering about its frames: their number, their whites and their times."""
+"""Messages about the frames of a rendering: how many frames there are, and their white points and times."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +19,7 @@ EVEN, KEPT, LOST = "even", "kept", "lost"
 
 @dataclass
 class Tally:
-    """Counts of a rendering, which are updated during the run."""
+    """Counts of the frames in a rendering, updated during the run."""
 
     done: int = 0  # number of frames whose pictures exist
     made: int = 0  # number of frames whose pictures this run has rendered
@@ -30,9 +30,9 @@ class Tally:
     files: FilesUsed = field(default_factory=FilesUsed)
 
     def leave_out(self, error: L3Error, job: Job, count: int = 1) -> None:
-        """Report an error, and count the frames that are left out because of it.
+        """Report an error, and count the frames that are left out because of this error.
 
-        If `skip_bad` is not set, raise the error instead.
+        If `skip_bad` is not set, the error is raised instead.
         """
         if not job.options.skip_bad:
             raise error
@@ -100,7 +100,7 @@ class WhiteReport:
 
 
 def report_times(job: Job, look: Look, tally: Tally) -> None:
-    """Record in the tally whether the output keeps the times of the frames. Warn about gaps and lost times."""
+    """Warn about gaps between frames and about lost frame times, and record in the tally whether frame times are kept."""
     sequence, destination, pacing, console = job.sequence, job.destination, look.pacing, job.options.console
     rate = f"{float(look.video.rate):.4g} frames per second"
     cure = "to keep the times of the frames, write a .mp4, .mov or .mkv"

@@ -1,7 +1,7 @@
 """Third phase of a rendering: all frames are read, rendered and written.
 
-For each frame, these steps follow one another: read, measure, filter in time, render, encode, write. The steps run in
-several threads. The queues between the threads are short, so memory does not grow with the number of frames.
+Each frame passes through these steps: read, measure, filter in time, render, encode, write. The steps run in several
+threads. The queues between the threads are short, so memory does not grow with the number of frames.
 """
 
 import contextlib
@@ -55,7 +55,7 @@ def run(job: Job, look: Look, renderers: Renderers) -> Tally:
 
 
 def _is_finished(job: Job, look: Look, tally: Tally) -> bool:
-    """Whether a video, or a file with several pages, is already finished. If so, add its frames to the tally."""
+    """Whether the output, a video or a multi-page file, is already finished. If so, add its frames to the tally."""
     if job.checkpoint is None or job.destination.one_by_one:
         return False
     path = job.destination.path
@@ -123,7 +123,8 @@ def _unfinished(
 ) -> Iterator[FrameTask]:
     """Yield the frames whose pictures are not finished yet, and count all frames.
 
-    Errors of frames are raised or reported. The whites of the frames are reported, and each frame is checked for warnings.
+    If a frame has an error, the error is raised, or reported if `skip_bad` is set. The white of each frame is reported, and
+    warnings about the frame are collected.
     """
     for task in tasks:
         if task.error is not None:
@@ -141,9 +142,9 @@ def _unfinished(
 
 
 def _origins(job: Job, look: Look) -> FrameOrigins:
-    """Return the object that computes the origins of pictures.
+    """Return the object that computes the origin of each picture.
 
-    If flicker is removed, the last pictures also depend on the number of frames.
+    The removal of flicker makes the last pictures depend on the number of frames.
     """
     count = job.sequence.count if job.options.deflicker else None
     settings = [look.light_mix and astuple(look.light_mix), look.overrides.unlabelled_gain, astuple(look.video), count]
@@ -151,7 +152,10 @@ def _origins(job: Job, look: Look) -> FrameOrigins:
 
 
 def _lister(job: Job, look: Look, tally: Tally) -> Callable[[Path, Path, FrameReference | None], None]:
-    """Return a function that adds a finished output to the tally and to the checkpoint, before its file is renamed."""
+    """Return a function that adds a finished output to the tally and to the checkpoint.
+
+    The function must be called before the temporary file of the output is renamed.
+    """
     whole = "" if job.destination.one_by_one or job.checkpoint is None else _origins(job, look).of_all(look.sequence)
 
     def add(file: Path, temporary: Path, reference: FrameReference | None) -> None:

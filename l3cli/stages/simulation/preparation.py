@@ -219,7 +219,7 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
     path : Path
         File of the recipe, to whose folder file names are relative.
     camera : CameraModel
-        The camera. The returned run contains this camera with the changes that the recipe asks for, such as another lens.
+        The camera. The returned run contains this camera with the changes in the recipe, such as another lens.
     seed : int
         Seed of the random numbers.
 
@@ -252,7 +252,7 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
 
 
 def unknown_of(run: SimulationRun, camera: CameraModel, recipe: Path | None = None) -> list[str]:
-    """Return warnings about spectra without data at wavelengths at which the camera collects electrons.
+    """Return warnings about spectra that do not cover all wavelengths at which the camera collects electrons.
 
     Parameters
     ----------

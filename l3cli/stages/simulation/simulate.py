@@ -139,7 +139,7 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
 def _simulate_frames(
     run: SimulationRun, files: list[list[Path]], head: TrainingSet, stored: StoredFrames, options: SimulateOptions
 ) -> int:
-    """Simulate and store all frames of a run that are not stored yet, and return the total number of frames."""
+    """Simulate and store all frames of a run that are not stored yet. Return the total number of frames in the run."""
     inputs, sums = input_files(run, files), head.history[-1].inputs
     digests = {
         path: digest for role, paths in inputs.items() for path, digest in zip(paths, sums.get(role, ()), strict=True)
@@ -270,7 +270,7 @@ def _write_pictures(
 
 
 def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path, written: list[Path]) -> dict[int, int]:
-    """Write a file with the motion since the previous frame, for each frame of each clip, and append the files to `written`.
+    """Write the motion of each frame of a clip relative to the previous frame as a file, and append the files to `written`.
 
     Returns
     -------

@@ -54,7 +54,7 @@ class StoredFrames(PartsFolder):
         return map(read_part, self._files())
 
     def append_to(self, writer: TrainingSetWriter) -> Iterator[SceneCoverage]:
-        """Append all frames to a training set. Yield, for each frame, how much of the spectrum its scene covers."""
+        """Append all frames to a training set. Yield how much of the spectrum the scene of each frame covers."""
         return map(writer.append_part, self._files())
 
     def _files(self) -> list[Path]:
@@ -153,7 +153,7 @@ def simulated(unit: WorkUnit) -> Iterator[tuple[int, Any, float]]:
 
 
 def received(pool: WorkerPool, work: list[WorkUnit], stored: StoredFrames, digests: Mapping[Path, str]) -> Iterator[int]:
-    """Simulate work units on other machines, and store the frames that the workers return.
+    """Let workers on other machines simulate work units, and store the frames that the workers return.
 
     The workers must have access to the same input files. Each time a worker has returned frames, their number is yielded.
 
@@ -181,7 +181,7 @@ def received(pool: WorkerPool, work: list[WorkUnit], stored: StoredFrames, diges
 
 
 def _sent(unit: WorkUnit) -> list[tuple[int, bytes]]:
-    """Simulate a work unit on another machine. Return the index of each frame and the bytes of its file."""
+    """Simulate a work unit in a worker on another machine. Return the index of each frame, and the bytes of its file."""
     for path, digest in unit.digests.items():
         require_same(path, digest)
     with scratch_folder() as folder:

@@ -28,7 +28,7 @@ SAME_WHITE = 1e-3  # largest difference between two whites of one illuminant, on
 
 
 def learn_conditions(run: TrainingRun, table: TransformTable, execution: Execution) -> TransformTable:
-    """Train additional transforms for each illuminant and noise in the recipe, and add the transforms to the table."""
+    """Train additional transforms for each illuminant and noise level in the recipe, and add the transforms to the table."""
     table = _with_noises(run, pass_of(run, table), table, table, execution)
     for name, of_light in runs_by_light(run):
         execution.console.info(f"training transforms for {name} on {len(of_light.patches)} frames")
@@ -47,7 +47,7 @@ def learn_conditions(run: TrainingRun, table: TransformTable, execution: Executi
 def _with_noises(
     run: TrainingRun, pass_: TrainingPass, usual: TransformTable, like: TransformTable, execution: Execution
 ) -> TransformTable:
-    """Train additional transforms for each noise in the recipe, and return `usual` with these transforms.
+    """Train additional transforms for each noise level in the recipe, and return `usual` with these transforms.
 
     `like` is the table whose classes are used.
     """
@@ -133,7 +133,7 @@ def _frames_by_light(run: TrainingRun, named: str) -> tuple[dict[str, dict[int, 
 
 
 def _chosen(run: TrainingRun, frames: dict[int, list[int]]) -> TrainingRun:
-    """Return a run over some frames. `frames` contains the indices of the frames in each training set."""
+    """Restrict a run to some of its frames. `frames` contains, for each training set, the indices of the frames to use."""
     shares = None if run.shares is None else tuple(run.shares[place] for place in frames)
     sources: list[TrainingSource] = []
     for place, indices in frames.items():

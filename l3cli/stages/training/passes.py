@@ -1,4 +1,4 @@
-"""The passes of a training run over its frames, and the work that its processes do in them.
+"""The passes of a training run over its frames, and the work that each process does in a pass.
 
 A pilot examines a few patches of each frame and determines the class rule. Each pass then sums normal equations over patches
 and solves them for the transforms of the first layer.
@@ -34,7 +34,7 @@ MAX_PILOT_FRAMES = 256  # largest number of frames in a work unit of the pilot
 
 @dataclass(frozen=True)
 class Execution:
-    """The workers of a run and the console for its messages."""
+    """The workers of a training run, and the console for its messages."""
 
     pool: WorkerPool
     remote: bool  # whether the workers are on other machines, which must have access to the same files
@@ -44,10 +44,8 @@ class Execution:
 def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
     """Return the settings of the first pass of a run.
 
-    A pilot, which examines patches of all frames, determines the class rule.
-
-    The number of classes is sent to the console, as well as a message about each class feature that is left out because the
-    patches are too small.
+    A pilot examines a few patches of each frame and determines the class rule. The number of classes is sent to the console.
+    If the patches are too small for a class feature, a message says that this feature is left out.
 
     Raises
     ------
@@ -79,10 +77,7 @@ def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
 
 
 def pass_of(run: TrainingRun, table: TransformTable, number: int | None = None) -> TrainingPass:
-    """Return the settings of the first pass, or of pass `number`.
-
-    The class rule and the white come from a table, not from a pilot.
-    """
+    """Return the settings of the first pass, or of pass `number`, with the class rule and the white of a table."""
     about = (run.head, run.patches, table.first.rule, run.recipe.learning, table.white_point, run.seed)
     return TrainingPass(*about, number or _first_number(run), table.exposure, table.light)
 
@@ -201,7 +196,7 @@ def _are_results_of(unit: WorkUnit, results: dict[int, ClassSums | Solution]) ->
 
 
 def learn_first(run: TrainingRun, pass_: TrainingPass, execution: Execution) -> TransformTable:
-    """Train the first layer, from the pass `pass_` to the last pass, and return a table with this layer."""
+    """Train the first layer, beginning with the pass `pass_`, and return a table with this layer."""
     table = None
     for number in range(pass_.number, LAST + 1):
         pass_ = replace(pass_, number=number)
@@ -222,7 +217,7 @@ def sum_unit(unit: WorkUnit) -> dict[int, ClassSums]:
 def learn_unit(unit: WorkUnit) -> dict[int, ClassSums | Solution]:
     """Return the solution for each site whose sums are complete in this work unit, and the sums for every other site.
 
-    A solution is smaller than the sums, which then need not be sent to the main process.
+    A solution is much smaller than the sums, so less data is sent to the main process.
     """
     results: dict[int, Any] = dict(sum_unit(unit))
     for site in unit.share.whole:

@@ -1,4 +1,4 @@
-"""Training of refinement layers, and the work that the processes of a run do for them (docs/method.md#layers)."""
+"""Training of refinement layers, and the work that each process of a run does for these layers (docs/method.md#layers)."""
 
 import itertools
 from collections.abc import Iterator
@@ -86,10 +86,10 @@ class LayerUnit:
 
 
 def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: PlaneRule | None = None) -> PlaneRule:
-    """Return the class rule of a refinement layer, which a pilot of all frames determines.
+    """Return the class rule of a refinement layer, which a pilot over all frames determines.
 
-    If `like` is set, the classes of this rule are reused. Only its gradient scale is determined from the frames if the noise
-    of the layer differs from the noise of the camera.
+    If `like` is set, the classes of this rule are reused. If the noise of the layer differs from the noise of the camera,
+    only the gradient scale of the rule is determined from the frames.
     """
     if like is not None and (layer.camera.gain, layer.camera.noise_left) == (run.head.camera.gain, 1):
         return like

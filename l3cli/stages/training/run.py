@@ -1,4 +1,4 @@
-"""The settings and training sets of a training run, which all its passes and shards share, and a cache of frames."""
+"""The settings and training sets that all passes and shards of a training run share, and a cache of frames."""
 
 import contextlib
 from collections.abc import Iterable, Iterator
@@ -84,7 +84,7 @@ class TrainingSource:
     chosen: tuple[int, ...] | None = None  # indices of the frames to use; None for all frames in the file
 
     def places(self, frames: range) -> Iterable[int]:
-        """Return the indices in the file for a range of the chosen frames."""
+        """Convert a range of the chosen frames to indices of frames in the file."""
         return frames if self.chosen is None else self.chosen[frames.start : frames.stop]
 
 
@@ -103,10 +103,10 @@ class TrainingRun:
 
     @property
     def has_refinement_layers(self) -> bool:
-        """Whether refinement layers apply.
+        """Whether refinement layers can be trained for the outputs.
 
-        Tables with three outputs may have any number of refinement layers. Spectral tables may have exactly one layer, with
-        structure classes. This layer refines the leading components of the spectra.
+        A table with three outputs can have any number of refinement layers. A table with spectral outputs can have exactly
+        one refinement layer, with structure classes, which refines the leading components of the spectra.
         """
         layers = self.recipe.layer
         corrects = len(layers) == 1 and not (layers[0].leaves or layers[0].coarse_chroma) and has_components(self.head)

@@ -205,7 +205,10 @@ def _write_shard(
 def _sums(
     run: TrainingRun, pass_: TrainingPass, table: TransformTable | None, shard: tuple[int, int], execution: Execution
 ) -> Iterator[ClassSums]:
-    """Yield the sums of each canonical site, in order, over the frames of a shard. Without frames, the sums are empty."""
+    """Yield the sums of each canonical site over the frames of a shard, in the order of the sites.
+
+    If the shard has no frames, the sums are empty.
+    """
     index, count = shard
     blocks = frame_blocks(pass_.patches)[index - 1 :: count]
     sums = summed(sum_unit, run, pass_, table, blocks, execution)
@@ -221,7 +224,7 @@ def _is_of(run: TrainingRun, table: TransformTable, pass_: str) -> bool:
 
 
 def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> TrainingPass:
-    """Return the second pass of the first layer, after the first pass whose table is `table`.
+    """Return the settings of the second pass. `table` is the result of the first pass.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """Measure the noise of simulated greys for the coarse chroma filter (docs/method.md#coarse-chroma).
 
-The filter averages neighbouring blocks of pixels whose difference could be noise.
+The filter averages neighbouring blocks of pixels if noise can explain the difference between the blocks.
 """
 
 import numpy as np
@@ -22,9 +22,9 @@ Array = NDArray[np.float64]
 
 
 def measured_noise(layer: LayerPass) -> CoarseChroma:
-    """Measure the noise that the coarse chroma filter of a layer compares with differences between blocks.
+    """Measure the noise of block means, with which the coarse chroma filter compares differences between blocks.
 
-    The noise of the block means is measured before each step of the filter.
+    The noise is measured before each step of the filter.
 
     Parameters
     ----------
@@ -62,16 +62,16 @@ def _planes_of_greys(layer: LayerPass) -> list[NDArray[np.int32]]:
 
 
 def _variances(planes: list[Array]) -> Array:
-    """Return the variance of each plane (columns) for each grey (rows), without `CUT` blocks at each edge."""
+    """Return the variance of each plane (columns) for each grey (rows). `CUT` blocks at each edge are excluded."""
     return np.array([each[:, CUT:-CUT, CUT:-CUT].var(axis=(1, 2)) for each in planes])
 
 
 def rising_terms(luminance: Array, variances: Array) -> Array:
     """Fit the variance of each plane by a polynomial of the luminance with non-negative coefficients.
 
-    The fit minimises the squared errors of the logarithm of the variance. Some layers fade chroma in dark areas, which then
-    have so little noise that the polynomial cannot fit the variance at all luminances. A fit of relative errors would
-    underestimate the variance in brighter areas, and these areas would show blotches.
+    The fit minimises the squared errors of the logarithm of the variance. Some layers reduce chroma in dark areas, and the
+    polynomial cannot fit such a low variance there. A fit of relative errors would then underestimate the variance in
+    brighter areas, which would show blotches.
 
     Parameters
     ----------

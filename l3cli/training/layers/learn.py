@@ -113,11 +113,12 @@ def solve_layer(
 
 
 def _solution(moments: Array, noise: Array, noise_weight: float, ridge: float, of: list[int], member: Array) -> Array:
-    """Return the Wiener solutions for the outputs at the indices `of`, and the compliance of these solutions.
+    """Return the Wiener solutions for some outputs, and the compliance of these solutions.
 
     The compliance describes how the optimal taps change if the response to uniform areas is constrained. The columns of
     `moments` are the taps, the intercept and the outputs. The columns of `noise` are the taps and, if the layer corrects
-    outputs, the outputs. The solutions have no intercept, because black must stay black.
+    outputs, the outputs. `of` contains the indices of the outputs to solve. The solutions have no intercept, because black
+    must stay black.
 
     Returns
     -------
@@ -183,10 +184,10 @@ class _Parents:
 
 
 def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goal: LayerGoal) -> tuple[Array, Array] | None:
-    """Return the moments and noise of a class after the addition of pseudo-samples from the parent.
+    """Return the moments and the noise of a class, supported by other classes. Return None if the parent has no samples.
 
-    For an unsaturated class with samples, the samples of classes with neighbouring levels or strengths are also added.
-    Return None if the parent has no samples.
+    Pseudo-samples of the parent are always added. If the class is unsaturated and has samples, samples of classes with
+    neighbouring levels or strengths are added, too.
     """
     _, level, kind = rule.split(index)
     case = int(rule.case(kind))
@@ -234,7 +235,7 @@ def _nearest(filled: NDArray[np.bool_], rule: PlaneRule) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class LayerPass:
-    """Settings and results of earlier layers that are needed throughout the training of one refinement layer."""
+    """Settings for the training of one refinement layer, and results of the earlier layers."""
 
     camera: CameraModel
     rule: ClassRule  # class rule of the first layer
@@ -292,7 +293,7 @@ class LayerPass:
         return see
 
     def reading(self, side: int) -> Reading:
-        """Return how windows of `side` × `side` pixels are read, so that each has the orientation of its canonical site."""
+        """Return how to read windows of `side` × `side` pixels so that each has the orientation of its canonical site."""
         maps = self._site_maps()
         order = np.array([orientations(side)[one.orientation] for one in maps])
         ratios = self.recipe.ratio_taps
@@ -300,7 +301,7 @@ class LayerPass:
 
     @property
     def made(self) -> int:
-        """Number of outputs of the layer: one per plane or, if the layer corrects the first layer, one per table output."""
+        """Number of outputs: one per plane or, if the layer corrects the outputs of the first layer, one per table output."""
         return PLANES if self.outputs is None else len(self.basis)
 
     def grid_steps(self, rule: PlaneRule) -> NDArray[np.float64]:
@@ -318,7 +319,7 @@ class LayerPass:
 
 
 def no_sums(layer: LayerPass, rule: PlaneRule) -> dict[int, LayerSums]:
-    """Return sums that are 0 for every canonical site, to which samples can be added."""
+    """Return empty sums for every canonical site, to which samples can be added."""
     reading = layer.reading(layer.recipe.side)
     return {site: empty_sums(rule, reading) for site in np.unique(reading.canonical).tolist()}
 
@@ -326,7 +327,7 @@ def no_sums(layer: LayerPass, rule: PlaneRule) -> dict[int, LayerSums]:
 def sum_layer(
     layer: LayerPass, rule: PlaneRule, blocks: Iterable[tuple[int, Iterable[TrainingPair]]]
 ) -> dict[int, LayerSums]:
-    """Sum over the samples that are drawn from training frames.
+    """Draw samples from training frames, and add up their products by site and class.
 
     Parameters
     ----------

@@ -56,7 +56,7 @@ class Mosaics:
 
 @dataclass(frozen=True)
 class Exposed:
-    """Settings for making mosaics from frames."""
+    """Settings with which mosaics are cut from frames and exposed."""
 
     camera: CameraModel
     recipe: LearningRecipe
@@ -80,9 +80,9 @@ class Exposed:
 def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random.Generator) -> Iterator[Mosaics]:
     """Yield mosaics from a frame.
 
-    Mosaics from simulated frames are rotated and mirrored at random and have random levels. The mosaics in greys come last.
-    Mosaics from a real pair are unchanged pieces of its frame, because the noise cannot be separated from the scene. If the
-    frame is not larger than the margins, it yields no mosaics.
+    Mosaics from a simulated frame have random levels, and are rotated and mirrored at random. The last mosaics show the
+    scene in greys. Mosaics from a real pair are unchanged pieces of the frame, because the noise of a real frame cannot be
+    separated from its scene. A frame that is not larger than the margins yields no mosaics.
 
     Parameters
     ----------
@@ -143,9 +143,10 @@ def _shown(
 
 
 def _usable(frame: TrainingFrame, margin: int) -> NDArray[np.bool_] | None:
-    """Return a mask (1, row, col) of the pixels that layers can be trained on, or None if these are all pixels.
+    """Return a mask (1, row, col) of the pixels on which layers can be trained, or None if all pixels can be used.
 
-    There must be no ignored pixel within `margin`, the distance up to which the layers read.
+    A pixel can be used if there is no ignored pixel within `margin` pixels, because the layers read pixels up to this
+    distance.
     """
     if frame.ignored is None:
         return None
@@ -188,7 +189,7 @@ Turn = tuple[int, bool, slice, slice]  # number of quarter turns, whether mirror
 def _drawn_turn(
     frame: tuple[int, ...], shape: tuple[int, int], place: list[float], allowed: Allowed, rng: np.random.Generator
 ) -> tuple[Turn, Turn]:
-    """Draw a random orientation, and return the positions of a mosaic and of its surroundings in the turned frame.
+    """Draw a random orientation, and return the position of a mosaic and of a larger area around it in the turned frame.
 
     Parameters
     ----------
@@ -233,7 +234,7 @@ DARKEST_LEVEL = 1e-4  # fraction of full scale; pixels at lower levels have the 
 
 @dataclass(frozen=True)
 class Seen:
-    """Mosaics after one or more layers. The margins in which these layers have too few neighbours are removed."""
+    """Mosaics after one or more layers. The margins are removed in which windows would extend beyond the mosaic."""
 
     count: int  # number of stacked mosaics
     target: Floats  # (row, col, output) ideal outputs
@@ -265,9 +266,9 @@ def within(planes: NDArray, count: int, margin: int) -> NDArray:
 
 
 def margin_of(side: int) -> int:
-    """Return the distance, in pixels, up to which a layer with windows of `side` pixels reads around a pixel.
+    """Return the margin, in pixels, that a layer with windows of `side` pixels needs around a pixel.
 
-    The distance includes the pixels that determine the class.
+    The margin includes the pixels that determine the class.
     """
     return max(BORDER_PIXELS, side // 2)
 

@@ -71,17 +71,17 @@ class TreeSamples:
         return replace(self, columns=np.rint(self.columns / step) * step.astype(np.float64))
 
     def compared(self, test: int, chosen: Indices) -> tuple[Floats, Floats]:
-        """Return the numerators and the denominators of the chosen samples in a test."""
+        """Return the numerator and the denominator of a test for each chosen sample."""
         return self.numerators[test].take(chosen), self.denominators[EVERY[test].denominator].take(chosen)
 
     def passed(self, test: int, cuts: Floats, chosen: Indices) -> NDArray[np.int8]:
-        """Count, for each chosen sample, how many of the thresholds in `cuts` the quotient of a test exceeds."""
+        """Count, for each chosen sample, how many of the thresholds `cuts` are exceeded by the quotient of a test."""
         numerator, denominator = self.compared(test, chosen)
         return np.asarray(np.add.reduce([(numerator > cut * denominator).view(np.int8) for cut in cuts]))
 
 
 def turned_evidence(seen: Evidence, turn: int, pixels: Indices) -> tuple[Floats, Floats]:
-    """Return the numerators and denominators of the tests for `pixels` whose windows are read in orientation `turn`."""
+    """Return the numerators and denominators of all tests at `pixels`, for windows that are read in orientation `turn`."""
     test, sign = turned_tests(turn)
     numerators = seen.numerators.reshape(TESTS, -1)[:, pixels][test] * np.array(sign)[:, None]
     return numerators, seen.denominators.reshape(len(seen.denominators), -1)[:, pixels]
@@ -181,10 +181,10 @@ def _best_split(sites: Sequence[TreeSamples], samples: list[Indices], mapped: Ma
 
 
 def _gains(site: TreeSamples, chosen: Indices, test: int, cuts: Floats, whole: Array, before: float) -> Array:
-    """Return the gain, at one site, of splitting at each threshold in `cuts`.
+    """Return the gain of splitting the samples of one site at each of the thresholds `cuts`.
 
-    The gain is the reduction of the squared error, minus the reduction that the additional taps are expected to cause by
-    chance. If one side of the split would have too few samples, the gain is −∞.
+    The gain is the reduction of the squared error, minus the reduction that the additional taps would cause by chance. If
+    one side of the split would have too few samples, the gain is −∞.
     """
     taps = site.columns.shape[1] - OUTPUTS
     passed = site.passed(test, cuts, chosen)  # number of thresholds that each sample exceeds
@@ -201,10 +201,10 @@ def _gains(site: TreeSamples, chosen: Indices, test: int, cuts: Floats, whole: A
 
 
 def _sums_below(site: TreeSamples, chosen: Indices, ends: list[int], whole: Array) -> Array:
-    """Return the sums (end, column, column) over the samples `chosen[:end]`, for each `end` in `ends`.
+    """Return sums of products (end, column, column) over the samples `chosen[:end]`, for each `end` in `ends`.
 
-    `ends` divides the samples into segments. To save time, the largest segment is not summed directly. Instead, the sums
-    over all other segments are subtracted from the total `whole`.
+    The indices in `ends` divide the samples into segments. To save time, the largest segment is not summed. Its sums are the
+    difference between the total `whole` and the sums of all other segments.
     """
     parts = list(itertools.pairwise([0, *ends, chosen.size]))
     largest = max(range(len(parts)), key=lambda part: parts[part][1] - parts[part][0])
@@ -219,13 +219,17 @@ def _sums_below(site: TreeSamples, chosen: Indices, ends: list[int], whole: Arra
 
 
 def _sums(site: TreeSamples, chosen: Indices) -> Array:
-    """Return the exact sums (column, column) over the chosen samples of the products of each pair of columns."""
+    """Return the exact sums of the products of each pair of columns (column, column), over the chosen samples."""
     columns = site.columns.take(chosen, axis=0)
     return np.asarray(columns.T @ columns)
 
 
 def _error(sums: Array) -> Array:
-    """Return the squared error (…) that remains after a least-squares fit, from sums of products (…, column, column)."""
+    """Return the squared error that remains after a least-squares fit.
+
+    The fit is computed from `sums` (…, column, column), the sums of products of the columns. The result has one value per
+    matrix.
+    """
     taps = sums.shape[-1] - OUTPUTS
     systems = sums.copy()
     diagonal = np.einsum("...ii->...i", systems)  # a view; changes to the diagonal also change `systems`
@@ -284,7 +288,9 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
 
 
 def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> GradientScale:
-    """Return the gradient scale with which gradients of pure noise have the standard deviation `structure.SIGMA`.
+    """Return the scale by which the gradients of each level are multiplied.
+
+    In areas with nothing but noise, scaled gradients have the standard deviation `structure.SIGMA`.
 
     Parameters
     ----------
@@ -422,7 +428,7 @@ def tree_rule(
 def _judged(layer: LayerPass) -> NDArray[np.float32]:
     """Return a matrix (output, 3) that converts errors of X, Y, Z to approximate errors of a*, L* and b*.
 
-    The approximation holds for colours near white. If the outputs are not X, Y, Z, the identity matrix is returned.
+    The approximation holds for colours near white. If the outputs are not X, Y and Z, the result is the identity matrix.
     """
     if not layer.pictures:
         return np.eye(3, dtype=np.float32)

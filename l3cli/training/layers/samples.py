@@ -42,7 +42,7 @@ MEAN_ERROR = 2.0**-10
 
 @dataclass(frozen=True)
 class Reading:
-    """How the windows at each site are read, so that they have the orientation of the canonical site."""
+    """Describes how the window at each site is read. All windows are turned to the orientation of their canonical site."""
 
     canonical: Integers  # (site) canonical site of each site
     order: Integers  # (site, tap) position of each tap in the window
@@ -65,10 +65,10 @@ class Reading:
         return PLANES * self.order.shape[1] + self.ratio_taps
 
     def offsets(self, cols: int) -> Integers:
-        """Return, for each site, the index differences between the taps of a window and its central pixel.
+        """Return the index differences between the taps of a window and the central pixel, for each site.
 
-        The planes have `cols` columns and are indexed as flat arrays. If a sample has more ratio taps, constants and outputs
-        than taps of a window, zeros are appended.
+        The indices refer to flattened planes with `cols` columns. If the other columns of a sample (ratio taps, constant and
+        outputs) outnumber the taps of a plane, the differences are padded with zeros to this number.
 
         Returns
         -------
@@ -80,10 +80,10 @@ class Reading:
 
     @property
     def columns(self) -> Integers:
-        """Positions of the columns in the stored form of a sample, which has four numbers per position in the window.
+        """Positions of the columns of a sample in its stored form.
 
-        The first three numbers are the values of the three planes at the position. The fourth numbers of all positions
-        together contain the ratio taps, the constant 1, and the ideal outputs.
+        The stored form contains four numbers for each position in the window. The first three numbers are the values of the
+        three planes. The fourth numbers contain, one after another, the ratio taps, the constant 1 and the ideal outputs.
         """
         window, behind = np.arange(self.order.shape[1]), np.arange(self.ratio_taps + 1 + self.outputs)
         return np.concatenate([4 * window, 4 * window + 1, 4 * window + 2, 4 * behind + 3])
@@ -159,9 +159,10 @@ def sample_weights(
 
 
 def _of_mosaics(seen: Seen, basis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean squared error of each mosaic plus `MEAN_FLOOR`, divided by `MEAN_ERROR`.
+    """Return a relative squared error for each mosaic: the mean squared error plus `MEAN_FLOOR`, divided by `MEAN_ERROR`.
 
-    Outputs other than X, Y, Z are evaluated by PSNR, which is also computed from the mean over a whole picture.
+    Outputs other than X, Y and Z are evaluated by the PSNR, which is also computed from the mean squared error of a whole
+    picture.
     """
     if seen.missing is not None:
         error = seen.missing if seen.spread is None else seen.missing - seen.spread
@@ -218,9 +219,10 @@ class GatheredSamples:
         self._cols = 0  # width in pixels of the sheets gathered so far, which is equal for all
 
     def add(self, seen: Seen, label: Integers, pixels: Integers, weight: Floats) -> None:
-        """Collect the samples at the indices `pixels`. `label` and `weight` contain values for all pixels.
+        """Collect the samples at the indices `pixels`. `label` and `weight` have one value for every pixel.
 
-        If the mosaics are wider or narrower than the collected samples, the collected samples are first added to the sums.
+        All collected mosaics must have the same width. If the width changes, the collected samples are first added to the
+        sums.
         """
         if seen.label.shape[1] != self._cols:  # mosaics of different widths cannot be joined
             self.add_up()
@@ -285,9 +287,9 @@ def _in_fours(planes: NDArray) -> Floats:
 
 
 def _weighted(windows: Floats, behind: Floats, weight: Floats) -> Floats:
-    """Return weighted samples (sample, 4 · tap) in the stored form that `Reading.columns` describes.
+    """Return weighted samples in the stored form that `Reading.columns` describes, with the axes (sample, 4 · tap).
 
-    The array `windows` (sample · tap, 4) is overwritten. `behind` (sample, column) replaces its fourth numbers.
+    `windows` (sample · tap, 4) is overwritten. The columns `behind` (sample, column) are stored in the fourth numbers.
     """
     values = windows.reshape(len(weight), -1)
     values[:, 3 : 3 + 4 * behind.shape[1] : 4] = behind
