@@ -326,7 +326,7 @@ def _course(wanted: sources.WantedScene, run: SimulationRun) -> Course:
 def _colours(
     scene: Scene | ChannelPicture, count: int, wanted: sources.WantedScene, run: SimulationRun
 ) -> NDArray[np.float32]:
-    """Draw the reflectance of each leaf, one row per leaf. For a picture of channel signals, draw channel signals instead."""
+    """Draw the reflectance of each leaf, one row per leaf. For a picture of channel signals, draw signals instead."""
     rng = np.random.default_rng(_seed(wanted, run, COLOURS))
     if isinstance(scene, ChannelPicture):
         return rng.uniform(0.05, 0.9, (count, scene.signal.shape[2])).astype(np.float32)

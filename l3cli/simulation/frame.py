@@ -317,7 +317,7 @@ def spectral_planes(
 def _signalled(
     camera: CameraModel, picture: ChannelPicture, light: Light
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-    """Return the results of `_collected` for a picture of channel signals. The target has the same unit as the camera bands."""
+    """Return the results of `_collected` for a picture of channel signals. The target has the unit of the camera bands."""
     full = (white_rates(camera, light) * camera.channel_gains).max()
     white = full * camera.saturation_exposure / camera.full_scale
     signal = np.moveaxis(picture.signal, -1, 0)

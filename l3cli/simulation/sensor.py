@@ -31,7 +31,7 @@ class FixedPattern:
 
 
 def fixed_pattern(camera: CameraModel) -> FixedPattern:
-    """Return the PRNU and DSNU of each pixel of the sensor. Both are determined by the `fixed_pattern_seed` of the camera."""
+    """Return the PRNU and DSNU of each pixel of the sensor, as determined by the `fixed_pattern_seed` of the camera."""
     noise = camera.noise
     return _fixed_pattern(camera.fixed_pattern_seed, camera.rows, camera.cols, noise.prnu, noise.dsnu, noise.column_noise)
 

@@ -287,7 +287,7 @@ def _spectral_faults(source: Spectral, name: str) -> Iterator[Fault]:
 
 
 def has_light(source: Source) -> bool:
-    """Whether the scenes of a source contain an illuminant, either as a separate spectrum or as a factor of their radiance."""
+    """Whether the scenes of a source contain an illuminant, as a separate spectrum or as a factor of their radiance."""
     return isinstance(source, IsetScenes) or (isinstance(source, Spectral) and source.holds != "reflectance")
 
 
@@ -625,7 +625,7 @@ def _require_no_mark(values: NDArray, ignored: NDArray[np.bool_] | None) -> None
 
 
 def _photons(wavelength: np.ndarray, source: Spectral) -> np.ndarray:
-    """Return the number of photons that one unit of the stored values represents at each wavelength, up to a common factor."""
+    """Return the number of photons that one unit of the stored values stands for at each wavelength, up to a factor."""
     one = np.ones(wavelength.size)
     return spectra.photons_from_energy(wavelength, one) if source.holds == "radiance" else one
 

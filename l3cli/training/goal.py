@@ -44,7 +44,7 @@ def one_light(light: LightSpectrum | None) -> LightSpectrum | None:
 
 
 def has_components(head: TrainingSet) -> bool:
-    """Whether a refinement layer can refine leading components, which requires spectral outputs with more than three values."""
+    """Whether a refinement layer can refine leading components. This requires a spectrum of more than three outputs."""
     return len(head.outputs) > PLANES and is_spectrum(head.outputs, head.camera.channels)
 
 

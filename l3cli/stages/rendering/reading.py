@@ -96,7 +96,7 @@ class FrameReader:
                 yield replace(measured, is_filtered=filtered and measured.frame is not None)
 
     def _listed(self) -> Iterator[FrameTask]:
-        """Yield a task for each frame before the frame is read. If a picture already exists, its task is marked as finished."""
+        """Yield a task for each frame before the frame is read. The task of a finished picture is marked as finished."""
         references = itertools.islice(self._sequence.frames, last_read(self._job))
         for place, reference in enumerate(references):
             is_counted = self._sequence.renders(place)

@@ -301,7 +301,7 @@ class LayerPass:
 
     @property
     def made(self) -> int:
-        """Number of outputs: one per plane or, if the layer corrects the outputs of the first layer, one per table output."""
+        """Number of outputs: one per plane or, if the layer corrects the first layer, one per output of the table."""
         return PLANES if self.outputs is None else len(self.basis)
 
     def grid_steps(self, rule: PlaneRule) -> NDArray[np.float64]:
