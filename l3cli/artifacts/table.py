@@ -306,10 +306,20 @@ class TransformTable(Artifact):
 
         None if the illuminant is unknown, or if the outputs are neither GREY nor begin with X, Y, Z.
         """
-        if self.outputs[:3] not in (("X", "Y", "Z"), GREY) or self.light is None or self.camera is None:
+        if self.outputs[:3] not in (("X", "Y", "Z"), GREY) or (white := self.white_signals) is None:
             return None
-        weakest = white_signal(self.light, self.camera, self.output_unit).min()
-        return self.white_point[:3] / (self.white_point[1] * weakest) if weakest > 0 else None
+        return self.white_point[:3] / (self.white_point[1] * white.min())
+
+    @property
+    def white_signals(self) -> NDArray[np.float64] | None:
+        """Signal of each channel for a white with an output Y of 1, as a fraction of full scale (docs/method.md#raised-pixels).
+
+        None if the illuminant is unknown, or if a channel has no signal.
+        """
+        if self.light is None or self.camera is None:
+            return None
+        signals = white_signal(self.light, self.camera, self.output_unit)
+        return signals if signals.min() > 0 else None
 
     def gain_at(self, iso: float) -> float | None:
         """Return the analog gain at an ISO speed, relative to the gain of the table's camera, or None if it is unknown."""

@@ -18,6 +18,7 @@ from l3cli.classes.refinement import first_label_words
 from l3cli.classes.windows import neighbourhoods
 from l3cli.export.wordlengths import ShortWords
 from l3cli.rendering.opencl import layout
+from l3cli.rendering.reference import white_scale
 
 TAP_GROUP = 16  # the number of taps is padded with zero weights to a multiple of this, so that loops have no remainder
 TYPES = {  # C types
@@ -125,6 +126,9 @@ def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[
                 Array("l3_clip_response", response, "responses of the outputs (clipped, signal, output)", packed=True)
             )
             arrays.append(Array("l3_clip_white", white, "signals of a white (channel)", packed=True))
+    if table.chroma_smoothing and table.white_signals is not None:
+        scale = white_scale(table).astype(np.float32)
+        arrays.append(Array("l3_white_scale", scale, "luminance of a white per DN above black (channel)", packed=True))
     if table.later and table.components:
         first = layout.first_weights(table, table.first)
         arrays += [

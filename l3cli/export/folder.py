@@ -21,7 +21,7 @@ from l3cli.classes.windows import neighbourhoods
 from l3cli.export.wordlengths import ENOUGH_PSNR_DB, SEED, SHAPE, Cost, Words, chosen_words, make_vector, word_costs
 from l3cli.rendering.conditions import noise_limits
 from l3cli.rendering.display import require_known_layers
-from l3cli.rendering.reference import CHROMA_NEIGHBOURS, SMOOTHING_DARKEST
+from l3cli.rendering.reference import CHROMA_NEIGHBOURS, SMOOTHING_DARKEST, raising_constants, white_scale
 from l3cli.system.text import printable
 
 FORMAT, VERSION = "l3 table as arrays", 2
@@ -129,6 +129,14 @@ CHROMA_DOC = (
     "Y_p > smoothing_darkest, and Z_p the same with f_q. Y does not change"
 )
 
+LEAST_DOC = (
+    "after the smoothing of chroma, pixels that are darker than the raw values around them are raised. m_p is the smallest "
+    "value of (DN - black_level) * white_scale[channel] in the window with the radius least_reach around p, without pixels "
+    "outside the frame. L_p = least_of_positive * m_p if m_p > 0, otherwise least_of_negative * m_p. If Y_p < L_p: X_p <- "
+    "X_p + clamp(L_p / max(sum of Y_q, L_p, smoothing_darkest) * (sum of X_q) - X_p, -c, c), and Z_p the same, with c = "
+    "raised_chroma * (L_p - Y_p), where q are the four diagonal neighbours before smoothing. Then Y_p <- L_p"
+)
+
 
 def folder_files(table: TransformTable) -> dict[str, bytes]:
     """Return the contents of all files of an exported table, by file name.
@@ -154,6 +162,8 @@ def folder_files(table: TransformTable) -> dict[str, bytes]:
         keys = arrays.add_fields("chroma_smoothing/", table.chroma_smoothing)
         content["chroma_smoothing"] = {"doc": CHROMA_DOC, **keys, "neighbours": CHROMA_NEIGHBOURS}
         content["constants"]["smoothing_darkest"] = SMOOTHING_DARKEST
+        if table.white_signals is not None:
+            content["least_luminance"] = {"doc": LEAST_DOC, **raising_constants(table), **_white_scale(table)}
     if table.components:
         doc = "conversion from outputs to the planes of the refinement layer. fixed_weights of the first layer include it"
         content["components"] = {"doc": doc, **arrays.add_fields("components/", table.components)}
@@ -167,7 +177,8 @@ def folder_files(table: TransformTable) -> dict[str, bytes]:
         if condition.light:
             entry["light"] = {"name": condition.light.name, "white_point": condition.light.white_point.tolist()}
         under = table.under(condition)
-        content["conditions"]["sets"].append({**entry, **_clipped_white(under), **_set(arrays, under)})
+        scale = _white_scale(under) if table.chroma_smoothing else {}
+        content["conditions"]["sets"].append({**entry, **_clipped_white(under), **scale, **_set(arrays, under)})
     content["arrays"] = arrays.entries
     text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     return {"table.json": text.encode(), **arrays.files}
@@ -307,6 +318,11 @@ def _study(words: Words, costs: tuple[Cost, ...]) -> dict[str, Any]:
 def _clipped_white(table: TransformTable) -> dict[str, Any]:
     """Return the clipped white of a set of transforms. The result is empty if the illuminant of the set is unknown."""
     return {} if table.clipped_white is None else {"clipped_white": table.clipped_white.tolist()}
+
+
+def _white_scale(table: TransformTable) -> dict[str, Any]:
+    """Return the luminance of a white per DN for each channel. Empty if the table has no values for white."""
+    return {} if table.white_signals is None else {"white_scale": white_scale(table).tolist()}
 
 
 def _constants(table: TransformTable) -> dict[str, Any]:

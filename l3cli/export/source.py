@@ -45,7 +45,7 @@ from l3cli.physics.spaces import SRGB, Curve
 from l3cli.rendering.display import linear_matrix, require_known_layers, shown_adaptation
 from l3cli.rendering.exposure import NOISE_WHERE_CLIPPED
 from l3cli.rendering.opencl.layout import source_folder
-from l3cli.rendering.reference import SMOOTHING_DARKEST
+from l3cli.rendering.reference import SMOOTHING_DARKEST, raising_constants
 from l3cli.rendering.white.scene_white import WhiteBalance, Whites
 from l3cli.rendering.white.source import usual_balance
 from l3cli.system.text import printable
@@ -225,6 +225,9 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
         factors = {"LUMINANCE": smoothing.reach, "X": smoothing.likeness * white_x, "Z": smoothing.likeness * white_z}
         values |= {f"BY_{name}": _float(1 / limit**2) for name, limit in factors.items()}
         values["DARKEST"] = _float(SMOOTHING_DARKEST * (2**OUTPUT_FRACTION if words == "int16" else 1))
+        values |= {
+            f"{name.upper()}": _float(at) if isinstance(at, float) else at for name, at in raising_constants(table).items()
+        }
     if _coarse_chroma(table):
         values["PLANE_STEP"] = _float(PLANE_STEP)
     if table.later and table.later[-1].clipping:
@@ -390,6 +393,10 @@ def _readme(table: TransformTable, vector: Vector, arrays: list[Array], short: S
         white = table.white_point / table.white_point[1]
         known |= {"white_x": f"{white[0]:.6g}", "white_z": f"{white[2]:.6g}"}
         known |= {f"chroma_{name}": f"{of:g}" for name, of in vars(table.chroma_smoothing).items()}
+        if table.white_signals is not None:
+            parts += ["readme_raised.md"]
+            raising = raising_constants(table)
+            known |= raising | {"least_side": 2 * int(raising["least_reach"]) + 1}
     parts += ["readme_structure.md"] if any(isinstance(layer.rule, StructureRule) for layer in table.later) else []
     parts += ["readme_picture.md"] if table.outputs == XYZ else []
     parts += ["readme_tree.md"] if any(isinstance(layer.rule, TreeRule) for layer in table.later) else []

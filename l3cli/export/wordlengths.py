@@ -24,7 +24,14 @@ from l3cli.classes.planes import raw_middle
 from l3cli.classes.windows import Integers, window_channels
 from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame
-from l3cli.rendering.reference import ReferenceRenderer, mosaic_of, output_planes, refinement_outputs, smoothed_chroma
+from l3cli.rendering.reference import (
+    ReferenceRenderer,
+    least_luminance,
+    mosaic_of,
+    output_planes,
+    refinement_outputs,
+    smoothed_chroma,
+)
 
 # Rows and columns of the test vector: wider than a block of the C source, and not a multiple of the period of any array
 VECTOR_SHAPE = (40, 150)
@@ -274,8 +281,9 @@ def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
         whole = limited_to_white(whole, table.clipped_white)
         rounded = np.rint(limited_to_white(rounded / step, np.rint(table.clipped_white / step))) * step
     if smoothing := table.chroma_smoothing:
-        whole = smoothed_chroma(whole, smoothing, table.white_point)
-        rounded = np.rint(smoothed_chroma(rounded, smoothing, table.white_point) / step) * step
+        least = least_luminance(_drawn_frame(table), table)
+        whole = smoothed_chroma(whole, smoothing, table.white_point, least)
+        rounded = np.rint(smoothed_chroma(rounded, smoothing, table.white_point, least) / step) * step
     error = np.square(rounded - whole).mean()
     if table.later and table.later[-1].coarse_chroma:
         error += step**2 / 12 * 2 / 3

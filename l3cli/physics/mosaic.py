@@ -18,6 +18,21 @@ def shifted_cfa(cfa: NDArray[np.uint8], phase: tuple[int, int]) -> NDArray[np.ui
     return np.roll(cfa, (-phase[0], -phase[1]), axis=(0, 1))
 
 
+def channel_reach(cfa: NDArray[np.uint8]) -> int:
+    """Return the radius, in pixels, of the smallest square window that contains all channels wherever it is placed."""
+    channels, reach = np.unique(cfa), 0
+    while not all(_near(cfa == channel, reach).all() for channel in channels):
+        reach += 1
+    return reach
+
+
+def _near(pattern: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """Return, for each site of a periodic pattern, whether the square window around the site contains a True."""
+    for axis in (0, 1):
+        pattern = np.logical_or.reduce([np.roll(pattern, step, axis) for step in range(-reach, reach + 1)])
+    return pattern
+
+
 def least_period(pattern: NDArray[Any]) -> NDArray[Any]:
     """Return the smallest part of a pattern (row, col) whose repetition gives the whole pattern."""
     lengths = []

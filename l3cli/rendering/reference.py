@@ -15,7 +15,7 @@ from l3cli.classes.planes import CHROMA, FixedPoint, coarse, planes_basis, refin
 from l3cli.classes.refinement import label_planes, mirrored, taps_behind
 from l3cli.classes.windows import Integers
 from l3cli.frames.frame import RawFrame, pad_mosaic
-from l3cli.physics.mosaic import shifted_cfa
+from l3cli.physics.mosaic import channel_reach, shifted_cfa
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
 
@@ -23,6 +23,11 @@ from l3cli.rendering.display import Display, encode, require_known_layers, requi
 # mixture of near and far neighbours averages out the residual patterns of noise and aliasing.
 CHROMA_NEIGHBOURS = ((-1, -1), (-1, 1), (1, -1), (1, 1), (-4, 0), (4, 0), (0, -4), (0, 4))
 CHROMA_REACH = 4  # pixels; largest offset
+
+# A pixel is at least as bright as the smallest raw value nearby, relative to white, times the first factor. The second
+# factor is for values below the black level. It is large, because cutting off noise in the dark would change the mean.
+LEAST_OF_POSITIVE, LEAST_OF_NEGATIVE = 0.5, 2.0
+RAISED_CHROMA = 2.0  # largest change of X and Z when the luminance is raised, as a multiple of the change of Y
 
 # Darker pixels are not smoothed. The value is in output units, and far below the noise of any sensor.
 SMOOTHING_DARKEST = 2.0**-20
@@ -90,7 +95,8 @@ class ReferenceRenderer:
         if self.table.spectra:
             made = smoothed_spectra(made, self.table.spectra)
         if self.table.chroma_smoothing:
-            made = smoothed_chroma(made, self.table.chroma_smoothing, self.table.white_point)
+            least = least_luminance(levelled, self.table)
+            made = smoothed_chroma(made, self.table.chroma_smoothing, self.table.white_point, gain * least)
         return frame.light_share * made
 
     def planes(self, frame: RawFrame) -> NDArray[np.int32]:
@@ -275,6 +281,49 @@ def _transformed(
     return outputs
 
 
+def white_scale(table: TransformTable) -> NDArray[np.float64]:
+    """Return the luminance of a white per DN above black, for each channel, in output units."""
+    assert table.white_signals is not None
+    return np.asarray(1 / (table.white_signals * (table.white_level - table.black_level)))
+
+
+def raising_constants(table: TransformTable) -> dict[str, float | int]:
+    """Return the constants for raising pixels that are too dark, by name. Empty if the table has no signals of a white."""
+    if table.white_signals is None:
+        return {}
+    factors = {
+        "least_of_positive": LEAST_OF_POSITIVE,
+        "least_of_negative": LEAST_OF_NEGATIVE,
+        "raised_chroma": RAISED_CHROMA,
+    }
+    return {"least_reach": channel_reach(table.cfa), **factors}
+
+
+def least_luminance(frame: RawFrame, table: TransformTable) -> NDArray[np.float64]:
+    """Return the least luminance (row, col) that a pixel can have according to the raw values around it.
+
+    It is a fraction of the smallest raw value in a window around the pixel, after each value is divided by the value of its
+    channel for white. The window is just large enough to contain all channels. Values outside the frame are left out. The
+    result is −∞ if the table does not contain the values for white.
+
+    Parameters
+    ----------
+    frame : RawFrame
+        Frame with the levels of the table.
+    table : TransformTable
+        Table that renders the frame.
+    """
+    if table.white_signals is None:
+        return np.full(frame.values.shape, -np.inf)
+    cfa, shape = shifted_cfa(table.cfa, frame.phase), frame.values.shape
+    channel = np.tile(cfa, [-(-length // period) for length, period in zip(shape, cfa.shape, strict=True)])
+    scale = white_scale(table)[channel[: shape[0], : shape[1]]]
+    reach = channel_reach(table.cfa)
+    padded = np.pad((frame.values - frame.black_level) * scale, reach, constant_values=np.inf)
+    smallest = np.lib.stride_tricks.sliding_window_view(padded, (2 * reach + 1,) * 2).min(axis=(2, 3))
+    return np.asarray(smallest * np.where(smallest > 0, LEAST_OF_POSITIVE, LEAST_OF_NEGATIVE))
+
+
 def smoothed_spectra(planes: NDArray[np.float64], smoothing: SpectralSmoothing) -> NDArray[np.float64]:
     """Smooth the spectra of outputs (output, row, col) over a window, without changing the brightness of a pixel.
 
@@ -318,9 +367,14 @@ def smoothed_spectra(planes: NDArray[np.float64], smoothing: SpectralSmoothing) 
 
 
 def smoothed_chroma(
-    planes: NDArray[np.float64], smoothing: ChromaSmoothing, white: NDArray[np.float64]
+    planes: NDArray[np.float64],
+    smoothing: ChromaSmoothing,
+    white: NDArray[np.float64],
+    least: NDArray[np.float64] | float = -np.inf,
 ) -> NDArray[np.float64]:
-    """Smooth the chroma of X, Y, Z (3, row, col) by averaging similar neighbours, without changing the luminance.
+    """Smooth the chroma of X, Y, Z (3, row, col) by averaging similar neighbours, then raise pixels that are too dark.
+
+    Smoothing does not change the luminance.
 
     Let p be a pixel and q one of its neighbours (CHROMA_NEIGHBOURS). X_w and Z_w belong to the white:
 
@@ -333,6 +387,9 @@ def smoothed_chroma(
     weighted mean of Y. Areas of one chromaticity are unchanged to the last bit. At the borders, planes are mirrored about
     the outermost pixels.
 
+    If Y_p is below `least`, it becomes `least`. X_p and Z_p then move towards the chroma of the diagonal neighbours, by at
+    most RAISED_CHROMA times the change of Y_p.
+
     Parameters
     ----------
     planes : ndarray, (3, row, col)
@@ -341,6 +398,8 @@ def smoothed_chroma(
         Differences of luminance and chroma at which the weight of a neighbour becomes zero.
     white : ndarray, (3,)
         XYZ of white, with Y = 1.
+    least : ndarray, (row, col), or float
+        Least luminance of each pixel (`least_luminance`).
 
     Returns
     -------
@@ -351,7 +410,7 @@ def smoothed_chroma(
     safe = np.where(bright, luminance, 1.0)
     scale = (white[::2] / white[1])[:, None, None] * smoothing.likeness * np.square(safe)
     padded, (rows, cols) = mirrored(planes, CHROMA_REACH), luminance.shape
-    total, change = safe.copy(), np.zeros_like(chroma)
+    total, change, diagonal = safe.copy(), np.zeros_like(chroma), np.zeros_like(planes)
     for down, right in CHROMA_NEIGHBOURS:
         first, left = CHROMA_REACH + down, CHROMA_REACH + right
         there = padded[:, first : first + rows, left : left + cols]
@@ -360,6 +419,13 @@ def smoothed_chroma(
         weight = np.maximum(1 - square, 0) ** 2
         total += weight * there[1]
         change += weight * unlike
+        if abs(down) == abs(right):
+            diagonal += there
     smoothed = planes.copy()
     smoothed[::2] += np.where(bright, change / total, 0.0)
+    raised = np.maximum(luminance, least)
+    most = RAISED_CHROMA * (raised - luminance)
+    share = raised / np.maximum(np.maximum(diagonal[1], raised), SMOOTHING_DARKEST)
+    smoothed[::2] += np.clip(share * diagonal[::2] - smoothed[::2], -most, most)
+    smoothed[1] = raised
     return smoothed

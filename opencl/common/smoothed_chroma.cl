@@ -1,32 +1,67 @@
-// Smooths chroma by averaging a pixel with similar neighbours, without changing the luminance. The reference is
-// l3cli/rendering/reference.py. The eight neighbours are at (±1, ±1), (±CHROMA_REACH, 0) and (0, ±CHROMA_REACH).
+// Smooths chroma by averaging a pixel with similar neighbours, without changing the luminance. Then raises pixels that are darker than the raw
+// values around them. The reference is l3cli/rendering/reference.py. The eight neighbours are at (±1, ±1), (±CHROMA_REACH, 0) and
+// (0, ±CHROMA_REACH).
 
-// Weights of the squared differences between a pixel and a neighbour: in luminance, X and Z.
+// A pixel, scaled so that differences between the pixel and a neighbour need few operations: a neighbour has no weight if the squares of its
+// scaled differences in luminance, X and Z have the sum 1.
 typedef struct {
-    floats luminance, x, z;
-} Factors;
+    floats luminance, of_luminance;                        // the scaled luminance, and its scale
+    floats x, z, luminance_of_x, luminance_of_z;           // X, Z and luminance, times the scales of X and Z
+} Scaled;
 
-INLINE Factors factors_of(floats luminance, float by_luminance, float by_x, float by_z) {
-    const floats above = luminance > DARKEST ? luminance : (floats)DARKEST, inverse = 1.0f / (above * above);
-    const floats fourth = inverse * inverse;
-    return (Factors){by_luminance * inverse, by_x * fourth, by_z * fourth};
+INLINE Scaled scaled_pixel(const floats *own, float by_luminance, float by_x, float by_z) {
+    const floats above = own[1] > DARKEST ? own[1] : (floats)DARKEST, inverse = 1.0f / above, square = inverse * inverse;
+    const floats of_luminance = by_luminance * inverse, of_x = by_x * square, of_z = by_z * square;
+    return (Scaled){own[1] * of_luminance, of_luminance, own[0] * of_x, own[2] * of_z, own[1] * of_x, own[1] * of_z};
 }
 
-// Adds a neighbour to the sums. `own` and `there` are X, Y and Z of the pixel and of the neighbour. sums[0] and sums[2] are the changes of X
-// and Z, and sums[1] is the divisor of the changes.
-INLINE void add_neighbour(floats *sums, const floats *own, const floats *there, Factors by) {
-    const floats brighter = there[1] - own[1];
-    const floats x = there[0] * own[1] - own[0] * there[1], z = there[2] * own[1] - own[2] * there[1];
-    const floats left = 1.0f - brighter * brighter * by.luminance - x * x * by.x - z * z * by.z;
+// Adds a neighbour to the sums. `there` contains X, Y and Z of the neighbour. sums[0] and sums[2] are the scaled changes of X and Z, and sums[1]
+// is the divisor of the changes.
+INLINE void add_neighbour(floats *sums, Scaled own, const floats *there) {
+    const floats brighter = there[1] * own.of_luminance - own.luminance;
+    const floats x = there[0] * own.luminance_of_x - own.x * there[1], z = there[2] * own.luminance_of_z - own.z * there[1];
+    const floats left = 1.0f - brighter * brighter - x * x - z * z;
     const floats positive = left > 0.0f ? left : (floats)0.0f, weight = positive * positive;
     sums[0] += weight * x;
     sums[1] += weight * there[1];
     sums[2] += weight * z;
 }
 
-// Applies the changes to `own`, the X, Y and Z of the pixel.
-INLINE void change_chroma(floats *own, const floats *sums) {
-    const floats divisor = own[1] > DARKEST ? own[1] + sums[1] : (floats)1.0f, share = 1.0f / divisor;
-    own[0] = own[1] > DARKEST ? own[0] + sums[0] * share : own[0];
-    own[2] = own[1] > DARKEST ? own[2] + sums[2] * share : own[2];
+// Applies the changes to `own`, the X, Y and Z of the pixel. `by_x` and `by_z` are the arguments of `scaled_pixel`.
+INLINE void change_chroma(floats *own, const floats *sums, float by_x, float by_z) {
+    const floats bright = own[1] > DARKEST ? own[1] : (floats)0.0f, divisor = own[1] > DARKEST ? own[1] + sums[1] : (floats)1.0f;
+    const floats share = bright * bright / divisor;
+    own[0] += sums[0] * share * (1.0f / by_x);
+    own[2] += sums[2] * share * (1.0f / by_z);
 }
+
+#ifdef LEAST_REACH
+#define LEAST_PARAMETERS \
+    __global const ushort *restrict raw,   /* (row, col) DN of the band, with all rows that are read */ \
+    __global const float *restrict scale,  /* (CFA row, SCALE_PERIOD) luminance of a white per DN, for each channel */ \
+    float black_level, int raw_first,      /* black level in DN, and the frame's row of the first raw row */ \
+    int phase_row, int phase_column,       /* CFA site of the frame's first pixel */
+#define LEAST_READ raw, scale, black_level, raw_first, phase_row, phase_column,
+
+// Least luminance of a pixel if this is the smallest of the raw values around it.
+INLINE floats least_luminance(floats smallest) { return smallest * (smallest > 0.0f ? (floats)LEAST_OF_POSITIVE : (floats)LEAST_OF_NEGATIVE); }
+
+INLINE floats within_change(floats change, floats most) {
+    const floats below = change < most ? change : most;
+    return below > -most ? below : -most;
+}
+
+// Raises the luminance of a pixel to `least`. `own` contains X, Y and Z of the pixel, and `diagonal` the sums over its diagonal neighbours. X and
+// Z move towards the chroma of these neighbours.
+INLINE void raise_luminance(floats *own, const floats *diagonal, floats least) {
+    const floats raised = own[1] > least ? own[1] : least, most = RAISED_CHROMA * (raised - own[1]);
+    const floats brighter = diagonal[1] > raised ? diagonal[1] : raised, divisor = brighter > DARKEST ? brighter : (floats)DARKEST;
+    const floats share = raised / divisor;
+    own[0] += within_change(share * diagonal[0] - own[0], most);
+    own[1] = raised;
+    own[2] += within_change(share * diagonal[2] - own[2], most);
+}
+#else
+#define LEAST_PARAMETERS
+#define LEAST_READ
+#endif

@@ -7,12 +7,16 @@
 
 #define LANE(i) (float)(i)
 
-// Multiplies the outputs of LANES pixels, starting at column x, by their gains. `gain` contains the gains of a row at grid nodes with a
-// distance of GAIN_STEP columns. Between the nodes, gains are interpolated linearly.
-INLINE void even_pixels(floats *made, __global const float *gain, int x) {
+// Gains of LANES pixels, starting at column x. `gain` contains the gains of a row at grid nodes with a distance of GAIN_STEP columns. Between
+// the nodes, gains are interpolated linearly.
+INLINE floats gains_at(__global const float *gain, int x) {
     const int node = x / GAIN_STEP;
     const floats part = ((float)(x % GAIN_STEP) + (floats)(ALL_LANES(LANE))) * (1.0f / GAIN_STEP);
-    const floats factor = gain[node] + (gain[node + 1] - gain[node]) * part;
+    return gain[node] + (gain[node + 1] - gain[node]) * part;
+}
+
+INLINE void even_pixels(floats *made, __global const float *gain, int x) {
+    const floats factor = gains_at(gain, x);
     for (int o = 0; o < OUTPUTS; o++) made[o] *= factor;
 }
 

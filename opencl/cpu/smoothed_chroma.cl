@@ -12,20 +12,78 @@ INLINE void smooth_pixels(floats *own, __global const float *const *row, size_t 
                           float by_luminance, float by_x, float by_z) {
     floats sums[3] = {0.0f, 0.0f, 0.0f}, there[3];
     read_three(own, row[2], stride, x, columns, inside);
-    const Factors by = factors_of(own[1], by_luminance, by_x, by_z);
+    const Scaled scaled = scaled_pixel(own, by_luminance, by_x, by_z);
     #pragma unroll
     for (int n = 0; n < 8; n++) {
         const int line[] = {1, 1, 3, 3, 0, 4, 2, 2}, right[] = {-1, 1, -1, 1, 0, 0, -CHROMA_REACH, CHROMA_REACH};
         read_three(there, row[line[n]], stride, x + right[n], columns, inside);
-        add_neighbour(sums, own, there, by);
+        add_neighbour(sums, scaled, there);
     }
-    change_chroma(own, sums);
+    change_chroma(own, sums, by_x, by_z);
 }
+
+#ifdef LEAST_REACH
+#define MARGIN_COLUMNS (LEAST_REACH > CHROMA_REACH ? LEAST_REACH : CHROMA_REACH)
+
+INLINE bool any_lane(ints mask) {
+#if LANES == 16
+    typedef int eight __attribute__((ext_vector_type(8)));
+    const eight some = mask.lo | mask.hi;
+#else
+    const ints some = mask;
+#endif
+    const int4 four = some.lo | some.hi;
+    return (four.x | four.y | four.z | four.w) != 0;
+}
+
+// Luminances of LANES raw values, starting at column x, as if they belonged to a white. Columns outside the frame repeat its outermost pixels.
+INLINE floats levels_of(__global const ushort *raw, __global const float *scale, float black_level, int phase, int x, int columns,
+                        bool inside) {
+    if (inside) {
+        const shorts value = LOAD_GLOBAL(shorts, raw + x), within = value < (ushort)MAX_RAW ? value : (shorts)(ushort)MAX_RAW;
+        return (CONVERT(CONVERT(within, ints), floats) - black_level) * LOAD_GLOBAL(floats, scale + (x + phase) % CFA_COLUMNS);
+    }
+    float level[LANES];
+    AT_EDGE
+    for (int i = 0; i < LANES; i++) {
+        const int column = min(max(x + i, 0), columns - 1);
+        level[i] = ((float)min(raw[column], (ushort)MAX_RAW) - black_level) * scale[(column + phase) % CFA_COLUMNS];
+    }
+    return LOAD_PRIVATE(floats, level);
+}
+
+// Raises pixels that are darker than the raw values around them. Most pixels are much brighter than their own raw value requires, and are
+// skipped.
+INLINE void raise_pixels(floats *own, __global const float *const *row, size_t stride, LEAST_PARAMETERS floats gain, int y, int x,
+                         int frame_rows, int columns, bool inside) {
+    #define LEVELS(line, column) \
+        levels_of(raw + (size_t)((line) - raw_first) * columns, scale + ((line) + phase_row) % CFA_ROWS * SCALE_PERIOD, black_level, \
+                  phase_column, column, columns, inside)
+    floats smallest = LEVELS(y, x);
+    if (!any_lane(own[1] < gain * least_luminance(smallest))) return;
+    for (int i = -LEAST_REACH; i <= LEAST_REACH; i++) {
+        const int line = min(max(y + i, 0), frame_rows - 1);
+        for (int j = -LEAST_REACH; j <= LEAST_REACH; j++) {
+            const floats level = LEVELS(line, x + j);
+            smallest = level < smallest ? level : smallest;
+        }
+    }
+    floats diagonal[3] = {0.0f, 0.0f, 0.0f}, there[3];
+    for (int n = 0; n < 4; n++) {
+        read_three(there, row[n < 2 ? 1 : 3], stride, x + (n % 2 ? 1 : -1), columns, inside);
+        for (int o = 0; o < 3; o++) diagonal[o] += there[o];
+    }
+    raise_luminance(own, diagonal, gain * least_luminance(smallest));
+}
+#else
+#define MARGIN_COLUMNS CHROMA_REACH
+#endif
 
 COMPILED_ONCE smooth_chroma_tile(int x0, int y0,
                                  __global const float *restrict made,    // (output, made row, col)
                                  __global const float *restrict matrix,  // (3, 3) from X, Y, Z to linear picture values
-                                 __global CODE *restrict picture,        // (row, col, 3), or (output, row, col)
+                                 __global CODE *restrict picture         // (row, col, 3), or (output, row, col)
+                                 GAIN_PARAMETER, LEAST_PARAMETERS
                                  float by_luminance, float by_x, float by_z,
                                  int made_rows, int top,                 // number of rows in `made`, and row of the frame where they begin
                                  int first, int frame_rows,              // row of the frame where the written rows begin, and rows of the frame
@@ -40,18 +98,25 @@ COMPILED_ONCE smooth_chroma_tile(int x0, int y0,
         for (int x = 0; x < width; x += LANES) {
             floats own[3];
             const int column = x0 + x;
-            if (column >= CHROMA_REACH && column + LANES + CHROMA_REACH <= columns)
-                smooth_pixels(own, row, stride, column, columns, true, by_luminance, by_x, by_z);
-            else
-                smooth_pixels(own, row, stride, column, columns, false, by_luminance, by_x, by_z);
+            const bool inside = column >= MARGIN_COLUMNS && column + LANES + MARGIN_COLUMNS <= columns;
+            if (inside) smooth_pixels(own, row, stride, column, columns, true, by_luminance, by_x, by_z);
+            else smooth_pixels(own, row, stride, column, columns, false, by_luminance, by_x, by_z);
+#ifdef LEAST_REACH
+#ifdef SHADED
+            const floats factor = gains_at(gain + (size_t)(first + y - top) * GAIN_NODES(columns), column);
+#else
+            const floats factor = 1.0f;
+#endif
+            raise_pixels(own, row, stride, LEAST_READ factor, first + y, column, frame_rows, columns, inside);
+#endif
             write_pixels(picture, own, matrix, (size_t)y * columns + column, width - x, pixels);
         }
     }
 }
 
-KERNEL_OF_ONE smooth_chroma(__global const float *restrict made, __global const float *restrict matrix, __global CODE *restrict picture,
-                            float by_luminance, float by_x, float by_z, int made_rows, int top, int first, int frame_rows, int rows,
-                            int columns) {
-    smooth_chroma_tile(GROUP_COLUMN, GROUP_ROW, made, matrix, picture, by_luminance, by_x, by_z, made_rows, top, first, frame_rows, rows,
-                       columns);
+KERNEL_OF_ONE smooth_chroma(__global const float *restrict made, __global const float *restrict matrix, __global CODE *restrict picture
+                            GAIN_PARAMETER, LEAST_PARAMETERS float by_luminance, float by_x, float by_z, int made_rows, int top, int first,
+                            int frame_rows, int rows, int columns) {
+    smooth_chroma_tile(GROUP_COLUMN, GROUP_ROW, made, matrix, picture GAIN_READ, LEAST_READ by_luminance, by_x, by_z, made_rows, top, first,
+                       frame_rows, rows, columns);
 }

@@ -5,6 +5,10 @@ __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void smooth_chroma(__global const float *restrict made,    // (output, made row, col)
                    __global const float *restrict matrix,  // (3, 3) from X, Y, Z to linear picture values
                    __global CODE *restrict picture,        // (row, col, 3), or (output, row, col)
+#ifdef SHADED
+                   __global const float *restrict gain,    // (made row, node) shading gains of the outputs, every GAIN_STEP columns
+#endif
+                   LEAST_PARAMETERS
                    float by_luminance, float by_x, float by_z,
                    int made_rows, int top,                 // number of rows in `made`, and row of the frame where they begin
                    int first, int frame_rows,              // row of the frame where the written rows begin, and rows of the frame
@@ -13,16 +17,30 @@ void smooth_chroma(__global const float *restrict made,    // (output, made row,
     if (x >= columns || y >= rows) return;
     const size_t stride = (size_t)made_rows * columns, at = (size_t)y * columns + x;
     const size_t pixel = (size_t)(first + y - top) * columns + x;
-    float own[3], sums[3] = {0.0f, 0.0f, 0.0f}, there[3];
+    float own[3], sums[3] = {0.0f, 0.0f, 0.0f}, diagonal[3] = {0.0f, 0.0f, 0.0f}, there[3];
     for (int o = 0; o < 3; o++) own[o] = made[o * stride + pixel];
-    const Factors by = factors_of(own[1], by_luminance, by_x, by_z);
+    const Scaled scaled = scaled_pixel(own, by_luminance, by_x, by_z);
     const int down[] = {-1, -1, 1, 1, -CHROMA_REACH, CHROMA_REACH, 0, 0}, right[] = {-1, 1, -1, 1, 0, 0, -CHROMA_REACH, CHROMA_REACH};
     for (int n = 0; n < 8; n++) {
         const size_t place = (size_t)(mirrored(first + y + down[n], frame_rows) - top) * columns + mirrored(x + right[n], columns);
         for (int o = 0; o < 3; o++) there[o] = made[o * stride + place];
-        add_neighbour(sums, own, there, by);
+        add_neighbour(sums, scaled, there);
+        for (int o = 0; o < 3 && n < 4; o++) diagonal[o] += there[o];
     }
-    change_chroma(own, sums);
+    change_chroma(own, sums, by_x, by_z);
+#ifdef LEAST_REACH
+    float smallest = INFINITY, factor = 1.0f;
+    for (int i = max(first + y - LEAST_REACH, 0); i <= min(first + y + LEAST_REACH, frame_rows - 1); i++)
+        for (int j = max(x - LEAST_REACH, 0); j <= min(x + LEAST_REACH, columns - 1); j++) {
+            const float of_white = scale[(i + phase_row) % CFA_ROWS * SCALE_PERIOD + (j + phase_column) % CFA_COLUMNS];
+            smallest = min(smallest, (min(raw[(size_t)(i - raw_first) * columns + j], (ushort)MAX_RAW) - black_level) * of_white);
+        }
+#ifdef SHADED
+    __global const float *node = gain + (size_t)(first + y - top) * GAIN_NODES(columns) + x / GAIN_STEP;
+    factor = node[0] + (node[1] - node[0]) * ((x % GAIN_STEP) * (1.0f / GAIN_STEP));
+#endif
+    raise_luminance(own, diagonal, factor * least_luminance(smallest));
+#endif
 #ifdef PLANES
     for (int o = 0; o < 3; o++) picture[o * (size_t)rows * columns + at] = own[o];
 #else

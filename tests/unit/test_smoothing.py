@@ -12,17 +12,28 @@ from numpy.typing import NDArray
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import ChromaSmoothing, SpectralSmoothing, TransformTable
 from l3cli.errors import RecipeError
+from l3cli.frames.frame import RawFrame
+from l3cli.frames.shading import NODE_SPACING_COLUMNS, Shading
+from l3cli.physics.mosaic import channel_reach
 from l3cli.recipes.faults import refuse_first
 from l3cli.rendering.display import make_display
 from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
-from l3cli.rendering.reference import SMOOTHING_DARKEST, ReferenceRenderer, smoothed_chroma, smoothed_spectra
+from l3cli.rendering.reference import (
+    SMOOTHING_DARKEST,
+    ReferenceRenderer,
+    least_luminance,
+    smoothed_chroma,
+    smoothed_spectra,
+    white_scale,
+)
 from l3cli.training.recipe import LearningRecipe, learning_faults
 from l3cli.training.summary import insight, learned
 from tests.helpers.cameras import BAYER, FIVE_BAND
 from tests.helpers.tables import (
     frame_of_all_levels,
     random_table,
+    with_clipped_white,
     with_clipping,
     with_coarse_chroma,
     with_refinement,
@@ -182,6 +193,66 @@ def test_the_dark_stays_finite() -> None:
         assert np.isfinite(made).all()
         below = dark[1] <= SMOOTHING_DARKEST
         assert np.array_equal(made[:, below], dark[:, below])
+
+
+def pixels_of(table: TransformTable, signal: NDArray[np.float64]) -> RawFrame:
+    """A frame of these luminances of a white (row, col), without noise but with rounding to DN."""
+    cfa = np.tile(table.cfa, (signal.shape[0] // 2 + 1, signal.shape[1] // 2 + 1))[: signal.shape[0], : signal.shape[1]]
+    values = table.black_level + signal / white_scale(table)[cfa]
+    return RawFrame("pixels", np.rint(values).astype(np.uint16), table.black_level, table.white_level)
+
+
+def test_a_black_pixel_gets_half_of_the_smallest_raw_value_nearby() -> None:
+    table = with_clipped_white(random_table(BAYER, 16, 64.0), 1.2)
+    signal = np.full((9, 11), 0.4)
+    signal[:, 7:] = 0.1
+    least = least_luminance(pixels_of(table, signal), table)
+    np.testing.assert_allclose(least[:, :6], 0.2, rtol=0.01)
+    np.testing.assert_allclose(least[:, 6:], 0.05, rtol=0.01)
+    planes = 0.4 * np.broadcast_to(np.array([0.9, 1.0, 0.3])[:, None, None], (3, 9, 11)).copy()
+    black = planes.copy()
+    black[:, 4, 3] = 0.1, -0.05, 0.2
+    made = smoothed_chroma(black, CHROMA, WHITE, np.full((9, 11), 0.2))
+    np.testing.assert_allclose(made[:, 4, 3], [0.18, 0.2, 0.06])
+    made[:, 4, 3] = planes[:, 4, 3]
+    np.testing.assert_allclose(made, planes)
+
+
+def test_raising_does_not_change_the_mean_of_noise_in_the_dark() -> None:
+    table = with_clipped_white(random_table(BAYER, 12, 64.0), 1.2)
+    noise = np.random.default_rng(4).normal(size=(200, 200))
+    for signal in (0.0, 0.005, 0.02):  # noise of raw values 0.005, and of outputs half as much
+        frame = pixels_of(table, signal + 0.005 * noise)
+        rendered = signal + 0.0025 * np.random.default_rng(5).normal(size=noise.shape)
+        raised = np.maximum(rendered, least_luminance(frame, table))
+        assert abs(raised.mean() - rendered.mean()) < 0.01 * 0.0025
+
+
+@pytest.mark.parametrize(
+    ("cfa", "reach"),
+    [([[0]], 0), (BAYER, 1), (np.repeat(np.repeat(BAYER, 3, 0), 3, 1), 2), (np.arange(16).reshape(4, 4), 2)],
+)
+def test_the_window_contains_every_channel(cfa: NDArray, reach: int) -> None:
+    assert channel_reach(np.asarray(cfa, np.uint8)) == reach
+
+
+@pytest.mark.parametrize("variant", ["processor", "graphics"])
+@pytest.mark.parametrize("name", ["one layer", "two layers", "coarse chroma"])
+def test_kernels_raise_pixels_as_the_reference_does(name: str, variant: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also of frames smaller than the window, in bands of a few rows, and with lens shading."""
+    table = with_smoothed_chroma(with_clipped_white(CHROMA_TABLES[name](), 1.0))
+    unknown = dataclasses.replace(table, light=None)
+    for shape, band in (((2, 3), 100), ((53, 70), 100), ((52, 71), 7)):
+        monkeypatch.setattr(work, "BAND_PIXELS", band * shape[1])
+        frame = frame_of_all_levels(table, np.random.default_rng(3), shape, (1, 1))
+        if shape == (52, 71):
+            nodes = -(-shape[1] // NODE_SPACING_COLUMNS) + 1
+            gain = np.random.default_rng(6).uniform(1, 2, (shape[0], nodes)).astype(np.float32)
+            frame = dataclasses.replace(frame, shading=Shading(gain, None))
+        expected = ReferenceRenderer(table).exact_outputs(frame)
+        assert shape == (2, 3) or (expected[1] > ReferenceRenderer(unknown).exact_outputs(frame)[1]).any()
+        made = OpenCLRenderer(table, variant=variant).outputs(frame)
+        np.testing.assert_allclose(made, expected, atol=1e-5 * np.abs(expected).max())
 
 
 CHROMA_TABLES = {

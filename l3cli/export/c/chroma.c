@@ -63,13 +63,59 @@ static void smooth_row(const Smoothing *s, int row, int rows, int columns, ptrdi
     }
 }
 
+#ifdef L3_LEAST_REACH
+/* Returns the least luminance of a pixel according to the raw values around it, in steps of an output. */
+static float least_luminance(const uint16_t *padded, int row, int x, int rows, int columns, int phase_row, int phase_column) {
+    const ptrdiff_t span = padded_span(columns);
+    const int bottom = smaller(row + L3_LEAST_REACH, rows - 1), right = smaller(x + L3_LEAST_REACH, columns - 1);
+    const int top = row > L3_LEAST_REACH ? row - L3_LEAST_REACH : 0, left = x > L3_LEAST_REACH ? x - L3_LEAST_REACH : 0;
+    float smallest = 0;
+    for (int r = top; r <= bottom; r++)
+        for (int c = left; c <= right; c++) {
+            const int channel = l3_cfa[(r + phase_row) % L3_CFA_ROWS][(c + phase_column) % L3_CFA_COLUMNS];
+            const float above_black = (float)padded[(r + L3_RADIUS) * span + c + L3_RADIUS] - L3_BLACK_LEVEL;
+            const float level = above_black * l3_white_scale[channel];
+            if ((r == top && c == left) || level < smallest) smallest = level;
+        }
+    return smallest * (smallest > 0 ? L3_LEAST_OF_POSITIVE : L3_LEAST_OF_NEGATIVE) * (1 << L3_OUTPUT_FRACTION);
+}
+
+/* Raises the pixels of a row that are darker than the raw values around them. X and Z move towards the chroma of the diagonal neighbours. */
+static void raise_row(const Smoothing *s, const uint16_t *padded, int row, int rows, int columns, int phase_row, int phase_column,
+                      ptrdiff_t stride, L3Output *to) {
+    const ptrdiff_t span = s->span;
+    const L3Output *above = made_row(s, mirrored(row - 1, rows, 1)) + REACHED, *below = made_row(s, mirrored(row + 1, rows, 1)) + REACHED;
+    for (int x = 0; x < columns; x++) {
+        const float least = least_luminance(padded, row, x, rows, columns, phase_row, phase_column), luminance = (float)to[stride + x];
+        if (least <= luminance) continue;
+        float diagonal[3];
+        for (int o = 0; o < 3; o++)
+            diagonal[o] = (float)above[o * span + x - 1] + (float)above[o * span + x + 1] + (float)below[o * span + x - 1]
+                        + (float)below[o * span + x + 1];
+        const float brighter = diagonal[1] > least ? diagonal[1] : least, divisor = brighter > L3_DARKEST ? brighter : L3_DARKEST;
+        const float share = least / divisor, most = L3_RAISED_CHROMA * (least - luminance), unit = 1.0f / (1 << L3_OUTPUT_FRACTION);
+        for (int o = 0; o < 3; o += 2) {
+            const float change = share * diagonal[o] - (float)to[o * stride + x];
+            to[o * stride + x] = changed(to[o * stride + x], (change < -most ? -most : change > most ? most : change) * unit);
+        }
+        to[stride + x] = changed(to[stride + x], (least - luminance) * unit);
+    }
+}
+#endif
+
 /* Replaces the chroma of each pixel with the mean chroma of the pixel and of those neighbours that have similar luminance and chroma.
- * The luminance does not change. */
-static void smooth_outputs(const Smoothing *s, int rows, int columns, L3Output *outputs) {
+ * Then raises pixels that are darker than the raw values around them. */
+static void smooth_outputs(const Smoothing *s, const uint16_t *padded, int rows, int columns, int phase_row, int phase_column,
+                           L3Output *outputs) {
     for (int row = 0; row < REACHED && row < rows; row++) keep_row(s, row, rows, columns, outputs);
     for (int row = 0; row < rows; row++) {
         if (row + REACHED < rows) keep_row(s, row + REACHED, rows, columns, outputs);
         smooth_row(s, row, rows, columns, (ptrdiff_t)rows * columns, outputs + (ptrdiff_t)row * columns);
+#ifdef L3_LEAST_REACH
+        raise_row(s, padded, row, rows, columns, phase_row, phase_column, (ptrdiff_t)rows * columns, outputs + (ptrdiff_t)row * columns);
+#else
+        (void)padded, (void)phase_row, (void)phase_column;
+#endif
     }
 }
 

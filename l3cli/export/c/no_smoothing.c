@@ -9,7 +9,8 @@ static Smoothing smoothing_in(Room *room, int columns) {
     return s;
 }
 
-static void smooth_outputs(const Smoothing *s, int rows, int columns, const L3Output *outputs) {
-    (void)s, (void)rows, (void)columns, (void)outputs;
+static void smooth_outputs(const Smoothing *s, const uint16_t *padded, int rows, int columns, int phase_row, int phase_column,
+                           const L3Output *outputs) {
+    (void)s, (void)padded, (void)rows, (void)columns, (void)phase_row, (void)phase_column, (void)outputs;
 }
 

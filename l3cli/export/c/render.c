@@ -31,6 +31,6 @@ int l3_render(const uint16_t *raw, int rows, int columns, int phase_row, int pha
     pad_mosaic(raw, rows, columns, padded_span(columns), w.statistics.padded);
     render_layers(&w, rows, columns, phase_row, phase_column, labels, outputs);
     limit_to_white((ptrdiff_t)rows * columns, outputs);
-    smooth_outputs(&smoothing, rows, columns, outputs);
+    smooth_outputs(&smoothing, w.statistics.padded, rows, columns, phase_row, phase_column, outputs);
     return 0;
 }

@@ -87,7 +87,9 @@ static void smooth_row(const Smoothing *s, int row, int rows, int columns, int o
 }
 
 /* Replaces the spectrum of each pixel with the mean spectrum of neighbours of similar brightness. The brightness does not change. */
-static void smooth_outputs(const Smoothing *s, int rows, int columns, float *outputs) {
+static void smooth_outputs(const Smoothing *s, const uint16_t *padded, int rows, int columns, int phase_row, int phase_column,
+                           float *outputs) {
+    (void)padded, (void)phase_row, (void)phase_column;
     for (int row = 0; row < REACHED && row < rows; row++) keep_row(s, row, rows, columns, outputs);
     for (int row = 0; row < rows; row++) {
         if (row + REACHED < rows) keep_row(s, row + REACHED, rows, columns, outputs);

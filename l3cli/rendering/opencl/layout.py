@@ -23,6 +23,7 @@ from l3cli.physics.gamut import CONE_SHARE, LEAST_CONE, LEAST_LIGHTNESS, LIGHTNE
 from l3cli.physics.spaces import Curve, Space
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display
+from l3cli.rendering.reference import raising_constants, white_scale
 
 EXTRA_CFA_COLUMNS = 31  # number of additional columns per CFA row, so that two vectors of 16 can be loaded at any phase
 SIDE_BY_SIDE_OUTPUTS = (3, 4)  # numbers of floating-point outputs for which side_by_side.cl is used
@@ -193,6 +194,26 @@ def table_macros(table: TransformTable, sets: int = 1) -> Macros:
 def white_macros(table: TransformTable) -> Macros:
     """Return the macros that limit outputs to the white that clips every channel, if the table contains this white."""
     return {} if table.clipped_white is None else {"WHITE_FROM": _literal(clipping.WHITE_FROM)}
+
+
+def least_macros(table: TransformTable) -> Macros:
+    """Return the macros for raising pixels that are too dark. Empty if the table does not contain the values for white."""
+    if table.white_signals is None:
+        return {}
+    constants = raising_constants(table).items()
+    return {
+        **{name.upper(): _literal(value) if isinstance(value, float) else value for name, value in constants},
+        "CFA_ROWS": table.cfa.shape[0],
+        "CFA_COLUMNS": table.cfa.shape[1],
+        "MAX_RAW": 2**table.bits - 1,
+        "SCALE_PERIOD": table.cfa.shape[1] + EXTRA_CFA_COLUMNS,
+    }
+
+
+def site_scale(table: TransformTable) -> NDArray[np.float64]:
+    """Return `white_scale` for each site (CFA row, SCALE_PERIOD) of repeated CFA rows."""
+    columns = np.arange(table.cfa.shape[1] + EXTRA_CFA_COLUMNS) % table.cfa.shape[1]
+    return np.asarray(white_scale(table)[table.cfa[:, columns]])
 
 
 def display_constants(table: TransformTable, matrix: NDArray | None) -> NDArray[np.float64]:

@@ -174,7 +174,9 @@ class OpenCLRenderer:
             self._shading = DeviceShading(self._kernel, self._constant, self._cut.lanes)
             self._spectra = DeviceSpectra(self._kernel, self._run, table, self.variant) if table.spectra else None
             self._chroma = (
-                DeviceChroma(self._compiler, self._run, table, self.variant, self._cut) if table.chroma_smoothing else None
+                DeviceChroma(self._compiler, self._run, self._constant, table, self.variant, self._cut)
+                if table.chroma_smoothing
+                else None
             )
             chroma = table.later[-1].coarse_chroma if table.later else None
             self._coarse = chroma and DeviceCoarseChroma(self._kernel, self._run, self._constant, chroma, self.variant)
@@ -462,7 +464,8 @@ class OpenCLRenderer:
         if self._spectra:
             work.add(SPECTRA, self._spectra.smooth(track, band, result, len(frame.values)))
         if self._chroma:
-            work.add(CHROMA, self._chroma.smooth(track, band, encoding, result, len(frame.values), ending))
+            gain, shaded = self._shading.gain(frame.shading, band.made), self._shading.macros(frame.shading)
+            work.add(CHROMA, self._chroma.smooth(track, band, encoding, result, frame, gain, {**ending, **shaded}))
 
     def _first_outputs(self, track: Track, band: Band, frame: RawFrame, work: Work) -> tuple[Any, ...]:
         """Enqueue the computation of the first layer's outputs, which the last layer corrects, and return their buffer."""

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from l3cli.artifacts.table import TransformTable
+from l3cli.frames.frame import RawFrame
 from l3cli.rendering.opencl import layout
 from l3cli.rendering.opencl.devices import pyopencl
 from l3cli.rendering.opencl.layout import Macros, paired_source
@@ -71,37 +72,59 @@ class DeviceSpectra:
 
 
 class DeviceChroma:
-    """The kernels that smooth chroma and write outputs or pictures. A kernel is compiled when a frame first needs it."""
+    """The kernels that smooth chroma, raise pixels that are too dark, and write outputs or pictures.
+
+    A kernel is compiled when a frame first needs it.
+    """
 
     def __init__(
-        self, compiler: Compiler, run: Callable[..., Any], table: TransformTable, variant: str, cut: layout.Cut
+        self,
+        compiler: Compiler,
+        run: Callable[..., Any],
+        constant: Callable[..., Any],
+        table: TransformTable,
+        variant: str,
+        cut: layout.Cut,
     ) -> None:
         """Store the arguments. Nothing is compiled yet.
 
-        `run` is a function that enqueues a kernel on a track over rows and columns. `cut` divides a band into work-groups.
+        `run` is a function that enqueues a kernel on a track over rows and columns. `constant` is a function that copies an
+        array to the device. `cut` divides a band into work-groups.
         """
         assert table.chroma_smoothing is not None
         self._compiler, self._run, self._variant, self._cut = compiler, run, variant, cut
         smoothing, white = table.chroma_smoothing, table.white_point / table.white_point[1]
-        by_chroma = 1 / np.square(smoothing.likeness * white[::2])
-        self._factors = tuple(map(np.float32, (1 / smoothing.reach**2, *by_chroma)))
+        self._factors = tuple(map(np.float32, (1 / smoothing.reach, *1 / (smoothing.likeness * white[::2]))))
         self._kernels: dict[tuple[Any, ...], Any] = {}  # macros for the form of the results → kernel
+        self._macros = layout.least_macros(table)
+        self._scale = constant(layout.site_scale(table), np.float32) if self._macros else None
 
     def room(self, track: Track, band: Band) -> Any:
         """Return the buffer into which the outputs of a band are written before smoothing."""
         return room_for(track, band, 3)
 
-    def smooth(self, track: Track, band: Band, encoding: Any, result: Any, frame_rows: int, ending: Macros) -> Any:
+    def smooth(
+        self, track: Track, band: Band, encoding: Any, result: Any, frame: RawFrame, gain: tuple[Any, ...], ending: Macros
+    ) -> Any:
         """Enqueue the smoothing of the outputs of a band, which are in the buffer from `room`.
 
         The smoothed outputs are written to `result`, without the margins above and below the band. The macros `ending`
         determine whether they are written as outputs or as an encoded picture. `encoding` is a buffer with the constants of
-        the display.
+        the display. `gain` contains the gains of the shading, if the frame has shading. The frame must have the levels of
+        the table.
         """
         key = tuple(ending.items())
         if key not in self._kernels:
-            macros = {**ending, **DARKEST, "CHROMA_REACH": CHROMA_REACH, "OUTPUTS": 3, **self._cut.macros}
+            macros = {
+                **ending, **DARKEST, "CHROMA_REACH": CHROMA_REACH, "OUTPUTS": 3, **self._macros, **self._cut.macros
+            }  # fmt: skip
             source = layout.encoding_source(self._variant, "smoothed_chroma.cl", "common/mirrored.cl")
             self._kernels[key] = pyopencl().Kernel(self._compiler.build(source, macros), "smooth_chroma")
-        arguments = track.made, encoding, result, *self._factors, *place_of(band, frame_rows)
+        least = (
+            (track.raw, self._scale, np.float32(frame.black_level), *map(np.int32, (band.raw_rows.start, *frame.phase)))
+            if self._macros
+            else ()
+        )
+        place = place_of(band, len(frame.values))
+        arguments = track.made, encoding, result, *gain, *least, *self._factors, *place
         return self._run(self._kernels[key], track, band.shape(-1), *arguments)

@@ -19,6 +19,7 @@ from l3cli.classes.coarse_chroma import BLOCK
 from l3cli.classes.coarse_chroma import REACH as COARSE_REACH
 from l3cli.classes.structure import BORDER_PIXELS
 from l3cli.frames.frame import mirrored_indices
+from l3cli.physics.mosaic import channel_reach
 from l3cli.rendering.opencl.devices import pyopencl, refusals
 from l3cli.rendering.reference import CHROMA_REACH
 
@@ -199,7 +200,7 @@ class Band:
     # For each refinement layer, the rows of its input planes. Then, if the table smooths chroma or spectra, the rows of the
     # outputs to be smoothed. The last element is the rows of the band itself.
     reads: tuple[slice, ...]
-    raw_rows: slice  # rows of the raw frame that the patches of the first layer and the values of clipped areas need
+    raw_rows: slice  # rows of the raw frame that any step needs
     columns: int  # number of columns of the frame
     mosaic_source: tuple[Source, Source]  # index buffers for rows, counted from the first of `raw_rows`, and for columns
     later: tuple[PlaneSource, ...]  # one per refinement layer
@@ -255,8 +256,9 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
             reads.insert(0, slice(max(0, above), min(rows, reads[0].stop + margin)))
         seen = row_source[reads[0].start : reads[0].stop + 2 * radius]
         raw_rows = slice(int(seen.min()), int(seen.max()) + 1)
-        if table.later and table.later[-1].clipping:
-            read, margin = reads[len(table.later) - 1], clipping_reach(cfa)
+        needed = [(reads[len(table.later) - 1], clipping_reach(cfa))] if table.later and table.later[-1].clipping else []
+        needed += [(reads[-1], channel_reach(cfa))] if table.chroma_smoothing else []
+        for read, margin in needed:
             start, stop = max(0, read.start - margin), min(rows, read.stop + margin)
             raw_rows = slice(min(raw_rows.start, start), max(raw_rows.stop, stop))
         later = tuple(
