@@ -312,7 +312,9 @@ class TransformTable(Artifact):
 
     @property
     def white_signals(self) -> NDArray[np.float64] | None:
-        """Signal of each channel for a white with an output Y of 1, as a fraction of full scale (docs/method.md#raised-pixels).
+        """Signal of each channel for a white with an output Y of 1, as a fraction of full scale.
+
+        Pixels are raised with them (docs/method.md#raised-pixels).
 
         None if the illuminant is unknown, or if a channel has no signal.
         """
