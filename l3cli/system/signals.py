@@ -1,12 +1,7 @@
 """Convert SIGINT and SIGTERM to exceptions, after which the program cleans up and reports one line.
 
-<<<<<<< HEAD
-Outputs are temporary files that are renamed when they are complete, so an exception may occur at almost any time. Only two
+Outputs are temporary files that are renamed when they are complete, so an exception may occur at almost any time. Only three
 kinds of code must not be interrupted:
-=======
-Outputs are temporary files that are renamed when they are complete, so an exception may occur at any time. Signals must not
-interrupt only three kinds of code:
->>>>>>> 03479a91 (Results of workers on other machines are checked where they arrive; their errors can always be read)
 
 * The callbacks through which HDF5 writes. HDF5 would discard both the exception and the data, and the file would look
   complete although it is not.
