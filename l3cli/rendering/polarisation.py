@@ -5,21 +5,14 @@ from numpy.typing import NDArray
 
 from l3cli.frames.frame import upright
 from l3cli.physics.display import codes, srgb_curve
+from l3cli.physics.polarisation_colours import DIVERGING, VIRIDIS, angle_colours, coloured, degree_colours, hues
 from l3cli.physics.stokes import DARKEST, FEATURES, IN_ORDER, STOKES, aolp, dolp, has_stokes, stokes_of
 
 Floats = NDArray[np.floating]
 
 SHOWN = ("dolp", "aolp", "stokes")  # pictures that l3 can make of Stokes parameters
-FULL_BRIGHTNESS = 0.5  # smallest degree of polarisation with full brightness in a picture of the angle
 BAR_FRACTION, MIN_BAR_PIXELS = 0.03, 6  # width of the colour bar and of the gap beside it, relative to the picture's width
 TICKS = 4  # number of intervals into which ticks divide a colour bar
-# sRGB values of the colour map viridis (CC0, Smith and van der Walt, 2015) at equal distances
-VIRIDIS = np.array(
-    [(68, 1, 84), (71, 44, 122), (59, 81, 139), (44, 113, 142), (33, 144, 141), (39, 173, 129), (92, 200, 99),
-     (170, 220, 50), (253, 231, 37)]
-) / 255.0  # fmt: skip
-# sRGB values of a map for signed values: blue, white for 0, red
-DIVERGING = np.array([(33, 102, 172), (146, 197, 222), (247, 247, 247), (244, 165, 130), (178, 24, 43)]) / 255.0
 
 
 def in_upright_frame(planes: Floats, outputs: tuple[str, ...], orientation: int) -> Floats:
@@ -85,10 +78,9 @@ def picture_of(planes: Floats, outputs: tuple[str, ...], shown: str, bits: int) 
     rows = stokes.shape[1]
     scale = np.linspace(1, 0, rows)[:, None]
     if shown == "dolp":
-        picture, bar = coloured(dolp(stokes), VIRIDIS), coloured(scale, VIRIDIS)
+        picture, bar = degree_colours(stokes), coloured(scale, VIRIDIS)
     elif shown == "aolp":
-        picture = _hues(aolp(stokes) / 180) * np.minimum(dolp(stokes) / FULL_BRIGHTNESS, 1)[..., None]
-        bar = _hues(scale)
+        picture, bar = angle_colours(stokes), hues(scale)
     else:
         bright = np.percentile(stokes[0], 99)
         grey = srgb_curve(stokes[0] / max(bright, DARKEST))
@@ -96,22 +88,6 @@ def picture_of(planes: Floats, outputs: tuple[str, ...], shown: str, bits: int) 
         panels = [np.repeat(grey[..., None], 3, axis=2), *(coloured((ratio + 1) / 2, DIVERGING) for ratio in ratios)]
         picture, bar = np.concatenate(panels, axis=1), coloured(scale, DIVERGING)
     return codes(_with_bar(picture, bar), bits)
-
-
-def coloured(values: Floats, colours: Floats) -> Floats:
-    """Map values from 0 to 1 to a colour scale.
-
-    The scale interpolates linearly between the equidistant `colours` (colour, 3). The result has an additional last axis for
-    R, G and B.
-    """
-    at = np.linspace(0, 1, len(colours))
-    return np.stack([np.interp(values, at, channel) for channel in colours.T], axis=-1)
-
-
-def _hues(share: Floats) -> Floats:
-    """Return fully saturated R, G and B for hues on a circle from 0 (red) to 1 (red again)."""
-    sector = (share[..., None] * 6 + np.array([0.0, 4.0, 2.0])) % 6
-    return np.clip(np.abs(sector - 3) - 1, 0, 1)
 
 
 def _with_bar(picture: Floats, bar: Floats) -> Floats:

@@ -26,6 +26,7 @@ from l3cli.evaluation.sequence import read_sequence_figures
 from l3cli.io.pictures.openimageio import jpeg
 from l3cli.options.commands import CheckOptions, ReportOptions
 from l3cli.physics.display import XYZ
+from l3cli.physics.stokes import has_stokes
 from l3cli.rendering.opencl.devices import cache_warning
 from l3cli.report.camera import camera_section
 from l3cli.report.colours import channel_light
@@ -34,6 +35,7 @@ from l3cli.report.evaluation import evaluation_section, front_section, lit_as, s
 from l3cli.report.given import Entry, Given, Pair, cameras_within, lead_without_evaluation, role_of
 from l3cli.report.parts import MAX_PAGE_BYTES, Figures, Pixels, Section, Subsection, history_section, render_page
 from l3cli.report.pixels import crop_of, picker
+from l3cli.report.polarisation import polarisation_maps, polarisation_section
 from l3cli.report.sequence import sequence_section
 from l3cli.report.side_by_side import Side, shared_frame, side_by_side_section
 from l3cli.report.training import training_section
@@ -281,7 +283,7 @@ class Judged:
 
     pair: Pair
     document: dict[str, Any]  # output of `l3 evaluate --json`
-    front: Section | None  # section with the pictures; None if the outputs are not colours
+    front: Section | None  # section with the pictures; None if the outputs are neither colours nor Stokes parameters
     warning: str | None  # reason not to trust the evaluation
 
     @property
@@ -296,7 +298,7 @@ class Judged:
 def _judge(pair: Pair, anchor: str, limits: tuple[int, int, int], options: ReportOptions, console: Console) -> Judged:
     """Evaluate a table on the frames of a training set, and make the section with the pictures.
 
-    Pictures are shown only if the outputs of the table are X, Y and Z.
+    Pictures are shown only if the outputs of the table are X, Y and Z, or contain Stokes parameters.
 
     Parameters
     ----------
@@ -333,6 +335,13 @@ def _judge(pair: Pair, anchor: str, limits: tuple[int, int, int], options: Repor
             below = (*([chart] if chart else []), pixels)
             title = f"Pictures: {pair.table.name} on {pair.frames.name}"
             front = front_section(figures, shown, title, anchor, limits[0], jpeg, below, options.at)
+        elif has_stokes(transforms.outputs):
+            maps = {}
+            for index in shown_frames(figures, options.at):
+                frame, planes = evaluate_frame(judgement, renderers, reader, index, counted=False)
+                maps[index] = polarisation_maps(frame.target, planes, transforms.outputs)
+            title = f"Polarisation: {pair.table.name} on {pair.frames.name}"
+            front = polarisation_section(figures, maps, title, anchor, limits[0], jpeg)
     return Judged(pair._replace(transforms=transforms), figures, front, warning)
 
 

@@ -1,6 +1,7 @@
 """Polarisation cameras from the scenes to pictures, files and figures."""
 
 import json
+import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -34,12 +35,13 @@ KINDS = {"polarised": "Stokes", "polarised_colour": "CIE 1931 + Stokes"}
 
 @pytest.fixture(scope="module", params=KINDS)
 def trained(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with frames, a table and a raw frame of one of the two cameras."""
+    """A folder with frames for training, unseen frames, a table and a raw frame of one of the two cameras."""
     folder = tmp_path_factory.mktemp(request.param)
     (folder / "scenes.toml").write_text(SCENES.format(outputs=KINDS[request.param]))
     (folder / "classes.toml").write_text(small_classes())
     for call in (
         ("simulate", folder / "scenes.toml", "--camera", request.param, "-o", folder / "frames.h5"),
+        ("simulate", folder / "scenes.toml", "--camera", request.param, "-o", folder / "unseen.h5", "--seed", 1),
         ("train", folder / "frames.h5", "--classes", folder / "classes.toml", "-o", folder / "table.h5"),
     ):
         assert run([*map(str, call), "--quiet"]) == 0
@@ -123,7 +125,7 @@ def test_show_is_refused_where_it_has_no_effect(trained: Path, refused: Refused)
 
 def test_figures_and_reports(trained: Path, l3: L3) -> None:
     """Monochrome tables have bilinear interpolation beside them."""
-    table, frames, page = trained / "table.h5", trained / "frames.h5", trained / "report.html"
+    table, frames, page = trained / "table.h5", trained / "unseen.h5", trained / "report.html"
     code, out, _ = l3("evaluate", table, frames, "--json")
     assert code == 0
     document = json.loads(out)
@@ -135,7 +137,12 @@ def test_figures_and_reports(trained: Path, l3: L3) -> None:
         assert 0 < quality["aolp_rmse"] < 52
     assert "S0" in l3("evaluate", table, frames)[1]
     assert l3("report", table, frames, "-o", page)[0] == 0
-    assert page.stat().st_size > 10_000
+    text = page.read_text()
+    captions = re.findall(r'alt="[^"]*?, (\w+) of (\w+):', text)
+    shown = document["pipelines"] + ["ideal"]
+    assert {name for kind, name in captions if kind == "DoLP"} == set(shown)
+    assert [kind for kind, name in captions if name == "ideal"] == ["DoLP", "AoLP", "S0", "DoLP", "DoLP"]  # of three frames
+    assert len(captions) == 5 * len(shown)
 
 
 def test_a_white_does_not_change_grey_pictures(trained: Path, l3: L3) -> None:

@@ -7,12 +7,14 @@ import pytest
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame, upright
+from l3cli.physics.polarisation_colours import VIRIDIS
 from l3cli.physics.stokes import STOKES, aolp, behind, dolp
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.polarisation import SHOWN, in_upright_frame, names_in_files, picture_of, planes_in_files
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.rendition import Rendition, rendered
 from l3cli.rendering.white.source import usual_balance
+from l3cli.report.polarisation import polarisation_maps
 from tests.helpers.tables import random_table, with_refinement
 
 COLOURS = ("X", "Y", "Z", "S1", "S2")
@@ -104,3 +106,21 @@ def test_kernels_meet_the_reference(sides: tuple[int, ...]) -> None:
     assert np.abs(pictures[0] - pictures[1]).max() <= 1
     wanted = np.clip(0.5 * truth[1], 0, 1)
     assert np.corrcoef(pictures[1][..., 0].ravel(), wanted.ravel())[0, 1] > 0.9
+
+
+def test_maps_of_a_report_end_at_a_round_degree() -> None:
+    """The colours of the ideal are those of the colour key, and the scale contains nearly all degrees of the ideal."""
+    target = light(0.15, 45.0, (20, 20))
+    target[:, 0, :3] = light(0.9, 45.0, (1, 3))[:, 0]  # less than 1 % of the pixels
+    planes = {"ours": light(0.0, 0.0, (20, 20)), "bilinear": light(0.4, 135.0, (20, 20))}
+    maps, scale = polarisation_maps(target, planes, STOKES)
+    assert scale == 0.2
+    assert {kind: list(pictures) for kind, pictures in maps.items()} == {
+        kind: ["ours", "bilinear", "ideal"] for kind in ("DoLP", "AoLP", "S0")
+    }
+    ends = np.rint(255 * VIRIDIS[[0, -1]])
+    np.testing.assert_array_equal(maps["DoLP"]["ours"][5, 5], ends[0])
+    np.testing.assert_array_equal(maps["DoLP"]["bilinear"][5, 5], ends[1])  # above the scale
+    np.testing.assert_array_equal(maps["AoLP"]["bilinear"][5, 5], [128, 0, 255])  # three quarters of the hues
+    np.testing.assert_array_equal(maps["AoLP"]["ideal"][5, 5], np.rint(0.75 * np.array([127.5, 255, 0])))
+    assert maps["S0"]["ours"].min() == 255
