@@ -37,7 +37,7 @@ MAX_DIFFERENCE = 0.05  # squared relative difference of the signals from which t
 MIN_SIGNAL = 0.02  # fraction of full scale; smallest signal by which signals are divided
 # If the likeness of the surroundings, as a fraction of its maximum, has the value HUE_DOUBT, the weight of their hue is one
 # half. GREY_DOUBT times the likeness of the clipped block to a white is added to this value.
-HUE_DOUBT, GREY_DOUBT = 0.1, 3.0
+HUE_DOUBT, GREY_DOUBT = 0.05, 3.0
 SPREADS = 4  # number of steps in which the estimates of clipped blocks spread over uniform areas
 SPREAD_REACH = 32  # pixels; distance over which one step spreads the estimates
 MAX_CHANGE = 0.6  # mean squared relative difference of the unclipped channels from which estimates do not spread
