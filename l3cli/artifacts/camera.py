@@ -199,15 +199,31 @@ class Noise:
     prnu: float = data("float64", unit="1", doc="photo response nonuniformity: relative standard deviation over pixels")
     well_capacity: float = data("float64", unit="e-", doc="electrons at which a pixel saturates")
     column_noise: float = data("float64", unit="e-", doc="standard deviation of the fixed offsets of columns", default=0.0)
+    row_temporal_noise: float = data(
+        "float64", unit="e-", doc="standard deviation of the offset that each row gets anew in every frame", optional=0.0
+    )
+    column_temporal_noise: float = data(
+        "float64", unit="e-", doc="standard deviation of the offset that each column gets anew in every frame", optional=0.0
+    )
 
     def __post_init__(self) -> None:
         if not (min(dataclasses.astuple(self)) >= 0 and self.well_capacity > 0):
             raise ValueError("noise values must not be negative, and the well capacity must be positive")
 
     @property
+    def lines(self) -> float:
+        """Variance of the temporal offsets of rows and columns, in (e-)²."""
+        return self.row_temporal_noise**2 + self.column_temporal_noise**2
+
+    @property
     def temporal(self) -> float:
-        """Variance of the temporal noise in the dark, in (e-)². This is the read noise."""
-        return self.read_noise**2
+        """Variance of the temporal noise in the dark, in (e-)²: read noise, and temporal offsets of rows and columns."""
+        return self.read_noise**2 + self.lines
+
+    @property
+    def dark_noise(self) -> float:
+        """Temporal dark noise of EMVA 1288 in e-: the standard deviation of a pixel in the dark over time."""
+        return float(np.sqrt(self.temporal)) if self.lines else self.read_noise
 
     @property
     def fixed(self) -> float:
@@ -451,7 +467,7 @@ class CameraModel(Artifact):
         """Return the camera at a different analog gain.
 
         The levels stay the same. The read noise is interpolated between the known gains. Its square is linear in 1/gain²
-        (docs/method.md#gains).
+        (docs/method.md#gains). The temporal noise of rows and columns changes in proportion to the read noise.
 
         Parameters
         ----------
@@ -474,6 +490,13 @@ class CameraModel(Artifact):
         if readout is not None and own > 0:
             readout = replace(readout, channel_read_noise=readout.channel_read_noise * (read_noise / own))
         noise = replace(self.noise, read_noise=read_noise)
+        if own > 0 and noise.lines:
+            times = read_noise / own
+            noise = replace(
+                noise,
+                row_temporal_noise=noise.row_temporal_noise * times,
+                column_temporal_noise=noise.column_temporal_noise * times,
+            )
         return replace(self, gain=self.gain * gain, noise=noise, readout=readout, gains=gains)
 
     def gain_at(self, iso: float) -> float | None:
@@ -644,8 +667,34 @@ class CameraModel(Artifact):
         channel_dark: Any = dark
         if self.readout is not None and channel is not None:
             gain = self.gain * self.readout.channel_gain[channel]
-            temporal = self.readout.channel_read_noise[channel] ** 2
+            temporal = self.readout.channel_read_noise[channel] ** 2 + noise.lines
             channel_dark = dark * (self.readout.channel_exposure * self.readout.channel_gain)[channel]
         constant = gain**2 * (left * temporal + noise.fixed) + QUANTISATION
         constant += (left * gain + prnu * channel_dark) * channel_dark
         return stretch**2 * constant, stretch * (left * gain + 2 * prnu * channel_dark), prnu
+
+    @property
+    def has_line_noise(self) -> bool:
+        """Whether the pixels of a row or of a column share noise, see `line_variances`."""
+        return bool(self.noise.lines or self.noise.column_noise)
+
+    def line_variances(self, dark: float = 0.0) -> tuple[float, float]:
+        """Return the variances of the noise that the pixels of a row share, and of the noise that those of a column share.
+
+        Both are parts of the constant term of `noise_terms`. The noise of a column includes its fixed offset. Offsets of
+        channels with a different gain are larger by this gain.
+
+        Parameters
+        ----------
+        dark : float
+            Dark signal, in DN, as in `noise_terms`.
+
+        Returns
+        -------
+        rows, columns : float
+            Variances in DN².
+        """
+        noise, span = self.noise, self.white_level - self.black_level
+        unit = (self.gain * span / (span - dark)) ** 2
+        rows = self.noise_left * noise.row_temporal_noise**2
+        return unit * rows, unit * (self.noise_left * noise.column_temporal_noise**2 + noise.column_noise**2)

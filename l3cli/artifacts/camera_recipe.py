@@ -25,7 +25,7 @@ from l3cli.artifacts.camera import (
 )
 from l3cli.artifacts.camera_curves import ResponsivityRecipe, curve_faults, curve_table, differences, responsivity
 from l3cli.artifacts.recipe_source import RecipeSource
-from l3cli.artifacts.schema import Spec, declared
+from l3cli.artifacts.schema import Spec, declared, is_stored
 from l3cli.artifacts.store import load
 from l3cli.errors import InputFileError, RecipeError, raised_as, suggestion
 from l3cli.recipes.builtin import known_recipes
@@ -218,7 +218,9 @@ class NoiseRecipe(Recipe):
     dark_current_e_per_s: NotNegative = 0.0
     dsnu_e: NotNegative = 0.0
     prnu: NotNegative = 0.0
-    column_noise_e: NotNegative = 0.0
+    column_noise_e: NotNegative = 0.0  # fixed offset of each column
+    row_temporal_noise_e: NotNegative = 0.0  # offset that each row gets anew in every frame
+    column_temporal_noise_e: NotNegative = 0.0  # offset that each column gets anew in every frame
 
 
 def noise_of(recipe: NoiseRecipe) -> Noise:
@@ -226,9 +228,17 @@ def noise_of(recipe: NoiseRecipe) -> Noise:
     return Noise(**{name: getattr(recipe, key) for name, key in noise_keys().items()})
 
 
-def noise_recipe(noise: Noise) -> NoiseRecipe:
-    """Return the recipe section that declares a noise. It is the inverse of `noise_of`."""
-    return NoiseRecipe(**{key: getattr(noise, name) for name, key in noise_keys().items()})
+def noise_entries(noise: Noise) -> dict[str, float]:
+    """Return the keys of the recipe section that declares a noise. Optional terms that are zero are left out.
+
+    It is the inverse of `noise_of`.
+    """
+    fields = dict(declared(Noise))
+    return {
+        key: getattr(noise, name)
+        for name, key in noise_keys().items()
+        if isinstance(spec := fields[name], Spec) and is_stored(noise, name, spec)
+    }
 
 
 def noise_keys() -> dict[str, str]:

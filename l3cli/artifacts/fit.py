@@ -50,6 +50,24 @@ class NoiseFit:
     photon_transfer_variance: NDArray[np.float64] = data(
         "float64", "white_exposure", "channel", unit="DN^2", doc="temporal variance of each white exposure"
     )
+    row_temporal_noise: float = data(
+        "float64",
+        unit="e-",
+        doc="part of the temporal dark noise that the pixels of a row share; 0: not significant",
+        optional=0.0,
+    )
+    row_temporal_noise_error: float = data(
+        "float64", unit="e-", doc="standard deviation of the measured row noise", optional=0.0
+    )
+    column_temporal_noise: float = data(
+        "float64",
+        unit="e-",
+        doc="part of the temporal dark noise that the pixels of a column share; 0: not significant",
+        optional=0.0,
+    )
+    column_temporal_noise_error: float = data(
+        "float64", unit="e-", doc="standard deviation of the measured column noise", optional=0.0
+    )
 
 
 @dataclass(frozen=True)

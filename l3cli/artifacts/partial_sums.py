@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts import store
+from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layers import PLANES, RATIO_TAPS, PlaneRule, one_rule
 from l3cli.artifacts.plane_rules import GradientScale, StructureRule, TreeRule
@@ -34,11 +35,22 @@ class ClassSums:
     moments: NDArray[np.float64] = data(
         "float64", "class", "pair", doc="products of the columns: upper triangle of the moment matrix, row by row"
     )
-    noise: NDArray[np.float64] = data("float64", "class", "tap", doc="noise variance of the taps")
+    noise: NDArray[np.float64] = data(
+        "float64",
+        "class",
+        "tap",
+        doc="noise variance of the taps; if rows or columns share noise, also the covariances of taps in the same line",
+    )
     count: NDArray[np.float64] = data("float64", "class", doc="number of training patches")
 
     def __post_init__(self) -> None:
         check(self)
+
+
+def noise_columns(rule: ClassRule, camera: CameraModel) -> int:
+    """Return the number of noise values per class: one per tap and, with line noise, one per pair of taps in a line."""
+    pairs_per_line = rule.patch * (rule.patch - 1) // 2
+    return rule.patch**2 + (2 * rule.patch * pairs_per_line if camera.has_line_noise else 0)
 
 
 @dataclass(frozen=True, repr=False)
@@ -88,7 +100,8 @@ class PartialSums(Artifact):
         """Shapes of the moments, the noise and the count of each site."""
         classes, taps = self.rule.classes_per_site, self.rule.patch**2
         width = taps + 1 + len(self.training.outputs)
-        return (classes, width * (width + 1) // 2), (classes, taps), (classes,)
+        noise = noise_columns(self.rule, self.training.camera)
+        return (classes, width * (width + 1) // 2), (classes, noise), (classes,)
 
 
 @dataclass(frozen=True)

@@ -418,7 +418,7 @@ def measure_polarisers(
             dark=dark_levels(exposures, measurements.darks, body, black_level),
             saturation=black_level + noise.SATURATED * (white_level - black_level),
             gain=gain,
-            dark_variance=(gain * sensor.noise.read_noise) ** 2,
+            dark_variance=(gain * sensor.noise.dark_noise) ** 2,
             defects=statistics.no_defects(),
         )
     return polarisers.measure_polarisers(captures, measurements.rotator, body, electronics, each)

@@ -31,22 +31,38 @@ def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
     Returns
     -------
     dict
-        Value and unit of each parameter, by its name in EMVA 1288. Column noise is included only if a camera recipe
-        declares it, because calibration does not measure column noise.
+        Value and unit of each parameter, by its name in EMVA 1288. The noise of rows and columns is included only if the
+        camera has it. Calibration does not measure column noise, the fixed offset of columns.
     """
     noise = camera.noise
-    columns = {"column noise": (noise.column_noise, "e-")} if noise.column_noise else {}
+    lines = {
+        "row temporal noise": noise.row_temporal_noise,
+        "column temporal noise": noise.column_temporal_noise,
+        "column noise": noise.column_noise,
+    }
     return {
         "overall system gain K": (camera.gain, "DN/e-"),
-        "temporal dark noise": (noise.read_noise, "e-"),
+        "temporal dark noise": (noise.dark_noise, "e-"),
         "dark current": (noise.dark_current, "e-/s"),
         "DSNU": (noise.dsnu, "e-"),
         "PRNU": (100.0 * noise.prnu, "%"),
         "saturation capacity": (min(noise.well_capacity, camera.full_scale), "e-"),
         "black level": (camera.black_level, "DN"),
         "white level": (camera.white_level, "DN"),
-        **columns,
+        **{name: (value, "e-") for name, value in lines.items() if value},
     }
+
+
+def line_errors(camera: CameraModel) -> dict[str, tuple[float, str]]:
+    """Return the half-widths of the 95 % confidence intervals of the measured noise of rows and columns, with their unit."""
+    fit, noise = camera.fit.noise if camera.fit else None, camera.noise
+    if fit is None:
+        return {}
+    errors = {
+        "row": fit.row_temporal_noise_error if noise.row_temporal_noise else 0.0,
+        "column": fit.column_temporal_noise_error if noise.column_temporal_noise else 0.0,
+    }
+    return {f"{line} temporal noise ±": (1.96 * error, "e-") for line, error in errors.items() if error}
 
 
 def figures(camera: CameraModel) -> dict[str, Any]:
@@ -75,7 +91,10 @@ def figures(camera: CameraModel) -> dict[str, Any]:
     if fit.polarisers is not None:
         columns |= _polariser_columns(fit.polarisers)
     return {
-        "camera": {name: {"value": value, "unit": unit} for name, (value, unit) in camera_figures(camera).items()},
+        "camera": {
+            name: {"value": value, "unit": unit}
+            for name, (value, unit) in (camera_figures(camera) | line_errors(camera)).items()
+        },
         "channels": _by_channel(camera, columns) if columns else {},
         "lights": _lights(camera, fit.chart) if fit.chart else {},
         "bands": _bands(camera, fit.series) if fit.series else {},
@@ -177,10 +196,10 @@ def _gains(camera: CameraModel) -> dict[str, dict[str, float]]:
     rows = {}
     for times in sorted([1.0, *camera.gains.analog_gain]) if camera.gains else []:
         there = camera.at_gain(float(times))
-        capacity, least = there.full_scale, sensitivity_threshold(there.noise.read_noise, there.gain)
+        capacity, least = there.full_scale, sensitivity_threshold(there.noise.dark_noise, there.gain)
         rows[f"gain {times:.3g}"] = {
             "K (DN/e-)": there.gain,
-            "dark noise (e-)": there.noise.read_noise,
+            "dark noise (e-)": there.noise.dark_noise,
             "capacity (e-)": capacity,
             "SNR max (dB)": float(10.0 * np.log10(capacity)),
             "DR (dB)": float(20.0 * np.log10(capacity / least)),

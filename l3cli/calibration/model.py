@@ -1,6 +1,7 @@
 """Builds a camera model from measurements. The functions follow the order of docs/method.md#calibration."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,9 @@ LEAST_R_SQUARED = 0.5  # if R² is lower, the measurement file does not describe
 Array = NDArray[np.float64]
 TOLERANCE = 0.1  # largest relative difference between a gain or exposure in the measurement file and its measured value
 SAME_SPEED = 1.25  # largest ratio, in either direction, between a measured gain and the gain that the ISO speed implies
+# Weaker temporal noise of rows or columns, relative to the temporal dark noise, is not visible and is left out of the camera
+# model, because it would make training slower. Stripes become visible at about twice this strength.
+LEAST_LINE_NOISE = 0.05
 CERTAIN = 4.0  # a measured gain is an error only if it deviates by more than this number of standard deviations
 
 
@@ -119,7 +123,10 @@ def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = 
                 f"the gain at ISO {captures.iso:g} is {times:.3g} times the gain at ISO {measurements.iso:g}, but the ISO "
                 f'speeds imply {stated:.3g} times; use frames with analog gain only, or correct "iso"'
             )
-        found[times] = noise.noise.read_noise
+        # The row and column noise of a camera changes in proportion to its read noise.
+        found[times] = noise.noise.dark_noise * (
+            camera.noise.read_noise / camera.noise.dark_noise if camera.noise.lines else 1
+        )
     known = sorted(found)
     return AnalogGains(np.array(known), np.array([found[gain] for gain in known]), measurements.iso)
 
@@ -288,6 +295,10 @@ def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
         exposure=sensor.exposure,
         photon_transfer_mean=transfer.mean,
         photon_transfer_variance=transfer.variance,
+        row_temporal_noise=dark.rows.deviation / conversion_gain(sensor, body),
+        row_temporal_noise_error=dark.rows.error / conversion_gain(sensor, body),
+        column_temporal_noise=dark.columns.deviation / conversion_gain(sensor, body),
+        column_temporal_noise_error=dark.columns.error / conversion_gain(sensor, body),
     )
 
 
@@ -319,9 +330,25 @@ def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
     read_noise, dsnu, prnu = quadratic(lowest) / share**0.5, quadratic(figures.dsnu), quadratic(figures.prnu)
     dark_current = max(float(pixels @ figures.dark_current), 0.0)
     well = (sensor.transfer.white_level - black_level) / conversion
-    return SensorFigures(
-        conversion, black_level, sensor.transfer.white_level, Noise(read_noise, dark_current, dsnu, prnu, well)
+    rows, columns = (
+        deviation if deviation >= LEAST_LINE_NOISE * read_noise else 0.0
+        for deviation in (figures.row_temporal_noise, figures.column_temporal_noise)
     )
+    noise = Noise(
+        read_noise=without_lines(read_noise, rows, columns),
+        dark_current=dark_current,
+        dsnu=dsnu,
+        prnu=prnu,
+        well_capacity=well,
+        row_temporal_noise=rows,
+        column_temporal_noise=columns,
+    )
+    return SensorFigures(conversion, black_level, sensor.transfer.white_level, noise)
+
+
+def without_lines(dark_noise: Any, rows: float, columns: float) -> Any:
+    """Return the part of a temporal dark noise, in electrons, that pixels do not share with their row or column."""
+    return np.sqrt(np.maximum(dark_noise**2 - rows**2 - columns**2, 0.0)) if rows or columns else dark_noise
 
 
 def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> CameraModel:
@@ -361,7 +388,7 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
             optics=body.optics,
             declared=_declared(fit),
             fit=fit,
-            readout=measured_readout(body, fit.noise, sensor.noise.read_noise),
+            readout=measured_readout(body, fit.noise, sensor.noise),
         )
         return with_polarisers(camera, fit.polarisers, body)
 
@@ -424,12 +451,14 @@ def filter_curves(curves: Array, band: Array, body: Body) -> tuple[Array, Array]
     return curves / setting / peak, band / setting / peak
 
 
-def measured_readout(body: Body, noise: NoiseFit | None, read_noise: float) -> Readout | None:
+def measured_readout(body: Body, fit: NoiseFit | None, noise: Noise) -> Readout | None:
     """Return the exposure, gain and read noise of each channel, or None if all channels have the same exposure and gain.
 
-    `read_noise`, in electrons, is used for every channel if the noise was not measured.
+    The read noise of `noise` is used for every channel if the noise was not measured.
     """
     if body.readout is None:
         return None
-    each = np.full(len(body.channels), read_noise) if noise is None else noise.read_noise
+    each = np.full(len(body.channels), noise.read_noise)
+    if fit is not None:
+        each = without_lines(fit.read_noise, noise.row_temporal_noise, noise.column_temporal_noise)
     return replace(body.readout, channel_read_noise=np.asarray(each, np.float64))

@@ -36,6 +36,7 @@ from l3cli.frames.measurement import Body, Capture
 SATURATED = 0.985  # fraction of full scale from which a pixel counts as saturated
 TOLERATED = 1e-4  # largest fraction of saturated pixels in frames from which a variance is computed
 LINEAR = (0.05, 0.95)  # fractions of saturation between which EMVA 1288 evaluates linearity
+CHANCE = 0.01  # probability of finding row noise where there is none, and the same for column noise
 WINDOW = 7  # side of the window of local means, in samples of one CFA site; with more than 9, dust increases the PRNU
 Array = NDArray[np.float64]
 
@@ -49,6 +50,17 @@ class DarkNoise:
     variance: Array  # DN²; temporal variance at zero exposure time, without quantisation noise
     dsnu: Array  # DN
     hot: Defects = field(default_factory=no_defects)  # hot pixels
+    # noise that lines share, in channels with the lowest gain; part of `variance`
+    rows: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
+    columns: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class LineNoise:
+    """Temporal noise that the pixels of a row share, or those of a column. Both values are 0 if it is not significant."""
+
+    deviation: float  # DN
+    error: float  # DN; standard deviation of `deviation`
 
 
 @dataclass(frozen=True)
@@ -109,6 +121,7 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
     agreement.check_darks(captures, mean.mean(axis=1))
     variance = np.array([level.variance for level in levels])
     left = (intercept**2 / [level.trials for level in levels]) @ np.array([level.pixel_variance for level in levels])
+    squares = [level.lines for level in levels]
     spatial = pooled([pixel_variance(site) for _, site in by_site(offsets, body.cfa)], body.cfa)
     return DarkNoise(
         black_level=intercept @ mean,
@@ -116,7 +129,42 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
         variance=np.maximum(intercept @ variance - QUANTISATION, 0.0),
         dsnu=np.sqrt(np.maximum(spatial - left, 0.0)),
         hot=hot,
+        rows=line_noise([(each.rows, each.pixels, each.row_freedom) for each in squares], body.cols),
+        columns=line_noise([(each.columns, each.pixels, each.column_freedom) for each in squares], body.rows),
     )
+
+
+def line_noise(squares: Sequence[tuple[float, float, int]], pixels: int) -> LineNoise:
+    """Estimate the temporal noise that pixels of a line share (docs/method.md#row-and-column-noise).
+
+    The noise is significant if the ratio of the mean squares would be exceeded by chance with a probability below
+    `CHANCE`. Fixed patterns do not contribute, because the mean squares are those of differences between frames.
+
+    Parameters
+    ----------
+    squares : sequence of (float, float, int)
+        For each exposure time, the mean square of the lines, the mean square of the pixels, and the degrees of freedom of
+        the lines, from `LineSquares`.
+    pixels : int
+        Number of pixels in a line.
+
+    Returns
+    -------
+    LineNoise
+    """
+    from scipy.special import chdtrc
+
+    lines, independent, freedom = np.array(squares, np.float64).T
+    known = (independent > 0) & (freedom > 0)
+    lines, independent, freedom = lines[known], independent[known], freedom[known]
+    if not lines.size or chdtrc(freedom.sum(), float(freedom @ (lines / independent))) > CHANCE:
+        return LineNoise(0.0, 0.0)
+    weight = freedom / independent**2
+    weight /= weight.sum()
+    variance = float(weight @ (lines - independent)) / pixels
+    error = float(np.sqrt((weight * lines) ** 2 @ (2 / freedom))) / pixels
+    deviation = np.sqrt(max(variance, 0.0))
+    return LineNoise(float(deviation), float(error / (2 * deviation)) if deviation else 0.0)
 
 
 # ----------------------------------------------------------------------------------------------------------- white

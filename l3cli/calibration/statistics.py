@@ -126,6 +126,43 @@ class Level:
     counts: Counts  # (channel, value) number of pixels with each value, added over all frames
     variance: Array  # (channel) DN²; temporal variance, including row noise and column noise
     pixel_variance: Array  # (channel) DN²; temporal variance without row noise and column noise
+    lines: "LineSquares"  # analysis of the temporal variance by rows and columns
+
+
+@dataclass(frozen=True)
+class LineSquares:
+    """Mean squares of a two-way analysis of variance of differences between two frames, divided by 2.
+
+    Without row noise, `rows` and `pixels` have the same expected value. With row noise, the expected value of `rows` is
+    larger by the variance of the rows times their number of pixels. The same applies to columns.
+    """
+
+    rows: float  # DN²
+    columns: float  # DN²
+    pixels: float  # DN²
+    row_freedom: int  # degrees of freedom of `rows`
+    column_freedom: int  # degrees of freedom of `columns`
+
+
+def line_squares(difference: NDArray[np.integer], body: Body) -> Array:
+    """Return the sums of squares of rows, columns and pixels in the difference of two frames, divided by 2.
+
+    Differences are divided by the relative gain of their channel, and the mean of each CFA site is subtracted.
+    """
+    scaled = np.empty(difference.shape)
+    for (channel, site), (_, target) in zip(by_site(difference, body.cfa), by_site(scaled, body.cfa), strict=True):
+        target[...] = (site - site.mean()) / (np.sqrt(2) * body.channel_gains[channel])
+    rows, columns = (scaled.shape[1 - axis] * (scaled.mean(axis=1 - axis) ** 2).sum() for axis in (0, 1))
+    return np.array([rows, columns, (scaled**2).sum() - rows - columns])
+
+
+def mean_squares(sums: Sequence[Array], body: Body) -> LineSquares:
+    """Convert the results of `line_squares` for pairs of frames with the same exposure time to mean squares."""
+    (down, across), pairs = body.cfa.shape, len(sums)
+    rows, columns = body.rows - down, body.cols - across
+    means = np.mean(sums, axis=0) / np.maximum([rows, columns, rows * columns], 1)
+    of_rows, of_columns, of_pixels = means.tolist()
+    return LineSquares(of_rows, of_columns, of_pixels, rows * pairs, columns * pairs)
 
 
 def by_site(values: NDArray, cfa: NDArray[np.uint8]) -> Iterator[tuple[int, NDArray]]:
@@ -187,7 +224,7 @@ def measure_level(capture: Capture, body: Body, defects: Defects) -> Level:
     pair, frames 3 and 4 form the next pair. Raises InputFileError if the capture contains a single frame.
     """
     counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
-    variances, pixel_variances, trials = [], [], 0
+    variances, pixel_variances, squares, trials = [], [], [], 0
     previous = None
     for frame in capture.frames:
         counts += histogram(frame, body, defects)
@@ -200,11 +237,13 @@ def measure_level(capture: Capture, body: Body, defects: Defects) -> Level:
         sites = [site for _, site in by_site(difference, body.cfa)]
         variances.append(pooled([site.var(dtype=np.float64) / 2 for site in sites], body.cfa))
         pixel_variances.append(pooled([pixel_variance(site) / 2 for site in sites], body.cfa))
+        squares.append(line_squares(difference, body))
         previous = None
     if not variances:
         raise InputFileError(f"{capture.name} is a single frame; measure noise with two or more frames per exposure time")
     variance, of_pixels = np.mean(variances, axis=0), np.mean(pixel_variances, axis=0)
-    return Level(capture.exposure, capture.lit, trials, counts, variance, of_pixels)
+    lines = mean_squares(squares, body)
+    return Level(capture.exposure, capture.lit, trials, counts, variance, of_pixels, lines)
 
 
 def pixel_variance(picture: NDArray[Any]) -> float:

@@ -18,7 +18,7 @@ from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.keys import BasicKeys
 from l3cli.classes.statistics import Statistics
-from l3cli.classes.windows import VARIANCE_FRACTION, Integers
+from l3cli.classes.windows import VARIANCE_FRACTION, Integers, window_channels
 from l3cli.errors import RecipeError
 
 MEAN_TRUNCATED = 1 / 3  # DN²; mean increase of V because M is rounded down, which matters if the noise is below 1 DN
@@ -55,7 +55,8 @@ def stored_edges(
         Edges of the contrast, as values of the sum of V over all channels (see the module docstring).
     """
     channels = len(camera.channels)
-    variance = noise_of_grey(levels, camera, dark) / 4**shift + (1 / 12 if shift else 0.0) + MEAN_TRUNCATED
+    variance = noise_of_grey(levels, camera, dark) - noise_of_means(camera, recipe.patch, dark)
+    variance = variance / 4**shift + (1 / 12 if shift else 0.0) + MEAN_TRUNCATED
     limit = 2.0**32 - 1 - channels
     squared = np.array(recipe.contrasts, dtype=np.float64).reshape(-1, 1) ** 2
     return np.minimum(np.rint(squared * variance * channels * 2**VARIANCE_FRACTION), limit).astype(np.uint32)
@@ -79,6 +80,20 @@ def noise_of_grey(levels: NDArray[np.float64], camera: CameraModel, dark: float)
     signal = levels[:, None] * camera.sensitivity
     variance = camera.noise_variance(signal * span, dark, np.arange(len(camera.channels)))
     return np.asarray((variance * (signal < 1)).mean(axis=1))
+
+
+def noise_of_means(camera: CameraModel, patch: int, dark: float) -> float:
+    """Return the variance that line noise gives to the mean of a channel over a patch, in DN², averaged over the channels.
+
+    The contrast does not contain this variance, because it is measured from the mean of the channel. The variance that
+    independent noise gives to the mean is neglected.
+    """
+    rows, columns = camera.line_variances(dark)
+    channel = window_channels(camera.cfa, patch).reshape(-1, patch, patch)
+    member = channel == np.arange(len(camera.channels))[:, None, None, None]  # (channel, site, row, col)
+    count = np.maximum(member.sum(axis=(2, 3)), 1)
+    shares = [((member.sum(axis=axis) / count[..., None]) ** 2).sum(axis=2).mean(axis=1) for axis in (3, 2)]
+    return float(((rows * shares[0] + columns * shares[1]) * camera.channel_gains**2).mean())
 
 
 def contrasts(rule: ClassRule, statistics: Statistics, level: Integers) -> Integers:

@@ -108,7 +108,8 @@ def _strength_edges(
 ) -> Integers:
     """Return the edges between strengths, with the shape (strength edge, level).
 
-    The edges are multiples of the RMS difference that noise alone causes.
+    The edges are multiples of the RMS difference that noise alone causes. The noise of rows and columns changes some of the
+    four differences more than others. The edges then follow the noisiest difference, so that it is no structure.
     """
     counts = np.zeros((4, rule.patch, rule.patch))
     for window in windows:
@@ -118,7 +119,12 @@ def _strength_edges(
     means = level.centres(level.inner_bounds(rule, camera.black_level, camera.white_level))
     shares = level.unclipped_level(means, camera.sensitivity) / camera.sensitivity.mean()
     variance = contrast.noise_of_grey(shares, camera, dark) / 4**rule.shift + 1 / 12
-    edges = np.array(keys.strengths)[:, None] * np.sqrt(variance * power)
+    rows, columns = camera.line_variances(dark)
+    scaled = counts * multipliers[[0, 1, 0, 1]][:, None, None]
+    shared = rows * (scaled.sum(axis=2) ** 2).sum(axis=1) + columns * (scaled.sum(axis=1) ** 2).sum(axis=1)
+    independent = variance - (rows + columns) / 4**rule.shift
+    noisiest = independent * power + shared.max() / 4**rule.shift if shared.any() else variance * power
+    edges = np.array(keys.strengths)[:, None] * np.sqrt(noisiest)
     return np.minimum(np.rint(edges), 2**31 - 1).astype(np.int64)
 
 

@@ -168,13 +168,16 @@ class Noise:
     dark: float  # e-/s, dark current
     full: float  # e-, full scale
     prnu: float  # relative standard deviation of the response
+    rows: float = 0.0  # e-², part of `floor` that the pixels of a row share
+    columns: float = 0.0  # e-², part of `floor` that the pixels of a column share
 
 
 def noise_of(camera: CameraModel) -> Noise:
     """Return the noise parameters of a camera's pixels, assuming that all channels have the same exposure and gain."""
     noise = camera.noise
     floor = noise.temporal + noise.fixed + QUANTISATION / camera.gain**2
-    return Noise(floor, noise.dark_current, camera.full_scale, noise.prnu)
+    rows, columns = (each / camera.gain**2 for each in camera.line_variances())
+    return Noise(floor, noise.dark_current, camera.full_scale, noise.prnu, rows, columns)
 
 
 @dataclass(frozen=True)
@@ -326,6 +329,12 @@ def array_errors(seen: Seen, cfa: Cfa, noise: Noise, level: Level) -> NDArray[np
     variance += TAP_RIDGE * power.mean(axis=2, keepdims=True) + EMPTY_NOISE * (seen.patches == 0)[:, None]
     clipped = mean / np.maximum(weight, 1e-12) * dose > noise.full
     matrix[..., tap, tap] += np.where(clipped, CLIPPED_NOISE * power, variance)
+    if noise.rows or noise.columns:
+        row, col = np.divmod(tap, SIDE)
+        shared = noise.rows * (row[:, None] == row) + noise.columns * (col[:, None] == col)
+        shared[tap, tap] = 0.0  # already part of `variance`
+        both = ~(clipped[..., :, None] | clipped[..., None, :])
+        matrix += np.where(both, shared * (weight / dose**2)[..., None], 0.0)
     explained = np.einsum("sKpy,sKpy->sK", cross, np.linalg.solve(matrix, cross))
     return np.asarray(np.sqrt(np.maximum(seen.target - explained, 0.0)).mean(axis=0))
 

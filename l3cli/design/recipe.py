@@ -16,7 +16,7 @@ from l3cli.artifacts.camera_recipe import (
     SensorRecipe,
     camera_files,
     load_camera,
-    noise_recipe,
+    noise_entries,
     optics_recipe,
 )
 from l3cli.errors import RecipeError, suggestion
@@ -389,7 +389,7 @@ def camera_texts(camera: CameraModel, origin: str) -> dict[str, str]:
         Comment for the first line of the recipe.
     """
     pitch = round(camera.pixel_pitch * 1e6, 6)
-    tables: dict[str, Recipe] = {
+    tables: dict[str, Recipe | dict[str, float]] = {
         "sensor": SensorRecipe(
             rows=camera.rows,
             cols=camera.cols,
@@ -401,14 +401,15 @@ def camera_texts(camera: CameraModel, origin: str) -> dict[str, str]:
             fixed_pattern_seed=camera.fixed_pattern_seed,
         ),
         "cfa": CfaRecipe(list(camera.channels), array_rows(camera.channels, camera.cfa)),
-        "noise": noise_recipe(camera.noise),
+        "noise": noise_entries(camera.noise),
         "optics": optics_recipe(camera.optics),
     }
     if (gains := camera.gains) is not None:
         tables["gain"] = GainRecipe(gains.iso, tuple(gains.analog_gain.tolist()), tuple(gains.gain_read_noise.tolist()))
     recipe = [f"# {printable(origin)}", f"name = {toml_value(camera.name)}", f'responsivity = {{ file = "{CURVES}" }}']
     for name, table in tables.items():
-        known = {key: each for key, each in msgspec.structs.asdict(table).items() if each is not None}
+        entries = table if isinstance(table, dict) else msgspec.structs.asdict(table)
+        known = {key: each for key, each in entries.items() if each is not None}
         recipe += ["", f"[{name}]", *(f"{key} = {toml_value(each)}" for key, each in known.items())]
     curves = [",".join(["wavelength_nm", *(f"{name} (e-/photon)" for name in camera.channels)])]
     for at, row in zip(camera.wavelength, camera.responsivity.T, strict=True):

@@ -45,7 +45,7 @@ DECLARED_AS = {  # names in `CameraModel.declared`, by quantity
     "black level": "black level",
     "white level": "white level",
 }
-NOISE = ("dark current", "DSNU", "PRNU", "column noise")
+NOISE = ("dark current", "DSNU", "PRNU", "row temporal noise", "column temporal noise", "column noise")
 Row = tuple[str, str, float | str, str, str]
 # Files of every camera
 CURVES, RAWTOACES_JSON, DATASHEET = "responsivity.csv", "rawtoaces.json", "datasheet.csv"

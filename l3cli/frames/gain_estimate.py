@@ -62,8 +62,11 @@ def estimate_gain(frame: RawFrame, camera: CameraModel) -> GainEstimate:
     Raises
     ------
     ValueError
-        If the frame has too few uniform areas that are not clipped. The message states the reason.
+        If the frame has too few uniform areas that are not clipped, or if rows or columns of the camera have temporal noise,
+        which differences between neighbouring pixels show only in part. The message states the reason.
     """
+    if camera.noise.lines:
+        raise ValueError("the camera has temporal noise of rows or columns")
     patches, gain, excess = _patches_of(frame, camera), 1.0, 0.0
     for _ in range(ROUNDS):
         plain = _consistent(_plain(patches, camera, gain, excess), camera, gain)

@@ -336,12 +336,23 @@ def _noise_terms(table: TransformTable, frame: RawFrame) -> tuple[Array, Array, 
 
     The constant and the linear term have one value per channel.
     """
-    assert table.camera is not None
     every = np.arange(len(table.channels))
-    camera: CameraModel = replace(table.camera, noise_left=frame.noise_share)
-    dark = frame.dark * (table.white_level - table.black_level) / (frame.white_level - frame.black_level)
+    camera, dark = _camera_and_dark(table, frame)
     constant, linear, quadratic = camera.noise_terms(dark, every)
     return np.broadcast_to(constant, every.size), np.broadcast_to(linear, every.size), quadratic
+
+
+def _line_variances(table: TransformTable, frame: RawFrame) -> tuple[float, float]:
+    """Return the variances that the pixels of a row and of a column share, in DN², converted to the levels of the table."""
+    camera, dark = _camera_and_dark(table, frame)
+    return camera.line_variances(dark)
+
+
+def _camera_and_dark(table: TransformTable, frame: RawFrame) -> tuple[CameraModel, float]:
+    """Return the camera with the noise that a temporal filter left in a frame, and the dark signal at the table's levels."""
+    assert table.camera is not None
+    dark = frame.dark * (table.white_level - table.black_level) / (frame.white_level - frame.black_level)
+    return replace(table.camera, noise_left=frame.noise_share), dark
 
 
 # ----------------------------------------------------------------------------------------------------------- bootstrap
@@ -372,7 +383,9 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Arr
     span = table.white_level - table.black_level
     signal = sum(part[channel] * plane for part, plane in zip(matrix.T, scene, strict=True)).clip(0, span)
     constant, linear, quadratic = terms = _noise_terms(table, frame)
-    sigma = np.sqrt(np.maximum(constant[channel] + (linear[channel] + quadratic * signal) * signal - QUANTISATION, 0))
+    lines, gain = _line_variances(table, frame), table.camera.channel_gains[channel] if table.camera else 1.0
+    variance = constant[channel] + (linear[channel] + quadratic * signal) * signal - QUANTISATION - sum(lines) * gain**2
+    sigma = np.sqrt(np.maximum(variance, 0))
     draws = int(np.clip(BUDGET // signal.size, *DRAWS))
     own = len(outputs)
     made = np.empty((len(_with_sums(table, scene)), draws, *signal.shape), np.float32)
@@ -380,6 +393,10 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Arr
     rng = np.random.default_rng(SEED)
     for draw in range(draws):
         noisy = table.black_level + signal + sigma * rng.standard_normal(signal.shape, np.float32)
+        for of_lines, axis in zip(lines, (1, 0), strict=True):
+            if of_lines:
+                offsets = rng.standard_normal(signal.shape[1 - axis]) * np.sqrt(of_lines)
+                noisy += gain * np.expand_dims(offsets, axis)
         values = np.clip(np.rint(noisy), 0, 2**table.bits - 1).astype(np.uint16)
         again = RawFrame("again", values, table.black_level, table.white_level, levelled.phase)
         rendered, labels = renderer.classified(again)

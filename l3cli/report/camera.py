@@ -330,6 +330,7 @@ def figures_table(camera: CameraModel, noise: NoiseFit) -> Table:
         ("inverse gain 1/K (e⁻/DN)", 1 / gain),
         ("temporal dark noise (e⁻)", noise.read_noise),
         ("temporal dark noise (DN)", np.hypot(gain * noise.read_noise, np.sqrt(QUANTISATION))),
+        *_line_noise_rows(noise),
         ("SNR max (dB)", 10 * np.log10(capacity)),
         ("SNR max (bit)", np.log2(capacity) / 2),
         ("threshold (e⁻)", least),
@@ -348,6 +349,21 @@ def figures_table(camera: CameraModel, noise: NoiseFit) -> Table:
     ]
     rows = tuple((name, *(tidy(float(value), 4) for value in values)) for name, values in lines)
     return Table("EMVA 1288 values per channel", ("quantity", *camera.channels), rows)
+
+
+def _line_noise_rows(noise: NoiseFit) -> list[tuple[str, Array]]:
+    """Return the noise of rows and columns, which is the same for all channels, if it is significant."""
+    found = {
+        "row": (noise.row_temporal_noise, noise.row_temporal_noise_error),
+        "column": (noise.column_temporal_noise, noise.column_temporal_noise_error),
+    }
+    every = np.ones_like(noise.read_noise)
+    return [
+        (f"{line} temporal noise{what} (e⁻)", every * value)
+        for line, (deviation, error) in found.items()
+        if deviation
+        for what, value in (("", deviation), (", standard error", error))
+    ]
 
 
 def _lit(camera: CameraModel, noise: NoiseFit, channel: int) -> tuple[Array, Array, Array]:

@@ -203,6 +203,10 @@ def _collected(
         signal += rng.standard_normal(signal.shape, dtype=np.float32) * read_noise
         signal *= 1 + pattern.prnu
         signal += pattern.dsnu
+        for axis, deviation in enumerate((noise.row_temporal_noise, noise.column_temporal_noise)):
+            if deviation:  # one offset per line of the frame; without this noise, the other random numbers stay the same
+                offsets = rng.standard_normal(signal.shape[axis], dtype=np.float32) * np.float32(deviation)
+                signal += offsets[:, None] if axis == 0 else offsets
     return signal
 
 

@@ -10,6 +10,7 @@ This takes two steps, so that intermediate arrays fit into the processor caches:
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from l3cli.classes.decide import label_sums
 from l3cli.classes.level import unclipped_level
 from l3cli.classes.statistics import patch_statistics, truncation
 from l3cli.classes.windows import Neighbourhoods, TapOrder, neighbourhoods, tap_order
+from l3cli.training.lines import LineNoise, Offsets, SharedNoise
 from l3cli.training.patches import Floats, Patches, colourless_frame, expose_patches, lacking_variance, levels_at, patches_of
 from l3cli.training.sample_weighting import TARGET_FLOOR, SampleWeighting
 from l3cli.training.sums import add_products, add_rounded, empty_sums, grid_steps, pieces_of, rounding_number, runs_of
@@ -52,7 +54,7 @@ def sum_sites(
         Sums of each site.
     """
     neighbours = neighbourhoods(pass_.head.camera.cfa, pass_.rule.patch, len(pass_.head.camera.channels))
-    sums = {site: empty_sums(pass_.rule, len(pass_.head.outputs)) for site in weightings}
+    sums = {site: empty_sums(pass_.rule, len(pass_.head.outputs), pass_.head.camera) for site in weightings}
     for first, sites, frames in blocks:
         rngs = {site: np.random.default_rng([pass_.seed, pass_.number, first, site]) for site in sites}
         for site, patches in _batches(pass_, first, frames, neighbours, rngs):
@@ -96,6 +98,7 @@ class _Batch:
         self, pass_: TrainingPass, patches: Patches, neighbours: Neighbourhoods, site: int, weighting: SampleWeighting | None
     ) -> None:
         self.pass_, self.patches, self.neighbours, self.site, self.weighting = pass_, patches, neighbours, site, weighting
+        self.lines = LineNoise.of(pass_.head.camera, pass_.dark)
         member = (neighbours.channel[site][:, None] == np.arange(neighbours.count.shape[1])) / neighbours.count[site]
         # weight of each tap in the level, which is the mean of the channel means
         self.tap_share = member.mean(axis=1).astype(np.float32)
@@ -148,19 +151,24 @@ class _Batch:
         signal: Floats = np.ascontiguousarray(patches.signal[batch].T)[order.taps]
         channel = self.neighbours.channel[self.site][order.taps][:, None]
         carried: Floats | None = None if patches.carried is None else patches.carried[batch].T[order.taps]
+        part = Patches(patches.signal[batch], patches.target[batch], None if carried is None else carried.T)
         for factor in scale:
             left = None if carried is None else carried * factor**2
-            values = self._exposed_values(signal * factor, rng, left, channel)
+            offsets = None
+            if self.lines is not None and pass_.recipe.noise != "none":
+                offsets = self.lines.drawn_for_taps(order.taps, pass_.rule.patch, part.lacking_share(factor), rng)
+            values = self._exposed_values(signal * factor, rng, left, channel, offsets)
             seen = patch_statistics(values, pass_.rule, order)
             yield label_sums(seen, pass_.rule, self.neighbours, self.site), self._level(seen.sums)
 
     def _exposed_values(
-        self, signal: Floats, rng: np.random.Generator, carried: Floats | None, channel: NDArray[np.int64]
-    ) -> NDArray[np.uint32]:
+        self, signal: Floats, rng: np.random.Generator, carried: Floats | None, channel: NDArray[np.int64],
+        offsets: Offsets | None,
+    ) -> NDArray[np.uint32]:  # fmt: skip
         """Convert signals (tap, patch) to DN, with noise unless the recipe has noise = "none"."""
         camera = self.pass_.head.camera
         if self.pass_.recipe.noise != "none":
-            return expose_patches(signal, camera, rng, carried, self.pass_.dark, channel)
+            return expose_patches(signal, camera, rng, carried, self.pass_.dark, channel, offsets)
         values = signal * np.float32(camera.white_level - camera.black_level) + np.float32(camera.black_level)
         return np.clip(np.rint(values), 0.0, np.floor(camera.white_level)).astype(np.uint32)
 
@@ -192,11 +200,18 @@ class _Batch:
         carried = None if self.patches.carried is None else self.patches.carried[patch] * scale[:, None] ** 2
         window = self.neighbours.channel[self.site]
         variance = lacking_variance(clean, self.pass_.head.camera, carried, self.pass_.dark, window)
+        shared = None if self.lines is None else self._shared(self.lines, clean, patch, scale)
         if self.pass_.recipe.noise == "none":
             variance[:] = 0
         if self.pass_.recipe.noise == "sampled":
+            if shared is not None:
+                every, one = np.arange(clean.shape[1]), np.ones(len(clean))
+                clean += shared.shares * shared.noise.drawn_for_taps(every, self.pass_.rule.patch, one, rng).values.T
+                variance = np.maximum(variance - np.float32(shared.noise.total) * shared.shares**2, 0)
             clean += np.sqrt(variance) * rng.standard_normal(clean.shape, dtype=np.float32)
             variance[:] = 0
+        if self.pass_.recipe.noise != "analytic":
+            shared = None
         np.clip(clean, -np.inf, 1.0, out=clean)
         runs = runs_of(label)
         brightness = self.pass_.brightness(target) / level + np.float32(TARGET_FLOOR)
@@ -208,7 +223,7 @@ class _Batch:
             greys = self.patches.colourless[patch] & edges & (clean >= 1).any(axis=1)
             weight[greys] *= np.float32(math.sqrt(CLIPPED_GREY_EDGES))
         if self.weighting is not None:
-            weight *= self.weighting.weight(clean, variance, target, level, runs)
+            weight *= self.weighting.weight(clean, variance, target, level, runs, shared)
         taps = clean.shape[1]
         samples = np.empty((len(label), taps + 1 + target.shape[1]), np.float32)
         np.multiply(clean, weight[:, None], out=samples[:, :taps])
@@ -216,7 +231,19 @@ class _Batch:
         np.multiply(target, weight[:, None], out=samples[:, taps + 1 :])
         levels = self.pass_.rule.split(np.array([index for index, _, _ in runs])).level.tolist()
         add_products(sums.moments, samples, runs, [large[level] for level in levels])
+        weighted = None if shared is None else replace(shared, shares=shared.shares * weight[:, None])
         weight = weight**2
         for index, first, last in runs:
-            add_rounded(sums.noise[index], weight[first:last] @ variance[first:last], large[0, 0])
+            noise = weight[first:last] @ variance[first:last]
+            if weighted is not None:
+                noise = np.concatenate([noise, weighted.of(first, last).covariances()])
+            add_rounded(sums.noise[index, : noise.size], noise, large[0, 0])
             sums.count[index] += last - first
+
+    def _shared(self, lines: LineNoise, clean: Floats, patch: NDArray[np.int64], scale: Floats) -> SharedNoise:
+        """Return the line noise that scaled patches (patch, tap) lack, and how much of it each tap gets."""
+        pass_, chosen = self.pass_, self.patches
+        gain = pass_.head.camera.channel_gains.astype(np.float32)[self.neighbours.channel[self.site]]
+        carried = None if chosen.carried is None else chosen.carried[patch]
+        lacking = Patches(clean, chosen.target[patch], carried).lacking_share(scale)
+        return SharedNoise(lines, (clean < 1) * gain * np.sqrt(lacking, dtype=np.float32)[:, None])

@@ -15,6 +15,7 @@ from l3cli.classes.windows import Neighbourhoods
 from l3cli.errors import InputFileError
 from l3cli.physics.display import XYZ
 from l3cli.physics.stokes import STOKES
+from l3cli.training.lines import Offsets
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.symmetry import EVERY_ORIENTATION, Allowed, orientations, orientations_of_scenes, site_maps
 
@@ -50,6 +51,12 @@ class Patches:
             return scale
         followed = np.where((self.signal >= 1).any(axis=1), 1.0, np.minimum(scale, 1.0))
         return np.where(self.carried.any(axis=1), followed, scale)
+
+    def lacking_share(self, scale: Floats) -> Floats:
+        """Return the fraction of the signal-independent noise that patches lack if they are scaled by `scale` (patch)."""
+        if self.carried is None:
+            return np.ones_like(scale)
+        return np.where(self.carried.any(axis=1), np.clip(1 - scale**2, 0, None), np.ones_like(scale))
 
     @classmethod
     def concatenated(cls, parts: list["Patches"]) -> "Patches":
@@ -361,6 +368,7 @@ def expose_patches(
     carried: Floats | None = None,
     dark: float = 0.0,
     channel: NDArray[np.integer] | None = None,
+    offsets: Offsets | None = None,
 ) -> NDArray[np.uint32]:
     """Convert signals to noisy raw values, which determine the class of each patch.
 
@@ -379,6 +387,8 @@ def expose_patches(
         Dark signal that has been subtracted from the frame, in DN.
     channel : ndarray, optional
         Channel of each signal, which is broadcast against `signal`.
+    offsets : Offsets, optional
+        Offsets of rows and columns. They are part of the noise, and must be drawn if the camera has line noise.
 
     Returns
     -------
@@ -386,8 +396,16 @@ def expose_patches(
         Raw values in DN, clipped at the white level.
     """
     noisy = _variance(signal, camera, carried, dark, QUANTISATION, channel)
+    if offsets is not None:
+        gain = np.float32(1) if channel is None else camera.channel_gains.astype(np.float32)[channel]
+        noisy -= offsets.variance * gain**2
+        np.maximum(noisy, 0, out=noisy)
+    elif camera.has_line_noise:
+        raise ValueError("the offsets of rows and columns must be drawn")
     np.sqrt(noisy, out=noisy)
     noisy *= _normal(signal.shape, rng)
+    if offsets is not None:
+        noisy += offsets.values * gain
     noisy += signal
     noisy *= np.float32(camera.white_level - camera.black_level)
     noisy += np.float32(camera.black_level + 0.5)  # rounds to the nearest DN, because the cast rounds down

@@ -19,7 +19,7 @@ from l3cli.classes.features import ClassRecipe
 from l3cli.errors import RecipeError
 from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import Count, CountOrNone, NotNegative, Positive, Recipe, Share
-from l3cli.training.symmetry import IDENTITY_ONLY, Allowed, orientations_of_scenes
+from l3cli.training.symmetry import IDENTITY_ONLY, Allowed, orientations_of_frames
 
 MOST_PATCHES = 1_000_000_000
 MOST_REFINEMENT = 3  # largest number of refinement layers
@@ -94,7 +94,7 @@ class LearningRecipe(Recipe):
 
     def orientations(self, camera: CameraModel) -> Allowed:
         """Return the orientations in which CFA sites may be trained together, which depend on the key `symmetry`."""
-        return orientations_of_scenes(camera) if self.symmetry else IDENTITY_ONLY
+        return orientations_of_frames(camera) if self.symmetry else IDENTITY_ONLY
 
     @property
     def noises(self) -> tuple[NoiseScale, ...]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.physics.display import XYZ
+from l3cli.training.lines import SharedNoise
 
 Floats = NDArray[np.float32]
 MIN_TARGET = 0.02  # fraction of the level; darker targets are treated as if they were this bright
@@ -19,6 +20,7 @@ ERROR_FLOOR = 0.25  # ΔE² or degrees²; all samples with a smaller error have 
 # Factors that convert errors of the cube roots of X, Y and Z to errors of L*, a* and b*. CIELAB has the factors 116, 500 and
 # 200. The factors of a* and b* are lower here, because errors of chroma are less visible.
 LIGHTNESS, RED_GREEN, YELLOW_BLUE = 116.0, 250.0, 150.0
+PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2))  # outputs whose covariances the colour error needs
 
 
 @dataclass(frozen=True)
@@ -32,8 +34,9 @@ class ColourWeighting:
     power: float  # the recipe key error_power
 
     def weight(
-        self, clean: Floats, variance: Floats, target: Floats, level: Floats, runs: list[tuple[int, int, int]]
-    ) -> Floats:
+        self, clean: Floats, variance: Floats, target: Floats, level: Floats, runs: list[tuple[int, int, int]],
+        shared: SharedNoise | None = None,
+    ) -> Floats:  # fmt: skip
         """Return the weight (e² + ¼)^(−power) of each patch.
 
         e² is the expected squared error of the first pass in CIELAB units. It is the sum of the squared bias and the noise
@@ -49,6 +52,8 @@ class ColourWeighting:
             Level of each patch, as a fraction of full scale.
         runs : list of (class, first patch, end patch)
             Range of patches of each class, from `sums.runs_of`.
+        shared : SharedNoise, optional
+            Noise that taps of the same line share. It is part of `variance`. [default: the noise of taps is independent]
 
         Returns
         -------
@@ -61,6 +66,8 @@ class ColourWeighting:
         for index, first, last in runs:
             bias[first:last] = clean[first:last] @ self.weights[index] + self.intercept[index]
             noise[first:last] = variance[first:last] @ self.products[index]
+            if shared is not None:
+                noise[first:last] += shared.of(first, last).propagated(self.weights[index], PRODUCTS)
         x, y, z = (slope * (bias - target) * relative).T
         error = (LIGHTNESS * y) ** 2 + (RED_GREEN * (x - y)) ** 2 + (YELLOW_BLUE * (y - z)) ** 2
         xx, yy, zz, xy, yz = (noise * relative**2).T
@@ -81,8 +88,9 @@ class SpectralWeighting:
     power: float  # the recipe key error_power
 
     def weight(
-        self, clean: Floats, variance: Floats, target: Floats, level: Floats, runs: list[tuple[int, int, int]]
-    ) -> Floats:
+        self, clean: Floats, variance: Floats, target: Floats, level: Floats, runs: list[tuple[int, int, int]],
+        shared: SharedNoise | None = None,
+    ) -> Floats:  # fmt: skip
         """Return the weight (e² + ¼)^(−power) of each patch.
 
         e² is the expected squared spectral angle between the result of the first pass and the target, in degrees². It
@@ -93,6 +101,9 @@ class SpectralWeighting:
         for index, first, last in runs:
             bias[first:last] = clean[first:last] @ self.weights[index] + self.intercept[index]
             noise[first:last] = variance[first:last] @ self.squares[index]
+            if shared is not None:
+                squares = [(output, output) for output in range(target.shape[1])]
+                noise[first:last] += shared.of(first, last).propagated(self.weights[index], squares).sum(axis=1)
         bias -= target
         outputs = target.shape[1]
         size = np.maximum((target**2).sum(axis=1), outputs * (MIN_TARGET * level) ** 2)

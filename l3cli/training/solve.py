@@ -26,6 +26,7 @@ from l3cli.physics.stokes import STOKES
 from l3cli.training import systems
 from l3cli.training.goal import Goal
 from l3cli.training.highlights import flat_moments, grey_patches, plain_colours, steps_back, white_channels
+from l3cli.training.lines import split_noise
 from l3cli.training.plain_surfaces import has_single_bands, output_gains, single_bands
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.sums import moment_matrix, turned_places, width_of
@@ -62,7 +63,7 @@ def shrunk(
     Returns
     -------
     moments : ndarray, (class, pair)
-    noise : ndarray, (class, tap)
+    noise : ndarray, (class, noise column)
     """
     _, level, contrast, combination, kind = rule.split(classes)
     moments, noise, count = sums.moments[classes], sums.noise[classes], sums.count[classes]
@@ -226,7 +227,7 @@ def solve(
         every = np.flatnonzero(solved & (saturated == clips))
         for first in range(0, every.size, CLASSES_AT_ONCE):
             batch = every[first : first + CLASSES_AT_ONCE]
-            moments, noise = _averaged(sums, parents, batch, turns, rule, recipe)
+            moments, noise, shared = _averaged(sums, parents, batch, turns, rule, recipe)
             taught = moments.copy()
             for place, index in enumerate(batch.tolist()):
                 count = samples[index] + recipe.parent_patches
@@ -243,7 +244,7 @@ def solve(
                 of = taught if is_taught else moments
                 flat = np.broadcast_to(member.T[:used], (batch.size, used, len(member)))
                 right = np.concatenate([of[:, :used, groups.size :] @ basis[:, wanted], flat], axis=2)
-                system = systems.Equations(of[:, :used, :used], noise, noise_weight, right)
+                system = systems.Equations(of[:, :used, :used], noise, noise_weight, right, shared)
                 solution, worst = systems.solve_within(system, recipe.ridge, member[:, :used], goal.integers)
                 taps[batch[:, None, None], np.arange(used)[:, None], wanted] = solution[..., : len(wanted)]
                 compliance[batch, number, :used] = solution[..., len(wanted) :]
@@ -255,19 +256,24 @@ def solve(
 
 def _averaged(
     sums: ClassSums, parents: ClassSums, batch: NDArray[np.intp], turns: list[Turn], rule: ClassRule, recipe: LearningRecipe
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, Array | None]:
     """Return the supported sums of a batch of classes, averaged over the orientations `turns`.
 
-    The sums are supported by neighbouring levels and parents, as in `shrunk`. Returns the moments (class, column, column)
-    and the noise (class, tap).
+    The sums are supported by neighbouring levels and parents, as in `shrunk`. Returns the moments (class, column, column),
+    the noise variances (class, tap), and the covariances of taps in the same line (class, tap, tap), or None if the camera
+    has no line noise.
     """
-    width = width_of(sums.moments)
-    moments, noise = np.zeros((batch.size, sums.moments.shape[1])), np.zeros((batch.size, sums.noise.shape[1]))
+    width, taps = width_of(sums.moments), rule.patch**2
+    moments, noise, shared = np.zeros((batch.size, sums.moments.shape[1])), np.zeros((batch.size, taps)), None
     for turn in turns:
         turned_moments, turned_noise = shrunk(sums, parents, turn.classes[batch], rule, recipe)
         moments += turned_moments[:, turned_places(turn.taps, width)] / len(turns)
-        noise += turned_noise[:, turn.taps] / len(turns)
-    return moment_matrix(moments, width), noise
+        variance, covariance = split_noise(turned_noise, taps)
+        noise += variance[:, turn.taps] / len(turns)
+        if covariance is not None:
+            turned = covariance[:, turn.taps[:, None], turn.taps] / len(turns)
+            shared = turned if shared is None else shared + turned
+    return moment_matrix(moments, width), noise, shared
 
 
 def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Array | None) -> dict[int, Array]:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.partial_sums import ClassSums, LayerSums
+from l3cli.artifacts.partial_sums import ClassSums, LayerSums, noise_columns
 from l3cli.classes import level
 from l3cli.errors import L3Error
 
@@ -43,11 +43,11 @@ def width_of(packed: Array) -> int:
     return (math.isqrt(8 * packed.shape[-1] + 1) - 1) // 2
 
 
-def empty_sums(rule: ClassRule, outputs: int) -> ClassSums:
+def empty_sums(rule: ClassRule, outputs: int, camera: CameraModel) -> ClassSums:
     """Return sums of zero for one site."""
-    classes, taps = rule.classes_per_site, rule.patch**2
-    width = taps + 1 + outputs
-    return ClassSums(np.zeros((classes, width * (width + 1) // 2)), np.zeros((classes, taps)), np.zeros(classes))
+    classes, width = rule.classes_per_site, rule.patch**2 + 1 + outputs
+    shapes = (classes, width * (width + 1) // 2), (classes, noise_columns(rule, camera)), (classes,)
+    return ClassSums(*map(np.zeros, shapes))
 
 
 def same_shapes(sums: ClassSums | LayerSums, others: ClassSums | LayerSums) -> bool:

@@ -28,6 +28,7 @@ Allowed = tuple[int, ...]  # numbers of the orientations that training may use, 
 EVERY_ORIENTATION: Allowed = tuple(range(8))  # for isotropic noise
 IDENTITY_ONLY: Allowed = (0,)  # trains every site separately
 HALF_TURN: Allowed = (0, 2)  # for polarisers, because all other orientations change the signs of S1 or S2
+LINES_KEPT: Allowed = (0, 2, 5, 7)  # rows stay rows and columns stay columns: identity, half turn and two reflections
 
 
 def orientations_of_scenes(camera: CameraModel) -> Allowed:
@@ -37,6 +38,16 @@ def orientations_of_scenes(camera: CameraModel) -> Allowed:
     the angle of polarisation.
     """
     return EVERY_ORIENTATION if camera.polarisers is None else HALF_TURN
+
+
+def orientations_of_frames(camera: CameraModel) -> Allowed:
+    """Return the orientations in which a frame of a scene is as likely, with its noise, as the frame itself.
+
+    If rows and columns share different noise, rows must stay rows.
+    """
+    noise = camera.noise
+    same = noise.row_temporal_noise == np.hypot(noise.column_temporal_noise, noise.column_noise)
+    return tuple(number for number in orientations_of_scenes(camera) if same or number in LINES_KEPT)
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,7 @@ class Equations(NamedTuple):
     noise: Array  # (class, tap) diagonal of the noise matrix Λ, without the intercept
     noise_weight: float
     right: Array  # (class, tap, column) right-hand sides: first Y Xᵀ of each output, then the taps of each channel
+    shared: Array | None = None  # (class, tap, tap) rest of Λ: covariances of taps in one line; None if noise is independent
 
 
 def solve_within(equations: Equations, ridge: float, member: Array, integers: Integers | None) -> tuple[Array, Array]:
@@ -127,6 +128,8 @@ def _systems(equations: Equations, chosen: NDArray[np.intp], ridge: float) -> Ar
     diagonal[:, taps:] += 1e-9
     mean = diagonal[:, :taps].mean(axis=1, keepdims=True)
     diagonal[:, :taps] += equations.noise_weight * equations.noise[chosen] + ridge * mean + 1e-12
+    if equations.shared is not None:
+        systems[:, :taps, :taps] += equations.noise_weight * equations.shared[chosen]
     return systems
 
 

@@ -41,6 +41,7 @@ from l3cli.training.clipping import learned_clipping
 from l3cli.training.goal import has_components, one_light
 from l3cli.training.layers.coarse_chroma import measured_noise
 from l3cli.training.layers.learn import LayerPass, learn_layer
+from l3cli.training.lines import LineNoise
 from l3cli.training.patches import expose_patches, levels_at, patches_of
 from l3cli.training.plain_surfaces import false_colours, stripe_shares
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe, for_noise
@@ -108,7 +109,11 @@ def take_pilot(
             scale = pilot.possible(levels_at(recipe.learning, rng.random(len(patch_level))) / patch_level)[:, None]
             carried = None if pilot.carried is None else (pilot.carried * scale**2).astype(np.float32)
             signal = (pilot.signal * scale).astype(np.float32)
-            values = expose_patches(signal, camera, rng, carried, dark, neighbours.channel[site])
+            lines, offsets = LineNoise.of(camera, dark), None
+            if lines is not None:
+                lacking = pilot.lacking_share(scale[:, 0].astype(np.float32))
+                offsets = lines.drawn_for_taps(np.arange(rule.patch**2), rule.patch, lacking, rng).transposed()
+            values = expose_patches(signal, camera, rng, carried, dark, neighbours.channel[site], offsets)
             occurrences += np.bincount(saturation_codes(values, rule, neighbours, site), minlength=codes)
             shares.append(channel_shares(pilot.signal, neighbours, site))
             observed.append(observe_patches(values, rule, neighbours, site))
@@ -194,7 +199,7 @@ def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) 
 def add_up(pass_: TrainingPass, parts: Iterable[ClassSums]) -> ClassSums:
     """Add up the partial sums `parts` of a pass. Raises L3Error if a class has too many patches for exact addition."""
     outputs = len(pass_.head.outputs)
-    sums = empty_sums(pass_.rule, outputs)
+    sums = empty_sums(pass_.rule, outputs, pass_.head.camera)
     for part in parts:
         add(sums, part)
     require_exact(sums, pass_.rule, grid_steps(pass_.rule, pass_.head.camera, outputs))

@@ -211,7 +211,7 @@ def work_shares(pass_: TrainingPass, divisors: Mapping[int, int], blocks: list[r
     list of WorkShare
         A multiple of `jobs` shares, each of which contains few sites so that their sums fit into memory.
     """
-    one = empty_sums(pass_.rule, len(pass_.head.outputs))
+    one = empty_sums(pass_.rule, len(pass_.head.outputs), pass_.head.camera)
     most = max(2, SUM_BYTES // one.moments.nbytes)  # largest number of sites per share
     units = [(site, block) for site in divisors for block in blocks]
     work = np.cumsum([0.0, *(1 / divisors[site] for site, _ in units)])

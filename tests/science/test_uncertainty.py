@@ -76,11 +76,17 @@ def measured(outputs: NDArray[np.floating]) -> NDArray[np.floating]:
     return deviations.std(axis=tuple(range(outputs.ndim - 1))) * np.sqrt(FRAMES / (FRAMES - 1))
 
 
-@pytest.mark.parametrize("cfa", [BAYER, FIVE_BAND], ids=["bayer", "five bands"])
-@pytest.mark.parametrize("layers", [1, 2])
-def test_sigma_is_what_noisy_frames_give(cfa: list[list[int]], layers: int) -> None:
+@pytest.mark.parametrize(
+    ("cfa", "layers", "line_noise"),
+    [(BAYER, 1, 0.0), (BAYER, 2, 0.0), (FIVE_BAND, 1, 0.0), (FIVE_BAND, 2, 0.0), (BAYER, 1, 8.0)],
+    ids=["bayer", "bayer layers", "five bands", "five bands layers", "bayer line noise"],
+)
+def test_sigma_is_what_noisy_frames_give(cfa: list[list[int]], layers: int, line_noise: float) -> None:
     """σ of every output within 4 %, of the mean of regions of 8×8 pixels within 6 %."""
     table = even_table(cfa, layers)
+    assert table.camera is not None
+    noise = replace(table.camera.noise, row_temporal_noise=line_noise, column_temporal_noise=line_noise)
+    table = replace(table, camera=replace(table.camera, noise=noise))
     renderer = make_renderer("opencl", table)
     for share in (0.02, 0.3):
         frames = [noisy_frame(table, share, seed) for seed in range(FRAMES)]

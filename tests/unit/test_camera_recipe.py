@@ -6,7 +6,7 @@ import pytest
 
 from l3cli.artifacts import camera_recipe
 from l3cli.artifacts.camera import CameraModel, Noise, Optics
-from l3cli.artifacts.camera_recipe import NoiseRecipe, noise_of, noise_recipe, optics_of, optics_recipe
+from l3cli.artifacts.camera_recipe import NoiseRecipe, noise_entries, noise_of, optics_of, optics_recipe
 from l3cli.artifacts.schema import data
 from l3cli.calibration.draft.compose import DraftText
 from l3cli.calibration.draft.folder import sensor_figures
@@ -17,7 +17,7 @@ from l3cli.export.profiles import datasheet
 
 def test_every_field_comes_back() -> None:
     noise = Noise(**{field.name: 0.25 * (number + 1) for number, field in enumerate(fields(Noise))})
-    assert noise_of(noise_recipe(noise)) == noise
+    assert noise_of(NoiseRecipe(**noise_entries(noise))) == noise
     optics = Optics(**{field.name: 0.25 * (number + 1) for number, field in enumerate(fields(Optics))})
     assert optics_of(optics_recipe(optics)) == optics
 
@@ -33,7 +33,7 @@ def test_a_new_term_of_the_noise_is_not_lost(bayer: CameraModel, monkeypatch: py
     monkeypatch.setattr(camera_recipe, "Noise", WithRows)
     monkeypatch.setattr(camera_recipe, "NoiseRecipe", WithRowsRecipe)
     noise = WithRows(**{field.name: getattr(bayer.noise, field.name) for field in fields(Noise)}, row_noise=1.5)
-    assert noise_of(noise_recipe(noise)) == noise
+    assert noise_of(WithRowsRecipe(**noise_entries(noise))) == noise
     camera = replace(bayer, noise=noise)
     assert "row_noise_e = 1.5" in camera_texts(camera, "a test")["camera.toml"]
     draft = DraftText()
@@ -44,8 +44,10 @@ def test_a_new_term_of_the_noise_is_not_lost(bayer: CameraModel, monkeypatch: py
 def test_temporal_and_fixed_terms_are_the_noise_in_the_dark(bayer: CameraModel) -> None:
     """A reading in the dark has the terms of both kinds, and a temporal filter leaves the fixed ones."""
     noise = replace(bayer.noise, read_noise=3.0, dsnu=2.0, column_noise=1.5)
+    lines = replace(noise, row_temporal_noise=2.0, column_temporal_noise=1.0)
+    assert (lines.temporal, lines.fixed, lines.dark_noise) == (9.0 + 4.0 + 1.0, 4.0 + 2.25, pytest.approx(14**0.5))
     camera = replace(bayer, noise=noise)
-    assert (noise.temporal, noise.fixed) == (9.0, 4.0 + 2.25)
+    assert (noise.temporal, noise.fixed, noise.dark_noise) == (9.0, 4.0 + 2.25, 3.0)
     assert camera.noise_terms()[0] == pytest.approx(camera.gain**2 * (9.0 + 4.0 + 2.25) + 1 / 12)
     filtered = replace(camera, noise_left=0.25)
     assert filtered.noise_terms()[0] == pytest.approx(camera.gain**2 * (9.0 / 4 + 4.0 + 2.25) + 1 / 12)
@@ -56,3 +58,14 @@ def test_column_noise_is_a_figure_of_the_camera_that_declares_it(bayer: CameraMo
     assert camera_figures(camera)["column noise"] == (1.5, "e-")
     assert ("column noise", "", 1.5, "e-", "recipe") in datasheet(camera)
     assert "column noise" not in camera_figures(replace(bayer, noise=replace(bayer.noise, column_noise=0.0)))
+    lined = replace(bayer, noise=replace(bayer.noise, read_noise=3.0, row_temporal_noise=4.0))
+    assert camera_figures(lined)["temporal dark noise"] == (5.0, "e-")
+    assert camera_figures(lined)["row temporal noise"] == (4.0, "e-")
+    assert "column temporal noise" not in camera_figures(lined)
+
+
+def test_terms_that_a_camera_lacks_are_not_written(bayer: CameraModel) -> None:
+    """Recipes of cameras without temporal noise of rows and columns are what they were before it was known."""
+    assert "temporal" not in camera_texts(bayer, "a test")["camera.toml"]
+    lined = replace(bayer, noise=replace(bayer.noise, row_temporal_noise=4.0))
+    assert "row_temporal_noise_e = 4.0" in camera_texts(lined, "a test")["camera.toml"]

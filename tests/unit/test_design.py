@@ -1,5 +1,6 @@
 """Designs: the closed form is what a brute-force regression reaches; equal arrays have one error and one name."""
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -84,8 +85,19 @@ def test_sums_of_scenes_add_up() -> None:
     assert np.array_equal(both["moment"], one["moment"] + two["moment"])
 
 
-@pytest.mark.parametrize(("output", "counts"), [("XYZ", "lab"), ("XYZ", "linear"), ("bands", "lab"), ("reflectance", "lab")])
-def test_the_closed_form_is_what_regression_on_noisy_patches_reaches(output: str, counts: str) -> None:
+@pytest.mark.parametrize(
+    ("output", "counts", "rows", "columns"),
+    [
+        ("XYZ", "lab", 0, 0),
+        ("XYZ", "linear", 0, 0),
+        ("bands", "lab", 0, 0),
+        ("reflectance", "lab", 0, 0),
+        ("XYZ", "lab", 40, 20),
+    ],
+)
+def test_the_closed_form_is_what_regression_on_noisy_patches_reaches(
+    output: str, counts: str, rows: float, columns: float
+) -> None:
     """Every patch with many draws of noise: the residual of least squares on them all."""
     rng, count, draws, dose = np.random.default_rng(3), 800, 40, 0.5
     z = rng.uniform(0.1, 1.0, (count, 1, TERMS)) * rng.uniform(0.7, 1.3, (count, SIDE**2, TERMS))
@@ -97,12 +109,13 @@ def test_the_closed_form_is_what_regression_on_noisy_patches_reaches(output: str
     sums = {"patches": np.eye(len(GROUPS))[0] * count, "weight": np.zeros((2, 30)), "mean": np.zeros((2, 30, taps))}
     sums["moment"] = np.zeros((2, 30, size, size))
     for place, w in enumerate(((target[:, 1] + 0.02) ** (-2 / 3), np.ones(count))):
-        rows = entries * w[:, None]
-        sums["weight"][place, 0], sums["mean"][place, 0] = (w**2).sum(), w @ rows[:, :taps]
-        sums["moment"][place, 0] = rows.T @ rows
+        weighted = entries * w[:, None]
+        sums["weight"][place, 0], sums["mean"][place, 0] = (w**2).sum(), w @ weighted[:, :taps]
+        sums["moment"][place, 0] = weighted.T @ weighted
     light = LightMoments("D65", BASIS, BASIS.sum(axis=1), **sums)
     cfa = np.array([[1, 0], [2, 1]])
-    errors = array_errors(seen(light, output, counts), cfa, NOISE, Level("", 0, None, 1.0, dose))[0]
+    noise = dataclasses.replace(NOISE, floor=NOISE.floor + rows + columns, rows=rows, columns=columns)
+    errors = array_errors(seen(light, output, counts), cfa, noise, Level("", 0, None, 1.0, dose))[0]
     y = weight[:, None] * (np.hstack([target, target, centre]) @ wanted_outputs(light, output, counts, CURVES)[0].T)
     residuals = []
     for site in np.ndindex(2, 2):
@@ -111,10 +124,13 @@ def test_the_closed_form_is_what_regression_on_noisy_patches_reaches(output: str
         signal = dose * np.einsum("nti,ti->nt", z, CURVES[filters] @ BASIS)
         variance = NOISE.floor + signal + (NOISE.prnu * signal) ** 2
         s = signal + np.sqrt(variance) * rng.standard_normal((draws, *signal.shape))
-        rows = (weight[:, None] * s).reshape(draws * count, -1)
+        for shared, axis in ((rows, 1), (columns, 0)):
+            of_lines = rng.standard_normal((draws, count, SIDE)) * np.sqrt(shared) if shared else np.zeros(SIDE)
+            s += of_lines[..., np.indices((SIDE, SIDE))[1 - axis].ravel()]
+        taken = (weight[:, None] * s).reshape(draws * count, -1)
         wide = np.tile(y, (draws, 1))
-        fit = np.linalg.lstsq(rows, wide, rcond=None)[0]
-        residuals.append(np.sqrt(np.square(wide - rows @ fit).sum(axis=1).mean()))
+        fit = np.linalg.lstsq(taken, wide, rcond=None)[0]
+        residuals.append(np.sqrt(np.square(wide - taken @ fit).sum(axis=1).mean()))
     assert TAP_RIDGE < 1e-5
     assert errors == pytest.approx(np.mean(residuals), rel=0.01)
 

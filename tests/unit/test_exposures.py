@@ -172,7 +172,7 @@ def test_greys_are_taught_by_the_filters_that_are_lost() -> None:
     rule = make_rule(ClassRecipe(patch=5, levels=8), model, cases, spared_cases=spared_cases(cases, FILTERS))
     window = model.channel_map((5, 5)).ravel().astype(np.int64)
     signal = np.array([1.0, 0.8, 1 / 16, 0.05])
-    sums, levels = empty_sums(rule, 3), (model.black_level, model.white_level)
+    sums, levels = empty_sums(rule, 3, model), (model.black_level, model.white_level)
     taught = grey_patches(sums, rule, window, np.ones(3), *levels, signal, FILTERS, model.sensitivity)
     kinds = rule.split(np.array(sorted(taught))).kind
     assert (rule.lost(kinds) == 0).any()

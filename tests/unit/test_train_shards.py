@@ -121,12 +121,14 @@ def test_work_shares_hold_every_block_of_every_site_once(bayer: CameraModel, job
 
 def test_work_shares_of_large_sums_have_few_sites(bayer: CameraModel) -> None:
     pass_ = a_pass(bayer, (100,) * 12, patch=15, levels=40, chromas=1, contrasts=(1.1, 1.4, 2.0, 3.5, 7.0))
-    assert SUM_BYTES / empty_sums(pass_.rule, 3).moments.nbytes < 5
+    assert SUM_BYTES / empty_sums(pass_.rule, 3, pass_.head.camera).moments.nbytes < 5
     blocks = [range(index, index + 1) for index in range(12)]
     for jobs in (1, 2, 3):
         parts = work_shares(pass_, dict.fromkeys(range(9), 1), blocks, jobs)
         assert len(parts) % jobs == 0
-        assert max(len(part.sites) for part in parts) <= max(2, SUM_BYTES // empty_sums(pass_.rule, 3).moments.nbytes)
+        assert max(len(part.sites) for part in parts) <= max(
+            2, SUM_BYTES // empty_sums(pass_.rule, 3, pass_.head.camera).moments.nbytes
+        )
 
 
 def lit_set(path: Path, camera: CameraModel, count: int, white: tuple[float, float, float]) -> Path:

@@ -10,12 +10,11 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import MAX_CHANNELS, CameraModel
-from l3cli.artifacts.camera_recipe import CfaRecipe, noise_recipe
+from l3cli.artifacts.camera_recipe import CfaRecipe, noise_entries
 from l3cli.calibration.draft.compose import HEAD, PITCH, DraftText, Survey, known_body, unknown_optics
 from l3cli.calibration.draft.names import altered, drawn, period_of, read_name, summarise, with_bare_wavelengths
 from l3cli.calibration.draft.sorting import Frame, Spectra, scale_of, sort_frames, with_plain_kinds
@@ -371,5 +370,5 @@ def sensor_figures(out: DraftText, camera: CameraModel | None) -> None:
         black_level_dn=camera.black_level,
         white_level_dn=camera.white_level,
         gain_dn_per_e=camera.gain,
-        **msgspec.structs.asdict(noise_recipe(camera.noise)),
+        **noise_entries(camera.noise),
     )

@@ -208,9 +208,18 @@ def times_brighter(now: tuple[float, float | None], before: tuple[float, float |
 
 
 def require_noise(camera: CameraModel | None) -> CameraModel:
-    """Return `camera`, or raise a RecipeError if it is None because the table does not contain its camera."""
+    """Return `camera`, or raise a RecipeError if the filter cannot be used with it.
+
+    The camera is None if the table does not contain it. The filter compares sums over cells, in which the offset of a row
+    or column does not average out.
+    """
     if camera is None:
         raise RecipeError(
             "‹temporal› needs the camera's noise model, which this table does not contain; train the table again"
+        )
+    if camera.noise.lines:
+        raise RecipeError(
+            "‹temporal› would take the temporal noise of rows and columns, which the camera of this table has, for motion; "
+            "render without ‹temporal›"
         )
     return camera

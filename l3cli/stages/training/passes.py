@@ -182,15 +182,13 @@ def summed(
 def _are_results_of(unit: WorkUnit, results: dict[int, ClassSums | Solution]) -> bool:
     """Whether a worker on another machine has returned the sums or solutions of a work unit."""
     outputs = len(unit.pass_.head.outputs)
-    empty = empty_sums(unit.pass_.rule, outputs)
+    empty = empty_sums(unit.pass_.rule, outputs, unit.pass_.head.camera)
 
     def fits(site: int, result: ClassSums | Solution) -> bool:
         if isinstance(result, ClassSums):
             return same_shapes(result, empty)
-        classes, taps = empty.noise.shape
-        return (
-            site in unit.share.whole and isinstance(result, Solution) and result.taps.shape == (classes, taps + 1, outputs)
-        )
+        shape = (empty.count.size, unit.pass_.rule.patch**2 + 1, outputs)
+        return site in unit.share.whole and isinstance(result, Solution) and result.taps.shape == shape
 
     return set(results) == set(unit.share.sites) and all(itertools.starmap(fits, results.items()))
 

@@ -213,7 +213,7 @@ def _sums(
     blocks = frame_blocks(pass_.patches)[index - 1 :: count]
     sums = summed(sum_unit, run, pass_, table, blocks, execution)
     if not blocks:  # if there are more shards than blocks, this shard has no frames
-        sums = ((site, empty_sums(pass_.rule, len(run.head.outputs))) for site in pass_.divisors)
+        sums = ((site, empty_sums(pass_.rule, len(run.head.outputs), run.head.camera)) for site in pass_.divisors)
     return (add_up(pass_, [site_sums]) for _, site_sums in sums)
 
 

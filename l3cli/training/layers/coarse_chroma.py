@@ -12,6 +12,7 @@ from l3cli.classes.coarse_chroma import SPACINGS, blocks_of, edge_avoiding, scal
 from l3cli.classes.planes import LUMINANCE
 from l3cli.training.layers.learn import LayerPass
 from l3cli.training.layers.mosaics import Mosaics
+from l3cli.training.lines import LineNoise
 from l3cli.training.patches import expose_patches
 
 LUMINANCES = np.geomspace(0.0008, 0.8, 16)  # luminances of the greys, relative to a white with Y = 1
@@ -53,9 +54,11 @@ def _planes_of_greys(layer: LayerPass) -> list[NDArray[np.int32]]:
     rows, cols = (-(-(GREY_SIDE_PIXELS + 2 * margin) // each) * each for each in period)
     channel = camera.channel_map((rows, cols))
     see, rng, greys = layer.seer(), layer.rng(0, 4), []
+    lines = LineNoise.of(camera, layer.exposed.dark)
     for luminance in LUMINANCES:
         signal = (layer.grey * luminance).astype(np.float32)[channel]
-        values = expose_patches(signal, camera, rng, None, layer.exposed.dark, channel).astype(np.uint16)
+        offsets = None if lines is None else lines.drawn(signal.shape, rng)
+        values = expose_patches(signal, camera, rng, None, layer.exposed.dark, channel, offsets).astype(np.uint16)
         target = np.zeros((3, rows, cols), np.float32)
         greys.append(see(Mosaics(1, values, None, target)).noisy)
     return greys

@@ -22,6 +22,7 @@ from l3cli.classes.refinement import label_planes
 from l3cli.classes.statistics import mosaic_statistics, truncation
 from l3cli.classes.structure import BORDER_PIXELS
 from l3cli.classes.windows import Integers, neighbourhoods
+from l3cli.training.lines import LineNoise
 from l3cli.training.patches import even_places, expose_patches, levels_at, without_colour
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.sums import runs_of
@@ -124,6 +125,7 @@ def _shown(
     gains = (camera.channel_gains / camera.full_scale).astype(np.float32)
     mean = np.tensordot(gains / np.float32(gains.size), frame.electrons, 1)[None]
     usable = _usable(frame, exposed.margin)
+    lines = LineNoise.of(camera, exposed.dark)
     places = even_places(count, 3, rng)
     levels = levels_at(exposed.recipe, places[:, 2])
     for place, level in zip(places[:, :2].tolist(), levels.tolist(), strict=True):
@@ -134,7 +136,10 @@ def _shown(
         clean = np.minimum(mosaic, 1.0) * np.float32(camera.white_level - camera.black_level) + np.float32(
             camera.black_level
         )
-        values = expose_patches(mosaic, camera, rng, None, exposed.dark, channel) if exposed.noisy else np.rint(clean)
+        values = np.rint(clean)
+        if exposed.noisy:
+            offsets = None if lines is None else lines.drawn(shape, rng)
+            values = expose_patches(mosaic, camera, rng, None, exposed.dark, channel, offsets)
         target = _turned(frame.target, piece) * np.float32(scale * frame.exposure / camera.output_unit)
         # Rounding to whole DN acts as noise at dark levels, but is negligible at the levels of the frames.
         as_rounded = not (exposed.noisy or exposed.recipe.rescale)
