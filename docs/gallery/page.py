@@ -23,7 +23,7 @@ For comparison, the frames are also rendered with methods that are not trained:
 """
 PICTURES = """![Filters and responsivities of {title}](gallery/{name}.svg)
 
-| Shown at original size. Top: the raw frame and the ideal picture. Bottom: the pictures by l3 and by the method *basic*. |
+| Shown at original size. Top: the raw frame and the ideal picture. Bottom: the pictures rendered by l3 and by *basic*. |
 |---|
 | ![{title}. Top: raw and ideal. Bottom: l3 and basic](gallery/{name}.jpg) |
 
