@@ -1,7 +1,7 @@
-"""Measures the rendering time of frames, and of the stages of rendering.
+"""Measures how long frames take to render, in total and for each stage of rendering.
 
-The frames and tables are synthetic and have realistic sizes. The time of a frame includes all transfers. It begins with
-uint16 values in host memory, and ends with the result in host memory.
+The frames and tables are synthetic and have realistic sizes. The time of a frame includes all transfers: the uint16 values
+are in host memory at the beginning, and the result is in host memory at the end.
 """
 
 import functools
@@ -255,7 +255,7 @@ def measure(case: Case, device: str | None = None, variant: str | None = None) -
 
 
 def measure_reference(case: Case) -> dict[str, Any]:
-    """Measure the time of a frame with the reference renderer, in the same way as `measure`."""
+    """Measure how long the reference renderer takes to render a frame. The result has the same entries as `measure`."""
     table, frame, display = _synthetic(case)
     renderer = ReferenceRenderer(table)
     classes = _times(lambda: renderer.labels(frame))

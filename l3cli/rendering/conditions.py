@@ -138,7 +138,7 @@ def described(table: TransformTable, mix: Mix) -> str:
 def _mixed_layers(common: Layers, warm: Layers, cool: Layers, shares: Sequence[NDArray[np.float64] | float]) -> Layers:
     """Return the layers of `common` with transforms interpolated between `warm` and `cool`.
 
-    `shares` contains the weight of `cool` for each layer, which is one number or one number per class.
+    `shares` contains the weight of `cool` in each layer, as one number for the layer or one number per class.
     """
 
     def layer(of: Any, one: Any, other: Any, share: NDArray[np.float64] | float) -> Any:
@@ -224,7 +224,7 @@ def at_gain(table: TransformTable, gain: float) -> TransformTable:
 
 
 def _at_gain(table: TransformTable, gain: float) -> TransformTable:
-    """Convert a table as `at_gain` does. The table must not contain transforms for single illuminants."""
+    """Convert a table without transforms for single illuminants for frames with a different analog gain."""
     usual, known = replace(table, conditions=()), [(each.noise, each) for each in table.noises if each.noise]
     less = []
     for at in (1.0, *(gain * left for left in LEFT if gain * left > 1)):
@@ -349,7 +349,7 @@ class NoiseSets:
         return frame.noise_share if self._limits else 1.0
 
     def chosen(self, frame: RawFrame) -> NDArray[np.uint8]:
-        """Return, for each pixel of a frame, the index of its set of transforms."""
+        """Return the index of the set of transforms with which each pixel of a frame is rendered."""
         if frame.noise_left is None:
             return np.zeros(frame.values.shape, np.uint8)
         return frame.noise_left.below(self._limits, frame.values.shape)
@@ -362,13 +362,13 @@ class NoiseSets:
 
     @functools.cached_property
     def later(self) -> tuple[PlaneLayer, ...]:
-        """The refinement layers of all sets, joined in the same way as `first`."""
+        """The refinement layers of the sets. Each refinement layer is joined in the same way as `first`."""
         layers = zip(*(table.later for table in self.tables), strict=True)
         return tuple(self._joined(("weights", "intercept", "samples"), parts) for parts in layers)
 
     @functools.cached_property
     def first_fixed_point(self) -> FixedPoint:
-        """The first layers of all sets in fixed point, joined in the same way as `first`."""
+        """The first layers of all sets, converted to fixed point and joined in the same way as `first`."""
         return self._joined(("weights", "intercept", "fraction"), [fixed_point(table) for table in self.tables])
 
     def refinement_rules(self, number: int) -> tuple[PlaneRule, ...]:
@@ -385,8 +385,8 @@ class NoiseSets:
 def with_edges_for(table: TransformTable, share: float) -> TransformTable:
     """Adapt the class edges of a table to frames with less noise. The transforms do not change.
 
-    The edges of contrast, strength and other features are scaled with the noise, so that they still separate texture from
-    uniform areas.
+    The edges of contrast, strength and other features are scaled with the noise. The scaled edges separate texture from
+    uniform areas as well as before.
 
     Parameters
     ----------
@@ -414,9 +414,9 @@ def with_edges_for(table: TransformTable, share: float) -> TransformTable:
 
 
 def _with_edges(rule: ClassRule, share: float | NDArray[np.float64]) -> ClassRule:
-    """Scale the class edges that depend on noise.
+    """Scale the class edges that depend on noise to another noise level.
 
-    `share` is a fraction of the noise variance, which may be one number for all levels or one number per level.
+    `share` is the new noise variance as a fraction of the old one, as a single number or as one number per level.
     """
     features = tuple(module.with_less_noise(feature, share) for module, feature in features_of(rule))
     stored = StoredFeatures.of(features) if features else None
@@ -424,6 +424,6 @@ def _with_edges(rule: ClassRule, share: float | NDArray[np.float64]) -> ClassRul
 
 
 def _scaled(edges: NDArray[np.uint32], share: float | NDArray[np.float64]) -> NDArray[np.uint32]:
-    """Multiply edges (edge, …) by a fraction of the noise variance. The edges stay distinct and increasing."""
+    """Multiply class edges by a fraction of the noise variance. Edges remain distinct and in increasing order."""
     least = np.arange(len(edges)).reshape(-1, *[1] * (edges.ndim - 1))
     return np.clip(np.rint(edges * share), least, 2**32 - 1).astype(np.uint32)

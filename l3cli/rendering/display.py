@@ -161,7 +161,10 @@ def require_known_layers(table: TransformTable) -> None:
 
 
 def encode(planes: NDArray, display: Display) -> NDArray:
-    """Convert XYZ (output, row, col) to the integer values of a picture (row, col, 3), in float64."""
+    """Convert X, Y and Z to the integer values of a picture, computed in float64.
+
+    `planes` has the axes (output, row, col). The result has the axes (row, col, 3).
+    """
     linear = np.einsum("po,orc->rcp", display.matrix, planes.astype(np.float64))
     within = into_gamut(linear, gamut_of(display.space), bounded=display.tone is None)
     shown = within if display.tone is None else display.tone.toned(within)

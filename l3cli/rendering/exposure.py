@@ -61,7 +61,7 @@ class SpreadSamples:
         return cut, site, label_patches(cut.values, rule, self._neighbours, site, self._orders[site])
 
     def patches(self, frame: RawFrame) -> RawFrame:
-        """Return the patches (patch, tap) of a frame without white balance gains."""
+        """Return the patches of a frame, without white balance gains."""
         return self._at_levels(self._cut(frame))
 
     def _at_levels(self, cut: RawFrame) -> RawFrame:
@@ -70,7 +70,7 @@ class SpreadSamples:
         return cut.at_levels(table.black_level, table.white_level, table.bits).shading_corrected()
 
     def _cut(self, frame: RawFrame) -> RawFrame:
-        """Return the patches (patch, tap) with the levels of the frame."""
+        """Cut the patches out of a frame. The patches have the levels of the frame."""
         down, across = self._geometry(frame)
         patches = frame.values.reshape(-1).take(_places(down, across))
         shading = None
@@ -86,12 +86,12 @@ class SpreadSamples:
         return len(_windows(*down)[0]), len(_windows(*across)[0])
 
     def _geometry(self, frame: RawFrame) -> list[tuple[int, int, int, int]]:
-        """Return the arguments of `_windows` for the rows, and for the columns."""
+        """Return two tuples with the arguments of `_windows`, one for the rows and one for the columns."""
         table = self._table
         return [(frame.values.shape[axis], table.cfa.shape[axis], table.first.rule.patch, GRID[axis]) for axis in (0, 1)]
 
     def signal(self, patches: RawFrame) -> NDArray[np.float32]:
-        """Convert the values of patches (patch, tap) to fractions of full scale."""
+        """Convert the values of patches to fractions of full scale."""
         full_scale = np.float32(self._table.white_level - self._table.black_level)
         return (patches.values.astype(np.float32) - np.float32(patches.black_level)) / full_scale
 
@@ -164,7 +164,7 @@ def _white(luminance: NDArray[np.floating], clipped: NDArray[np.bool_]) -> float
 
 
 def _near(marked: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
-    """Return a mask (row, col) of the pixels with a marked pixel at a distance of at most `radius` rows and columns."""
+    """Return a mask of the pixels that are at most `radius` rows and `radius` columns away from a marked pixel."""
     for turned in (False, True):
         marked = marked.T if turned else marked
         near = marked.copy()
@@ -210,8 +210,8 @@ def _places(down: tuple[int, int, int, int], across: tuple[int, int, int, int]) 
 class SteadyExposure:
     """Computes the exposure scale of the frames of a sequence, one after another.
 
-    The first frame gets the scale that its brightness requires. After the first frame, the logarithm of the scale approaches
-    the required value exponentially. This smooths the measurement noise, and follows changes of the light without
+    The first frame has exactly the scale that its brightness requires. After the first frame, the logarithm of the scale
+    approaches the required value exponentially. This smooths measurement noise, and follows changes of the light without
     overshoot. Changes of the analog gain are followed immediately. The scale does not depend on later frames.
     """
 

@@ -37,8 +37,8 @@ Array = NDArray[np.float64]
 class BrightnessRatio:
     """Compares the brightness of each frame of a sequence with the previous frame.
 
-    The result is a median over about 1500 patches of raw values. Motion therefore has no influence as long as it covers less
-    than half of the frame.
+    The result is a median over about 1500 patches of raw values. Motion has no influence as long as moving objects cover
+    less than half of the frame.
     """
 
     def __init__(self, table: TransformTable) -> None:

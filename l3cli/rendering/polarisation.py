@@ -16,7 +16,7 @@ TICKS = 4  # number of intervals into which ticks divide a colour bar
 
 
 def in_upright_frame(planes: Floats, outputs: tuple[str, ...], orientation: int) -> Floats:
-    """Turn outputs (output, row, col) upright, according to a flip code of LibRaw (`frames.frame.upright`).
+    """Turn the outputs of a frame upright, according to the flip code of LibRaw (see `frames.frame.upright`).
 
     Angles of polarisation become relative to the horizontal axis of the upright picture. Mirroring a picture changes the
     sign of S2, and transposing a picture changes the sign of S1.
@@ -42,7 +42,7 @@ def names_in_files(outputs: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def planes_in_files(planes: Floats, outputs: tuple[str, ...]) -> Floats:
-    """Return the values (value, row, col) of a linear file, in the order of `names_in_files`.
+    """Return the values of a linear file as an array (value, row, col), in the order of `names_in_files`.
 
     `planes` (output, row, col) are the outputs of a table. DoLP is between 0 and 1, and AoLP is in degrees.
     """
@@ -91,7 +91,7 @@ def picture_of(planes: Floats, outputs: tuple[str, ...], shown: str, bits: int) 
 
 
 def _with_bar(picture: Floats, bar: Floats) -> Floats:
-    """Append a colour bar (row, 1, 3) to the right side of a picture (row, col, 3), with a gap and ticks."""
+    """Append a vertical colour bar with ticks to the right side of a picture, separated by a gap."""
     rows, cols = picture.shape[:2]
     width = max(round(BAR_FRACTION * cols), MIN_BAR_PIXELS)
     column = np.repeat(bar, width, axis=1)

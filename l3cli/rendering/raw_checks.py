@@ -1,7 +1,7 @@
 """Warnings about frames that do not fit a table.
 
-A frame may come from another camera or have a different CFA. Its brightness may be outside the range of the training. Its
-values may be implausible because of a wrong bit depth, byte order, black level or size.
+A frame may come from another camera or have a different CFA. The table may not be trained for the brightness of the frame.
+Raw values may be implausible because of a wrong bit depth, byte order, black level or size.
 """
 
 import re

@@ -34,26 +34,26 @@ SMOOTHING_DARKEST = 2.0**-20
 
 
 class ReferenceRenderer:
-    """A slow and exact renderer in numpy. The parameter `by_noise` is the same as in `make_renderer`."""
+    """A slow and exact renderer in numpy. See `make_renderer` for the parameter `by_noise`."""
 
     def __init__(self, table: TransformTable, by_noise: bool = False) -> None:
         require_known_layers(table)
         self.table, self._sets = table, NoiseSets(table, by_noise)
 
     def labels(self, frame: RawFrame, layer: int = 0) -> Integers:
-        """Return the class (row, col) of every pixel. `layer` is the number of the layer in the table, counted from 0."""
+        """Return the class of every pixel as an array (row, col). Layers are counted from 0."""
         levelled = at_table_levels(frame, self.table)
         labels = self._labels(levelled)
         return self._refine(levelled, labels, layer)[1] if layer else labels
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
-        """Return the outputs (output, row, col) of the table."""
+        """Render a frame, and return the outputs of the table as an array (output, row, col)."""
         return self.exact_outputs(frame).astype(np.float32)
 
     def classified(self, frame: RawFrame) -> tuple[NDArray[np.float32], list[Integers]]:
-        """Return the outputs and a list of classes (row, col).
+        """Return the outputs, and a list with the class maps (row, col) of the first and the last layer.
 
-        The list contains the classes of the first layer and, if the table has several layers, of the last layer.
+        For a table with a single layer, the list contains one class map.
         """
         return self.outputs(frame), [self.labels(frame, number) for number in sorted({0, len(self.table.later)})]
 
@@ -74,7 +74,7 @@ class ReferenceRenderer:
         return (self.picture(frame, display) for frame, display in frames)
 
     def exact_outputs(self, frame: RawFrame) -> NDArray[np.float64]:
-        """Return the outputs (output, row, col) in float64, without the rounding to float32 of `outputs`.
+        """Return the outputs (output, row, col) in float64. The method `outputs` rounds the same values to float32.
 
         The outputs include all steps after the layers: the replacement of clipped areas, the gain of the shading, the
         smoothing of spectra or chroma, and the correction for dark current.
@@ -100,7 +100,7 @@ class ReferenceRenderer:
         return frame.light_share * made
 
     def planes(self, frame: RawFrame) -> NDArray[np.int32]:
-        """Return the planes (plane, row, col) that the last layer reads. The table must have a refinement layer."""
+        """Return the planes that the last layer reads. The table must have a refinement layer."""
         levelled = at_table_levels(frame, self.table)
         return self._refine(levelled, self._labels(levelled), len(self.table.later))[0]
 
@@ -111,9 +111,9 @@ class ReferenceRenderer:
         return [self._sets.first_fixed_point, *(refined_fixed_point(layer, basis) for layer in self._sets.later[:-1])]
 
     def _labels(self, levelled: RawFrame) -> Integers:
-        """Return the class (row, col) of every pixel in the first layer, numbered consecutively over all sets of transforms.
+        """Return the class of every pixel in the first layer. The frame must have the levels of the table.
 
-        The frame must have the levels of the table.
+        Classes are numbered consecutively over all sets of transforms.
         """
         usual, *others = (
             label_mosaic(levelled.values, table.first.rule, table.cfa, len(table.channels), levelled.phase)
@@ -125,7 +125,10 @@ class ReferenceRenderer:
         return labels
 
     def _refine(self, levelled: RawFrame, first_labels: Integers, number: int) -> tuple[NDArray[np.int32], Integers]:
-        """Return the planes that refinement layer `number` reads, and the classes of its pixels. Layers count from 1."""
+        """Return the planes that a refinement layer reads, and the class of every pixel in this layer.
+
+        Layers are counted from 1.
+        """
         later = self._sets.later
         planes = first_planes(levelled, first_labels, self.table, self._fixed_points[0])
         labels = self._refined_labels(planes, first_labels, 0)
@@ -142,7 +145,7 @@ class ReferenceRenderer:
         return replaced(made, mosaic_of(levelled, self.table), clipping.response, clipping.white)
 
     def _refined_labels(self, planes: NDArray[np.int32], first_labels: Integers, place: int) -> Integers:
-        """Return the class (row, col) of every pixel in refinement layer `place`, counted from 0."""
+        """Return the class of every pixel in a refinement layer. Refinement layers are counted from 0."""
         rule, *others = self._sets.refinement_rules(place)
         return label_planes(planes, first_labels, rule, self.table.first.rule, *others)
 
@@ -181,9 +184,9 @@ def output_planes(frame: RawFrame, labels: Integers, table: TransformTable, firs
 
 
 def first_planes(frame: RawFrame, labels: Integers, table: TransformTable, fixed: FixedPoint) -> NDArray[np.int32]:
-    """Apply the transforms of the first layer in fixed point, and return the planes (plane, row, col).
+    """Apply the transforms of the first layer in fixed point, and return the planes.
 
-    The frame must have the levels of the table. `labels` (row, col) contains the class of each pixel.
+    The frame must have the levels of the table. `labels` contains the class of each pixel.
     """
     return _fixed_point_planes(_mosaic_windows(frame.values.astype(np.int64), table), labels, fixed)
 
@@ -256,7 +259,10 @@ def _patches(windows: NDArray, row: int) -> NDArray:
 
 
 def _fixed_point_planes(windows: NDArray, labels: Integers, fixed: FixedPoint) -> NDArray[np.int32]:
-    """Apply fixed-point transforms to windows (plane, row, col, …), and return planes (plane, row, col)."""
+    """Apply fixed-point transforms to the windows around all pixels, and return the planes.
+
+    `windows` has the axes (plane, row, col, …). The result has the axes (plane, row, col).
+    """
     made = np.empty((fixed.weights.shape[1], *labels.shape), np.int32)
     for row, label in enumerate(labels):
         sums = (fixed.weights[label] * _patches(windows, row)[:, None]).sum(axis=-1) + fixed.intercept[label]
@@ -267,9 +273,10 @@ def _fixed_point_planes(windows: NDArray, labels: Integers, fixed: FixedPoint) -
 def _transformed(
     windows: NDArray, labels: Integers, layer: MosaicLayer | PlaneLayer, ratios: NDArray | None = None
 ) -> NDArray[np.float64]:
-    """Apply floating-point transforms to windows (plane, row, col, …), and return outputs (output, row, col).
+    """Apply floating-point transforms to the windows around all pixels, and return the outputs.
 
-    `ratios` (row, col, tap) contains the colour ratios, which are additional taps after the taps of the windows.
+    `windows` has the axes (plane, row, col, …). `ratios` (row, col, tap) contains the colour ratios, which are additional
+    taps after the taps of the windows. The result has the axes (output, row, col).
     """
     outputs = np.empty((layer.weights.shape[1], *labels.shape))
     for row, label in enumerate(labels):  # row by row, because the transforms of all pixels would need gigabytes
@@ -325,7 +332,7 @@ def least_luminance(frame: RawFrame, table: TransformTable) -> NDArray[np.float6
 
 
 def smoothed_spectra(planes: NDArray[np.float64], smoothing: SpectralSmoothing) -> NDArray[np.float64]:
-    """Smooth the spectra of outputs (output, row, col) over a window, without changing the brightness of a pixel.
+    """Smooth spectra by averaging each pixel with similar neighbours, without changing the brightness of a pixel.
 
     Let o be the outputs of a pixel, Y the mean of its outputs, p the central pixel of a window, and q any pixel of the
     window:
@@ -372,7 +379,7 @@ def smoothed_chroma(
     white: NDArray[np.float64],
     least: NDArray[np.float64] | float = -np.inf,
 ) -> NDArray[np.float64]:
-    """Smooth the chroma of X, Y, Z (3, row, col) by averaging similar neighbours, then raise pixels that are too dark.
+    """Smooth chroma by averaging each pixel with similar neighbours, then raise pixels that are too dark.
 
     Smoothing does not change the luminance.
 

@@ -26,24 +26,24 @@ MAX_HELD = 16  # largest number of renderers that are kept; each renderer keeps 
 
 
 class Renderer(Protocol):
-    """A renderer for one table. It prepares everything that does not depend on the frame once."""
+    """A renderer for one table. Everything that does not depend on the frame is prepared once."""
 
     @property
     def table(self) -> TransformTable: ...
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.integer]:
-        """Return the class (row, col) of every pixel. `layer` is the number of the layer in the table, counted from 0.
+        """Return the class of every pixel as an array (row, col). Layers are counted from 0.
 
         All backends return the same classes.
         """
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
-        """Return the outputs (output, row, col) of the table for every pixel of the frame."""
+        """Render a frame, and return the outputs of the table as an array (output, row, col)."""
 
     def classified(self, frame: RawFrame) -> tuple[NDArray[np.float32], Sequence[NDArray[np.integer]]]:
-        """Return the outputs and a list of classes (row, col).
+        """Return the outputs, and a list with the class maps (row, col) of the first and the last layer.
 
-        The list contains the classes of the first layer and, if the table has several layers, of the last layer.
+        For a table with a single layer, the list contains one class map.
         """
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
@@ -59,7 +59,7 @@ class Renderer(Protocol):
         """
 
     def encoded(self, outputs: NDArray[np.float32], display: Display) -> NDArray:
-        """Encode outputs (output, row, col) that were changed after rendering, as a picture (row, col, 3).
+        """Encode outputs that were changed after rendering, such as filtered outputs, as a picture.
 
         Raises a RecipeError unless the table outputs X, Y and Z, Y alone, or Stokes parameters.
         """
@@ -184,6 +184,6 @@ class NoiseRenderer:
 
 
 def _make_room(held: dict[Any, Any]) -> None:
-    """Remove the oldest entry if there are `MAX_HELD` entries."""
+    """Remove the oldest entry if the cache contains `MAX_HELD` entries."""
     if len(held) == MAX_HELD:
         del held[next(iter(held))]

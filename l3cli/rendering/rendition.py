@@ -110,7 +110,7 @@ def shown_as(
     table: TransformTable, exposure: float | None, white: str | None, space: str, bits: int,
     estimated_by: TransformTable | None = None,
 ) -> tuple[Rendition, WhiteSource | None]:  # fmt: skip
-    """Return the settings of pictures, and the source of the white of each frame.
+    """Return the settings of pictures, and the method that finds the white of each frame.
 
     Parameters
     ----------
@@ -220,8 +220,8 @@ def frame_and_display(
 class FrameMeter:
     """Determines the exposure scale and the white balance of frames, one after another.
 
-    In a sequence, the exposure and the white balance follow the measurements smoothly. Some sources of the white keep the
-    white of the first frame. Each still has its own white, and the renderer determines its automatic exposure.
+    In a sequence, the exposure and the white balance follow the measurements smoothly. Some methods measure the white only
+    in the first frame of a sequence. Each still has its own white, and the renderer determines its automatic exposure.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ class FrameMeter:
     rendition : Rendition
         Settings of the pictures.
     source : WhiteSource or None
-        Source of the white of each frame, or None for the white of the rendition.
+        Method that finds the white of each frame, or None for the white of the rendition.
     rate : Fraction or None
         Frames per second of a sequence, or None for stills.
     """

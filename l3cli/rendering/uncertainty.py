@@ -6,7 +6,7 @@ The standard deviation of an output at pixel p is modelled as
 
 s is the standard deviation of a raw value that is as bright as the output. G is a gain for each class of the last layer. K
 is a factor for each kind (chroma or saturation case) of the first layer. E is a factor for the outermost rows and columns,
-where windows are mirrored. A mirrored window contains some raw values twice, so it averages the noise less.
+where windows are mirrored. A mirrored window contains some raw values twice, so its outputs have more noise.
 
 G, K and E are determined by a parametric bootstrap. The rendered picture is treated as the true scene. Frames of this scene
 are simulated several times with new noise and are rendered. The factors are fitted so that the mean σ of each class, kind
@@ -166,7 +166,7 @@ def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = 
 
 
 def _with_sums(table: TransformTable, outputs: Array) -> Array:
-    """Append the SUMS of Stokes parameters to outputs (output, …), if there are any."""
+    """Append the SUMS of Stokes parameters to the outputs, if the outputs are Stokes parameters."""
     if not has_stokes(table.outputs):
         return outputs
     stokes = stokes_of(outputs, table.outputs)
@@ -174,10 +174,10 @@ def _with_sums(table: TransformTable, outputs: Array) -> Array:
 
 
 def _of_polarisation(table: TransformTable, outputs: Array, sigma: Array) -> NDArray[np.float32]:
-    """Return the standard deviations of DoLP and AoLP (row, col, 2).
+    """Return the standard deviations of DoLP and AoLP along the last axis of the result.
 
     `sigma` (output, row, col) contains the standard deviations of the outputs and of SUMS. The covariance of two parameters
-    follows from the variances of both and of their sum.
+    follows from the variances of both parameters and of their sum.
     """
     made = np.empty((*outputs.shape[1:], 2), np.float32)
     for first in range(0, len(made), step := max(STRIP // made.shape[1], 1)):
@@ -300,9 +300,9 @@ def _replaced(table: TransformTable, frame: RawFrame) -> NDArray[np.uint8]:
 
 
 def _sides(planes: NDArray[Any]) -> list[NDArray[Any]]:
-    """Return views (…, distance, along) of the outermost rows and columns of planes (…, row, col).
+    """Return views of the outermost rows and columns of planes: top, bottom, left and right.
 
-    The sides are top, bottom, left and right. The outermost row or column of a side has distance 0.
+    Each view has the axes (…, distance, along). The outermost row or column of a side has the distance 0.
     """
     turned = planes.swapaxes(-1, -2)
     return [each[..., :EDGE_PIXELS, :] for each in (planes, planes[..., ::-1, :], turned, turned[..., ::-1, :])]
@@ -436,7 +436,7 @@ def _along(planes: Array, along: Labels) -> Array:
 
 
 def _cut(planes: NDArray[Any], rows: Labels, cols: Labels) -> NDArray[Any]:
-    """Select rows and columns of planes (…, row, col)."""
+    """Select rows and columns, which are the last two axes of `planes`."""
     return planes.take(rows, -2).take(cols, -1)
 
 
@@ -499,7 +499,7 @@ def _sampled(length: int, unit: int) -> NDArray[np.int64]:
 
 
 def _counts(indices: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return a mask that excludes the first and last indices from `_sampled`, and the indices near seams between pieces."""
+    """Return a mask of the indices from `_sampled` that are not near a seam between pieces or near the ends."""
     seams = np.concatenate([[-0.5], np.flatnonzero(np.diff(indices) != 1) + 0.5, [indices.size - 0.5]])
     return np.asarray(np.abs(np.arange(indices.size)[:, None] - seams).min(axis=1) > SEAM_PIXELS)
 
@@ -560,7 +560,7 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
 
 
 def _summed(part: Labels, values: NDArray[Any], size: int) -> Array:
-    """Sum values (cell, output) over the cells of each part, and return the sums (part, output)."""
+    """Sum the values (cell, output) of all cells that belong to the same part. The result has the axes (part, output)."""
     return np.stack([np.bincount(part, of, size) for of in values.T], axis=-1)
 
 

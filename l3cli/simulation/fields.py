@@ -380,10 +380,10 @@ def coverage(patterns: Patterns, label: NDArray[np.integer], down: Array, across
 def _strokes(
     patterns: Patterns, axis: int, label: NDArray[np.integer], position: Array
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Return the fraction of each sample that is covered by parallel strokes, and the number of the nearest stroke.
+    """Return the fraction of each sample that parallel strokes cover, and the number of the nearest stroke.
 
-    `axis` selects the strokes (0) or the perpendicular bars (1). The coverage is exact for strokes parallel to the sampling
-    grid.
+    `axis` is 0 for the strokes of a pattern and 1 for its perpendicular bars. The coverage is exact for strokes parallel to
+    the sampling grid.
     """
     period, width = patterns.period[axis][label], patterns.width[axis][label]
     turns = position / period + patterns.phase[axis][label]

@@ -214,7 +214,7 @@ class _Response:
     def exposure_for(self, level: float, radiance: Array) -> float:
         """Return the exposure time, in s, at which the brightest channel reaches the fraction `level` of full scale.
 
-        The time is rounded to three digits. It is infinite if no channel responds to the radiance.
+        The time is rounded to three digits. If no channel responds to the radiance, the time is infinite.
         """
         with np.errstate(divide="ignore"):
             signals = self.electrons(radiance) * self.camera.channel_gains
@@ -246,10 +246,11 @@ class _Session:
         polarisation: float = 0.0,
         angle: float = 0.0,
     ) -> None:
-        """Plan a capture of light with the given spectral radiance (spectrum, wavelength) and linear polarisation.
+        """Plan a capture of light with the given radiance and linear polarisation.
 
-        The drift of the lamp and the error of the polariser angle are random, and both affect the signals. A capture of a
-        chart or of the monochromator also contains the spectra that the spectrometer measures.
+        `radiance` contains one or more spectra. The drift of the lamp and the error of the polariser angle are random, and
+        both affect the signals. A capture of a chart or of the monochromator also contains the spectra that the spectrometer
+        measures.
         """
         last = self.captures[-1] if self.captures else None
         name = f"{kind}/{len(self.captures):03d}_{re.sub(r'[^A-Za-z0-9.]+', '-', light)}"
@@ -285,7 +286,7 @@ class _Session:
 
 
 def plan(camera: CameraModel, recipe: LabRecipe, seed: int) -> tuple[LabCapture, ...]:
-    """Plan all captures of a camera in their order.
+    """Plan all captures of a camera, in the order in which the lab takes the captures.
 
     Raises
     ------
@@ -416,7 +417,7 @@ def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe
 
 
 def falloff(y: Array, x: Array, missing: float) -> Array:
-    """Return the illumination at (y, x) relative to the centre of the frame.
+    """Return the illumination at positions (y, x), relative to the illumination at the centre of the frame.
 
     The coordinates are −1 and 1 at the edges of the frame. `missing` is the relative loss of light in the corners.
     """

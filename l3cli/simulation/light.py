@@ -1,4 +1,4 @@
-"""Illuminants, the electrons that a camera collects under them, and the target outputs (docs/method.md#simulation)."""
+"""Illuminants, the electrons that a camera collects from their light, and the target outputs (docs/method.md#simulation)."""
 
 import hashlib
 import itertools
@@ -60,7 +60,7 @@ class Light:
 
     @property
     def spectrum(self) -> LightSpectrum:
-        """Spectrum for a luminance of 1 cd/m², in the form in which a training set stores it."""
+        """Spectrum for a luminance of 1 cd/m², in the format of training sets."""
         return LightSpectrum(self.wavelength.astype(np.float64), (self.radiance / self.luminance).astype(np.float32))
 
 

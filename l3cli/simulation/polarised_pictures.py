@@ -72,8 +72,8 @@ def stokes_of_pictures(content: PolarisedPictures, source: sources.PolarisedPict
 def _contradiction(residual: Floats, intensity: float) -> float:
     """Return how strongly pictures behind a polariser contradict each other, relative to the mean intensity.
 
-    The result is the RMS of block means of the residual (picture, row, col, colour). It is 0 if noise can explain the
-    residual.
+    The residual of the pictures is averaged over blocks of pixels, and the RMS of the block means is returned. If noise can
+    explain the residual, the result is 0.
     """
     rows, cols = (length // BLOCK for length in residual.shape[1:3])
     if not (rows and cols and intensity > 0):

@@ -62,7 +62,7 @@ class Coat:
 
 
 def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Array, patterned: float = 0.0) -> Cube:
-    """Return the reflectance (row, col, band) of `drawn_leaves`."""
+    """Return only the reflectance of `drawn_leaves`."""
     return drawn_leaves(rng, size, wavelength, patterned)[0]
 
 
@@ -124,7 +124,7 @@ def drawn_leaves(
 def _coats(rng: np.random.Generator, materials: Array, count: int) -> Coat:
     """Draw the appearance of `count` leaves.
 
-    Each leaf has one of `materials` (material, band) or, with a probability of 40 %, a mixture of two materials.
+    With a probability of 60 %, a leaf consists of one of the `materials`, otherwise of a mixture of two materials.
     """
     one, other = materials[rng.integers(len(materials), size=(2, count))]
     share = np.where(rng.random(count) < 0.4, rng.random(count), 1.0)[:, None]
@@ -146,7 +146,7 @@ def _coats(rng: np.random.Generator, materials: Array, count: int) -> Coat:
 def _light(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float32]:
     """Draw the relative illumination of a scene at each pixel.
 
-    The illumination always varies smoothly. In 30 % of the scenes, it may contain shadows with soft, ragged edges.
+    The illumination always varies smoothly. In 30 % of the scenes, shadows with soft, ragged edges can be added.
     """
     logarithm = 0.4 * fields.pink(rng, shape, 1.8)
     shadows = rng.poisson(1.0) if rng.random() < 0.3 else 0
@@ -303,7 +303,7 @@ def _blurred(cube: Cube, sigma: float) -> Cube:
 
 
 def composition(rng: np.random.Generator, size: tuple[int, int], wavelength: Array) -> Cube:
-    """Return the reflectance (row, col, band) of `drawn_composition`."""
+    """Return only the reflectance of `drawn_composition`."""
     return drawn_composition(rng, size, wavelength)[0]
 
 

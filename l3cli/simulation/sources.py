@@ -205,7 +205,7 @@ class WantedScene:
 
 
 def name_of(source: Source) -> str:
-    """Return the name of the type of a source, as it is written in the recipe."""
+    """Return the name of the type of a source, as written in the recipe."""
     return str(source.__struct_config__.tag)
 
 
@@ -399,7 +399,7 @@ def _polarisation_on_sensor(
 
 
 def turned(cube: NDArray[np.float32], framing: Framing) -> NDArray[np.float32]:
-    """Crop, mirror and rotate the cube (row, col, band) of a scene.
+    """Crop, mirror and rotate the samples of a scene.
 
     Raises
     ------
@@ -448,7 +448,10 @@ def _cropped(size: tuple[int, ...], framing: Framing) -> tuple[int, int, int, in
 
 
 def _require_room(motion: Motion, size: tuple[int, int], scale: float) -> None:
-    """Raise ValueError if the camera moves beyond a scene of `size` at `scale` pixels per sample."""
+    """Raise ValueError if the moving camera would show parts beyond the edges of a scene.
+
+    `size` contains the rows and columns of the scene, and `scale` the number of pixels per sample.
+    """
     rows, cols = (math.ceil(min(length / scale - 1e-6, 1e9)) for length in room(motion))
     if rows > size[0] or cols > size[1]:
         raise ValueError(
@@ -581,7 +584,7 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
 def usual_white(values: NDArray, is_reflectance: bool = True, ignored: NDArray[np.bool_] | None = None) -> float:
     """Guess the stored value of a perfect white from the data type. Raise ValueError if this is impossible.
 
-    `values` has the axes row, column and band, or picture, row, column and colour.
+    `values` contains a spectral cube (row, col, band) or several pictures (picture, row, col, colour).
     """
     if values.dtype.kind not in "iu":
         return 1.0

@@ -1,7 +1,4 @@
-"""The stage of `l3 calibrate`.
-
-It estimates a camera model from measurements, or writes a draft of a measurement file for a folder of captures.
-"""
+"""The stage of `l3 calibrate`, which estimates a camera model from measurements or drafts a measurement file."""
 
 import itertools
 import os
@@ -211,9 +208,9 @@ def _problem(text: str, output: Path) -> str:
 
 
 def named_from(path: Path, output: Path) -> str:
-    """Return a path as it is written in the measurement file `output`.
+    """Return a path in the form in which the measurement file `output` refers to this path.
 
-    The path is relative to the folder of the measurement file if the path is inside this folder. Otherwise it is absolute.
+    Paths inside the folder of the measurement file are relative to this folder. All other paths are absolute.
     """
     relative = os.path.relpath(path, output.parent)
     return str(path.absolute()) if relative.startswith("..") else Path(relative).as_posix()

@@ -76,7 +76,7 @@ class Parts(PartsFolder):
     def each(
         self, what: str, work: Callable[[T], Arrays], items: Sequence[T], pool: WorkerPool, console: Console
     ) -> Iterator[dict[str, NDArray]]:
-        """Apply `work` to each item, store the results, and yield them in order.
+        """Apply `work` to each item, store the results, and yield the results in order.
 
         If an earlier run has already stored the result for an item, `work` is not called for this item.
 

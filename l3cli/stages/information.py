@@ -61,7 +61,7 @@ def content(file: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Verification:
-    """Result of the verification of an artifact and of the files from which it was made."""
+    """Result of verifying an artifact, and of comparing its history with other files."""
 
     intact: Intact
     links: tuple[Link, ...]  # one entry per role of input files in the history, such as "training set"
@@ -82,7 +82,7 @@ def verification(file: Path, inputs: tuple[Path, ...]) -> Verification:
     """Verify an artifact.
 
     l3 checks the digest of the file, reads its whole content, and compares the digests of `inputs` with its history.
-    Differences between `inputs` and the history are part of the result. They do not raise an error.
+    Differences between `inputs` and the history do not raise an error, but are part of the result.
 
     Parameters
     ----------

@@ -420,9 +420,9 @@ def _places(folder: Path, names: Sequence[str]) -> dict[str, Path]:
 
 
 def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
-    """Return the camera that took some raw files.
+    """Build a camera from raw files.
 
-    l3 takes the responsivities from the first available source: a ColorChecker in one of the first MAX_CHART_PHOTOS photos,
+    l3 uses the responsivities from the first available source: a ColorChecker in one of the first MAX_CHART_PHOTOS photos,
     measured curves of this camera, the colour matrices in the file, and the mean of the measured cameras.
 
     Raises

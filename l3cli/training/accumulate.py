@@ -1,11 +1,11 @@
 """Add patches to the sums of their classes (docs/method.md#training).
 
-This takes two steps, so that intermediate arrays fit into the processor caches:
+Patches are added in two steps, so that intermediate arrays fit into the processor caches:
 
 1. Small groups of patches are scaled to random levels, get noise, and are assigned to classes. Only the class, level and
    scale of each patch are kept.
-2. The patches are sorted by class. They are then scaled again, this time without noise, and weighted. Their products are
-   added to the sums of the classes.
+2. The patches are sorted by class, scaled again without noise, and weighted. The products of the columns of each patch are
+   added to the sums of its class.
 """
 
 import math
@@ -104,7 +104,7 @@ class _Batch:
         self.tap_share = member.mean(axis=1).astype(np.float32)
 
     def add_to(self, sums: ClassSums, rng: np.random.Generator) -> None:
-        """Scale the patches to random levels, determine their classes, and add them to `sums`."""
+        """Scale the patches to random levels, determine the class of each patch, and add the patches to `sums`."""
         label, level, scale = self._exposed(rng)
         order = np.argsort(label, kind="stable")
         label = label[order]
@@ -173,7 +173,10 @@ class _Batch:
         return np.clip(np.rint(values), 0.0, np.floor(camera.white_level)).astype(np.uint32)
 
     def _level(self, sums: NDArray[np.uint32]) -> NDArray[np.float64]:
-        """Return the level of each patch as a fraction of full scale, from the pixel sums (channel, patch)."""
+        """Return the level of each patch as a fraction of full scale.
+
+        `sums` contains the sums of the pixels of each channel.
+        """
         camera, shift = self.pass_.head.camera, self.pass_.rule.shift
         mean = (1 / (self.neighbours.count[self.site] * len(sums))) @ sums
         seen = (mean * 2**shift + (truncation(shift) - camera.black_level)) / (camera.white_level - camera.black_level)

@@ -1,10 +1,10 @@
 """Train clipped areas to become grey (docs/method.md#clipped-areas).
 
-If channels clip, the colour of a surface is lost. The mean colour of all training surfaces that clip in the same channels is
-a poor estimate, because it gives highlights a colour cast. Most highlights are neutral, and a neutral error is hardly
-visible. Saturated classes of uniform areas are therefore also trained on uniform greys that clip in the same channels. The
-more channels clip, the more weight the greys have. Classes of textured areas are not trained on greys, because their
-unclipped pixels still show the colour, and greys would remove detail.
+If channels clip, the colour of a surface is lost. The mean colour of all training surfaces that clip in the same channels
+would give highlights a colour cast. Most highlights are neutral, and a neutral error is hardly visible. Saturated classes of
+uniform areas are therefore also trained on uniform greys that clip in the same channels. The more channels clip, the more
+weight the greys have. Classes of textured areas are not trained on greys, because their unclipped pixels still show the
+colour, and greys would remove detail.
 """
 
 import numpy as np
@@ -223,7 +223,7 @@ def plain_colours(sums: ClassSums, rule: ClassRule, window: NDArray[np.int64]) -
 
 
 def flat_moments(sums: ClassSums, rule: ClassRule, width: int) -> Array:
-    """Return the moment matrix of all unsaturated classes of the lowest contrast together."""
+    """Add up the moments of all unsaturated classes of the lowest contrast, and return the moment matrix."""
     return moment_matrix(rule.by_feature(sums.moments)[0, :, 0, :, rule.kinds_of(0)].sum(axis=(0, 1, 2)), width)
 
 

@@ -36,7 +36,7 @@ class Patches:
         """Limit the factors by which patches are made brighter or darker.
 
         Simulated patches may be multiplied by any factor. A patch of a real frame can only be made darker, because noise can
-        be added but not removed. If one of its taps clips, a real patch is not scaled.
+        be added but not removed. A real patch with a clipped tap is not scaled.
 
         Parameters
         ----------
@@ -60,7 +60,10 @@ class Patches:
 
     @classmethod
     def concatenated(cls, parts: list["Patches"]) -> "Patches":
-        """Join several sets of patches into one. In mixed sets, simulated patches have a `carried` noise of zero."""
+        """Join several sets of patches.
+
+        If only some sets contain measured noise, simulated patches have a `carried` noise of zero.
+        """
         colourless = [np.zeros(len(p.signal), bool) if p.colourless is None else p.colourless for p in parts]
         carried = None
         if any(part.carried is not None for part in parts):
@@ -166,10 +169,10 @@ def sample_pair(
     rng: np.random.Generator,
     allowed: Allowed = EVERY_ORIENTATION,
 ) -> Patches:
-    """Take patches at random places of a real pair: a raw frame and a picture of the same scene.
+    """Take patches at random places from a real pair: a raw frame and a picture of the same scene.
 
-    The mosaic of a real frame is fixed. Patches are therefore taken only at sites that are a rotation or reflection of the
-    canonical site, and are read in the corresponding orientation.
+    The CFA of a real frame cannot be moved or turned. Patches are therefore taken only at sites that are a rotation or
+    reflection of the canonical site, and are read in the corresponding orientation.
 
     Parameters
     ----------
@@ -239,7 +242,7 @@ def sample_patches(
     orientations: Sequence[NDArray[np.int64]],
     rng: np.random.Generator,
 ) -> Patches:
-    """Take patches at random places and in random orientations of a simulated frame.
+    """Take patches at random places and in random orientations from a simulated frame.
 
     A simulated frame contains the electrons of all channels at every pixel. The CFA can therefore be placed at any offset
     and in any orientation. Patches that would contain an ignored pixel are not taken.

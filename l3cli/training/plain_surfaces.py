@@ -7,8 +7,8 @@ man-made scenes, are added. Some chromas occur only in stripes that have the per
 trained to be grey (docs/method.md#stripes).
 
 If the outputs are the channels of the camera, classes of uniform areas are also trained on areas in which each band varies
-independently (docs/method.md#single-bands). The training surfaces have smooth spectra. Without this addition, a class would
-treat every other spectrum as noise, and would give uniform areas with such a spectrum a colour cast.
+independently (docs/method.md#single-bands). The training surfaces have smooth spectra. Without independent bands, a class
+would treat the deviation from a smooth spectrum as noise, and would give a uniform area with such a spectrum a colour cast.
 """
 
 import functools
@@ -103,7 +103,7 @@ def false_colours(camera: CameraModel, wavelength: Array, photons: Array) -> Arr
 
 
 def stripe_shares(white: Array, stripes: Array) -> Array:
-    """Return the chroma centres of stripe patterns on a white surface, as channel fractions (stripe, channel).
+    """Return the chroma centre of each stripe pattern on a white surface, as channel fractions.
 
     `white` contains the signals of the white surface, one per channel.
     """
@@ -111,7 +111,7 @@ def stripe_shares(white: Array, stripes: Array) -> Array:
 
 
 def shares(signals: Array) -> Array:
-    """Return channel fractions: signals (…, channel) divided by their sum over the channels."""
+    """Divide the signals of all channels by their sum, and return channel fractions."""
     return np.asarray(signals / signals.sum(axis=-1, keepdims=True))
 
 
@@ -244,7 +244,7 @@ class PlainSurfaces:
 
 
 def _moments(signals: Array, outputs: Array, count: Array, window: NDArray[np.int64]) -> Array:
-    """Return the weighted mean moments (column, column) of samples. `count` contains the weight of each sample."""
+    """Return the mean moments of samples, weighted with `count`."""
     weight = count / count.sum() / (signals.mean(axis=1) * outputs[:, 1])
     values = np.concatenate([signals, np.zeros((len(signals), 1)), outputs], axis=1)
     # einsum instead of BLAS, because the results of BLAS depend on the number of threads
@@ -331,8 +331,8 @@ def output_gains(moments: Array, window: NDArray[np.int64]) -> Array | None:
 def single_bands(moments: Array, window: NDArray[np.int64], gains: Array) -> Array:
     """Return the moments of uniform patches in which each band varies independently around the mean colour of a class.
 
-    Each band has a standard deviation of `BAND_DEVIATION` times its mean. The number of these patches equals the number of
-    training patches of the class.
+    Each band has a standard deviation of `BAND_DEVIATION` times its mean. As many of these patches are assumed as the class
+    has training patches.
 
     Parameters
     ----------
@@ -355,11 +355,14 @@ def single_bands(moments: Array, window: NDArray[np.int64], gains: Array) -> Arr
 
 
 def has_single_bands(rule: ClassRule, index: int) -> bool:
-    """Return whether `single_bands` applies to a class: unsaturated, and of the lowest of several contrasts."""
+    """Return whether `single_bands` applies to a class.
+
+    The class must be unsaturated and have the lowest of several contrasts.
+    """
     place = rule.split(index)
     return bool(rule.contrasts > 1 and place.contrast == 0 and not rule.case(place.kind))
 
 
 def _membership(window: NDArray[np.int64]) -> Array:
-    """Return a matrix (tap, channel) that is 1 where a tap belongs to a channel, and 0 otherwise."""
+    """Return a matrix with the value 1 where a tap (row) belongs to a channel (column), and 0 otherwise."""
     return (window[:, None] == np.arange(window.max() + 1)).astype(np.float64)

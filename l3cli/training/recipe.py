@@ -144,7 +144,7 @@ class LayerRecipe(Recipe):
 
     @property
     def ratio_taps(self) -> int:
-        """Number of taps that follow the taps of the windows."""
+        """Number of ratio taps, which follow the taps of the windows."""
         return RATIO_TAPS[self.colour_ratios + self.bilateral_chroma]
 
 
@@ -164,8 +164,8 @@ class TrainingRecipe(Recipe):
 def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
     """Return a copy of the recipe in which the levels that depend on the camera are set.
 
-    If `darkest` is 0, it becomes the level at which the signal equals its noise, or the lowest level of the classes if this
-    level is higher (docs/method.md#level-rescaling). If the channels have different exposures or gains, `brightest` is
+    A `darkest` of 0 is replaced by the level at which the signal equals its noise, or by the lowest level of the classes,
+    whichever is higher (docs/method.md#level-rescaling). If the channels have different exposures or gains, `brightest` is
     raised so that the least sensitive channel clips, too (docs/method.md#exposures).
 
     Parameters
@@ -217,8 +217,8 @@ def for_noise(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
 def draft_of(recipe: TrainingRecipe) -> TrainingRecipe:
     """Return the recipe for ``l3 train --draft``.
 
-    A draft uses three tenths of the patches and a third of the draws. It has one layer, with the noise weights of the last
-    layer in `recipe`, and no transforms for single illuminants or other noise levels.
+    A draft uses three tenths of the patches and a third of the draws. The table has a single layer, for which the noise
+    weights of the last layer in `recipe` are used. The table has no transforms for single illuminants or other noise levels.
     """
     learning = recipe.learning
     last = recipe.layer[-1] if recipe.layer else learning

@@ -39,8 +39,7 @@ class ColourWeighting:
     ) -> Floats:  # fmt: skip
         """Return the weight (e² + ¼)^(−power) of each patch.
 
-        e² is the expected squared error of the first pass in CIELAB units. It is the sum of the squared bias and the noise
-        variance.
+        e² is the expected squared error of the first pass in CIELAB units: the squared bias plus the noise variance.
 
         Parameters
         ----------
@@ -93,9 +92,9 @@ class SpectralWeighting:
     ) -> Floats:  # fmt: skip
         """Return the weight (e² + ¼)^(−power) of each patch.
 
-        e² is the expected squared spectral angle between the result of the first pass and the target, in degrees². It
-        contains bias and noise. The parameters are the same as for `ColourWeighting.weight`, except that `target` has the
-        shape (patch, output).
+        e² is the expected squared spectral angle between the result of the first pass and the target, in degrees², including
+        bias and noise. The parameters are the same as for `ColourWeighting.weight`, except that `target` has the shape
+        (patch, output).
         """
         bias, noise = np.empty_like(target), np.empty_like(level)
         for index, first, last in runs:

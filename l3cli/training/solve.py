@@ -171,8 +171,8 @@ def solve(
 ) -> Solution:
     """Solve the classes of one canonical site by least squares.
 
-    The solution is T = Y Xᵀ (X Xᵀ + Λ)⁻¹. A class is solved if it has patches or if its parent has patches. Classes with few
-    patches are supported by neighbouring levels and by their parents.
+    The solution is T = Y Xᵀ (X Xᵀ + Λ)⁻¹. Classes with few patches are supported by neighbouring levels and by their
+    parents. A class cannot be solved if neither the class nor its parent has patches.
 
     Parameters
     ----------
@@ -364,7 +364,7 @@ def _constrained(
     goal: Goal,
     equations: list[OutputKind],
 ) -> list[Array]:
-    """Return the taps (class, tap + 1, output) of each site, constrained to the common response with the least error.
+    """Constrain the transforms of all sites to the common response with the least error. Return the taps of each site.
 
     If `_exact_white` returns the signals of white, white is rendered exactly as white. The luminance of a grey must not fall
     at the exposure at which its last channel clips (see `steps_back`).
@@ -408,7 +408,7 @@ def _constrained(
 
 
 def _exact_white(solutions: list[Solution], goal: Goal) -> Array | None:
-    """Return the signals of white, or None if they are unknown or contradict the patches of a site.
+    """Return the signals of white. Return None if the signals are unknown or contradict the patches of a site.
 
     The result is also None if the outputs are neither colours nor Stokes parameters.
     """

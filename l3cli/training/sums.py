@@ -51,7 +51,7 @@ def empty_sums(rule: ClassRule, outputs: int, camera: CameraModel) -> ClassSums:
 
 
 def same_shapes(sums: ClassSums | LayerSums, others: ClassSums | LayerSums) -> bool:
-    """Return whether sums have the same type and shapes as other sums, so that they can be added."""
+    """Return whether two objects with sums have the same type and the same shapes, so that they can be added."""
     return type(sums) is type(others) and all(
         (getattr(sums, name).dtype, getattr(sums, name).shape) == (np.float64, getattr(others, name).shape)
         for name in ("moments", "noise", "count")
@@ -64,7 +64,7 @@ def rounding_number(step: Array | float) -> Array:
 
 
 def add_rounded(total: Array, more: NDArray[np.float32], large: Array) -> None:
-    """Round numbers to whole grid steps, and add them to a total in place.
+    """Round numbers to whole grid steps, and add the rounded numbers to a total in place.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def steps_of_columns(intercept: Array, taps: int, outputs: int) -> Array:
 
 
 def require_exact(sums: ClassSums, rule: ClassRule, steps: Array) -> None:
-    """Raise an L3Error if a sum is so large that float64 may have rounded it.
+    """Raise an L3Error if a sum is too large for exact addition in float64.
 
     Only sums of squares are tested, because no sum of products of two columns exceeds the larger sum of squares.
     """
@@ -190,7 +190,10 @@ def turned_places(turn: NDArray[np.integer], width: int) -> NDArray[np.intp]:
 
 
 def moment_matrix(packed: Array, width: int) -> Array:
-    """Unpack moments (…, pair) into symmetric matrices (…, column, column)."""
+    """Unpack stored upper triangles into symmetric moment matrices.
+
+    The last axis of `packed` contains the pairs of columns. The result has two axes of columns instead.
+    """
     matrix = np.empty((*packed.shape[:-1], width, width))
     row, col = pairs(width)
     matrix[..., row, col] = packed

@@ -1,7 +1,7 @@
 """Symmetry of a colour filter array.
 
 If the neighbourhoods of two sites are rotations or reflections of each other, the sites are trained together. The eight
-rotations and reflections of a square are called *orientations*. Their numbers are their positions in the result of
+rotations and reflections of a square are called *orientations*. An orientation is numbered by its position in the result of
 `orientations`. The parameter `allowed` of the functions in this module lists the orientations that training may use.
 
 A patch that is read in an allowed orientation must be as likely as the original patch, and must have the same noise. All
@@ -64,7 +64,7 @@ class SiteMap:
 
 @functools.cache
 def orientations(patch: int) -> tuple[Indices, ...]:
-    """Return the permutations of the taps for the eight orientations of a square patch. The first is the identity."""
+    """Return the permutations of the taps for the eight orientations of a square patch, beginning with the identity."""
     taps = np.arange(patch * patch).reshape(patch, patch)
     return tuple(np.rot90(side, turns).ravel() for side in (taps, taps.T) for turns in range(4))
 
@@ -150,7 +150,7 @@ class Turn(NamedTuple):
 
 
 def turns_of(rule: ClassRule, window: Indices, allowed: Allowed = EVERY_ORIENTATION) -> list[Turn]:
-    """Return the allowed orientations that leave the CFA layout of `window` unchanged. The first is the identity.
+    """Return the allowed orientations that leave the CFA layout of `window` unchanged, beginning with the identity.
 
     `window` contains the channel of each tap.
     """

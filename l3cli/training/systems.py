@@ -98,9 +98,9 @@ def fits(transforms: Array, white: Array, integers: Integers) -> NDArray[np.bool
 
 
 def fits_between(transforms: Array) -> NDArray[np.bool_]:
-    """Return, for each class, whether the transform can be represented in the integer formats.
+    """Return, for each class of a refinement layer, whether the transform can be represented in the integer formats.
 
-    The transforms (class, tap + 1, plane) compute the planes of one layer from the planes of the previous layer.
+    The transforms (class, tap + 1, plane) compute planes from the planes of the previous layer.
     """
     planes = np.swapaxes(transforms, 1, 2)
     return room_between(planes[..., :-1], planes[..., -1]) > ROUNDING_MARGIN

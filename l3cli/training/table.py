@@ -122,7 +122,7 @@ def take_pilot(
 
 
 def pilot_patches(patches: Sequence[int]) -> list[int]:
-    """Return the number of pilot patches per site from each frame, in proportion to its number of training patches."""
+    """Return the number of pilot patches per site for each frame, in proportion to the training patches from the frame."""
     total = sum(patches)
     return [-(-PILOT_PATCHES * share // total) for share in patches]
 
@@ -190,7 +190,10 @@ def _joined(observed: list[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray
 
 
 def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) -> list[int]:
-    """Return the canonical sites, which are trained. The other sites use rotated or mirrored copies of their transforms."""
+    """Return the canonical sites, which are trained.
+
+    All other sites use rotated or mirrored copies of the trained transforms.
+    """
     neighbours = neighbourhoods(head.camera.cfa, rule.patch, len(head.camera.channels))
     maps = site_maps(neighbours.channel, rule.patch, recipe.orientations(head.camera))
     return sorted({site_map.canonical for site_map in maps})
@@ -354,7 +357,7 @@ def _dark_signal(frame: TrainingPair, camera: CameraModel) -> float:
 
 
 def _unit_white(frame: TrainingPair, outputs: tuple[str, ...]) -> NDArray[np.float64]:
-    """Return the outputs of white for a frame, scaled so that Y or S0 is 1. If there is neither, the mean is 1.
+    """Return the outputs of white for a frame, scaled so that Y or S0 is 1. Without Y and S0, the mean of the outputs is 1.
 
     Raises InputFileError if the white is dark, or does not have one value per output.
     """

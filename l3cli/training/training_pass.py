@@ -78,9 +78,9 @@ class TrainingPass:
         return self.recipe.first_draws if self.number == FIRST else self.recipe.draws
 
     def brightness(self, target: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the brightness of each target (patch, output). Training errors are relative to the brightness.
+        """Return the brightness of each target. Training errors are relative to the brightness.
 
-        The brightness is the output Y or S0, or the mean of the outputs if they contain neither. Negative values are
+        The brightness is the output Y or S0, or the mean of the outputs if there is neither Y nor S0. Negative values are
         replaced by 0.
         """
         return np.maximum(brightness_of(target, self.head.outputs), np.float32(0.0))
@@ -132,7 +132,10 @@ def spread_patches(patches: int, frames: Sequence[int], shares: Sequence[Fractio
 
 
 def brightness_of(target: NDArray, outputs: tuple[str, ...]) -> NDArray:
-    """Return the brightness of targets (…, output): Y, S0, or the mean of all outputs if there is neither Y nor S0."""
+    """Return the brightness of each target: Y, S0, or the mean of the outputs if there is neither Y nor S0.
+
+    The last axis of `target` contains the outputs.
+    """
     name = luminance_name(outputs)
     return target[..., outputs.index(name)] if name in outputs else target.mean(axis=-1)
 
@@ -167,8 +170,8 @@ class WorkShare:
 def frame_blocks(patches: Sequence[int], most: int | None = None) -> list[range]:
     """Divide the frames into blocks of about the same number of patches.
 
-    The patches of a block are sorted by class together. Each shard or process receives whole blocks. The blocks are nearly
-    equal, so that no process has to wait for a large block of another process.
+    All patches of a block are sorted by class in one step. Each shard or process receives whole blocks. The blocks are
+    nearly equal, so that no process has to wait for a large block of another process.
 
     Parameters
     ----------

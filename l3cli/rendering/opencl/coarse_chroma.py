@@ -29,10 +29,10 @@ class DeviceCoarseChroma:
         self, kernel: Callable[..., Any], run: Callable[..., Any], constant: Callable[..., Any], chroma: CoarseChroma,
         variant: str,
     ) -> None:  # fmt: skip
-        """Store the arguments. Nothing is compiled yet.
+        """Store the arguments. Kernels are compiled when a frame first needs them.
 
-        `kernel` is a function that compiles a kernel from its source, macros and name. `run` is a function that enqueues a
-        kernel on a track over rows and columns. `constant` is a function that copies an array to the device.
+        `kernel` compiles a kernel, given the source, the macros and the name. `run` enqueues a kernel for all pixels of an
+        area. `constant` copies an array to the device.
         """
         self._make, self._run, self._constant, self._chroma, self._variant = kernel, run, constant, chroma, variant
         self._kernels: list[Any] = []  # the kernels "average" and "soften"
@@ -95,7 +95,10 @@ class DeviceClipping:
         self, kernel: Callable[..., Any], run: Callable[..., Any], constant: Callable[..., Any], table: TransformTable,
         variant: str,
     ) -> None:  # fmt: skip
-        """Store the arguments, which are the same as for `DeviceCoarseChroma`. Nothing is compiled yet."""
+        """Store the arguments, which are the same as for `DeviceCoarseChroma`.
+
+        Kernels are compiled when a frame first needs them.
+        """
         self._make, self._run, self._constant, self._table, self._variant = kernel, run, constant, table, variant
         self._kernels: list[Any] = []  # the kernels "measure_blocks", "map_blocks", "spread_estimates" and "read_maps"
         self._constants: list[Any] = []  # buffers with the CFA, and with the response and the white

@@ -39,8 +39,8 @@ FORKED = (
 def prepare_cache() -> str:
     """Set the folder of PoCL's cache. This function must be called before the first OpenCL function.
 
-    The folder is created if necessary, with access only for the user. If it cannot be used, for example because other users
-    can write to it or the disk is full, a temporary folder is used.
+    The folder is created if necessary, with access only for the user. A temporary folder is used instead if other users can
+    write to the folder or if the disk is full.
 
     Returns
     -------
@@ -84,9 +84,9 @@ def cache_warning() -> str:
 
 
 def _user_folder() -> Path | None:
-    """Return the folder for PoCL's cache, or None if neither an environment variable nor the home folder determines it.
+    """Return the user's folder for PoCL's cache, or None if no such folder is known.
 
-    The folder is POCL_CACHE_DIR if this variable is set. Otherwise it is inside XDG_CACHE_HOME or the home folder.
+    The folder is POCL_CACHE_DIR if this variable is set. Otherwise the folder is inside XDG_CACHE_HOME or the home folder.
     """
     chosen, caches = Path(os.environ.get("POCL_CACHE_DIR", "")), Path(os.environ.get("XDG_CACHE_HOME", ""))
     if chosen.is_absolute():
@@ -168,7 +168,7 @@ def devices() -> list[Any]:
 def survey() -> list[str]:
     """Describe all devices, one line each, and all platforms without devices.
 
-    If there are no devices, the lines explain what is missing and how to install it.
+    If there are no devices, the lines explain what is missing and how to install the missing parts.
     """
     lines, number = [], 0
     platforms = _platforms()
@@ -187,7 +187,7 @@ def survey() -> list[str]:
 
 
 def _platforms() -> list[tuple[str, list[Any], str]]:
-    """Return, for each platform, its name, its devices, and the reason if it has no devices."""
+    """Return the name and the devices of each platform. For a platform without devices, also return the reason."""
     cl = pyopencl()
     try:
         platforms = cl.get_platforms()

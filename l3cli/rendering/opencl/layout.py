@@ -326,7 +326,7 @@ def display_macros(display: Display) -> Macros:
 
 
 def class_arrays(table: TransformTable, *others: TransformTable) -> tuple[NDArray, ...]:
-    """Return the constant arguments of the kernel `classes`, in their order.
+    """Return the arrays that the kernel `classes` receives as constant arguments.
 
     `others` are tables with the transforms for less noise, if the kernel chooses between several sets of transforms.
     """
@@ -441,7 +441,10 @@ def table_buffers(
 
 
 def by_column(weights: NDArray, planes: int) -> NDArray:
-    """Change the order of the taps of `weights` (class, output, tap) from plane, row, column to column, row, plane."""
+    """Sort the taps by column, row and plane, instead of by plane, row and column.
+
+    `weights` has the axes (class, output, tap).
+    """
     classes, outputs, taps = weights.shape
     side = math.isqrt(taps // planes)
     square = weights.reshape(classes, outputs, planes, side, side)
@@ -494,7 +497,7 @@ def pack_whole_in_vectors(layer: WholeWeights, lanes: int) -> NDArray[np.int16]:
 
 
 def _side_by_side(taps: NDArray, intercept: NDArray, once: int) -> NDArray:
-    """Pack weights (class, …) for side_by_side.cl.
+    """Pack the weights of each class for side_by_side.cl.
 
     Each class begins with a header that contains the four intercepts at a stride of 4. The taps follow in blocks: `once`
     taps of output 0, the same taps of output 1, and so on up to output 3. Missing outputs and taps are zero.
@@ -509,7 +512,7 @@ def _side_by_side(taps: NDArray, intercept: NDArray, once: int) -> NDArray:
 
 
 def pack_in_fours(layer: Weights, lanes: int) -> NDArray:
-    """Pack floating-point weights for gpu/frame.cl, as (class, 1 + tap, output).
+    """Pack floating-point weights for gpu/frame.cl. The result has the axes (class, 1 + tap, output).
 
     The intercept precedes the taps. The number of outputs is padded to a multiple of four with zeros.
     """
@@ -521,7 +524,7 @@ def pack_in_fours(layer: Weights, lanes: int) -> NDArray:
 
 
 def pack_whole_in_fours(layer: WholeWeights, lanes: int) -> NDArray[np.int32]:
-    """Pack fixed-point weights for gpu/frame.cl, as (class, 1 + tap, 4).
+    """Pack fixed-point weights for gpu/frame.cl. The result has the axes (class, 1 + tap, 4).
 
     The three intercepts and the number of fractional bits precede the taps.
     """

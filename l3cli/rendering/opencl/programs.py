@@ -45,7 +45,7 @@ class Compiler:
 
 @functools.cache
 def compiler_of(device: Any) -> Compiler:
-    """Return the compiler of a device. All renderers of a process share it."""
+    """Return the compiler of a device, which all renderers of a process share."""
     return Compiler(pyopencl().Context([device]), device)
 
 

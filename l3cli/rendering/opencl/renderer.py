@@ -51,10 +51,10 @@ class DeviceShading:
     """
 
     def __init__(self, kernel: Callable[[str, Macros, str], Any], constant: Callable[[NDArray], Any], lanes: int) -> None:
-        """Store the arguments. Nothing is compiled yet.
+        """Store the arguments. Kernels are compiled when a frame first needs them.
 
-        `kernel` is a function that compiles a kernel from its source, macros and name. `constant` is a function that copies
-        an array to the device. `lanes` is the length of the vectors.
+        `kernel` compiles a kernel, given the source, the macros and the name. `constant` copies an array to the device.
+        `lanes` is the length of the vectors.
         """
         self._make, self._constant, self._run = kernel, constant, LONG_RUN if lanes > 1 else 1
         self._kernel: Any = None
@@ -184,7 +184,7 @@ class OpenCLRenderer:
             self._clipping = clips and DeviceClipping(self._kernel, self._run, self._constant, table, self.variant)
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.uint32]:
-        """Return the class (row, col) of every pixel. `layer` is the number of the layer in the table, counted from 0."""
+        """Return the class of every pixel as an array (row, col). Layers are counted from 0."""
         labels = np.empty(frame.values.shape, np.uint32)
         if self._layers and self._unread is not None and self._unread.are_of(frame):  # the classes are still on the device
             work, track = Work(self.device, self.stages), self._unread.track
@@ -195,9 +195,9 @@ class OpenCLRenderer:
         return labels
 
     def classified(self, frame: RawFrame) -> tuple[NDArray[np.float32], list[NDArray[np.uint32]]]:
-        """Return the outputs and a list of classes (row, col).
+        """Return the outputs, and a list with the class maps (row, col) of the first and the last layer.
 
-        The list contains the classes of the first layer and, if the table has several layers, of the last layer.
+        For a table with a single layer, the list contains one class map.
         """
         labels = {layer: np.empty(frame.values.shape, np.uint32) for layer in {0, len(self._layers)}}
         joined, self._joined = self._joined, self._joined and bool(self._layers)  # a joined kernel does not store classes
@@ -208,7 +208,7 @@ class OpenCLRenderer:
         return self._ended(planes, work, frame), [labels[layer] for layer in sorted(labels)]
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
-        """Return the outputs (output, row, col) of the table."""
+        """Render a frame, and return the outputs of the table as an array (output, row, col)."""
         planes, work = self._start_outputs(frame)
         if len(self._bands(frame.values.shape)) == 1:
             self._unread = Unread(frame, frame.values.copy(), self._tracks[-1], self._tracks[-1].result)
@@ -391,7 +391,7 @@ class OpenCLRenderer:
             work.add("classes", self._shading.correct(frame, track, band))
 
     def _chosen(self, frame: RawFrame, track: Track, band: Band, work: Work) -> tuple[Any, ...]:
-        """Return the buffer with the number of the set of transforms for each pixel of a band."""
+        """Upload the number of the transform set of each pixel in a band. Return a tuple with the buffer."""
         rows = band.reads[0]
         pixels = np.zeros((rows.stop - rows.start) * band.columns + READ_AHEAD, np.uint8)
         pixels[:-READ_AHEAD].reshape(-1, band.columns)[...] = self._sets.chosen(frame)[rows]
@@ -409,7 +409,7 @@ class OpenCLRenderer:
         return np.int32((frame.phase[0] + band.reads[0].start) % self.table.cfa.shape[0]), np.int32(frame.phase[1])
 
     def _classify_refinement(self, number: int, track: Track, band: Band, frame: RawFrame, work: Work) -> None:
-        """Enqueue the computation of the planes that refinement layer `number` reads, and of the classes in this layer.
+        """Enqueue the computation of the planes that refinement layer `number` reads, and of the classes of this layer.
 
         Refinement layers are counted from 0.
         """
@@ -468,7 +468,10 @@ class OpenCLRenderer:
             work.add(CHROMA, self._chroma.smooth(track, band, encoding, result, frame, gain, {**ending, **shaded}))
 
     def _first_outputs(self, track: Track, band: Band, frame: RawFrame, work: Work) -> tuple[Any, ...]:
-        """Enqueue the computation of the first layer's outputs, which the last layer corrects, and return their buffer."""
+        """Enqueue the computation of the first layer's outputs, which the last layer corrects.
+
+        Return a tuple with their buffer.
+        """
         (rows, columns), step = band.shape(0), self._layers[0]
         size = 4 * len(self.table.outputs) * rows * columns
         track.first = self._scratch(track.first, size + 4 * READ_AHEAD)
@@ -488,7 +491,10 @@ class OpenCLRenderer:
         return track.result
 
     def _run(self, kernel: Any, track: Track, shape: tuple[int, int], *arguments: Any, cut: layout.Cut | None = None) -> Any:
-        """Enqueue a kernel over rows and columns. The numbers of rows and columns are the last arguments of the kernel."""
+        """Enqueue a kernel for all pixels of an area.
+
+        The last two arguments of the kernel are the numbers of rows and columns.
+        """
         rows, columns = shape
         cut = cut or self._cut
         grid = (-(-columns // cut.tile) * cut.group[0], -(-rows // cut.band) * cut.group[1])
@@ -499,7 +505,7 @@ class OpenCLRenderer:
         return pyopencl().Kernel(self._compiler.build(source, {**macros, **self._cut.macros}), name)
 
     def _bands(self, shape: tuple[int, ...]) -> tuple[Band, ...]:
-        """Return the bands of frames with a shape (rows, columns). The bands of the latest shape are kept."""
+        """Return the bands of a frame with the given numbers of rows and columns. The latest result is cached."""
         if self._frame_bands is None or self._frame_bands[0] != shape:
             self._frame_bands = shape, tuple(bands(self.table, shape, self._constant))
         return self._frame_bands[1]

@@ -34,15 +34,15 @@ def place_of(band: Band, frame_rows: int) -> tuple[np.int32, ...]:
 
 
 class DeviceSpectra:
-    """The kernel that smooths spectra. It is compiled for the first frame."""
+    """The kernel that smooths spectra. The kernel is compiled for the first frame."""
 
     def __init__(
         self, kernel: Callable[[str, Macros, str], Any], run: Callable[..., Any], table: TransformTable, variant: str
     ) -> None:
-        """Store the arguments. Nothing is compiled yet.
+        """Store the arguments. The kernel is compiled when a frame first needs it.
 
-        `kernel` is a function that compiles a kernel from its source, macros and name. `run` is a function that enqueues a
-        kernel on a track over rows and columns.
+        `kernel` compiles a kernel, given the source, the macros and the name. `run` enqueues a kernel for all pixels of an
+        area.
         """
         assert table.spectra is not None
         self._make, self._run, self._variant = kernel, run, variant
@@ -74,7 +74,7 @@ class DeviceSpectra:
 class DeviceChroma:
     """The kernels that smooth chroma, raise pixels that are too dark, and write outputs or pictures.
 
-    A kernel is compiled when a frame first needs it.
+    Kernels are compiled when a frame first needs them.
     """
 
     def __init__(
@@ -86,10 +86,10 @@ class DeviceChroma:
         variant: str,
         cut: layout.Cut,
     ) -> None:
-        """Store the arguments. Nothing is compiled yet.
+        """Store the arguments. Kernels are compiled when a frame first needs them.
 
-        `run` is a function that enqueues a kernel on a track over rows and columns. `constant` is a function that copies an
-        array to the device. `cut` divides a band into work-groups.
+        `run` enqueues a kernel for all pixels of an area. `constant` copies an array to the device. `cut` divides a band into
+        work-groups.
         """
         assert table.chroma_smoothing is not None
         self._compiler, self._run, self._variant, self._cut = compiler, run, variant, cut
@@ -108,10 +108,9 @@ class DeviceChroma:
     ) -> Any:
         """Enqueue the smoothing of the outputs of a band, which are in the buffer from `room`.
 
-        The smoothed outputs are written to `result`, without the margins above and below the band. The macros `ending`
-        determine whether they are written as outputs or as an encoded picture. `encoding` is a buffer with the constants of
-        the display. `gain` contains the gains of the shading, if the frame has shading. The frame must have the levels of
-        the table.
+        The smoothed outputs are written to `result`, without the margins above and below the band. Depending on the macros
+        `ending`, `result` contains outputs or an encoded picture. `encoding` is a buffer with the constants of the display.
+        `gain` contains the gains of the shading, if the frame has shading. The frame must have the levels of the table.
         """
         key = tuple(ending.items())
         if key not in self._kernels:

@@ -101,8 +101,8 @@ def shares_memory(device: Any) -> bool:
 class Work:
     """The commands that were enqueued for one frame: the events of each stage, and the arrays that the device uses.
 
-    Arrays must not be freed while the device uses them. The object therefore keeps references to the arrays until all
-    commands have finished, even if the program is interrupted.
+    The device uses the memory of these arrays. `Work` therefore keeps references to the arrays until all commands have
+    finished, even if the program is interrupted.
     """
 
     def __init__(self, device: Any, stages: tuple[str, ...]) -> None:
@@ -216,15 +216,15 @@ class Band:
         return self.reads[len(self.later)]
 
     def shape(self, number: int) -> tuple[int, int]:
-        """Return the shape (rows, columns) of the range `reads[number]`."""
+        """Return the numbers of rows and columns in the range `reads[number]`."""
         return self.reads[number].stop - self.reads[number].start, self.columns
 
 
 def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDArray], Source]) -> Iterator[Band]:
-    """Yield the bands of a frame with this shape (rows, columns), from top to bottom.
+    """Yield the bands of a frame from top to bottom. `shape` contains the numbers of rows and columns.
 
-    For each band, the rows that each layer reads are computed from the margins of the later steps. `constant` copies an
-    index array to the device.
+    The rows that each layer reads for a band are computed from the margins of the later steps. `constant` copies an index
+    array to the device.
     """
     (rows, columns), radius, cfa = shape, table.first.rule.radius, table.cfa
     row_source = mirrored_indices(rows, radius, cfa.shape[0])

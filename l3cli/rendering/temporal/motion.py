@@ -106,7 +106,7 @@ class _Search:
         return np.arange(grid.blocks[axis]) * grid.block[axis] // unit - margin
 
     def _windows(self, plane: Plane, vector: Vectors) -> Plane:
-        """Return the displaced windows (block row, block col, row, col) of a plane. The plane is extended at its edges."""
+        """Return the window of every block in a plane, displaced by `vector`. The plane is extended at its edges."""
         rows = np.clip(self._rows[:, None, :] + vector[..., 0, None], 0, plane.shape[0] - 1)
         cols = np.clip(self._cols[None, :, :] + vector[..., 1, None], 0, plane.shape[1] - 1)
         return plane[rows[..., :, None], cols[..., None, :]]

@@ -50,12 +50,12 @@ class Grid:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Numbers of rows and columns of the frame after it is extended to whole blocks."""
+        """Numbers of rows and columns after the frame is extended to whole blocks."""
         return self.blocks[0] * self.block[0], self.blocks[1] * self.block[1]
 
     @property
     def cells(self) -> tuple[int, int]:
-        """Numbers of rows and columns of cells."""
+        """Number of rows of cells, and number of columns of cells."""
         return self.shape[0] // self.cell[0], self.shape[1] // self.cell[1]
 
     @property
@@ -74,7 +74,7 @@ class Grid:
         return rows, cols
 
     def padded(self, values: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Extend values (row, col) to whole blocks by repeating the last CFA period."""
+        """Extend a frame to whole blocks by repeating the last CFA period."""
         if values.shape == self.shape:
             return np.ascontiguousarray(values)
         (rows, cols), made = values.shape, np.empty(self.shape, np.uint16)
@@ -170,20 +170,23 @@ def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
 
 
 def _mean(values: NDArray[np.uint16], period: int) -> float:
-    """Return the approximate mean of values (row, col), from every eighth CFA period along the columns."""
+    """Return the approximate mean of a frame. Only every eighth CFA period along the columns is read."""
     whole = values[: len(values) // (period * ROW_PERIODS_PER_READ) * period * ROW_PERIODS_PER_READ]
     sampled = whole.reshape(-1, period * ROW_PERIODS_PER_READ, values.shape[1])[:, :period] if whole.size else values
     return float(sampled.mean())
 
 
 def to_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:
-    """Convert DN to u. Values too large for 16 bits are limited. All of these values exceed the white level."""
+    """Convert DN to the unit u of the temporal filter. Values that are too large for 16 bits are limited.
+
+    All of these values are above the white level.
+    """
     most = np.uint16((1 << DEEP - noise.protect) - 1)
     return np.minimum(values, most) << np.uint16(noise.protect)
 
 
 def of_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:
-    """Convert u to DN, rounded to the nearest DN."""
+    """Convert values in the unit u of the temporal filter to the nearest DN."""
     most = (1 << DEEP - noise.protect) - 1
     return np.minimum((values.astype(np.uint32) + (1 << noise.protect >> 1)) >> noise.protect, most).astype(np.uint16)
 

@@ -68,7 +68,7 @@ class Device:
             self._typed: set[str] = set()
 
     def run(self, name: str, rows: int, columns: int, *arguments: Any) -> None:
-        """Enqueue a kernel over rows and columns. A work-item processes `strip` columns.
+        """Enqueue a kernel for all rows and columns of an area. Each work-item processes `strip` columns.
 
         Integer arguments are passed as 32-bit integers.
         """
@@ -204,7 +204,10 @@ class OpenCLFilter:
             return replace(frame, values=made[:rows, :cols], noise_share=share, noise_left=of_cells)
 
     def history(self) -> NDArray[np.uint16]:
-        """Return the state (row, col) of the filter after the latest frame, in the units u of the module `noise`."""
+        """Return the filtered values after the latest frame as an array (row, col).
+
+        The unit is u, as in the module `noise`.
+        """
         values = np.empty(self._grid.shape, np.uint16)
         pyopencl().enqueue_copy(self._device.queue, values, self._buffers.history[0])
         return values
@@ -214,7 +217,7 @@ class OpenCLFilter:
         return noise_of(self._camera.at_gain(frame.gain), frame.black_level, frame.white_level, sites)
 
     def _rescale(self, frame: RawFrame) -> None:
-        """Convert the state to the gain and exposure time of a frame. This rarely happens, so it is computed on the host."""
+        """Convert the values of the filter to a new gain and exposure time, on the host because this is rarely necessary."""
         device, buffers, grid, noises = self._device, self._buffers, self._grid, (self._noise, self._noise_of(frame))
         left = buffers.host_left[1:-1, PADDING_COLUMNS:-PADDING_COLUMNS]
         before = reference.Blend(self.history(), left.astype(np.int64))
@@ -243,9 +246,9 @@ class OpenCLFilter:
         return work.upload(device.queue, values, buffers.borders[0]), buffers.borders[1]
 
     def _search(self, raw: Any) -> Any:
-        """Compute the motion vectors from the coarsest plane to the finest, and return their buffer.
+        """Compute the motion vectors from the coarsest plane to the finest plane. Return the buffer with the vectors.
 
-        Vectors are in CFA periods.
+        The unit of the vectors is one CFA period.
         """
         device, buffers, grid = self._device, self._buffers, self._grid
         self._planes(raw, buffers.now, buffers.before, self._noise.protect)

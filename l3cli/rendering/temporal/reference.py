@@ -45,14 +45,17 @@ LEAST_WEIGHT = ONE // 12  # smallest weight of the new frame
 
 @dataclass(frozen=True)
 class Blend:
-    """The state of the filter after a frame."""
+    """State of the temporal filter after a frame."""
 
     values: NDArray[np.uint16]  # (row, col) filtered values in u, extended to whole blocks
     left: Cells  # (cell row, cell col) remaining noise variance, as a fraction of one frame's variance, in units of 1/ONE
 
 
 def first_blend(values: NDArray[np.uint16], grid: Grid) -> Blend:
-    """Return the state after the first frame of a scene. `values` (row, col) contains whole blocks, in units u."""
+    """Return the state of the filter after the first frame of a scene.
+
+    `values` are in the unit u, and are extended to whole blocks.
+    """
     return Blend(values, np.full(grid.cells, ONE, np.int64))
 
 
@@ -163,7 +166,7 @@ def _evidence(
 
 
 def _sums(values: Cells, grid: Grid) -> Cells:
-    """Sum values (row, col) over each cell."""
+    """Sum the values of all pixels in each cell."""
     (down, across), (tall, wide) = grid.cells, grid.cell
     return values.reshape(down, tall, across, wide).sum(axis=(1, 3))
 

@@ -1,1 +1,1 @@
-"""The white of a scene: where it comes from, and the white balance that follows from it."""
+"""The white point of a scene, methods for finding the white point, and the white balance that follows."""

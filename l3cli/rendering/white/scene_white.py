@@ -141,8 +141,8 @@ class GreyRenderer:
 def _shading_corrected(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
     """Crop a frame to a small area, and correct the colour shading in the area.
 
-    The shading common to all channels is nearly constant over a small area, so it is not corrected. The `phase` of the
-    result is still the phase of the uncropped frame.
+    Shading that is common to all channels is not corrected, because it is nearly constant over a small area. The `phase` of
+    the result is still the phase of the uncropped frame.
     """
     shading = frame.shading
     cut = None if shading is None else replace(shading, colour=None if shading.colour is None else shading.colour[where])
@@ -213,7 +213,7 @@ def balanced(frame: RawFrame, table: TransformTable, gains: Array) -> RawFrame:
 
 
 def balanced_patches(patches: RawFrame, channel: NDArray[np.integer], gains: Array) -> RawFrame:
-    """Apply white-balance gains to patches (patch, tap), as in `balanced`. `channel` contains the channel of each tap."""
+    """Apply white-balance gains to patches, as in `balanced`. `channel` contains the channel of each tap."""
     if (gains == 1).all():
         return patches
     curves = _curves(patches.black_level + patches.dark, patches.white_level, tuple(gains.tolist()))
@@ -222,7 +222,7 @@ def balanced_patches(patches: RawFrame, channel: NDArray[np.integer], gains: Arr
 
 @functools.lru_cache(maxsize=8)
 def _curves(zero: float, white_level: float, gains: tuple[float, ...]) -> NDArray[np.uint16]:
-    """Return a look-up table (channel, value) that applies the gains to 16-bit values.
+    """Return a look-up table for each channel that applies the white-balance gain to 16-bit values.
 
     `zero` is the value without light. Values at or above the white level do not change.
     """
@@ -234,9 +234,9 @@ def _curves(zero: float, white_level: float, gains: tuple[float, ...]) -> NDArra
 class SteadyWhite:
     """Smooths the white balance of a sequence over time.
 
-    The first frame gets the white balance measured in this frame. From then on, the white balance approaches the measured
-    white balance exponentially, with the time constant of the automatic exposure. Later frames have no influence on
-    earlier frames.
+    The first frame has the white balance that is measured in this frame. After the first frame, the white balance approaches
+    the measured white balance exponentially, with the time constant of the automatic exposure. Later frames have no
+    influence on earlier frames.
     """
 
     def __init__(self, rate: Fraction) -> None:
@@ -455,7 +455,7 @@ def _is_plausible(light: CorrelatedLight) -> bool:
 
 @functools.lru_cache(1)
 def _surfaces(wavelength: tuple[float, ...]) -> Array:
-    """Return the reflectances (surface, wavelength) of `SURFACES` surfaces from the library of measured reflectances."""
+    """Return the reflectances (surface, wavelength) of `SURFACES` measured surfaces from the library."""
     library = spectra.reflectance_library(np.array(wavelength))
     return np.asarray(library[np.linspace(0, len(library) - 1, SURFACES).round().astype(int)])
 

@@ -86,10 +86,7 @@ class AutoWhite:
         return np.asarray(_between(self._neutrals, *places)[0, 0])
 
     def _samples(self, frame: RawFrame) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the cone responses (row, col, 3) of a grid of pixels, and a mask (row, col).
-
-        The mask is true for pixels that are neither clipped nor dark.
-        """
+        """Return the cone responses of a grid of pixels, and a mask of the pixels that are neither clipped nor dark."""
         table, rule = self._table, self._table.first.rule
         patches, site, labels = self._spread.of(frame)
         classes, signal = rule.on_site(labels, site), self._spread.signal(patches)
@@ -100,7 +97,7 @@ class AutoWhite:
         return cones.reshape(*shape, 3), usable.reshape(shape)
 
     def _log_ratios(self) -> Array:
-        """Return the logarithms of the cone ratios (mired, green, 2) of grey objects, on a fine grid of illuminants."""
+        """Natural logarithms of L/M and S/M for grey objects, on a fine grid of illuminants with the axes (mired, green)."""
         shown = self._neutrals.reshape(-1, self._neutrals.shape[-1])
         if self._table.camera:
             shown = self._whites.grey.outputs_of(GREY_LEVEL * shown)
@@ -142,10 +139,10 @@ def estimated(cones: Array, usable: NDArray[np.bool_]) -> Array | None:
 
 
 def _neutrals(table: TransformTable) -> Array:
-    """Return the signals (mired, green, channel) of a grey object under illuminants near daylight and black bodies.
+    """Return the signals of a grey object under illuminants from a grid around daylight and black bodies.
 
-    If the table does not record its camera, the XYZ (mired, green, 3) of the illuminants are returned instead. The table is
-    then assumed to render all white points correctly.
+    The result has the axes (mired, green, channel). If the table does not contain its camera, the result contains the XYZ of
+    the illuminants instead of signals. The table is then assumed to render all white points correctly.
     """
     camera = table.camera
     grid = camera.wavelength if camera else correlated_lights.WAVELENGTH
@@ -161,7 +158,7 @@ def _ratios(cones: Array) -> Array:
 
 
 def _between(values: Array, rows: Array, cols: Array) -> Array:
-    """Interpolate values (row, col, …) linearly at fractional indices `rows` and `cols`."""
+    """Interpolate linearly along the first two axes of `values`, at the fractional indices `rows` and `cols`."""
     low_row = np.clip(rows.astype(int), 0, values.shape[0] - 2)
     low_col = np.clip(cols.astype(int), 0, values.shape[1] - 2)
     down, across = (rows - low_row)[:, None, None], (cols - low_col)[None, :, None]

@@ -1,1 +1,1 @@
-"""The stage of `l3 render`: it renders raw frames with a transform table to pictures or video."""
+"""The stage of `l3 render`, which renders raw frames with a transform table to pictures or video."""

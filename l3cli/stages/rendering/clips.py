@@ -1,6 +1,6 @@
 """Rendering of several clips with one command.
 
-Each clip is rendered separately, and an error in a clip does not stop the others.
+Each clip is rendered separately. If a clip fails, the remaining clips are still rendered.
 """
 
 import contextlib

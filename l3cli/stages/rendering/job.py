@@ -1,4 +1,4 @@
-"""First phase of a rendering: it opens the table, finds the frames, and checks all options.
+"""First phase of a rendering: the table is opened, the frames are found, and all options are checked.
 
 Errors that do not depend on the content of a frame are raised here, before anything is written.
 """
@@ -208,7 +208,7 @@ def has_display(destination: Destination, options: RenderOptions) -> bool:
 
 
 def _engine(options: RenderOptions) -> dict[str, str]:
-    """Return the options for the backend that the user has set. Raise RecipeError if the backend does not support them."""
+    """Return the backend options that the user has set. Raise RecipeError if the backend does not support an option."""
     engine = {name: value for name, value in {"device": options.device, "variant": options.variant}.items() if value}
     if engine and options.backend != "opencl":
         raise RecipeError(

@@ -1,4 +1,4 @@
-"""The stage of `l3 render`: it renders raw frames to a picture, numbered files, a folder, a video or a stream."""
+"""The stage of `l3 render`, which renders raw frames to a picture, numbered files, a folder, a video or a stream."""
 
 from pathlib import Path
 

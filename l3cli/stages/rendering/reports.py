@@ -40,7 +40,7 @@ class Tally:
         job.options.console.report(f"l3: {error}")
 
     def report(self, job: Job) -> None:
-        """Report the number of frames and the speed at the end of the run, and the number of frames that were left out.
+        """At the end of a run, report the number of frames, the speed, and the number of frames that were left out.
 
         If this run has rendered no frames, the message says that the output is already finished.
         """
@@ -56,8 +56,8 @@ class Tally:
 class WhiteReport:
     """Reports the white of the frames.
 
-    The white of each still is reported. For a sequence, the white of the first frame and, if it has changed, the white of
-    the last frame are reported. The first white is also checked, and a warning is sent to the console if it is implausible.
+    The white of each still is reported. For a sequence, the first white is reported, and the last white if it is different.
+    If the first white is implausible, a warning is sent to the console.
     """
 
     def __init__(self, source: WhiteSource | None, stills: bool, console: Console) -> None:

@@ -67,7 +67,7 @@ def _is_finished(job: Job, look: Look, tally: Tally) -> bool:
 
 
 def _render_frames(job: Job, look: Look, makers: LocalPictures | RemotePictures, tally: Tally) -> None:
-    """Render and write all frames, count them in the tally, and report warnings about them.
+    """Render and write all frames. The frames are counted in the tally, and warnings about the frames are reported.
 
     Raises InputFileError if no frame can be read.
     """

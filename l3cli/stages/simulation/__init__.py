@@ -1,1 +1,1 @@
-"""The simulation stage: it simulates frames of scenes under several illuminants, and writes a training set."""
+"""The stage of `l3 simulate`, which simulates frames of scenes under several illuminants and writes a training set."""

@@ -1,4 +1,4 @@
-"""Preparation of a simulation: it checks the inputs before any frame is simulated, and it reads or draws the scenes."""
+"""Preparation of a simulation: all inputs are checked before any frame is simulated, and scenes are read or drawn."""
 
 import dataclasses
 from collections.abc import Callable
@@ -64,7 +64,7 @@ def files_of(source: sources.Source, path: Path) -> list[Path]:
 
 
 def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callable[[int], Scene | ChannelPicture]":
-    """Read or draw a scene, and return it as a function of time.
+    """Read or draw a scene, and return a function of time that yields the scene in each frame of a clip.
 
     Returns
     -------
@@ -182,7 +182,7 @@ def refusals(run: SimulationRun, files: list[list[Path]]) -> list[dict[Path, Inp
 
 
 def size_of(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, int]:
-    """Return the rows and columns of a scene as it is projected onto the sensor.
+    """Return the rows and columns of a scene after cropping, rotating and scaling for the sensor.
 
     If the scene is a file, only its header is read.
 

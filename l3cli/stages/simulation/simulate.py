@@ -1,4 +1,4 @@
-"""The stage of `l3 simulate`. It writes a training set and, optionally, pictures and DNG files of the frames."""
+"""The stage of `l3 simulate`, which writes a training set and, optionally, pictures and DNG files of the frames."""
 
 import contextlib
 import functools

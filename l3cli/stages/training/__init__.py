@@ -1,1 +1,1 @@
-"""The training stage: it trains a transform table from training sets, in one run or in shards."""
+"""The stage of `l3 train`, which trains a transform table from training sets, in one run or in shards."""

@@ -32,7 +32,7 @@ class FrameCache:
     Parameters
     ----------
     most : int
-        Size of the cache in bytes. By default, frames may use as much memory as sums.
+        Size of the cache in bytes. By default, the cache may be as large as the sums of a process.
     """
 
     def __init__(self, most: int = SUM_BYTES) -> None:

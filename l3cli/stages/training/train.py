@@ -1,4 +1,4 @@
-"""The stage of `l3 train`: it trains a transform table in one run, or in shards whose partial sums are merged."""
+"""The stage of `l3 train`, which trains a transform table in one run, or in shards whose partial sums are merged."""
 
 import contextlib
 import itertools
@@ -47,7 +47,7 @@ from l3cli.training.training_pass import FIRST, LAST, TrainingPass, frame_blocks
 
 
 def train(training: tuple[Path, ...], output: Path, options: TrainOptions) -> tuple[TransformTable, FilesUsed]:
-    """Train a transform table and write it.
+    """Train a transform table, and write the table to a file.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ PASS_NAMES = {FIRST_PASS: "first pass"} | dict(zip(LAYERS, LAYERS, strict=True))
 
 
 def train_shard(training: tuple[Path, ...], shard: tuple[int, int], output: Path, options: ShardOptions) -> FilesUsed:
-    """Compute the partial sums of one shard and write them.
+    """Compute the partial sums of one shard, and write the sums to a file.
 
     Parameters
     ----------
@@ -144,7 +144,8 @@ def train_shard(training: tuple[Path, ...], shard: tuple[int, int], output: Path
     output : Path
         File of partial sums to write.
     options : ShardOptions
-        Options of `l3 train`. `first` is the table of the previous pass. If it is not set, the sums are for the first pass.
+        Options of `l3 train`. The option `first` is the table of the previous pass. Without `first`, the sums of the first
+        pass are computed.
 
     Returns
     -------
@@ -356,7 +357,7 @@ def _require_all_shards(paths: tuple[Path, ...], heads: list[Head]) -> None:
 def write_layer_shard(
     run: TrainingRun, shard: tuple[int, int], table: TransformTable, output: Path, execution: Execution
 ) -> None:
-    """Compute the partial sums of a shard for the next refinement layer, and write them.
+    """Compute the partial sums of one shard for the next refinement layer, and write the sums to a file.
 
     Parameters
     ----------
@@ -401,7 +402,7 @@ def _layer(table: TransformTable, run: TrainingRun) -> LayerPass:
 
 
 def merged_layer(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed: int, path: Path) -> TransformTable:
-    """Return the table with one more refinement layer, which is solved from the partial sums of all shards.
+    """Add the next refinement layer to a table. The layer is solved from the partial sums of all shards.
 
     Parameters
     ----------

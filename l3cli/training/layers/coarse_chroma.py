@@ -23,9 +23,10 @@ Array = NDArray[np.float64]
 
 
 def measured_noise(layer: LayerPass) -> CoarseChroma:
-    """Measure the noise of block means, with which the coarse chroma filter compares differences between blocks.
+    """Measure the noise of simulated greys that the coarse chroma filter of a layer needs.
 
-    The noise is measured before each step of the filter.
+    The filter compares differences between blocks with this noise. The noise of the block means is measured before each step
+    of the filter.
 
     Parameters
     ----------

@@ -137,7 +137,7 @@ def _solution(moments: Array, noise: Array, noise_weight: float, ridge: float, o
 def _constrained(
     estimates: list[Array], member: Array, copies: list[int], goal: LayerGoal, of: list[int], keeps: bool
 ) -> list[Array]:
-    """Return the taps (tap, output) of each site, constrained to a common response to uniform areas.
+    """Constrain the taps of each site to a common response to uniform areas, and return the taps (tap, output).
 
     The common response minimises the squared error and preserves white. If `keeps` is true and the common response would
     fade a chroma plane, this chroma plane is preserved in uniform areas instead.
@@ -218,11 +218,11 @@ def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goa
 
 
 def _nearest(filled: NDArray[np.bool_], rule: PlaneRule) -> NDArray[np.int64]:
-    """Return, for each class, the index of the solved class from which the class gets the transform.
+    """Return, for each class, the index of the solved class whose transform the class uses.
 
-    A solved class keeps its own transform. An unsolved class gets the transform of the solved class with the same structure
-    or saturation case at the nearest level. If no level has a solved class with this structure or saturation case, the
-    class without structure at the nearest level is preferred.
+    A solved class uses its own transform. For an unsolved class, solved classes with the same structure or saturation case
+    are preferred, and the nearest level among them is used. If there is no such class, classes without structure are
+    preferred.
     """
     _, level, kind = rule.split(np.arange(filled.size))
     known = np.flatnonzero(filled)
@@ -270,7 +270,7 @@ class LayerPass:
 
     @property
     def blocks(self) -> list[range]:
-        """Ranges of frames. Each range is processed as a whole."""
+        """Ranges of frames. All frames of a range are processed together."""
         return frame_blocks([count * self.recipe.rows for count in self.mosaics], LAYER_SAMPLES)
 
     @property
@@ -305,7 +305,7 @@ class LayerPass:
         return PLANES if self.outputs is None else len(self.basis)
 
     def grid_steps(self, rule: PlaneRule) -> NDArray[np.float64]:
-        """Return the grid steps to which the sums of the layer are rounded, one per level and pair of columns."""
+        """Return the grid steps (level, pair) for the sums of the layer."""
         return grid_steps(rule, self.rule, self.camera, self.reading(self.recipe.side).taps, self.made)
 
     @property

@@ -1,6 +1,6 @@
 """Training mosaics for refinement layers (docs/method.md#layers).
 
-A mosaic is a piece of a training frame, as the camera would record it at a random level, with and without noise. The
+A mosaic is a piece of a training frame, exposed to a random level. Mosaics are simulated with and without noise. The
 previous layers render the mosaics, and the next layer is trained on the result.
 """
 
@@ -264,7 +264,10 @@ class Seen:
 
 
 def within(planes: NDArray, count: int, margin: int) -> NDArray:
-    """Remove `margin` pixels on each side of every mosaic. `planes` (…, row, col) contains `count` stacked mosaics."""
+    """Remove `margin` pixels on each side of every mosaic.
+
+    The array `planes` contains `count` mosaics, stacked vertically.
+    """
     rows, cols = planes.shape[-2] // count, planes.shape[-1]
     mosaics = planes.reshape(*planes.shape[:-2], count, rows, cols)[..., margin : rows - margin, margin : cols - margin]
     return mosaics.reshape(*planes.shape[:-2], count * mosaics.shape[-2], mosaics.shape[-1])
@@ -350,7 +353,7 @@ class PlaneStage:
 
 
 class _Transforms:
-    """Applies the fixed-point transforms of a layer to windows, and optionally floating-point transforms, too."""
+    """Applies the fixed-point transforms of a layer to windows. Floating-point transforms can be applied as well."""
 
     def __init__(self, fixed: FixedPoint, exact: tuple[NDArray, NDArray] | None = None) -> None:
         self.fixed, weights, self._intercept = fixed, fixed.weights, fixed.intercept

@@ -81,7 +81,7 @@ class TreeSamples:
 
 
 def turned_evidence(seen: Evidence, turn: int, pixels: Indices) -> tuple[Floats, Floats]:
-    """Return the numerators and denominators of all tests at `pixels`, for windows that are read in orientation `turn`."""
+    """Return the numerators and denominators of all tests at the given pixels, for windows read in orientation `turn`."""
     test, sign = turned_tests(turn)
     numerators = seen.numerators.reshape(TESTS, -1)[:, pixels][test] * np.array(sign)[:, None]
     return numerators, seen.denominators.reshape(len(seen.denominators), -1)[:, pixels]
@@ -183,8 +183,8 @@ def _best_split(sites: Sequence[TreeSamples], samples: list[Indices], mapped: Ma
 def _gains(site: TreeSamples, chosen: Indices, test: int, cuts: Floats, whole: Array, before: float) -> Array:
     """Return the gain of splitting the samples of one site at each of the thresholds `cuts`.
 
-    The gain is the reduction of the squared error, minus the reduction that the additional taps would cause by chance. If
-    one side of the split would have too few samples, the gain is −∞.
+    The gain is the reduction of the squared error, minus the reduction that the additional taps would cause by chance. The
+    gain is −∞ if one side of the split would have too few samples.
     """
     taps = site.columns.shape[1] - OUTPUTS
     passed = site.passed(test, cuts, chosen)  # number of thresholds that each sample exceeds
@@ -219,7 +219,7 @@ def _sums_below(site: TreeSamples, chosen: Indices, ends: list[int], whole: Arra
 
 
 def _sums(site: TreeSamples, chosen: Indices) -> Array:
-    """Return the exact sums of the products of each pair of columns (column, column), over the chosen samples."""
+    """Return the exact sums of the products of each pair of columns, over the chosen samples."""
     columns = site.columns.take(chosen, axis=0)
     return np.asarray(columns.T @ columns)
 

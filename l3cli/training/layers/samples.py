@@ -90,23 +90,24 @@ class Reading:
 
 
 def empty_sums(rule: PlaneRule, reading: Reading) -> LayerSums:
-    """Return sums of zero for one site."""
+    """Return sums without samples for one site."""
     classes, width = rule.classes_per_site, reading.taps + 1 + reading.outputs
     moments, noise = (np.zeros((classes, each * (each + 1) // 2)) for each in (width, reading.noisy))
     return LayerSums(moments, noise, np.zeros(classes))
 
 
 def grid_steps(rule: PlaneRule, first: ClassRule, camera: CameraModel, taps: int, outputs: int) -> NDArray[np.float64]:
-    """Return the grid steps to which the sums of a refinement layer are rounded, for each level and pair of columns.
+    """Return the grid steps (level, pair) for the products of columns in a refinement layer.
 
-    If a level of the layer joins several levels of the first layer, the darkest of these levels determines the step.
+    If several levels of the first layer correspond to one level of the refinement layer, the darkest of the levels
+    determines the step.
     """
     darkest = np.searchsorted(rule.level_of(np.arange(first.levels)), np.arange(rule.levels))
     return steps_of_columns(intercept_scale(first, camera)[darkest], taps, outputs)
 
 
 def require_exact(sums: LayerSums, rule: PlaneRule, steps: NDArray[np.float64]) -> None:
-    """Raise an L3Error if a sum is so large that float64 may have rounded it."""
+    """Raise an L3Error if a sum is too large for exact addition in float64."""
     (row, col), (tap, other) = pairs(width_of(sums.moments)), pairs(width_of(sums.noise))
     level = rule.split(np.arange(rule.classes_per_site)).level
     squares = sums.moments[:, row == col] / steps[level][:, row == col]
@@ -187,9 +188,9 @@ class _Samples(NamedTuple):
 class GatheredSamples:
     """Collects samples from several mosaics, and then adds the products of all these samples to the sums.
 
-    A mosaic has few samples of each class, and a matrix product takes little more time for many samples than for a few.
-    Samples whose products are computed together are also rounded together, so the grouping must depend only on the frames of
-    a block.
+    A mosaic has few samples of each class, and a matrix product takes little more time for many samples than for a few. The
+    samples of one matrix product also share their rounding errors. How samples are grouped must therefore depend only on the
+    frames of a block.
     """
 
     def __init__(
@@ -244,7 +245,7 @@ class GatheredSamples:
         self._sheets.append(_Samples(clean, noise, *about, behind, spread))
 
     def _ratios(self, planes: NDArray, pixels: Integers) -> Floats:
-        """Return the ratio taps (pixel, tap) of the pixels at the indices `pixels`."""
+        """Return the ratio taps of the pixels with the given indices, one row per pixel."""
         taps = taps_behind(planes, self.reading.side, self.reading.ratio_taps)
         return (taps.reshape(len(taps), planes[0].size)[:, pixels].T * PLANE_STEP).astype(np.float32)
 
@@ -262,7 +263,7 @@ class GatheredSamples:
             self._add_site(sums, samples, chosen[np.argsort(samples.label[chosen], kind="stable")])
 
     def _add_site(self, sums: LayerSums, samples: _Samples, order: Integers) -> None:
-        """Add the samples with the indices `order`, which are sorted by class, to the sums of one site."""
+        """Add samples to the sums of one site. `order` contains the indices of the samples, sorted by class."""
         offsets, columns = self.reading.offsets(self._cols), self.reading.columns
         samples = samples._replace(**{name: getattr(samples, name).take(order, axis=0) for name in _Samples._fields[2:]})
         levels = self.rule.split(samples.label).level
@@ -280,7 +281,7 @@ class GatheredSamples:
 
 
 def _in_fours(planes: NDArray) -> Floats:
-    """Convert planes (plane, row, col) to an array (pixel, 4) in output units. The fourth number is zero."""
+    """Convert three planes to an array with one row per pixel, in output units. A fourth number in each row is zero."""
     fours = np.zeros((planes[0].size, 4), np.float32)
     np.multiply(planes.reshape(3, -1).T, np.float32(PLANE_STEP), out=fours[:, :3])
     return fours
