@@ -68,7 +68,8 @@ def standard_figures(head: TrainingSet, planes: PlanesOf) -> dict[str, Any]:
     head : TrainingSet
         Head of a training set. The charts are simulated with its camera and its outputs.
     planes : callable
-        Function that returns the output planes (output, row, col) of each pipeline for a frame, by the name of the pipeline.
+        Function of a frame. It returns a dictionary with the name of each pipeline and the pipeline's output planes (output,
+        row, col) for the frame.
 
     Returns
     -------

@@ -102,7 +102,7 @@ def verification(file: Path, inputs: tuple[Path, ...]) -> Verification:
 
 
 def _read_whole(file: Path) -> None:
-    """Read the whole content of an artifact, to find missing or invalid values. Raises InputFileError if there are any.
+    """Read the whole content of an artifact. Raises InputFileError if values are missing or invalid.
 
     Large artifacts are read frame by frame or site by site.
     """

@@ -92,7 +92,7 @@ def _batches(
 
 
 class _Batch:
-    """Patches of one site, which `add_to` adds to the sums of this site."""
+    """A batch of patches that belong to one site."""
 
     def __init__(
         self, pass_: TrainingPass, patches: Patches, neighbours: Neighbourhoods, site: int, weighting: SampleWeighting | None

@@ -210,7 +210,7 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
 
 
 def for_noise(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
-    """Apply `for_camera` as if the frames of the camera were not filtered over time."""
+    """Apply `for_camera` to the camera without temporal noise filtering."""
     return for_camera(recipe, replace(camera, noise_left=1.0))
 
 

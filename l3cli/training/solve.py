@@ -44,8 +44,8 @@ def shrunk(
 ) -> tuple[Array, Array]:
     """Return the sums of classes, supported by neighbouring levels and by parents (docs/method.md#classes-with-few-patches).
 
-    Unsaturated classes also get the sums of the neighbouring levels, with weights. All classes get pseudo-patches of their
-    parent.
+    For an unsaturated class, the sums of the neighbouring levels are added with weights below 1. For every class,
+    pseudo-patches of its parent are added.
 
     Parameters
     ----------

@@ -88,10 +88,11 @@ def runs_of(label: NDArray[np.integer]) -> list[tuple[int, int, int]]:
 
 
 def pieces_of(label: NDArray[np.integer]) -> Iterator[slice]:
-    """Divide samples into slices of about `PIECE_SAMPLES` samples. `label` contains the class of each sample, sorted.
+    """Divide samples into slices of about `PIECE_SAMPLES` samples.
 
-    Several small classes share a slice, because a matrix product takes little more time for many samples than for a few. A
-    class is divided between slices only if its samples would not fit into a slice of `MAX_CLASS_PIECE_SAMPLES` samples.
+    `label` contains the class of each sample. The samples are sorted by class. Several small classes share a slice, because
+    a matrix product takes little more time for many samples than for a few. A class is divided between slices only if its
+    samples would not fit into a slice of `MAX_CLASS_PIECE_SAMPLES` samples.
     """
     start = np.array([first for _, first, _ in runs_of(label)], np.int64)
     first = start[np.unique(start // PIECE_SAMPLES, return_index=True)[1]].tolist()

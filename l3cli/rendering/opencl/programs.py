@@ -88,8 +88,8 @@ def usual_encoder(compiler: Compiler, variant: str) -> int:
 class Programs:
     """The kernels for the layers of a table, which are counted from 0, and for the encoder.
 
-    The parameter `ending` of the methods contains the macros that determine the form of the results: planes, outputs or
-    encoded pictures (layout.py).
+    The parameter `ending` of the methods contains the macros that select the type of results: planes, outputs or encoded
+    pictures (layout.py).
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""Rendering on an OpenCL device: upload, one or two kernels per layer (opencl/*.cl), download (docs/method.md#rendering).
+"""Rendering on an OpenCL device (docs/method.md#rendering).
+
+For each frame, the raw values are uploaded, one or two kernels per layer are run (opencl/*.cl), and the result is
+downloaded.
 
 A frame is divided into horizontal bands, so that the memory on the device does not grow with the size of the frame. A frame
 of usual size has a single band. Successive bands alternate between two tracks, each of which has its own queue and buffers.
@@ -72,7 +75,10 @@ class DeviceShading:
 
     @staticmethod
     def corrects(frame: RawFrame) -> bool:
-        """Return whether a frame has colour shading, so that its raw values on the device must be writable."""
+        """Return whether a frame has colour shading.
+
+        The kernel corrects colour shading in place, so the device must be able to write to the raw values.
+        """
         return frame.shading is not None and frame.shading.colour is not None
 
     def correct(self, frame: RawFrame, track: Track, band: Band) -> Any:
@@ -268,7 +274,7 @@ class OpenCLRenderer:
         Parameters
         ----------
         frame : RawFrame
-            Frame that is rendered.
+            Frame to render.
         display : Display or None
             Settings of the picture, or None to render outputs.
 
@@ -312,15 +318,15 @@ class OpenCLRenderer:
         Parameters
         ----------
         frame : RawFrame
-            Frame that is rendered.
+            Frame to render.
         results : sequence of ndarray, (row, …)
             Arrays to which the results are written. On the device, the results are consecutive in one buffer.
         ending : dict or None
-            Macros that determine the form of the results, or None if only classes are wanted.
+            Macros that select the type of results (planes, outputs or encoded pictures), or None to compute only classes.
         matrix : ndarray, (3, 3), optional
             Matrix from outputs to the linear values of a picture.
         labels : dict of int to ndarray, (row, col)
-            Arrays to which the classes are written, by the number of the layer.
+            For each layer to classify, the array to which the classes are written.
         borrow : bool
             Whether the device may read the values of the frame until all commands have finished. Otherwise the values are
             copied first, so that the caller may change the frame.

@@ -120,9 +120,9 @@ class FrameOrigins:
     Parameters
     ----------
     inputs : Path
-        The input. It is used for frames that do not have a separate file.
+        The input, which identifies frames that do not have a separate file.
     settings : object
-        Settings that influence all pictures and are not part of the key of the run, such as the estimated gain, as JSON
+        Settings that influence all pictures but are not part of the key of the run, such as the estimated gain, as JSON
         data.
     follow : bool
         Whether each picture depends on all previous frames. The origins must then be computed in the order of the frames.

@@ -406,7 +406,7 @@ Choice = Callable[[TransformTable, NDArray[np.floating]], Mix | None]  # mix_for
 
 
 def light_mix_of_given(white: str | None, table: TransformTable, choice: Choice, console: Console) -> Mix | None:
-    """Find the mixture of a table's illuminants that fits a white, report the mixture on the console, and return it.
+    """Find the mixture of a table's illuminants that fits a white, and report this mixture on the console.
 
     Parameters
     ----------

@@ -379,7 +379,7 @@ def sample_tree(
 
 
 def _split_side(layer: LayerPass) -> int:
-    """Return the side of the windows that evaluate splits, in pixels."""
+    """Return the side, in pixels, of the windows with which splits of a tree are evaluated."""
     return min(layer.recipe.side, SPLIT_SIDE_PIXELS) if layer.learning.noise == "none" else layer.recipe.side
 
 
