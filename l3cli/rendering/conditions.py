@@ -339,7 +339,10 @@ class NoiseSets:
         self._limits = list(limits.values())
         macros = [kernel_macros(each.first.rule) for each in self.tables[:2]]
         if macros[0] != macros[-1]:
-            raise InputFileError("the table's transforms for less noise have a different class rule; train the table again")
+            raise InputFileError(
+                "the table's transforms for less noise have a different class rule from its other transforms; train the "
+                "table again"
+            )
 
     def __len__(self) -> int:
         return len(self.tables)

@@ -131,7 +131,7 @@ def require_xyz(outputs: tuple[str, ...]) -> None:
     """
     if outputs not in (("X", "Y", "Z"), GREY, STOKES):
         raise RecipeError(
-            f"the table has the outputs {', '.join(outputs)}, but pictures need X, Y, Z, or only Y; write an .exr file"
+            f"the table has the outputs {', '.join(outputs)}, but pictures need X, Y and Z, or Y alone; write an .exr file"
         )
 
 

@@ -141,8 +141,8 @@ def shown_as(
     if exposure is not None and not (isinstance(exposure, Real) and MIN_EXPOSURE <= exposure <= MAX_EXPOSURE):
         given_as = f"{exposure:g}" if isinstance(exposure, Real) else f'"{exposure}"'
         raise RecipeError(
-            f"exposure {given_as} is not within {MIN_EXPOSURE:g}…{MAX_EXPOSURE:g} times Y; omit it to determine the "
-            "exposure automatically"
+            f"exposure {given_as} is not within {MIN_EXPOSURE:g}…{MAX_EXPOSURE:g} times Y; omit exposure to determine "
+            "the exposure automatically"
         )
     if bits not in DEPTHS:
         raise RecipeError(f"pictures cannot have {bits} bits; use 8, 16 or {FLOAT_BITS}")

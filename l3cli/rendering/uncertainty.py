@@ -63,7 +63,7 @@ SEED = 20
 class NoiseGains:
     """Factors G, K and E, which convert the noise of raw values to the noise of outputs (see the head of the module)."""
 
-    # For tables with Stokes parameters, the gains and factors of SUMS follow those of the outputs.
+    # For tables with Stokes parameters, the axis "output" contains the outputs, followed by SUMS.
     by_class: NDArray[np.float32]  # (class of the last layer, output) gain G
     by_kind: NDArray[np.float32]  # (class of the first layer, output) factor K
     by_edge: NDArray[np.float32]  # (side, distance, output) factor E; the sides are top, bottom, left and right

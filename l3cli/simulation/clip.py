@@ -283,7 +283,9 @@ def clip_of(
     framed_size((samples.shape[0], samples.shape[1]), framing, run.camera)
     if isinstance(scene, Scene) and scene.ignored is not None:
         if turned(scene.ignored[..., None].astype(np.float32), framing).any():
-            raise ValueError("the scene contains pixels without data, which a clip does not support; remove them with crop")
+            raise ValueError(
+                "the scene contains pixels without data, which a clip does not support; exclude these pixels with crop"
+            )
         scene = replace(scene, ignored=None)
     canvas = np.ascontiguousarray(turned(samples, framing))
     scale = scale_of(framing, run.camera, canvas.shape[1]) or 1.0

@@ -27,7 +27,7 @@ SLOW = 1 / 16  # cycles per pixel; at higher frequencies a piece has the same po
 # Lowest exponent of the amplitude spectrum, highest exponent, and stretch of each texture. The textures range from sand to
 # clouds, and the last texture looks brushed.
 PINK = ((0.3, 0.9, 1.0), (0.8, 1.3, 1.0), (1.6, 1.6, 1.0), (1.0, 1.0, 1.0), (0.6, 0.6, 1.0), (1.1, 1.1, 4.0))
-BLOTCHES, STRIPES = len(PINK), len(PINK) + 1  # indices of the last two textures, after those in PINK
+BLOTCHES, STRIPES = len(PINK), len(PINK) + 1  # indices of the last two textures, after the textures in PINK
 TEXTURES = len(PINK) + 2
 WIDEST = 1024  # samples; largest side of a piece, a power of two. Leaves are at most 400 samples wide.
 Array = NDArray[np.floating]

@@ -148,7 +148,7 @@ def _step_faults(recipe: LabRecipe, camera: CameraModel) -> Iterator[Fault]:
         yield fault(f"mono.first_nm {first:g} is not below mono.last_nm {last:g}; set a smaller first_nm", *ends)
         return
     if reach / mono.step_nm > MAX_WAVELENGTHS or reach / recipe.spectrometer_step_nm > MAX_WAVELENGTHS:
-        message = f"mono.step_nm or spectrometer_step_nm causes more than {MAX_WAVELENGTHS} steps; set larger steps"
+        message = f"mono.step_nm or spectrometer_step_nm leads to more than {MAX_WAVELENGTHS} steps; set a larger value"
         yield fault(message, "mono.step_nm", "spectrometer_step_nm")
         return
     centres = slit_centres(camera, mono)

@@ -273,7 +273,7 @@ class Shot:
     index: int  # number of the frame in the training set
     illuminant: str
     luminance: float  # cd/m²
-    # fixed exposure time in s, or the fraction that automatic exposure aims for; SceneRecipe.exposures returns the type
+    # fixed exposure time in s, or target fraction of an automatic exposure; `SceneRecipe.exposures` returns which
     exposure: float
     moment: int = 0  # number of the frame in its clip
 

@@ -236,8 +236,8 @@ def _refuse(recipe: SceneRecipe, path: Path) -> None:
         )
     if recipe.lens.transmittance is not None:
         raise RecipeError(
-            f"{path}: lens.transmittance cannot be used for moments; remove this key, and include the lens in the "
-            "transmittances of the filters"
+            f"{path}: moments are computed without lens.transmittance; remove this key, and multiply the "
+            "transmittances of the filters by the transmittance of the lens"
         )
 
 

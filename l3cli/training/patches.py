@@ -120,7 +120,7 @@ def patches_of(
     if frame.raw.shape[0] < side or frame.raw.shape[1] < side:
         rows, cols = frame.raw.shape
         raise InputFileError(
-            f"the frame of scene {frame.scene} has {rows}×{cols} pixels, smaller than a patch of {side}×{side} pixels; "
+            f"the frame of scene {frame.scene} ({rows}×{cols} pixels) is smaller than a patch ({side}×{side} pixels); "
             "leave the scene out"
         )
     if isinstance(frame, TrainingFrame):

@@ -81,7 +81,7 @@ class LearningRecipe(Recipe):
     # spectral outputs only: width in pixels (odd) of the window over which spectra are smoothed; the brightness of each
     # pixel does not change (docs/method.md#smoothed-spectra); with 0, spectra are not smoothed
     spectral_window: Annotated[int, msgspec.Meta(ge=0, le=WINDOWS[-1])] = 0
-    # smoothing ignores pixels whose brightness differs from the central pixel by at least this fraction
+    # smoothing ignores pixels whose brightness differs by at least this fraction from the central pixel's brightness
     spectral_reach: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.3
     # X, Y, Z only: the chroma of a pixel is averaged with the chroma of a neighbour if X/Y and Z/Y, relative to white,
     # differ by less than this limit (docs/method.md#smoothed-chroma); with 0, chroma is not smoothed

@@ -147,11 +147,11 @@ class Solution:
     compliance: Array  # (class, equations, tap + 1, channel + 1)
     compliance_response: Array  # (class, equations, channel + 1, channel + 1) response of the compliance
     solved: NDArray[np.bool_]  # (class) whether the class has a solution
-    samples: Array  # (class) number of patches, without those of neighbours and parent, as a mean over the orientations
+    samples: Array  # (class) number of the class's own patches, averaged over the orientations
     condition: Array  # (class) largest condition number over the outputs, or 0 if the class has no solution
     colours: Array  # (channel, channel) second moments of the channel means over uniform patches, scaled to a trace of 1
     white: Array | None  # (channel) signals of white, or None if they are unknown
-    power: Array  # (class) sum of the squared channel means over all patches, including those of neighbours and parent
+    power: Array  # (class) sum of the squared channel means over all patches, including patches of neighbours and parent
     outputs: Array  # (output, output) second moments of the targets of unsaturated classes
 
 
@@ -161,7 +161,7 @@ class Transforms:
 
     weights: Array  # (class, output, tap)
     intercept: Array  # (class, output)
-    samples: Array  # (class) number of patches, without those of neighbours and parent
+    samples: Array  # (class) number of the class's own patches
     condition: Array  # (class) condition number
 
 

@@ -79,5 +79,5 @@ INLINE ints most_of(ints a, int b) {
     return a > other ? a : other;
 }
 
-// Converts DN to u.
+// Converts DN to the unit u, which has `free_bits` fractional bits.
 INLINE ints units(ints value, int free_bits) { return least_of(value, (1 << (16 - free_bits)) - 1) << free_bits; }

@@ -294,7 +294,7 @@ class SceneWhite:
         light = self.light
         x, y = light.xyz[:2] / light.xyz.sum()
         side = "green" if light.duv >= 0 else "pink"
-        return f"x,y = {x:.4f},{y:.4f}, {light.kelvin:.0f} K, {abs(light.duv):.3f} in uv to the {side}"
+        return f"x,y = {x:.4f},{y:.4f}, {light.kelvin:.0f} K, {abs(light.duv):.3f} towards {side} in u, v"
 
 
 class Whites:
@@ -340,7 +340,7 @@ class Whites:
         if not (np.isfinite(neutral).all() and neutral.max() > 0):
             shown = ", ".join(f"{each:g}" for each in neutral)
             raise InputFileError(
-                f"the white has the signals {shown}, which must be finite and not all zero; set another ‹white›"
+                f"the channel signals of the white are {shown}, but must be finite and not all zero; set another ‹white›"
             )
         camera = self.table.camera
         if camera is None:
@@ -465,7 +465,7 @@ def _white(outputs: Array) -> NDArray[np.float64]:
     if not (np.isfinite(outputs).all() and outputs.min() > 0):
         shown = ", ".join(f"{each:.3g}" for each in outputs)
         raise InputFileError(
-            f"the table renders the grey as the XYZ {shown}, which is not a white; use a table for this camera"
+            f"the table renders the grey area with the XYZ {shown}, which cannot be a white; use a table for this camera"
         )
     return np.asarray(outputs, np.float64)
 

@@ -342,7 +342,7 @@ def white_source(
     """
     if table.shows_grey:
         if text in (CAMERA, AUTO, CHART) or _square(text) is not None:
-            raise RecipeError(f"‹white› {text} has no effect, because the table makes grey pictures; omit ‹white›")
+            raise RecipeError(f"‹white› {text} has no effect, because the table renders grey pictures; omit ‹white›")
         return None
     if text is None:
         return CameraWhite(table, asked=False) if photos else None

@@ -61,7 +61,7 @@ class Job:
     camera: CameraFile | None  # camera model with the defects and the flat field to correct
     engine: dict[str, str]  # options of the backend
     shows_photos: bool  # whether the raw files contain a white balance, and the outputs are pictures
-    white_source: WhiteSource | None  # source of the white of each frame; None to use the white of the rendition
+    white_source: WhiteSource | None  # method that finds the white of each frame; None to use the white of the rendition
     light_mix: Mix | None  # mixture of the table's illuminants for a white that the user has set
     rendition: Rendition
     scheduler: "Scheduler | None"

@@ -28,7 +28,7 @@ class Look:
     overrides: RawOverrides  # Job.overrides, with the estimated gain
     sequence: FrameSequence  # the frames, which are read with these overrides
     rendition: Rendition
-    white_source: WhiteSource | None  # source of the white of each frame; None to use the white of the rendition
+    white_source: WhiteSource | None  # method that finds the white of each frame; None to use the white of the rendition
     video: VideoChoice
     pacing: Pacing
     temporal: Chunks | None  # temporal filters; None if frames are not filtered in time

@@ -59,8 +59,8 @@ def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
         sites = "×".join(map(str, run.head.camera.cfa.shape))
         patch = run.recipe.classes.patch
         execution.console.report(
-            f"the class feature {name} is left out, because patches of {patch}×{patch} pixels are too small for it with a "
-            f"CFA of {sites} sites; set a larger classes.patch to use this feature"
+            f"the class feature {name} is left out, because patches of {patch}×{patch} pixels are too small for this "
+            f"feature with a CFA of {sites} sites; set a larger classes.patch to use the feature"
         )
     patches = pilot_patches(run.patches)
     size = max(1, min(MAX_PILOT_FRAMES, len(patches) // (4 * execution.pool.size)))

@@ -217,7 +217,7 @@ class GatheredSamples:
         self.sums, self.rule, self.reading, self.basis, self.steps = sums, rule, reading, basis.astype(np.float32), steps
         self._noise = noise
         self._sheets: list[_Samples] = []
-        self._cols = 0  # width in pixels of the sheets gathered so far, which is equal for all
+        self._cols = 0  # width, in pixels, of all sheets gathered so far
 
     def add(self, seen: Seen, label: Integers, pixels: Integers, weight: Floats) -> None:
         """Collect the samples at the indices `pixels`. `label` and `weight` have one value for every pixel.
