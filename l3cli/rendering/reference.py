@@ -289,13 +289,16 @@ def _transformed(
 
 
 def white_scale(table: TransformTable) -> NDArray[np.float64]:
-    """Return the luminance of a white per DN above black, for each channel, in output units."""
+    """Return the factor that converts each channel from DN above black to the luminance of a white, in output units."""
     assert table.white_signals is not None
     return np.asarray(1 / (table.white_signals * (table.white_level - table.black_level)))
 
 
 def raising_constants(table: TransformTable) -> dict[str, float | int]:
-    """Return the constants for raising pixels that are too dark, by name. Empty if the table has no signals of a white."""
+    """Return the constants, by name, with which pixels that are too dark are raised.
+
+    The result is empty if the table does not contain the signals of a white.
+    """
     if table.white_signals is None:
         return {}
     factors = {
@@ -307,11 +310,11 @@ def raising_constants(table: TransformTable) -> dict[str, float | int]:
 
 
 def least_luminance(frame: RawFrame, table: TransformTable) -> NDArray[np.float64]:
-    """Return the least luminance (row, col) that a pixel can have according to the raw values around it.
+    """Return the lowest luminance that each pixel can have according to the raw values around the pixel.
 
-    It is a fraction of the smallest raw value in a window around the pixel, after each value is divided by the value of its
-    channel for white. The window is just large enough to contain all channels. Values outside the frame are left out. The
-    result is −∞ if the table does not contain the values for white.
+    The lowest luminance is a fraction of the smallest raw value in a window, after each value is divided by the value of its
+    channel for white. The window is just large enough to contain all channels. Values outside the frame are left out. If the
+    table does not contain the signals of a white, the result is −∞.
 
     Parameters
     ----------
