@@ -88,8 +88,8 @@ class DeviceChroma:
     ) -> None:
         """Store the arguments. Kernels are compiled when a frame first needs them.
 
-        `run` enqueues a kernel for all pixels of an area. `constant` copies an array to the device. `cut` divides a band into
-        work-groups.
+        `run` enqueues a kernel for all pixels of an area. `constant` copies an array to the device. `cut` divides a band
+        into work-groups.
         """
         assert table.chroma_smoothing is not None
         self._compiler, self._run, self._variant, self._cut = compiler, run, variant, cut
