@@ -165,7 +165,7 @@ class _Batch:
         self, signal: Floats, rng: np.random.Generator, carried: Floats | None, channel: NDArray[np.int64],
         offsets: Offsets | None,
     ) -> NDArray[np.uint32]:  # fmt: skip
-        """Convert signals (tap, patch) to DN, with noise unless the recipe has noise = "none"."""
+        """Convert signals to DN, and add noise unless the recipe has noise = "none"."""
         camera = self.pass_.head.camera
         if self.pass_.recipe.noise != "none":
             return expose_patches(signal, camera, rng, carried, self.pass_.dark, channel, offsets)

@@ -93,7 +93,7 @@ class LearningRecipe(Recipe):
     equal_response: bool = True
 
     def orientations(self, camera: CameraModel) -> Allowed:
-        """Return the orientations in which CFA sites may be trained together, which depend on the key `symmetry`."""
+        """Return the orientations in which CFA sites may be trained together, as allowed by the key `symmetry`."""
         return orientations_of_frames(camera) if self.symmetry else IDENTITY_ONLY
 
     @property

@@ -44,7 +44,7 @@ def width_of(packed: Array) -> int:
 
 
 def empty_sums(rule: ClassRule, outputs: int, camera: CameraModel) -> ClassSums:
-    """Return sums of zero for one site."""
+    """Return sums without patches for one site."""
     classes, width = rule.classes_per_site, rule.patch**2 + 1 + outputs
     shapes = (classes, width * (width + 1) // 2), (classes, noise_columns(rule, camera)), (classes,)
     return ClassSums(*map(np.zeros, shapes))

@@ -211,10 +211,10 @@ def times_brighter(now: tuple[float, float | None], before: tuple[float, float |
 
 
 def require_noise(camera: CameraModel | None) -> CameraModel:
-    """Return `camera`, or raise a RecipeError if the filter cannot be used with it.
+    """Return `camera`. Raise a RecipeError if the temporal filter cannot be used with this camera.
 
-    The camera is None if the table does not contain it. The filter compares sums over cells, in which the offset of a row
-    or column does not average out.
+    The camera is None if the table does not contain its camera. Cameras with row or column noise are refused, because the
+    filter compares sums over cells, in which the offset of a row or column does not average out.
     """
     if camera is None:
         raise RecipeError(
