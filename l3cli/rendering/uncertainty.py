@@ -343,13 +343,16 @@ def _noise_terms(table: TransformTable, frame: RawFrame) -> tuple[Array, Array, 
 
 
 def _line_variances(table: TransformTable, frame: RawFrame) -> tuple[float, float]:
-    """Return the variances that the pixels of a row and of a column share, in DN², converted to the levels of the table."""
+    """Return the variance of the offsets of rows and of columns, in DN² at the levels of the table."""
     camera, dark = _camera_and_dark(table, frame)
     return camera.line_variances(dark)
 
 
 def _camera_and_dark(table: TransformTable, frame: RawFrame) -> tuple[CameraModel, float]:
-    """Return the camera with the noise that a temporal filter left in a frame, and the dark signal at the table's levels."""
+    """Return the camera with the noise that a temporal filter left in a frame.
+
+    Also return the dark signal at the table's levels.
+    """
     assert table.camera is not None
     dark = frame.dark * (table.white_level - table.black_level) / (frame.white_level - frame.black_level)
     return replace(table.camera, noise_left=frame.noise_share), dark

@@ -70,7 +70,7 @@ class Course:
         return View((centre[0], centre[1]), self.motion.zoom_per_frame**since)
 
     def leaves(self, frame: int, moment: float = 0.0) -> Array:
-        """Return the row and column of each leaf at the instant that is described in `view`."""
+        """Return the row and column of each leaf, `moment` frame intervals after the middle of the exposure of a frame."""
         return self.start + self.velocity * (self._since_middle(frame) + moment)
 
     def moments(self) -> list[float]:

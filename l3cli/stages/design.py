@@ -2,8 +2,8 @@
 
 `l3 design moments` simulates how a lens and the bare pixels of a sensor record scenes, and stores second moments of image
 patches. From these moments, l3 can predict the error of any colour filter array. `l3 design` ranks the arrays that can be
-made from a library of filters by their predicted error. To check the prediction, it can also train and evaluate the best
-arrays.
+made from a library of filters by their predicted error. Optionally, `l3 design` also trains and evaluates tables for the
+best arrays, which shows how good the prediction is.
 """
 
 import dataclasses

@@ -244,7 +244,7 @@ class _Batch:
             sums.count[index] += last - first
 
     def _shared(self, lines: LineNoise, clean: Floats, patch: NDArray[np.int64], scale: Floats) -> SharedNoise:
-        """Return the line noise that scaled patches (patch, tap) lack, and how much of it each tap gets."""
+        """Return the line noise that scaled patches lack, with the share of each tap."""
         pass_, chosen = self.pass_, self.patches
         gain = pass_.head.camera.channel_gains.astype(np.float32)[self.neighbours.channel[self.site]]
         carried = None if chosen.carried is None else chosen.carried[patch]

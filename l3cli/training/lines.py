@@ -1,8 +1,9 @@
-"""Temporal noise of rows and columns: all pixels of a line get the same random offset (docs/method.md#row-and-column-noise).
+"""Temporal noise of rows and columns (docs/method.md#row-and-column-noise).
 
-The noise of two taps in one row or column of a patch is therefore correlated. Clipped taps have no noise, so an offset does
-not change them. The *share* of a tap is the factor with which it gets the offsets of its lines: 0 if it clips, and otherwise
-the gain of its channel relative to the camera.
+A *line* is a row or a column. All pixels of a line receive the same random offset, so the noise of two taps in the same row
+or column of a patch is correlated. The offsets do not change clipped taps, which have no noise. The *share* of a tap is the
+factor by which the offsets of its lines are multiplied. It is 0 if the tap clips, and otherwise the gain of its channel
+relative to the gain of the camera.
 """
 
 import functools
@@ -20,9 +21,9 @@ Indices = NDArray[np.intp]
 
 
 class Offsets(NamedTuple):
-    """Offsets of lines that were drawn for some pixels, and their variance. Both can be broadcast to the signals.
+    """Offsets of lines, drawn for some pixels, and the variance of the offsets. Both can be broadcast to the signals.
 
-    They apply to channels with the gain of the camera.
+    The offsets are for channels with the gain of the camera.
     """
 
     values: Floats  # fractions of full scale
@@ -34,25 +35,28 @@ class Offsets(NamedTuple):
 
 @dataclass(frozen=True)
 class LineNoise:
-    """Variances of the offsets that the pixels of a line share, as fractions of full scale²."""
+    """Variances of the offsets of rows and of columns, as fractions of full scale²."""
 
     rows: float
     columns: float  # including the fixed offsets of columns
 
     @classmethod
     def of(cls, camera: CameraModel, dark: float = 0.0) -> "LineNoise | None":
-        """Return the line noise of a camera, or None if it has none. `dark` is the dark signal in DN that was subtracted."""
+        """Return the line noise of a camera, or None if the camera has no line noise.
+
+        `dark` is the dark signal, in DN, that was subtracted from the frames.
+        """
         rows, columns = camera.line_variances(dark)
         span = camera.white_level - camera.black_level
         return cls(rows / span**2, columns / span**2) if camera.has_line_noise else None
 
     @property
     def total(self) -> float:
-        """Variance of the offsets of a pixel."""
+        """Variance of the offset of a pixel, which is the sum of the offsets of its row and its column."""
         return self.rows + self.columns
 
     def drawn(self, shape: tuple[int, ...], rng: np.random.Generator) -> Offsets:
-        """Draw the offsets of the lines of an image (row, col)."""
+        """Draw the offsets of all pixels of a frame with the given numbers of rows and columns."""
         down, across = (
             rng.standard_normal(length, dtype=np.float32) * np.float32(np.sqrt(variance))
             for length, variance in zip(shape, (self.rows, self.columns), strict=True)
@@ -62,7 +66,7 @@ class LineNoise:
     def drawn_for_taps(
         self, taps: NDArray[np.integer], side: int, lacking: NDArray[np.floating], rng: np.random.Generator
     ) -> Offsets:
-        """Draw the offsets of the lines of patches.
+        """Draw the offsets of all taps of patches.
 
         Parameters
         ----------
@@ -90,23 +94,26 @@ class LineNoise:
 
 @dataclass(frozen=True)
 class SharedNoise:
-    """Line noise of patches that differ in how much of it their taps get."""
+    """Line noise of patches whose taps have different shares."""
 
     noise: LineNoise
     shares: Floats  # (patch, tap) share of each tap
 
     def of(self, first: int, last: int) -> "SharedNoise":
-        """Return the noise of the patches from `first` to `last` − 1."""
+        """Return the line noise of the patches with the indices `first` to `last` − 1."""
         return replace(self, shares=self.shares[first:last])
 
     def covariances(self) -> Floats:
-        """Return the covariance of each pair of taps in `line_pairs`, summed over the patches."""
+        """Return the noise covariance of each pair of taps in `line_pairs`, summed over the patches."""
         pairs = line_pairs(int(np.sqrt(self.shares.shape[1])))
         variance = np.where(pairs.is_row, np.float32(self.noise.rows), np.float32(self.noise.columns))
         return np.asarray((self.shares.T @ self.shares)[pairs.first, pairs.second] * variance)
 
     def propagated(self, weights: Floats, outputs: Sequence[tuple[int, int]]) -> Floats:
-        """Return by how much the covariances of outputs exceed those that independent noise of the taps would cause.
+        """Return the additional covariances of outputs that are caused by the correlation of noise between taps.
+
+        These are the covariances due to line noise, minus the covariances that equally strong but independent noise would
+        cause.
 
         Parameters
         ----------
@@ -130,7 +137,7 @@ class SharedNoise:
 
 
 class LinePairs(NamedTuple):
-    """Pairs of different taps of a window that lie in the same row or in the same column. Each pair occurs once."""
+    """Pairs of different taps of a window that are in the same row or in the same column. Each pair occurs once."""
 
     first: Indices
     second: Indices
@@ -139,7 +146,10 @@ class LinePairs(NamedTuple):
 
 @functools.cache
 def line_pairs(side: int) -> LinePairs:
-    """Return the pairs of taps in the same line of a window of `side` × `side` pixels: first the rows, then the columns."""
+    """Return all pairs of taps that share a line in a window of `side` × `side` pixels.
+
+    Pairs in rows precede pairs in columns.
+    """
     taps = np.arange(side**2).reshape(side, side)
     one, other = np.triu_indices(side, 1)
     rows, columns = [(each[:, one].ravel(), each[:, other].ravel()) for each in (taps, taps.T)]
@@ -148,9 +158,10 @@ def line_pairs(side: int) -> LinePairs:
 
 
 def split_noise(noise: NDArray[np.float64], taps: int) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    """Split stored noise (class, column) into variances (class, tap) and covariances (class, tap, tap).
+    """Split stored noise into the variance of each tap and the covariance of each pair of taps.
 
-    The covariances have zeros on the diagonal. They are None if the camera has no line noise.
+    `noise` has the axes (class, column). The variances have the axes (class, tap). The covariances have the axes (class,
+    tap, tap) and are zero on the diagonal. If the camera has no line noise, the covariances are None.
     """
     if noise.shape[1] == taps:
         return noise, None

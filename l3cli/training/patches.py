@@ -53,7 +53,10 @@ class Patches:
         return np.where(self.carried.any(axis=1), followed, scale)
 
     def lacking_share(self, scale: Floats) -> Floats:
-        """Return the fraction of the signal-independent noise that patches lack if they are scaled by `scale` (patch)."""
+        """Return the fraction of signal-independent noise that patches lack after they are multiplied by `scale`.
+
+        Noise-free patches lack all of the noise. Patches of real frames lack noise only if they are made darker.
+        """
         if self.carried is None:
             return np.ones_like(scale)
         return np.where(self.carried.any(axis=1), np.clip(1 - scale**2, 0, None), np.ones_like(scale))
@@ -391,7 +394,7 @@ def expose_patches(
     channel : ndarray, optional
         Channel of each signal, which is broadcast against `signal`.
     offsets : Offsets, optional
-        Offsets of rows and columns. They are part of the noise, and must be drawn if the camera has line noise.
+        Offsets of rows and columns, which are part of the noise. Required if the camera has line noise.
 
     Returns
     -------

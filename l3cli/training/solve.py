@@ -259,9 +259,15 @@ def _averaged(
 ) -> tuple[Array, Array, Array | None]:
     """Return the supported sums of a batch of classes, averaged over the orientations `turns`.
 
-    The sums are supported by neighbouring levels and parents, as in `shrunk`. Returns the moments (class, column, column),
-    the noise variances (class, tap), and the covariances of taps in the same line (class, tap, tap), or None if the camera
-    has no line noise.
+    The sums are supported by neighbouring levels and parents, as in `shrunk`.
+
+    Returns
+    -------
+    moments : ndarray, (class, column, column)
+    noise : ndarray, (class, tap)
+        Noise variances.
+    shared : ndarray, (class, tap, tap), or None
+        Covariances of taps in the same row or column. None if the camera has no line noise.
     """
     width, taps = width_of(sums.moments), rule.patch**2
     moments, noise, shared = np.zeros((batch.size, sums.moments.shape[1])), np.zeros((batch.size, taps)), None

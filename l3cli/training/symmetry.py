@@ -41,9 +41,10 @@ def orientations_of_scenes(camera: CameraModel) -> Allowed:
 
 
 def orientations_of_frames(camera: CameraModel) -> Allowed:
-    """Return the orientations in which a frame of a scene is as likely, with its noise, as the frame itself.
+    """Return the orientations in which windows of frames may be read for training.
 
-    If rows and columns share different noise, rows must stay rows.
+    A turned frame must be as likely as the original frame, including its noise. If rows and columns have different line
+    noise, rows must remain rows.
     """
     noise = camera.noise
     same = noise.row_temporal_noise == np.hypot(noise.column_temporal_noise, noise.column_noise)

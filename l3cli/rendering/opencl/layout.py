@@ -197,7 +197,10 @@ def white_macros(table: TransformTable) -> Macros:
 
 
 def least_macros(table: TransformTable) -> Macros:
-    """Return the macros for raising pixels that are too dark. Empty if the table does not contain the values for white."""
+    """Return the macros for raising pixels that are too dark.
+
+    The result is empty if the table does not contain the signals of a white.
+    """
     if table.white_signals is None:
         return {}
     constants = raising_constants(table).items()
@@ -211,7 +214,7 @@ def least_macros(table: TransformTable) -> Macros:
 
 
 def site_scale(table: TransformTable) -> NDArray[np.float64]:
-    """Return `white_scale` for each site (CFA row, SCALE_PERIOD) of repeated CFA rows."""
+    """Return `white_scale` for each site of the CFA. Each CFA row is repeated to a length of SCALE_PERIOD."""
     columns = np.arange(table.cfa.shape[1] + EXTRA_CFA_COLUMNS) % table.cfa.shape[1]
     return np.asarray(white_scale(table)[table.cfa[:, columns]])
 

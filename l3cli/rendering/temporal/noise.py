@@ -222,7 +222,6 @@ def require_noise(camera: CameraModel | None) -> CameraModel:
         )
     if camera.noise.lines:
         raise RecipeError(
-            "‹temporal› would take the temporal noise of rows and columns, which the camera of this table has, for motion; "
-            "render without ‹temporal›"
+            "‹temporal› would mistake the temporal noise of the camera's rows and columns for motion; leave ‹temporal› out"
         )
     return camera

@@ -390,7 +390,7 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
     Raises
     ------
     L3Error
-        If no class can be solved, or if a sum is so large that it may have been rounded to float64.
+        If no class can be solved, or if a sum is too large for exact addition in float64.
     """
     for one in sums.values():
         require_exact(one, rule, layer.grid_steps(rule))
