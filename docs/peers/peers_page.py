@@ -193,7 +193,9 @@ def verdict(columns: Sequence[tuple[str, str]], rows: Sequence[Row]) -> str:
         better = [row for row in rows if not row["ours"] and best(row["figures"][key], ours) != ours]
         for row in better:
             by = abs(row["figures"][key] - ours)
-            text.append(f"{row['name']} ({row['program']}) is better than l3 by {by:.{_digits(key)}f} in {title}.")
+            text.append(
+                f'In the column "{title}", {row["name"]} ({row["program"]}) is better than l3 by {by:.{_digits(key)}f}.'
+            )
     if text:
         return f"{' '.join(text)}\n"
     return "None of these methods is better than l3 in any of these columns.\n"

@@ -63,7 +63,8 @@ def test_the_page_states_where_ours_is_beaten_what_is_missing_and_of_which_run_i
 ) -> None:
     page, ours = peers("peers_page"), row("o", 40, ours=True)
     lost = page.section("bands", PLAIN | {"rows": [row("x", 41.5), ours], "missing": ["y"], "absent": ["z"]})
-    assert "x (p) is better than l3 by 1.50 in PSNR (dB). x (p) is better than l3 by 1.50 in SAM (°)." in lost
+    assert 'In the column "PSNR (dB)", x (p) is better than l3 by 1.50.' in lost
+    assert 'In the column "SAM (°)", x (p) is better than l3 by 1.50.' in lost
     assert "Not installed: y." in lost
     assert "are missing: z." in lost
     won = page.section("bands", PLAIN | {"rows": [ours, row("x", 39)]})
