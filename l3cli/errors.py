@@ -1,6 +1,6 @@
-"""Errors, and the exit code of each type of failure (docs/guarantees.md#exit-codes).
+"""The errors that l3 raises, with the exit code of each (docs/guarantees.md#exit-codes), and texts for error messages.
 
-Messages contain names of parameters as ‹force›. The command line replaces them by the names of options, such as --force.
+Messages write the names of parameters as ‹force›. The command line replaces them by the names of options, such as --force.
 """
 
 import contextlib
@@ -9,19 +9,19 @@ from itertools import accumulate
 
 
 class L3Error(Exception):
-    """Failure of a command. The message is one line that states the cause and a remedy."""
+    """Base class of all errors of l3. The message is one line that states the cause and a remedy."""
 
     exit_code = 1
 
 
 class RecipeError(L3Error):
-    """A recipe or an option requests something impossible."""
+    """A recipe, an option or an argument is invalid."""
 
     exit_code = 2
 
 
 class InputFileError(L3Error):
-    """An input file is missing, damaged, of the wrong kind, or does not agree with the other inputs."""
+    """An input file is missing, damaged or of the wrong type, or does not fit the remaining inputs."""
 
     exit_code = 3
 
@@ -34,7 +34,19 @@ class DeviceError(L3Error):
 
 @contextlib.contextmanager
 def raised_as(kind: type[L3Error], name: object, of: type[Exception] = ValueError, cure: str = "") -> Iterator[None]:
-    """Convert exceptions of the type `of` in the block to errors of another type, whose message begins with `name`."""
+    """Context manager that converts exceptions to errors of l3.
+
+    Parameters
+    ----------
+    kind : type
+        Type of the error to raise.
+    name : object
+        Beginning of the new message, such as the name of a file. The message of the exception follows.
+    of : type
+        Type of the exceptions that are converted.
+    cure : str
+        End of the new message, such as "; create the file again".
+    """
     try:
         yield
     except of as error:
@@ -42,16 +54,16 @@ def raised_as(kind: type[L3Error], name: object, of: type[Exception] = ValueErro
 
 
 MAX_CHARACTERS = 240  # approximate largest length of a list of names in a message
-MOST_SHOWN = 40  # largest number of characters of a user's text in a message
+MOST_SHOWN = 40  # largest number of characters of a user's text in a message; longer texts are truncated
 
 
 def shortened(text: str) -> str:
-    """Return the beginning of a user's text if it is too long for a message."""
+    """Truncate a user's text for a message to MOST_SHOWN characters, and mark the omission with "…"."""
     return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}…"
 
 
 def listed(lines: Iterable[str]) -> str:
-    """Join names for a message. If there are too many, the rest is replaced by its number."""
+    """Join names with commas for a message. If there are too many, the last names are replaced by "and N more"."""
     lines = list(lines)
     shown = [
         line for line, length in zip(lines, accumulate(map(len, lines)), strict=True) if length < 2 * MAX_CHARACTERS
@@ -60,7 +72,10 @@ def listed(lines: Iterable[str]) -> str:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Return a question that suggests the known names most similar to `name`, or an empty string if no name is similar."""
+    """Return a question such as 'did you mean "bayer"?' with the known names that are most similar to `name`.
+
+    If no known name is similar, the result is an empty string.
+    """
     import difflib  # imported here, because it is needed only after an error
 
     spelled = {each.lower(): each for each in known}
@@ -69,9 +84,9 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """Return the end of a message about an unknown name.
+    """Return the end of an error message about an unknown name.
 
-    It is a question with the most similar known names or, if no name is similar, a list of all known names.
+    It is the question from `nearest` or, if no known name is similar, an instruction such as "use one of a, b, c".
     """
     known = list(known)
     if close := nearest(name, known):

@@ -1,6 +1,7 @@
 """Python interface of l3.
 
-The package is imported as `l3cli`. It contains the stages, the artifacts, raw frames, a renderer and metrics.
+Import the package as `l3cli`. It provides the stages of the pipeline, loading and saving of artifacts, raw frames, a
+renderer and metrics.
 
     import l3cli as l3
 
@@ -9,14 +10,16 @@ The package is imported as `l3cli`. It contains the stages, the artifacts, raw f
     table = l3.train("training.h5", "table.h5", jobs=2)
     picture = l3.Renderer(table).picture(l3.read_raw("frame.dng", table))
 
-The functions `calibrate`, `simulate`, `train`, `render` and `evaluate` run the commands with the same names. Their arguments
-are paths or artifacts, and they write the same bytes as the commands. `calibrate`, `simulate` and `train` return the
-artifact that they have written, `render` the number of frames left out, and `evaluate` a dictionary of metrics. These
-functions do not print anything. Warnings of the command become Python warnings (UserWarning). If you pass a `console`
-(`l3cli.system.console.Console`), it receives all messages instead.
+The functions `calibrate`, `simulate`, `train`, `render` and `evaluate` do the same as the commands with these names. Their
+arguments are paths or artifacts, and the files that they write are identical to the files of the commands. `calibrate`,
+`simulate` and `train` return the artifact that was written. `render` returns the number of frames that were left out.
+`evaluate` returns a dictionary of metrics.
+
+These functions do not print anything. Warnings of the command become Python warnings (UserWarning). If you pass a `console`
+(`l3cli.system.console.Console`), the console receives all messages instead.
 
 All errors of l3 are subclasses of `L3Error` in `l3cli.errors`: RecipeError for a wrong argument or recipe, InputFileError
-for an unusable file, DeviceError for OpenCL. Messages contain the names of parameters as ‹force›.
+for an unusable file, and DeviceError if OpenCL fails. Messages write the names of parameters as ‹force›.
 """
 
 from l3cli.api.figures import delta_e_2000, psnr, scielab, ssim

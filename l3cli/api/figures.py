@@ -1,6 +1,7 @@
 """Metrics that compare two pictures. `l3 evaluate` uses the same metrics (docs/method.md#quality-metrics).
 
-A picture is sRGB (row, col, 3) or grey (row, col). Its values are sRGB-encoded: uint8, uint16, or floats from 0 to 1.
+A picture is an array with the shape (row, col, 3) for colour or (row, col) for grey. Its values are encoded as in sRGB. They
+are uint8, uint16, or floats from 0 to 1.
 """
 
 import numpy as np
@@ -11,11 +12,11 @@ from l3cli.evaluation import quality
 from l3cli.physics.display import LUMA, daylight, displayed_delta_e, displayed_xyz, srgb_decoded
 
 Array = NDArray[np.floating]
-WHITE_CODES = {np.dtype(np.uint8): 255.0, np.dtype(np.uint16): 65535.0}  # value of display white for each dtype
+WHITE_CODES = {np.dtype(np.uint8): 255.0, np.dtype(np.uint16): 65535.0}  # value of display white in each integer dtype
 
 
 def delta_e_2000(one: ArrayLike, other: ArrayLike) -> Array:
-    """Return the colour difference CIEDE2000 of two sRGB pictures for each pixel, on a display whose white is D65.
+    """Return the CIEDE2000 colour difference between two sRGB pictures for each pixel, on a display with a D65 white.
 
     Parameters
     ----------
@@ -45,9 +46,9 @@ def delta_e_2000(one: ArrayLike, other: ArrayLike) -> Array:
 
 
 def scielab(one: ArrayLike, other: ArrayLike, viewing: float = quality.VIEWING) -> Array:
-    """Return the S-CIELAB difference of two sRGB pictures.
+    """Return the S-CIELAB difference between two sRGB pictures for each pixel.
 
-    S-CIELAB is CIEDE2000 after both pictures are blurred as the eye blurs them at a given viewing distance.
+    S-CIELAB first blurs both pictures as the eye does at the viewing distance. Then it computes CIEDE2000.
 
     Parameters
     ----------
@@ -122,8 +123,8 @@ def ssim(one: ArrayLike, other: ArrayLike) -> float:
     Parameters
     ----------
     one, other : array_like, (row, col) or (row, col, 3)
-        Grey or sRGB pictures of the same shape: uint8, uint16, or floats from 0 to 1. For sRGB pictures, the luma is
-        compared.
+        Grey or sRGB pictures of the same shape: uint8, uint16, or floats from 0 to 1. If the pictures are sRGB, l3
+        compares their luma.
 
     Returns
     -------
@@ -187,7 +188,7 @@ def _picture(given: ArrayLike) -> Array:
         raise InputFileError(f"{_described(given)} is not a picture; pass uint8, uint16 or floats from 0 to 1")
     if not (array.min() >= 0 and array.max() <= 1):
         raise InputFileError(
-            f"{_described(given)} contains values outside 0…1; clip the values, or pass codes as uint8 or uint16"
+            f"{_described(given)} contains values outside 0…1; clip the values, or pass the picture as uint8 or uint16"
         )
     return array.astype(np.float64)
 

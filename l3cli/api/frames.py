@@ -1,7 +1,7 @@
-"""Raw frames in memory, the renderer for these frames, and the base of the plugins for video programs.
+"""Raw frames in memory, a renderer for raw frames, and the base of the plugins for video programs.
 
-`read_raw` and `raw_frame` make raw frames. `Renderer` renders raw frames. `Mosaics` prepares and renders the frames of a
-video program (l3cli/video_hosts).
+`read_raw` reads a raw frame from a file, and `raw_frame` converts an array to a raw frame. `Renderer` renders raw frames.
+`Mosaics` prepares the frames of a video program for rendering (l3cli/video_hosts).
 """
 
 import functools
@@ -51,11 +51,11 @@ def read_raw(
     path : str or path
         Raw file.
     sensor : TransformTable or CameraModel
-        Table or camera model for the frame. Its filter array must be the filter array of the file.
+        Table or camera model for the frame. Its filter array must match the filter array of the file.
     black_level, white_level : float, optional
         Levels in DN, which replace the levels in the file.
     phase : (int, int), optional
-        Row and column, from 0, of the CFA site of the first pixel, which replace the phase in the file.
+        CFA row and CFA column of the first pixel, counted from 0, which replace the phase in the file.
     size : (int, int), optional
         Headerless files only: rows and columns. [default: the size of `sensor`]
     packing : str, optional
@@ -67,24 +67,25 @@ def read_raw(
     gain : float, optional
         Analog gain as a multiple of the camera's gain, which replaces the gain that l3 derives from the file.
     camera : CameraModel, optional
-        Camera model with a defect map and a flat field, which correct the frame.
+        Camera model whose defect map and flat field correct the frame.
     skip : int, default 0
         Headerless files only: number of bytes before the frame.
     byte_order : {"little", "big"}, optional
         Headerless files only: byte order of 16-bit values. [default: "little"]
     opcodes : {"leave"}, optional
-        DNG files only: do not apply lens warps, and read a file even if it requires opcodes that l3 does not support.
+        DNG files only: with "leave", l3 does not correct the distortion of the lens, and reads a file even if the file
+        requires opcodes that l3 does not support.
 
     Returns
     -------
     RawFrame
-        The frame. `values` (row, col) contains raw values in DN. Other attributes contain the levels, the CFA phase and
-        metadata of the file.
+        The frame. Its attribute `values` contains the raw values in DN, with the shape (row, col). Further attributes
+        contain the levels, the CFA phase and metadata of the file.
 
     Raises
     ------
     InputFileError
-        If the file cannot be read, or if its filter array differs from the filter array of `sensor`.
+        If the file cannot be read, or if its filter array does not match the filter array of `sensor`.
     RecipeError
         If an argument is invalid.
 
@@ -109,7 +110,9 @@ def raw_frame(
     neutral: Mapping[str, float] | None = None, exposure: float | None = None, gain: float | None = None,
     camera: CameraModel | None = None,
 ) -> RawFrame:  # fmt: skip
-    """Make a raw frame from an array, for example an array that another program has read.
+    """Convert an array of raw values to a raw frame.
+
+    Use this function if a different library has read the raw values. For files that l3 supports, use `read_raw`.
 
     Parameters
     ----------
@@ -118,21 +121,22 @@ def raw_frame(
     sensor : TransformTable or CameraModel
         Table or camera model for the frame.
     pattern : array_like of str, optional
-        Filter array as letters (R G B C M Y W) with the shape (row, col), beginning at the first pixel. A square array
-        can be written as one word, such as "rggb". [default: the array of `sensor`, beginning at `phase`]
+        Letter (R, G, B, C, M, Y or W) of each filter, with the shape (row, col). The first letter is the filter of the
+        first pixel. You can write a square array as one word, such as "rggb". [default: the filter array of `sensor`,
+        which begins at `phase`]
     black_level, white_level : float, optional
         Levels in DN. [default: the levels of `sensor`]
     phase : (int, int), optional
-        Row and column, from 0, of the CFA site of the first pixel. [default: (0, 0)]
+        CFA row and CFA column of the first pixel, counted from 0. [default: (0, 0)]
     neutral : mapping of str to float, optional
-        White balance of the camera: the signal of a grey object above black, in any unit, for each letter of the
-        pattern.
+        White balance of the camera: for each letter of the pattern, the signal above black that a grey object causes, in
+        any unit. [default: the frame has no white balance]
     exposure : float, optional
-        Exposure time in s. It scales the dark current that is subtracted.
+        Exposure time in s. It scales the dark current that is subtracted. [default: l3 subtracts no dark current]
     gain : float, optional
-        Analog gain as a multiple of the camera's gain.
+        Analog gain as a multiple of the camera's gain. [default: 1]
     camera : CameraModel, optional
-        Camera model with a defect map and a flat field, which correct the frame.
+        Camera model whose defect map and flat field correct the frame.
 
     Returns
     -------
@@ -142,9 +146,9 @@ def raw_frame(
     Raises
     ------
     InputFileError
-        If `values` is not a mosaic, or if its filter array differs from the filter array of `sensor`.
+        If `values` is not a mosaic of uint8 or uint16, or if `pattern` does not match the filter array of `sensor`.
     RecipeError
-        If `pattern` contains other letters or is not a rectangle.
+        If `pattern` contains an unknown letter or is not a rectangle.
 
     Warns
     -----
@@ -170,10 +174,10 @@ def raw_frame(
 
 
 def _codes(pattern: ArrayLike) -> NDArray[np.int64]:
-    """Return the colour code of each letter of a filter array, with the shape (row, col).
+    """Return the colour code of each filter in an array of letters, with the shape (row, col).
 
-    A word with a square number of letters, such as "rggb", is read row by row. Raises RecipeError if the pattern is not a
-    rectangle of known letters.
+    A word such as "rggb" must have a square number of letters, which fill the array row by row. Raises RecipeError if the
+    pattern is not a rectangle of known letters.
     """
     letters = np.array(list(pattern) if isinstance(pattern, str) else pattern)
     side = math.isqrt(letters.size)
@@ -182,7 +186,7 @@ def _codes(pattern: ArrayLike) -> NDArray[np.int64]:
     if letters.ndim != 2 or not set(text := "".join(letters.ravel()).upper()) <= set(LETTERS) or len(text) != letters.size:
         excerpt = shortened(" ".join(str(pattern).split()))
         raise RecipeError(
-            f"the pattern {excerpt} is not a filter array; pass rows of the letters {LETTERS}, or a word such as rggb"
+            f'the pattern {excerpt} is not a filter array; pass rows of the letters {LETTERS}, or a word such as "rggb"'
         )
     return codes_of(text).reshape(letters.shape)
 
@@ -191,15 +195,16 @@ def _of_array(
     values: NDArray[Any], sensor: TransformTable | CameraModel, known: RawOverrides, content: dict[str, NDArray],
     name: str = "the array",
 ) -> RawFrame:  # fmt: skip
-    """Check an array and make a raw frame from it.
+    """Check an array of raw values and convert it to a raw frame.
 
-    Values above the range of the table's analog-to-digital converter cause a Python warning. Raises InputFileError if the
-    array is not a mosaic of uint8 or uint16.
+    If `sensor` is a table and a value exceeds the bit depth of its camera, the function issues a Python warning. Raises
+    InputFileError if the array is not a mosaic of uint8 or uint16.
     """
     array = np.asarray(values)
     if array.dtype not in (np.uint8, np.uint16) or array.ndim != 2 or not array.size:
         raise InputFileError(
-            f"an array with shape {array.shape} and dtype {array.dtype} is not a raw frame; pass DN (row, col) as uint16"
+            f"an array with shape {array.shape} and dtype {array.dtype} is not a raw frame; pass raw values (row, col) as "
+            "uint8 or uint16"
         )
     frame = frame_of(name, {"values": array, **content}, sensor, known)  # type: ignore[typeddict-item]
     if isinstance(sensor, TransformTable) and (text := beyond_converter(frame, sensor)):
@@ -208,21 +213,21 @@ def _of_array(
 
 
 class Renderer:
-    """Renders raw frames with one table, as pictures, as linear outputs, or with their uncertainty.
+    """Renders raw frames with one table, to pictures or to the linear outputs of the table.
 
-    Several threads can use the same renderer. It renders only one frame at a time.
+    Several threads can share a renderer, but it renders only one frame at a time.
 
     Parameters
     ----------
     table : str, path or TransformTable
         The table.
     backend : {"opencl", "reference"}, default "opencl"
-        "reference" renders with numpy in float64, which is slow.
+        "opencl" runs the OpenCL kernels. "reference" computes in float64 with numpy, which is slow.
     device : str, optional
-        OpenCL device, as a part of its name, or as its number in `l3 bench`. [default: the environment variable
+        OpenCL device: a part of its name, or its number in the list of `l3 bench`. [default: the environment variable
         L3_DEVICE]
     variant : {"processor", "graphics"}, optional
-        Kernels for CPUs ("processor") or for graphics cards. [default: chosen by the type of the device]
+        Kernels for CPUs ("processor") or for GPUs ("graphics"). [default: the kernels for the type of the device]
 
     Attributes
     ----------
@@ -232,15 +237,15 @@ class Renderer:
     Raises
     ------
     InputFileError
-        If the file is not a transform table.
+        If `table` is a file but not a transform table.
     DeviceError
         If the OpenCL device does not work.
 
     Notes
     -----
     Every method accepts frames as `RawFrame` (from `read_raw` or `raw_frame`) or as arrays of uint8 or uint16 with the
-    shape (row, col). For arrays, l3 assumes the black level and the white level of the table, and that the first pixel
-    has the CFA site (0, 0).
+    shape (row, col). For an array, l3 uses the black level and the white level of the table, and assumes that the first
+    pixel is at CFA site (0, 0).
 
     Examples
     --------
@@ -261,7 +266,8 @@ class Renderer:
         self._pictured = self.table.pictured()  # the table with only the outputs that pictures need
         shows_all = self._pictured.outputs == self.table.outputs
         self._pictures = self._renderer if shows_all else NoiseRenderer(backend, self._pictured, **chosen)
-        # The key of each renderer is the mixture of training illuminants whose transforms it uses. None: common transforms.
+        # Renderers by the mixture of training illuminants for which their transforms were computed. The renderer for the key
+        # None uses the transforms that all illuminants share.
         self._renderers: dict[Mix | None, NoiseRenderer] = {None: self._pictures}
         self._alone = ThreadLock()
 
@@ -269,25 +275,25 @@ class Renderer:
         self, frame: RawFrame | NDArray[np.uint16], *, exposure: float | None = None, white: str | None = None,
         space: str = "srgb", bits: int = 8,
     ) -> NDArray[Any]:  # fmt: skip
-        """Render one frame to a picture, with the values that `l3 render` writes.
+        """Render one frame to a picture. The values are the same as in a file of `l3 render`.
 
         Parameters
         ----------
         frame : RawFrame or ndarray, (row, col)
             Raw frame.
         exposure : float, optional
-            Factor by which Y is multiplied. A result of 1 is display white. [default: the 99th percentile of Y is shown
-            as white]
+            Factor by which l3 multiplies X, Y and Z. A product of 1 in Y is display white. [default: the factor that
+            makes the 99th percentile of Y white]
         white : str, optional
             White of the scene, which becomes neutral in the picture:
 
             * an illuminant ("D50", "3200K") or a chromaticity "x,y";
             * one multiplier for each channel ("2.1,1,1.4");
-            * "camera" (the white in the file) or "table" (the white of the training);
-            * "auto" (estimated from the frame) or "chart" (from a ColorChecker in the frame);
-            * "ROW,COL" or "ROW,COL,SIZE" of a grey area in the picture.
+            * "camera" (the white balance in the file) or "table" (the white of the training);
+            * "auto" (estimated from the frame) or "chart" (measured on a ColorChecker in the frame);
+            * "ROW,COL" or "ROW,COL,SIZE", the position and size of a grey area in the picture.
 
-            [default: the white in the file or, if there is none, the white of the table]
+            [default: "camera" if the file contains a white balance, otherwise "table"]
         space : {"srgb", "display-p3", "rec2020", "acescg", "xyz"}, default "srgb"
             Colour space. "acescg" and "xyz" are linear.
         bits : {8, 16, 32}, default 8
@@ -309,7 +315,7 @@ class Renderer:
         -----
         UserWarning
             If `white` is far from the training illuminants, or if a channel of the camera collects more than 1 % of its
-            electrons at wavelengths for which the spectrum of the illuminant is not known.
+            electrons at wavelengths at which the spectrum of the illuminant is unknown.
         """
         return next(self.pictures([frame], exposure=exposure, white=white, space=space, bits=bits))
 
@@ -317,10 +323,10 @@ class Renderer:
         self, frames: Iterable[RawFrame | NDArray[np.uint16]], *, exposure: float | None = None, white: str | None = None,
         space: str = "srgb", bits: int = 8,
     ) -> Iterator[NDArray[Any]]:  # fmt: skip
-        """Render frames lazily, one after the other, each with its own automatic exposure.
+        """Render frames lazily, one after the other. Automatic exposure is determined for each frame separately.
 
         If the table has transforms for several illuminants, all frames use the transforms that fit the white of the
-        first frame. `picture` describes the parameters and errors.
+        first frame. The remaining parameters and the errors are the same as in `picture`.
 
         Parameters
         ----------
@@ -348,26 +354,26 @@ class Renderer:
     ) -> Callable[[RawFrame | NDArray[np.uint16]], NDArray[Any]]:  # fmt: skip
         """Return a function that renders the frames of a sequence. Call this function once for each frame.
 
-        `picture` describes the other parameters and errors.
+        The parameters `exposure`, `white`, `space` and `bits` are the same as in `picture`.
 
         Parameters
         ----------
         rate : Fraction or None
-            Frame rate in frames/s. Automatic exposure and measured white then change smoothly over time, as in `l3
-            render`, and frames must be passed in order. If the frame rate is None, the exposure and the white of the
-            first frame are used for all frames, which may then be passed in any order and from any thread.
+            Frame rate in frames/s. With a frame rate, automatic exposure and measured white change smoothly over time,
+            as in `l3 render`, and you must pass the frames in order. With None, all frames use the exposure and the
+            white of the first frame that you pass. You can pass the further frames in any order and from any thread.
         temporal : bool, default False
-            Filter the frames over time, as `l3 render --temporal` does. Frames must be passed in order.
+            Filter the frames over time, as `l3 render --temporal` does. You must then pass the frames in order.
 
         Returns
         -------
         callable
-            Function whose argument is a raw frame and whose result is its picture (row, col, 3).
+            Function whose argument is a raw frame and whose result is the picture of this frame, (row, col, 3).
 
         Raises
         ------
         RecipeError
-            If `temporal` is set and the table does not contain the noise of its camera.
+            If `temporal` is set and the table does not contain the noise model of its camera.
         """
         how = (exposure, white, space, bits)
         shown, starting = self._shown_as(*how), ThreadLock()
@@ -391,7 +397,7 @@ class Renderer:
         return picture
 
     def outputs(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.float32]:
-        """Render one frame to the outputs of the table, which are linear and not adapted to a display.
+        """Render one frame to the linear outputs of the table, without exposure, white balance or encoding.
 
         Parameters
         ----------
@@ -401,32 +407,33 @@ class Renderer:
         Returns
         -------
         ndarray of float32, (row, col, output)
-            Outputs in the order of `table.outputs`, rotated upright, in units of `table.output_unit` cd s/m².
+            Outputs in the order of `table.outputs`, rotated upright. A value of 1 in Y corresponds to
+            `table.output_unit` cd s/m².
         """
         return self._pixels(self._renderer, self._frame(frame), OUTPUTS, 0.0, None)
 
     def uncertainty(self, frame: RawFrame | NDArray[np.uint16], *, like: Uncertainty | None = None) -> Uncertainty:
-        """Estimate the uncertainty of `outputs` that the noise of the camera causes (docs/measurement.md#uncertainty).
+        """Estimate how uncertain `outputs` is because of the noise of the camera (docs/measurement.md#uncertainty).
 
         Parameters
         ----------
         frame : RawFrame or ndarray, (row, col)
             Raw frame with at least 32 × 32 pixels.
         like : Uncertainty, optional
-            Uncertainty of another frame of the same scene. If its noise gains are used again, the estimate takes a tenth
-            of the time.
+            Uncertainty of a previous frame of the same scene. l3 reuses its noise gains, which takes a tenth of the
+            time.
 
         Returns
         -------
         Uncertainty
-            The attribute `sigma` (row, col, output) is the standard deviation of each output, rotated upright. The
-            attribute `mask` (row, col) is 1 for pixels that clipped values affect, 2 for pixels of classes without
-            training patches, 3 for both, and 0 otherwise.
+            Attribute `sigma`, (row, col, output): the standard deviation of each output, rotated upright. Attribute
+            `mask`, (row, col): 1 for pixels that clipped values affect, 2 for pixels whose class had no training
+            patches, 3 for pixels with both problems, and 0 for all other pixels.
 
         Raises
         ------
         RecipeError
-            If the table does not contain its camera, or if the frame is too small.
+            If the table does not contain its camera model, or if the frame is smaller than 32 × 32 pixels.
         """
         given = self._frame(frame)
         with self._alone:
@@ -443,7 +450,7 @@ class Renderer:
         Returns
         -------
         ndarray of int, (row, col)
-            Class numbers in the orientation of the sensor, not rotated.
+            Class numbers in the orientation of the sensor. Unlike pictures, they are not rotated upright.
         """
         with self._alone:
             return self._renderer.labels(self._frame(frame))
@@ -451,9 +458,9 @@ class Renderer:
     def _shown_as(
         self, exposure: float | None, white: str | None, space: str, bits: int
     ) -> tuple[Rendition, WhiteSource | None]:
-        """Return the settings of the pictures, and the source from which the white of each frame is determined.
+        """Return the settings of the pictures, and the method that determines the white of each frame.
 
-        The source is None if `white` is an explicit white, such as "D50". If this white is far from the training
+        The method is None if `white` is an explicit white, such as "D50". If an explicit white is far from the training
         illuminants, l3 warns.
         """
         rendition, source = shown_as(self._pictured, exposure, white, space, bits)
@@ -464,10 +471,9 @@ class Renderer:
         return rendition, source
 
     def _lit(self, white: str | None, source: WhiteSource | None, frame: RawFrame) -> NoiseRenderer:
-        """Return the renderer whose transforms fit the white, which is either the white in the arguments or the white of the
-        frame.
+        """Return the renderer whose transforms fit `white` or, if `source` is set, the white of the frame.
 
-        A renderer for a new mixture of illuminants replaces the previous one in the cache.
+        The cache contains the renderer of only one mixture of illuminants, apart from the renderer of common transforms.
         """
         found = source.white(frame) if source else given_white(white, self._pictured)
         mix = None if found is None else nearest_for(self._pictured, found.light.xyz)
@@ -493,9 +499,10 @@ PIXELS = Quantity(0, 1_000_000, "pixels", whole=True)
 
 
 class Mosaics:
-    """Prepares and renders the frames of a video program. All frames have the same size.
+    """Prepares the frames of a video program for rendering. All frames must have the same size.
 
-    The plugins for video programs (l3cli/video_hosts) use this class. They render with the attribute `renderer`.
+    The plugins for video programs (l3cli/video_hosts) convert their frames with this class and render them with its
+    attribute `renderer`.
 
     Parameters
     ----------
@@ -504,13 +511,13 @@ class Mosaics:
     black_level, white_level : float or None
         Levels in DN, or None for the levels of the table.
     phase : (int, int) or None
-        CFA row and column of the first pixel of each frame.
+        CFA row and CFA column of the first pixel of each frame, or None for (0, 0).
     size : (int, int) or None
         Rows and columns of the frames, or None for the size of the table's camera.
     camera : str, path or None
-        Camera model with a defect map or a flat field, which corrects the frames.
+        Camera model whose defect map and flat field correct the frames, or None for no correction.
     backend : {"opencl", "reference"}
-        Renderer, as in `Renderer`.
+        Backend, as in `Renderer`.
     device : str or None
         OpenCL device, as in `Renderer`.
 
@@ -538,48 +545,48 @@ class Mosaics:
         self._known = RawOverrides(black_level, white_level, phase, correction=correction)
 
     def require_size(self, rows: int, cols: int) -> None:
-        """Raise RecipeError if frames do not have the expected size.
+        """Raise RecipeError unless `rows` and `cols` are the expected size of the frames.
 
-        A cropped frame may begin at another CFA site, so l3 does not accept other sizes silently.
+        A frame of a different size may have been cropped, and may therefore begin at a different CFA site.
         """
         if (rows, cols) != self._size:
             raise RecipeError(
                 f"the frames have {rows}×{cols} pixels (rows × columns) instead of {self._size[0]}×{self._size[1]}; if this "
-                f"is correct, set ‹size› {rows}x{cols}, and set ‹phase› if the frames begin at another CFA site"
+                f"is correct, set ‹size› {rows}x{cols}, and set ‹phase› if the frames begin at a different CFA site"
             )
 
     def in_time(self, read: Callable[[int], RawFrame], cache: int) -> AnyOrder:
-        """Return a temporal filter whose frames can be requested in any order.
+        """Return a temporal filter from which the video program can request frames in any order.
 
         Parameters
         ----------
         read : callable
-            Returns the raw frame with the given number.
+            Function that returns the raw frame with a given number.
         cache : int
             Number of filtered frames that are kept in memory.
 
         Raises
         ------
         RecipeError
-            If the table does not contain the noise of its camera.
+            If the table does not contain the noise model of its camera.
         """
         return AnyOrder(self._filters(), read, cache)
 
     def frame(self, values: NDArray[Any], order: str | None = None) -> RawFrame:
-        """Make a raw frame from an array of raw values.
+        """Convert an array of raw values to a raw frame.
 
         Parameters
         ----------
         values : ndarray of uint8 or uint16, (row, col)
             Mosaic in DN.
         order : str, optional
-            Bayer order of the first 2 × 2 pixels, as the video program states it, such as "rggb". [default: the order of
-            the table]
+            Bayer order of the first 2 × 2 pixels according to the video program, such as "rggb". [default: the filter
+            array of the table]
 
         Raises
         ------
         InputFileError
-            If the array or the order does not fit the table.
+            If the array is not a mosaic, or if `order` does not match the filter array of the table.
         """
         pattern = {} if order is None else {"pattern": _codes(order)}
         return _of_array(values, self.renderer.table, self._known, pattern, "the frame")
@@ -591,11 +598,11 @@ def pair(text: str, separator: str, name: str) -> tuple[int, int] | None:
     Parameters
     ----------
     text : str
-        The text. An empty text means that the option is not set.
+        The text, which is empty if the option is not set.
     separator : str
         The characters between the two numbers.
     name : str
-        Name of the option. The error message begins with this name.
+        Name of the option, for the error message.
 
     Returns
     -------

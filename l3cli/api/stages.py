@@ -34,8 +34,8 @@ LOADABLE: tuple[type[Artifact], ...] = (CameraModel, TrainingSet, TransformTable
 def load(path: Name) -> CameraModel | TransformTable | TrainingSet:
     """Load a camera model, a transform table or a training set.
 
-    If you know the type of the artifact, use `load_camera`, `load_table` or `load_training_set`, whose return types are more
-    specific.
+    If you know the type of the artifact, use `load_camera`, `load_table` or `load_training_set` instead, because type
+    checkers then know the type of the result.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def load(path: Name) -> CameraModel | TransformTable | TrainingSet:
     Returns
     -------
     CameraModel, TransformTable or TrainingSet
-        The artifact. A training set does not contain its frames, as with `load_training_set`.
+        The artifact. A training set is loaded without its frames, as by `load_training_set`.
 
     Raises
     ------
@@ -64,12 +64,13 @@ def load(path: Name) -> CameraModel | TransformTable | TrainingSet:
         if cls.kind == kind:
             return store.load(cls, Path(path))  # type: ignore[return-value]
     raise InputFileError(
-        f"{path} contains {a(kind)}, which can only be used with l3 train --merge; use a camera model, training set or table"
+        f'{path} contains {a(kind)}, which only "l3 train --merge" reads; pass a camera model, training set or transform '
+        "table"
     )
 
 
 def load_camera(camera: Name) -> CameraModel:
-    """Load a camera model from a file, or make a camera model from a camera recipe.
+    """Load a camera model, or compute a camera model from a camera recipe.
 
     Parameters
     ----------
@@ -139,7 +140,7 @@ def load_training_set(path: Name) -> TrainingSet:
     Returns
     -------
     TrainingSet
-        The camera, the outputs and the history. To read the frames one by one, use
+        The camera, the outputs and the history. To read the frames one after the other, use
         `l3cli.artifacts.training_set.open_training_set`.
 
     Raises
@@ -157,16 +158,17 @@ def load_training_set(path: Name) -> TrainingSet:
 
 
 def save(artifact: CameraModel | TransformTable, path: Name) -> None:
-    """Save a camera model or a transform table as HDF5.
+    """Save a camera model or a transform table as an HDF5 file.
 
-    An existing file is replaced. The file is complete, or it is not written at all.
+    If a file with this name exists, it is replaced. If an error occurs, the existing file stays unchanged, and no incomplete
+    file remains.
 
     Parameters
     ----------
     artifact : CameraModel or TransformTable
-        The artifact.
+        The artifact to save.
     path : str or path
-        File to write.
+        File to write (.h5).
 
     Raises
     ------
@@ -183,21 +185,21 @@ def save(artifact: CameraModel | TransformTable, path: Name) -> None:
 
 @contextlib.contextmanager
 def file_of(given: Name | Artifact, kind: str | None = None) -> Iterator[Path]:
-    """Context manager that provides the file of an artifact or of a recipe.
+    """Context manager that returns the path of a file. An artifact in memory is first saved to a temporary file.
 
-    An artifact in memory is saved to a temporary file, which is deleted at the end of the block.
+    The temporary file is deleted at the end of the `with` block.
 
     Parameters
     ----------
     given : str, path or Artifact
-        A file or an artifact in memory. If `kind` is set, the name of a recipe that comes with l3 is also accepted.
+        A file or an artifact in memory. If `kind` is set, it may also be the name of a recipe that comes with l3.
     kind : str, optional
-        Folder of configs/ in which l3 looks up the names of recipes, such as "cameras".
+        Folder in configs/ that contains the recipes, such as "cameras".
 
     Yields
     ------
     Path
-        The file.
+        The file of the artifact or recipe.
     """
     if not isinstance(given, Artifact):
         yield Path(given) if kind is None else find_recipe(str(given), kind)
@@ -217,7 +219,7 @@ R = TypeVar("R")
 
 
 class by_keyword(Generic[P, O]):
-    """Decorator that replaces the parameter `options` of a function by one keyword parameter per option of the command.
+    """Decorator that replaces the parameter `options` of a function by one keyword parameter for each option of a command.
 
     The keyword parameters appear in the signature and in the docstring, with the types and help texts of the command line.
     An unknown keyword raises TypeError. Warnings become Python warnings, unless the caller passes a `console`. The function
@@ -238,7 +240,7 @@ class by_keyword(Generic[P, O]):
 
         @functools.wraps(function)
         def called(*given: Any, **named: Any) -> Any:
-            import scipy.linalg  # noqa: F401 # loads the BLAS of scipy, which must be loaded before its threads are limited
+            import scipy.linalg  # noqa: F401 # loads the BLAS of scipy, whose threads can be limited only after it is loaded
             from threadpoolctl import threadpool_limits
 
             given += tuple(named.pop(each.name) for each in paths[len(given) :] if each.name in named)
@@ -249,14 +251,14 @@ class by_keyword(Generic[P, O]):
                 return function(*given, options)
 
         called.__signature__ = self._signature(paths, function)  # type: ignore[attr-defined]
-        # In numpydoc, the section "Other Parameters" comes after Returns and before Raises.
+        # Numpydoc expects the section "Other Parameters" between Returns and Raises.
         before, raises, after = (inspect.getdoc(function) or "").partition("Raises\n------")
         listed = "\n".join(self._described(name, each) for name, each in declared.items())
         called.__doc__ = f"{before}Other Parameters\n----------------\n{listed}\n\n{raises}{after}"
         return called
 
     def _described(self, name: str, declared: Declaration) -> str:
-        """Return the entry of an option in a numpydoc section."""
+        """Return the numpydoc entry of an option: its name, its default value and its help text."""
         default = "optional" if declared.default in (None, ()) else f"default {declared.default!r}"
         text = textwrap.fill(declared.help, 110, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False)
         return f"{name} : {default}\n{text}"
@@ -276,7 +278,7 @@ class by_keyword(Generic[P, O]):
 
 @by_keyword(CalibrateOptions)
 def calibrate(measurements: Name | None, output: Name, options: CalibrateOptions) -> CameraModel:
-    """Estimate a camera model from lab measurements, or from raw photos of a ColorChecker.
+    """Estimate a camera model from lab measurements or from raw photos of a ColorChecker.
 
     This function does the same as `l3 calibrate`.
 
@@ -315,7 +317,7 @@ def calibrate(measurements: Name | None, output: Name, options: CalibrateOptions
 
 @by_keyword(SimulateOptions)
 def simulate(scenes: Name, camera: Name | CameraModel, output: Name, options: SimulateOptions) -> TrainingSet:
-    """Simulate a training set, which consists of raw frames of many scenes and the ideal pictures of these scenes.
+    """Simulate a training set: raw frames of many scenes, and the ideal output for each frame.
 
     This function does the same as `l3 simulate`.
 
@@ -406,14 +408,14 @@ def render(table: Name | TransformTable, inputs: Name | Sequence[Name], output: 
     table : str, path or TransformTable
         The table.
     inputs : str, path or sequence of str or path
-        Raw files, or one sequence, which is a folder, a pattern such as "a_%04d.tif", a stack or a video.
+        Raw files, or one sequence. A sequence is a folder, a pattern such as "a_%04d.tif", a stack or a video.
     output : str or path
         Picture, pattern of numbered files, folder or video to write.
 
     Returns
     -------
     int
-        Number of frames that were left out. It is 0 unless `skip_bad` is set.
+        Number of frames that were left out because they could not be read. It is 0 unless `skip_bad` is set.
 
     Raises
     ------
@@ -440,7 +442,7 @@ def render(table: Name | TransformTable, inputs: Name | Sequence[Name], output: 
 
 @by_keyword(EvaluateOptions)
 def evaluate(table: Name | TransformTable, frames: Name, options: EvaluateOptions) -> dict[str, Any]:
-    """Evaluate a table on the frames of a training set on which it was not trained.
+    """Evaluate a table on the frames of a training set that was not used to train the table.
 
     This function does the same as `l3 evaluate`.
 
@@ -449,15 +451,14 @@ def evaluate(table: Name | TransformTable, frames: Name, options: EvaluateOption
     table : str, path or TransformTable
         The table.
     frames : str or path
-        Training set (.h5) of the same camera. l3 warns if the table was trained on it.
+        Training set (.h5) of the same camera. l3 warns if the table was trained on this set.
 
     Returns
     -------
     dict
-        The document that `l3 evaluate --json` prints, except for its entry "run". Important entries are "frames"
-        (metrics of each frame), "mean" (mean metrics), "by_level", "by_illuminant" and "standards". Each of them
-        contains the metrics of the table under "ours", and the metrics of each baseline under its name, which
-        "pipelines" lists.
+        The document that `l3 evaluate --json` prints, without its entry "run". The entries "frames" (metrics of each
+        frame), "mean" (mean metrics), "by_level", "by_illuminant" and "standards" contain the metrics of the table under
+        "ours", and the metrics of each baseline under the name of the baseline. "pipelines" lists these names.
 
     Raises
     ------

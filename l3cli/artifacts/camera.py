@@ -1,4 +1,4 @@
-"""The camera model, which calibration writes and simulation reads (docs/method.md#camera-model)."""
+"""The camera model, which `l3 calibrate` writes and `l3 simulate` reads (docs/method.md#camera-model)."""
 
 import dataclasses
 import functools
@@ -19,26 +19,27 @@ from l3cli.system.limits import most_pixels
 DEFECTS = ("hot", "dead", "row", "column")
 MAX_SHADING = 16.0  # largest gain of a flat field
 MAX_COLOUR_SHADING = 0.5  # largest relative difference between the gain of a channel and the mean gain of all channels
-MIN_EXPOSURE, MAX_GAIN = 1e-4, 1e3  # smallest exposure time and largest gain of a channel, relative to the camera
-MAX_CHANNELS = 16  # because a saturation code has one bit per channel, in 16 bits
+MIN_EXPOSURE = 1e-4  # shortest exposure time of a channel, as a fraction of the longest
+MAX_GAIN = 1e3  # largest gain of a channel, relative to the gain of the camera
+MAX_CHANNELS = 16  # a saturation case is stored in 16 bits, with one bit per channel
 MAX_CFA = 8  # largest number of rows or columns of the super-pixel
 MAX_BITS = 16  # largest bit depth of raw values
-ROUNDING = 1e-6  # amount by which a quantum efficiency may exceed 1 because of rounding
+ROUNDING = 1e-6  # tolerance for rounding: a quantum efficiency may exceed 1 by this amount
 MAX_WAVELENGTHS = 10_000  # largest number of samples in a spectrum
-QUANTISATION = 1 / 12  # DN²; variance that rounding to whole DN adds
+QUANTISATION = 1 / 12  # DN²; variance of the error from rounding to whole DN
 
 
 def sensitivity_threshold(read_noise: Any, gain: Any) -> Any:
-    """Return the absolute sensitivity threshold of EMVA 1288 in e-: the signal at which the signal-to-noise ratio is 1.
+    """Return the absolute sensitivity threshold of EMVA 1288: the signal in e- at which the signal-to-noise ratio is 1.
 
-    `read_noise` is in e- and `gain` in DN/e-. Both may be arrays.
+    `read_noise` is in e-, and `gain` is in DN/e-. Both can be numbers or arrays.
     """
     return np.sqrt(read_noise**2 + QUANTISATION / gain**2) + 0.5
 
 
 @dataclass(frozen=True)
 class DefectMap:
-    """Defective pixels, whose values are not used."""
+    """Positions and types of the defective pixels of a sensor. l3 does not use the values of these pixels."""
 
     position: NDArray[np.int64] = data(
         "int64",
@@ -53,7 +54,7 @@ class DefectMap:
 
     def __post_init__(self) -> None:
         if self.position.ndim != 2 or self.position.shape[1] != 2 or self.position.min(initial=0) < 0:
-            raise ValueError("defects: position must contain rows and columns, counted from 0")
+            raise ValueError("defects: position must contain a row and a column, counted from 0, for each pixel")
         if len(np.unique(self.position, axis=0)) < len(self.position):
             raise ValueError("defects: position contains a pixel twice")
         if odd := sorted(set(self.pixel_kind) - set(DEFECTS)):
@@ -62,10 +63,10 @@ class DefectMap:
 
 @dataclass(frozen=True)
 class FlatField:
-    """Gain that corrects shading, so that the image of an evenly lit white target becomes uniform.
+    """Gains that correct shading: they make the image of an evenly lit white target uniform.
 
-    Each channel has separate gains, relative to the middle of the frame. They are stored on a grid that covers the whole
-    sensor, and are interpolated linearly between the grid lines.
+    Each channel has its own gains, relative to the middle of the frame. The gains are known at the points of a grid that
+    covers the whole sensor. Between these points, l3 interpolates them linearly.
     """
 
     grid_row: NDArray[np.float64] = data(
@@ -106,7 +107,7 @@ class FlatField:
 
 @dataclass(frozen=True)
 class Readout:
-    """Exposure time and gain of each channel. Even channels with the same filter may differ in exposure time and gain."""
+    """Exposure time, gain and read noise of each channel. They may differ even between channels with the same filter."""
 
     channel_exposure: NDArray[np.float64] = data(
         "float64", "channel", doc="exposure time, as a fraction of the longest exposure time, which is that of the frame"
@@ -128,11 +129,13 @@ class Readout:
         if not (self.channel_read_noise.min() >= 0 and np.isfinite(self.channel_read_noise).all()):
             raise ValueError("channel_read_noise must be finite and must not be negative")
         if not ((first >= 0) & (first <= np.arange(first.size))).all() or not (first[first] == first).all():
-            raise ValueError("same_filter must contain, for each channel, the first channel with the same filter")
+            raise ValueError(
+                "same_filter must contain, for each channel, the number of the first channel with the same filter"
+            )
 
     @property
     def sensitivity(self) -> NDArray[np.float64]:
-        """Product of exposure and gain of each channel, divided by the largest product of all channels."""
+        """Exposure time × gain of each channel, divided by the largest such product."""
         product = self.channel_exposure * self.channel_gain
         return np.asarray(product / product.max())
 
@@ -141,7 +144,7 @@ class Readout:
 class Polarisers:
     """Linear polarisers in front of the pixels (docs/method.md#polarisers).
 
-    A channel without a polariser has a leakage of 1, so that it passes all light, and an angle of 0.
+    A channel without a polariser has a leakage of 1, because light of any polarisation passes, and an angle of 0.
     """
 
     polariser_deg: NDArray[np.float64] = data(
@@ -170,19 +173,22 @@ class Polarisers:
 
     @property
     def extinction(self) -> NDArray[np.float64]:
-        """Ratio of the transmissions along and across the axis, for each channel and wavelength. Infinite if ideal."""
+        """Transmission along the axis divided by transmission across the axis, with the shape (channel, wavelength).
+
+        The ratio is infinite for an ideal polariser.
+        """
         with np.errstate(divide="ignore"):
             return np.asarray(1.0 / self.leakage)
 
     @property
     def stokes_response(self) -> NDArray[np.float64]:
-        """Transmission of S0, S1 and S2, relative to the transmission along the axis.
+        """Transmission of the Stokes parameters S0, S1 and S2, relative to the transmission along the axis.
 
         Returns
         -------
         ndarray, (channel, stokes, wavelength)
-            First row of the Mueller matrix of each polariser: ½ (1 + k), ½ (1 − k) cos 2θ and ½ (1 − k) sin 2θ, with the
-            leakage k and the angle θ. It is (1, 0, 0) without a polariser.
+            First row of the Mueller matrix of each polariser: ½ (1 + k), ½ (1 − k) cos 2θ and ½ (1 − k) sin 2θ, where k
+            is the leakage and θ the angle. Without a polariser, the row is (1, 0, 0).
         """
         angle = 2 * np.radians(self.polariser_deg)[:, None]
         modulation = 0.5 * (1.0 - self.leakage)
@@ -217,25 +223,29 @@ class Noise:
 
     @property
     def temporal(self) -> float:
-        """Variance of the temporal noise in the dark, in (e-)²: read noise, and temporal offsets of rows and columns."""
+        """Variance of the temporal noise in the dark, in (e-)².
+
+        It consists of the read noise and the temporal offsets of rows and columns.
+        """
         return self.read_noise**2 + self.lines
 
     @property
     def dark_noise(self) -> float:
-        """Temporal dark noise of EMVA 1288 in e-: the standard deviation of a pixel in the dark over time."""
+        """Temporal dark noise as defined in EMVA 1288, in e-: the standard deviation of a pixel over time in the dark."""
         return float(np.sqrt(self.temporal)) if self.lines else self.read_noise
 
     @property
     def fixed(self) -> float:
-        """Variance of the dark fixed-pattern noise, in (e-)²: DSNU and column offsets."""
+        """Variance of the fixed-pattern noise in the dark, in (e-)². It consists of the DSNU and the column offsets."""
         return self.dsnu**2 + self.column_noise**2
 
 
 @dataclass(frozen=True)
 class NoiseScale:
-    """Changes of the noise relative to the calibrated camera: a different analog gain, and a temporal filter.
+    """Noise of a frame, relative to the calibrated camera.
 
-    After the filter, the fraction `noise_left` of the temporal noise variance remains.
+    The noise changes with the analog gain, and a temporal filter reduces it. After such a filter, the fraction `noise_left`
+    of the temporal noise variance remains.
     """
 
     gain: float = data("float64", doc="analog gain, relative to the gain of the camera model", default=1.0)
@@ -251,7 +261,7 @@ class NoiseScale:
 
     @property
     def shot(self) -> float:
-        """Shot-noise variance in DN², divided by the shot-noise variance of the calibrated camera."""
+        """Shot-noise variance in DN², as a multiple of the shot-noise variance of the calibrated camera."""
         return self.gain * self.noise_left
 
     def __str__(self) -> str:
@@ -262,7 +272,7 @@ class NoiseScale:
 
 @dataclass(frozen=True)
 class AnalogGains:
-    """Additional analog gains of a camera, and the read noise at each of these gains (docs/method.md#gains)."""
+    """Analog gains at which a camera was also measured, and the read noise at each gain (docs/method.md#gains)."""
 
     analog_gain: NDArray[np.float64] = data(
         "float64", "analog_gain", doc="analog gain, relative to the gain of the camera model", coordinate=True
@@ -274,7 +284,8 @@ class AnalogGains:
         gain = self.analog_gain
         if not ((gain > 0).all() and (np.diff(gain) > 0).all() and (gain != 1).all()):
             raise ValueError(
-                "analog gains must be positive and increase, and must not contain 1, the gain of the camera itself"
+                "the analog gains must be positive and increasing, and must not contain 1, which is the gain of the "
+                "camera model"
             )
         if not (self.gain_read_noise >= 0).all():
             raise ValueError("the read noise at an analog gain must not be negative")
@@ -284,7 +295,7 @@ class AnalogGains:
 
 @dataclass(frozen=True)
 class Optics:
-    """The lens (docs/method.md#optics). The responsivity of the camera includes the transmittance of the lens."""
+    """Geometry of the lens (docs/method.md#optics). Its transmittance is part of the responsivity of the camera."""
 
     focal_length: float = data("float64", unit="m", doc="focal length")
     f_number: float = data("float64", unit="1", doc="focal length / aperture diameter")
@@ -299,7 +310,7 @@ class Optics:
 
     @property
     def image_distance(self) -> float:
-        """Distance in m between lens and sensor if the object is in focus."""
+        """Distance in m between the lens and the sensor if the scene is in focus."""
         return lens.image_distance(self.focal_length, self.object_distance)
 
     @property
@@ -309,31 +320,33 @@ class Optics:
 
 
 def check_sensor(rows: int, cols: int, bits: int, black_level: float, white_level: float) -> None:
-    """Raise ValueError if the size, the bit depth or the levels (DN) of a sensor are impossible."""
+    """Raise ValueError if the size, the bit depth, the black level or the white level (both in DN) is impossible."""
     if not (rows > 0 and cols > 0 and rows * cols <= most_pixels() and 1 <= bits <= MAX_BITS):
         sensor = f"the sensor has {rows} rows, {cols} columns and {bits} bits"
-        raise ValueError(f"{sensor}; all must be positive, with at most {most_pixels()} pixels and {MAX_BITS} bits")
+        raise ValueError(
+            f"{sensor}; all three must be positive, and at most {most_pixels()} pixels and {MAX_BITS} bits are supported"
+        )
     if not 0 <= black_level < white_level <= 2**bits - 1:
         raise ValueError(
-            f"the black level is {black_level:g} and the white level {white_level:g}; they must increase and be between "
-            f"0 and {2**bits - 1}"
+            f"the black level is {black_level:g} and the white level is {white_level:g}; the white level must be larger "
+            f"than the black level, and both must be between 0 and {2**bits - 1}"
         )
 
 
 def check_cfa(cfa: NDArray[np.uint8], channels: tuple[str, ...]) -> None:
-    """Raise ValueError if the super-pixel is empty or too large, or if it refers to a channel that does not exist."""
+    """Raise ValueError if the CFA is empty or too large, or if it contains the index of a channel that does not exist."""
     if not (cfa.size > 0 and max(cfa.shape) <= MAX_CFA and 0 < len(channels) <= MAX_CHANNELS):
-        raise ValueError(f"cfa must have at most {MAX_CFA}×{MAX_CFA} sites and at most {MAX_CHANNELS} channels")
+        raise ValueError(f"cfa must have 1×1 to {MAX_CFA}×{MAX_CFA} sites and 1 to {MAX_CHANNELS} channels")
     if cfa.max() >= len(channels):
         raise ValueError(f"cfa contains the channel index {cfa.max()}, but there are only {len(channels)} channels")
 
 
 def check_wavelengths(wavelength: NDArray[np.float64]) -> None:
-    """Raise ValueError unless the wavelengths (nm) increase and are plausible for light."""
+    """Raise ValueError unless the wavelengths (nm) increase and are within the limits of l3."""
     if not (1 < wavelength.size <= MAX_WAVELENGTHS and (np.diff(wavelength) > 0).all()):
         raise ValueError(f"wavelength must contain 2 to {MAX_WAVELENGTHS} increasing values")
     if not (wavelength[0] > 0 and wavelength[-1] <= spectra.LONGEST_NM):
-        raise ValueError(f"wavelength must be between 0 and {spectra.LONGEST_NM} nm")
+        raise ValueError(f"wavelength must contain only values between 0 and {spectra.LONGEST_NM} nm")
 
 
 @dataclass(frozen=True, repr=False)
@@ -357,8 +370,8 @@ class CameraModel(Artifact):
     wavelength : ndarray, (wavelength,)
         Wavelengths of the responsivities in nm.
     responsivity : ndarray, (channel, wavelength)
-        Quantum efficiency in e-/photon, including lens, filters and fill factor. If `absolute` is false, relative
-        responsivities with a peak of 1.
+        Quantum efficiency in e-/photon, including lens, filters and fill factor. If `absolute` is false, the
+        responsivities are relative, with a peak of 1.
     responsivity_band : ndarray, (channel, wavelength)
         Half width of the 95 % confidence band of `responsivity`, or 0 if it was not measured.
     absolute : bool
@@ -374,11 +387,11 @@ class CameraModel(Artifact):
     optics : Optics
         The lens.
     declared : tuple of str
-        Quantities that were read from a data sheet instead of measured.
+        Quantities whose values come from a data sheet, not from a measurement.
     fit : Fit or None
         Measurements and residuals of the calibration. None if the camera is described by a recipe.
     defects : DefectMap or None
-        Defective pixels. None if they have not been searched for.
+        Defective pixels. None if l3 has not searched for defects.
     flat_field : FlatField or None
         Correction of shading. None if shading was not measured.
     readout : Readout or None
@@ -389,7 +402,8 @@ class CameraModel(Artifact):
         Polarisers in front of the pixels. `responsivity` is then the responsivity to light that is polarised along the
         transmission axis. None if no channel has a polariser.
     noise_left : float
-        Fraction of the temporal noise variance that remains after a temporal filter. `under` sets it. It is not stored.
+        Fraction of the temporal noise variance that remains after a temporal filter. The method `under` sets this
+        attribute. It is not stored in files.
     """
 
     kind: ClassVar[str] = "camera model"
@@ -444,12 +458,13 @@ class CameraModel(Artifact):
         check_wavelengths(self.wavelength)
         if not (self.pixel_pitch > 0 and self.gain > 0 and self.responsivity.max() > 0 and self.fixed_pattern_seed >= 0):
             raise ValueError(
-                "pixel_pitch, gain and peak responsivity must be positive, and fixed_pattern_seed must not be negative"
+                "pixel_pitch, gain and the peak of responsivity must be positive, and fixed_pattern_seed must not be "
+                "negative"
             )
         if self.absolute and not self.responsivity.max() <= 1.0 + ROUNDING:
             raise ValueError(f"the peak quantum efficiency is {self.responsivity.max():.4g}, but cannot exceed 1")
         if self.defects and (self.defects.position >= (self.rows, self.cols)).any():
-            raise ValueError(f"defects are outside the {self.rows}×{self.cols} pixels of the sensor")
+            raise ValueError(f"defects contains positions outside the {self.rows}×{self.cols} pixels of the sensor")
         if self.flat_field and not self.flat_field.covers(self.rows, self.cols):
             raise ValueError(f"the flat field does not cover the {self.rows}×{self.cols} pixels of the sensor")
 
@@ -464,15 +479,16 @@ class CameraModel(Artifact):
         return (self.white_level - self.black_level) / self.gain
 
     def at_gain(self, gain: float) -> "CameraModel":
-        """Return the camera at a different analog gain.
+        """Return the camera model at a different analog gain.
 
-        The levels stay the same. The read noise is interpolated between the known gains. Its square is linear in 1/gain²
+        The black level and the white level stay unchanged. The read noise is interpolated between the gains at which it is
+        known, such that its square is linear in 1/gain². Outside these gains, the nearest known read noise is used
         (docs/method.md#gains). The temporal noise of rows and columns changes in proportion to the read noise.
 
         Parameters
         ----------
         gain : float
-            Analog gain, relative to this camera.
+            Analog gain, relative to this camera model.
         """
         if gain == 1:
             return self
@@ -500,14 +516,14 @@ class CameraModel(Artifact):
         return replace(self, gain=self.gain * gain, noise=noise, readout=readout, gains=gains)
 
     def gain_at(self, iso: float) -> float | None:
-        """Return the analog gain at an ISO speed, relative to the gain of this camera.
+        """Return the analog gain for an ISO speed, relative to the gain of this camera model.
 
-        The result is None if the ISO speed is 0, or if the ISO speed of the camera is unknown.
+        The result is None if `iso` is not positive, or if the ISO speed of the camera model is unknown.
         """
         return iso / self.gains.iso if iso > 0 and self.gains and self.gains.iso > 0 else None
 
     def under(self, noise: NoiseScale) -> "CameraModel":
-        """Return a copy of the camera with the analog gain and the remaining noise of a noise scale."""
+        """Return the camera model with the analog gain and the remaining temporal noise that `noise` specifies."""
         return replace(self.at_gain(noise.gain), noise_left=noise.noise_left)
 
     def channel_map(self, shape: tuple[int, ...]) -> NDArray[np.uint8]:
@@ -516,22 +532,19 @@ class CameraModel(Artifact):
 
     @property
     def sensitivity(self) -> NDArray[np.float64]:
-        """DN per unit of light for each channel, relative to the most sensitive channel.
-
-        Without a `readout`, all values are 1.
-        """
+        """Exposure time × gain of each channel, divided by the largest such product. All values are 1 without `readout`."""
         return np.ones(len(self.channels)) if self.readout is None else self.readout.sensitivity
 
     @property
     def channel_gains(self) -> NDArray[np.float64]:
-        """Conversion gain of each channel, relative to `gain`."""
+        """Conversion gain of each channel, relative to `gain`. All values are 1 without `readout`."""
         return np.ones(len(self.channels)) if self.readout is None else self.readout.channel_gain
 
     @property
     def stokes_response(self) -> NDArray[np.float64]:
-        """Response of each channel to S0, S1 and S2, relative to its responsivity: (channel, stokes, wavelength).
+        """Response of each channel to the Stokes parameters S0, S1 and S2, relative to the responsivity of the channel.
 
-        Without polarisers, it is (1, 0, 0).
+        The shape is (channel, stokes, wavelength). Without polarisers, each response is (1, 0, 0).
         """
         if self.polarisers is not None:
             return self.polarisers.stokes_response
@@ -541,25 +554,25 @@ class CameraModel(Artifact):
 
     @property
     def electron_weights(self) -> NDArray[np.float64]:
-        """Matrix that converts radiance to photo-electrons per second of exposure, with the shape (channel, wavelength).
+        """Matrix (channel, wavelength) that converts unpolarised radiance to photo-electrons per second of exposure.
 
-        The radiance is in photons/s/sr/m²/nm (docs/method.md#sensor). The light is not polarised.
+        The radiance is in photons/s/sr/m²/nm (docs/method.md#sensor).
         """
         weights = self._axis_weights
         return weights if self.polarisers is None else weights * self.stokes_response[:, 0]
 
     @property
     def stokes_weights(self) -> NDArray[np.float64]:
-        """Matrices that convert S0, S1 and S2 to photo-electrons per second of exposure: (stokes, channel, wavelength).
+        """Matrices (stokes, channel, wavelength) that convert S0, S1 and S2 to photo-electrons per second of exposure.
 
-        The Stokes parameters are radiances in photons/s/sr/m²/nm, and the photo-electrons are the sum over all three.
-        The first matrix is `electron_weights`.
+        The Stokes parameters are radiances in photons/s/sr/m²/nm. The total number of photo-electrons is the sum over the
+        three Stokes parameters. The first matrix equals `electron_weights`.
         """
         return np.moveaxis(self._axis_weights[:, None] * self.stokes_response, 1, 0)
 
     @property
     def _axis_weights(self) -> NDArray[np.float64]:
-        """Photo-electrons per second of exposure for light that is polarised along the axis of the polariser, if any."""
+        """Photo-electrons per second of exposure, for light that is polarised along the axis of each channel's polariser."""
         photons = self.optics.irradiance_per_radiance * self.pixel_pitch**2 * spectra.bin_widths(self.wavelength)
         if self.readout is not None:
             return self.responsivity * photons * self.readout.channel_exposure[:, None]
@@ -567,9 +580,9 @@ class CameraModel(Artifact):
 
     @property
     def signal_weights(self) -> NDArray[np.float64]:
-        """Matrix that converts radiance to DN/`gain` per second of exposure, with the shape (channel, wavelength).
+        """Matrix (channel, wavelength) that converts radiance to DN per second of exposure, divided by `gain`.
 
-        The radiance is in photons/s/sr/m²/nm. The matrix differs from `electron_weights` if channels have different
+        The radiance is in photons/s/sr/m²/nm. The matrix equals `electron_weights` unless the channels have different
         gains.
         """
         weights = self.electron_weights
@@ -583,7 +596,7 @@ class CameraModel(Artifact):
         Raises
         ------
         InputFileError
-            If the camera collects almost no light from this white, or if all wavelengths of the camera are invisible.
+            If the camera collects almost no light from this white, or if no wavelength of the camera is visible.
         """
         with raised_as(InputFileError, f"camera {self.name}", InputFileError):
             white = spectra.at_luminance(spectra.illuminant("D65", self.wavelength), self.wavelength, 1.0)
@@ -591,8 +604,8 @@ class CameraModel(Artifact):
         exposure = self.full_scale / electrons if electrons > 0 else np.inf
         if not exposure <= LARGEST_VALUE:
             raise InputFileError(
-                f"camera {self.name}: a pixel saturates only at {exposure:.3g} cd s/m² of daylight; check the responsivity, "
-                "the pixel pitch and the f-number"
+                f"camera {self.name}: a pixel saturates only at {exposure:.3g} cd s/m² of daylight, which is implausible; "
+                "check the responsivity, the pixel pitch and the f-number"
             )
         return exposure
 
@@ -600,15 +613,15 @@ class CameraModel(Artifact):
     def output_unit(self) -> float:
         """Luminance × exposure time, in cd s/m², that corresponds to an output of 1 in tables for this camera.
 
-        It is the saturation exposure. If the sensitivities of the channels differ by more than a factor of 4, it is a
-        quarter of the exposure that saturates the least sensitive channel (docs/method.md#exposures).
+        If the sensitivities of the channels differ by at most a factor of 4, this is `saturation_exposure`. Otherwise it is
+        a quarter of the exposure that saturates the least sensitive channel (docs/method.md#exposures).
         """
         return self.saturation_exposure * max(1.0, 0.25 / float(self.sensitivity.min()))
 
     def dark_signal(self, exposure: float | None) -> float:
-        """Return the mean dark signal above black, in DN, after `exposure` seconds (docs/method.md#dark-current).
+        """Return the mean signal, in DN, that the dark current causes in `exposure` seconds (docs/method.md#dark-current).
 
-        If the exposure time is None, the result is 0.
+        If the exposure time is unknown (None), the result is 0.
         """
         return 0.0 if exposure is None else self.gain * self.noise.dark_current * exposure
 
@@ -620,11 +633,12 @@ class CameraModel(Artifact):
         Parameters
         ----------
         signal : ndarray
-            Mean signal above black in DN, in a frame that `RawFrame.at_levels` has rescaled.
+            Mean signal above black in DN, in a frame that `RawFrame.at_levels` has rescaled. Negative signals have the
+            variance of a signal of 0.
         dark : float
             Dark signal, in DN, that was subtracted from the frame.
         channel : ndarray of int, optional
-            Channel of each pixel, as in `noise_terms`.
+            Channel of each value of `signal`, as in `noise_terms`.
         """
         constant, linear, quadratic = self.noise_terms(dark, channel)
         signal = np.maximum(signal, 0.0)
@@ -642,13 +656,14 @@ class CameraModel(Artifact):
         dark : float
             Dark signal, in DN, of a channel with the full exposure time and the gain `gain`.
         channel : ndarray of int, optional
-            Channel of each pixel. It is needed if channels differ in exposure time or gain. [default: a channel with the
-            full exposure time and the gain `gain`]
+            Channel of each pixel, which is needed if the channels differ in exposure time or gain. [default: a channel
+            with the full exposure time and the gain `gain`]
 
         Returns
         -------
         constant, linear, quadratic
-            Coefficients in DN², DN and 1. If channels differ, the first two are arrays with the shape of `channel`.
+            Coefficients in DN², DN and 1. If the channels differ and `channel` is set, the first two are arrays with the
+            shape of `channel`. Otherwise they are numbers.
 
         Raises
         ------
@@ -658,8 +673,8 @@ class CameraModel(Artifact):
         noise, left, span = self.noise, self.noise_left, self.white_level - self.black_level
         if not dark < span:
             raise ValueError(
-                f"dark current alone saturates the pixels of camera {self.name}: it adds {dark:.4g} DN to a range of "
-                f"{span:.4g} DN"
+                f"the dark current alone saturates the pixels of camera {self.name}, because it adds {dark:.4g} DN to a "
+                f"range of {span:.4g} DN; check the exposure time"
             )
         stretch, prnu = span / (span - dark), noise.prnu**2
         gain: Any = self.gain

@@ -16,18 +16,19 @@ from l3cli.recipes.toml import Positive, Recipe
 from l3cli.spectra.file import read_table
 from l3cli.spectra.table import CurveTable, gaps, known_as, without_noise
 
-WIDEST_GAP = 20.0  # nm; largest distance between the samples of measured curves
-CUT_OFF = 0.05  # a curve is cut off if it ends in the visible range at a value above this fraction of its peak
+WIDEST_GAP = 20.0  # nm; largest distance between neighbouring samples of measured curves
+CUT_OFF = 0.05  # curves that end between the limits of VISIBLE must have fallen to this fraction of their peak
 VISIBLE = 420.0, 680.0  # nm
-RELATIVE_PEAK = 1e-3  # if the peak of the curves differs from 1 by less, the curves are assumed to be relative
+RELATIVE_PEAK = 1e-3  # curves whose peak differs from 1 by less than this are assumed to be relative
 MIN_PEAK = 1e-3  # lowest plausible peak quantum efficiency of a camera
 Array = NDArray[np.float64]
 
 
 class Gaussian(Recipe):
-    """An asymmetric Gaussian in a responsivity: peak · exp(−½((λ−centre)/sigma)²).
+    """One term of a responsivity: an asymmetric Gaussian, peak · exp(−½((λ−centre)/sigma)²).
 
-    `sigma_nm` applies below the centre, and `sigma_above_nm`, if it is set, above the centre.
+    `sigma_nm` applies to wavelengths below the centre. `sigma_above_nm` applies from the centre upwards; if it is not set,
+    `sigma_nm` applies there too.
     """
 
     peak: float
@@ -37,18 +38,24 @@ class Gaussian(Recipe):
 
 
 class ResponsivityRecipe(Recipe):
-    wavelength_nm: tuple[float, float, float] | None = None  # first, last, step; default for a file: its wavelengths
-    # highest peak of the quantum efficiencies in e-/photon, including lens and filters; default for a file: its values
+    # First wavelength, last wavelength and step. If a file is used and this key is missing, the wavelengths of the file.
+    wavelength_nm: tuple[float, float, float] | None = None
+    # Peak quantum efficiency of the most sensitive channel in e-/photon, including lens and filters. If a file is used and
+    # this key is missing, the curves in the file are quantum efficiencies.
     peak_efficiency: Positive | None = None
-    gaussians: dict[str, list[Gaussian]] | None = None  # Gaussians of each channel, which are added
-    # CSV file with the wavelength in nm and one column per channel, found by name or in the order of cfa.channels
+    gaussians: dict[str, list[Gaussian]] | None = None  # the curve of each channel is the sum of its Gaussians
+    # CSV file with the wavelength in nm and one column per channel. Columns are found by name or are in the order of
+    # cfa.channels.
     file: str | None = None
-    columns: dict[str, str] = msgspec.field(default_factory=dict)  # column of each channel, if the names differ
+    columns: dict[str, str] = msgspec.field(default_factory=dict)  # name of the column of each channel, if it differs
     per_energy: bool = False  # whether the curves are per watt instead of per photon
 
 
 def curve_faults(declared: ResponsivityRecipe, channels: Sequence[str]) -> Iterator[Fault]:
-    """Yield the faults of [responsivity], except for numbers out of range and the content of files."""
+    """Yield the faults of the section [responsivity].
+
+    Numbers that are out of range and the content of files are checked elsewhere.
+    """
     if (declared.gaussians is None) == (declared.file is None):
         yield fault(
             "set either responsivity.gaussians or responsivity.file",
@@ -65,8 +72,8 @@ def curve_faults(declared: ResponsivityRecipe, channels: Sequence[str]) -> Itera
             yield fault(message, key)
         elif (last - first) / step >= MAX_WAVELENGTHS or last > spectra.LONGEST_NM:
             yield fault(
-                f"{key} is [{first:g}, {last:g}, {step:g}]; at most {MAX_WAVELENGTHS} wavelengths up to "
-                f"{spectra.LONGEST_NM} nm are allowed",
+                f"{key} is [{first:g}, {last:g}, {step:g}]; use at most {MAX_WAVELENGTHS} wavelengths, up to "
+                f"{spectra.LONGEST_NM} nm",
                 key,
             )
     yield from column_faults(declared.columns, channels, "responsivity.columns")
@@ -76,22 +83,22 @@ def curve_faults(declared: ResponsivityRecipe, channels: Sequence[str]) -> Itera
         yield fault("responsivity.columns applies only to responsivity.file; remove it", "responsivity.columns")
     for key in ("wavelength_nm", "peak_efficiency"):
         if getattr(declared, key) is None:
-            message = f"missing key `{key}` in [responsivity], which is required for gaussians"
+            message = f"missing key `{key}` in [responsivity], which responsivity.gaussians requires; add it"
             yield fault(message, f"responsivity.{key}")
     if set(channels) != set(declared.gaussians):
         difference = differences(declared.gaussians, channels)
-        message = f"responsivity.gaussians and cfa.channels differ: {difference}"
+        message = f"responsivity.gaussians must have the same channels as cfa.channels: {difference}"
         yield fault(message, "responsivity.gaussians", "cfa.channels")
 
 
 def column_faults(columns: Mapping[str, str], channels: Sequence[str], key: str) -> Iterator[Fault]:
-    """Yield the faults of a mapping from channels to columns. `key` is the key of this mapping in the recipe."""
+    """Yield the faults of a mapping from channels to columns of a file. `key` is the key of this mapping in the recipe."""
     if odd := sorted({known_as(name, channels) for name in columns} - set(channels)):
         yield fault(f'{key}: "{odd[0]}" is not a channel; {suggestion(odd[0], channels)}', key)
 
 
 def differences(names: Iterable[str], channels: Sequence[str]) -> str:
-    """Describe how `names` differ from the names of the channels."""
+    """Describe how `names` differ from the names of the channels, for an error message. They must differ."""
     odd = sorted(set(names) - set(channels))
     if odd:
         return f'"{odd[0]}" is not a channel; {suggestion(odd[0], channels)}'
@@ -108,7 +115,7 @@ def responsivity(declared: ResponsivityRecipe, channels: Sequence[str], folder: 
     channels : sequence of str
         Names of the channels.
     folder : Path
-        Folder of the recipe, to which the file name in the recipe is relative.
+        Folder of the recipe. The path of the CSV file in the recipe is relative to this folder.
 
     Returns
     -------
@@ -141,14 +148,18 @@ def responsivity(declared: ResponsivityRecipe, channels: Sequence[str], folder: 
 
 
 def curve_table(declared: ResponsivityRecipe, channels: Sequence[str], folder: Path) -> CurveTable:
-    """Read the curves of the channels from the file of a recipe. Raises InputFileError if a curve is missing."""
+    """Read the curves of the channels from the CSV file of a recipe.
+
+    Small negative values, which are noise of the measurement, become 0. Raises InputFileError if the curve of a channel is
+    missing.
+    """
     assert declared.file is not None
     table = read_table(folder / declared.file).channel_columns(channels, declared.columns)
     return replace(table, values=without_noise(table.values))
 
 
 def _grid(declared: ResponsivityRecipe) -> Array | None:
-    """Return the wavelengths that a recipe specifies, in nm, or None if it specifies none."""
+    """Return the wavelengths in nm that `wavelength_nm` specifies, or None if the recipe does not contain this key."""
     if declared.wavelength_nm is None:
         return None
     first, last, step = declared.wavelength_nm
@@ -156,12 +167,12 @@ def _grid(declared: ResponsivityRecipe) -> Array | None:
 
 
 def _check_grid(table: CurveTable, wavelength: Array | None, channels: Sequence[str]) -> None:
-    """Raise InputFileError unless the curves cover the visible range, without gaps and without negative values."""
+    """Raise InputFileError unless the curves cover the visible range and `wavelength` without gaps or negative values."""
     grid, curves = table.wavelength, table.values
     missing = gaps(grid, curves, WIDEST_GAP)
     if grid.size < 2 or missing:
         where = " between {:g} and {:g} nm".format(*missing[0]) if missing else ""
-        raise InputFileError(f"{table.path} has a gap{where}; the curves need a sample at least every {WIDEST_GAP:g} nm")
+        raise InputFileError(f"{table.path} has a gap{where}; add samples, at least one every {WIDEST_GAP:g} nm")
     if wavelength is not None and (wavelength[0] >= grid[-1] or wavelength[-1] <= grid[0]):
         raise InputFileError(
             f"{table.path} covers {grid[0]:g}…{grid[-1]:g} nm, but responsivity.wavelength_nm is "
@@ -180,7 +191,7 @@ def _check_grid(table: CurveTable, wavelength: Array | None, channels: Sequence[
 
 
 def _efficiencies(table: CurveTable, wavelength: Array, per_energy: bool) -> Array:
-    """Return the quantum efficiencies in a file, averaged over the wavelength steps of a grid.
+    """Return the quantum efficiencies in a file, averaged around each wavelength of a grid.
 
     Raises InputFileError if the values are implausible, for example because they are relative or percentages.
     """
@@ -193,8 +204,8 @@ def _efficiencies(table: CurveTable, wavelength: Array, per_energy: bool) -> Arr
         )
     if abs(peak - 1) < RELATIVE_PEAK and not any(table.units):
         raise InputFileError(
-            f"{table.path} seems to contain relative curves, because their peak is 1; set responsivity.peak_efficiency, or "
-            'write the unit "(e-/photon)" after the column names'
+            f"{table.path} seems to contain relative curves, because the highest peak is 1; set "
+            'responsivity.peak_efficiency, or write the unit "(e-/photon)" after the column names'
         )
     if not MIN_PEAK <= peak <= 1 + ROUNDING:
         raise InputFileError(
@@ -214,9 +225,9 @@ def _sum_of_gaussians(wavelength: Array, terms: list[Gaussian]) -> Array:
 
 
 def full_width(wavelength: Array, curve: Array) -> float | None:
-    """Return the full width at half maximum of a curve in nm.
+    """Return the full width at half maximum of a curve, in nm.
 
-    The result is None if the curve does not fall to half its peak on both sides.
+    The result is None unless the curve falls below half its peak on both sides of the peak.
     """
     peak, half = int(curve.argmax()), curve.max() / 2
     below, above = np.flatnonzero(curve[:peak] < half), np.flatnonzero(curve[peak:] < half)

@@ -1,4 +1,4 @@
-"""Camera recipes, which describe a camera instead of measuring it (configs/cameras)."""
+"""Camera recipes: TOML files that describe a camera, for example with the values of a data sheet (configs/cameras)."""
 
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -35,30 +35,32 @@ from l3cli.recipes.toml import Count, CountOrNone, NotNegative, Positive, Recipe
 from l3cli.spectra.file import read_table
 from l3cli.spectra.table import CurveTable
 
-UNIT_SUFFIXES = {"1": "", "e-": "_e", "e-/s": "_e_per_s"}  # suffix of a key, by the unit of its value
+UNIT_SUFFIXES = {"1": "", "e-": "_e", "e-/s": "_e_per_s"}  # suffix of a recipe key for each unit
 MAX_READ_NOISE_E = 1e4
 MAX_ISO = 1e7
-PITCHES_UM, MIN_F_NUMBER, MIN_FOCAL_MM = (0.1, 1000.0), 0.5, 0.05  # other values probably have a wrong unit
-PITCH_UM, FOCAL_MM, F_NUMBER = 5.0, 50.0, 4.0  # values that are assumed if only a raw file of the camera is available
-MAX_PRNU = 0.2  # larger PRNU cannot be corrected
+PITCHES_UM, MIN_F_NUMBER, MIN_FOCAL_MM = (0.1, 1000.0), 0.5, 0.05  # values outside these limits probably have a wrong unit
+PITCH_UM, FOCAL_MM, F_NUMBER = 5.0, 50.0, 4.0  # assumed values if l3 has only a raw file of the camera
+MAX_PRNU = 0.2  # a larger PRNU cannot be corrected
 Bits = Annotated[int, msgspec.Meta(ge=1, le=MAX_BITS)]
 ReadNoise = Annotated[float, msgspec.Meta(ge=0, le=MAX_READ_NOISE_E)]
 
 
 class ChannelRecipe(Recipe):
-    """A channel with a polariser, or whose exposure, gain or read noise differs from the defaults."""
+    """Section [channel.NAME]. It is needed for a channel that has a polariser, an exposure or gain other than 1, its own
+    read noise, or the filter of a different channel.
+    """
 
     like: str | None = None  # name of a channel with the same filter and therefore the same responsivity
-    # exposure time, relative to the exposure time of the frame, which is the longest
+    # exposure time, as a fraction of the exposure time of the frame, which is the longest of all channels
     exposure: Annotated[float, msgspec.Meta(ge=MIN_EXPOSURE, le=1)] = 1.0
-    # conversion gain, relative to sensor.gain_dn_per_e, which is the lowest gain
+    # conversion gain, relative to sensor.gain_dn_per_e, which is the lowest of all channels
     gain: Annotated[float, msgspec.Meta(ge=1, le=MAX_GAIN)] = 1.0
     read_noise_e: ReadNoise | None = None  # read noise at the gain of the channel; default: noise.read_noise_e
-    # angle of the transmission axis of the polariser, counter-clockwise from the horizontal axis of the frame; default: no
-    # polariser. The responsivity is then the responsivity to light that is polarised along this axis.
+    # angle of the transmission axis of the polariser, counter-clockwise from the horizontal axis of the frame. If the angle
+    # is set, the responsivity is for light that is polarised along this axis. Default: no polariser
     polariser_deg: Annotated[float, msgspec.Meta(ge=0, lt=180)] | None = None
-    # transmission of the polariser along its axis, divided by the transmission across: a number, or a CSV file with the
-    # wavelength in nm and the ratio; default: the polariser is ideal
+    # transmission of the polariser along its axis, divided by its transmission across the axis. Either a number, or a CSV
+    # file with the wavelength in nm and this ratio. Default: the polariser is ideal
     extinction: Annotated[float, msgspec.Meta(ge=1)] | str | None = None
 
     @property
@@ -68,12 +70,15 @@ class ChannelRecipe(Recipe):
 
 
 def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]) -> Iterator[Fault]:
-    """Yield the faults of [channel.NAME]: unknown channels, contradictory settings, and exposures of which none is 1."""
+    """Yield the faults of the sections [channel.NAME].
+
+    Faults are unknown channels, contradictory settings, and exposures that are all shorter than 1.
+    """
     for name, one in channel.items():
         if name not in channels:
             yield fault(f'"{name}" is not a channel of cfa.channels; {suggestion(name, channels)}', ("channel", name))
         if one.extinction is not None and one.polariser_deg is None:
-            message = f"channel.{name}.extinction has no effect without a polariser; set channel.{name}.polariser_deg"
+            message = f"channel.{name}.extinction has no effect without a polariser; also set channel.{name}.polariser_deg"
             yield fault(message, ("channel", name, "extinction"))
         if one.like is None:
             continue
@@ -82,25 +87,28 @@ def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]
             message = f'channel.{name}.like: "{one.like}" is not a channel of cfa.channels; {suggestion(one.like, channels)}'
             yield fault(message, like)
         elif one.like == name or (one.like in channel and channel[one.like].like is not None):
-            message = f'channel.{name}.like is "{one.like}", which has no curve; write the name of a channel with a curve'
+            message = (
+                f'channel.{name}.like is "{one.like}", which has no curve of its own; write the name of a channel that has '
+                "one"
+            )
             yield fault(message, like)
         elif channels.index(one.like) > (channels.index(name) if name in channels else len(channels)):
             message = f'channel.{name}.like is "{one.like}"; write "{one.like}" before "{name}" in cfa.channels'
             yield fault(message, like, "cfa.channels")
     if channel and channels and max(channel.get(name, ChannelRecipe()).exposure for name in channels) < 1:
-        message = "no channel has the exposure 1; write exposures relative to the longest exposure, which is 1"
+        message = "no channel has the exposure 1; write each exposure as a fraction of the longest exposure"
         yield fault(message, *(("channel", name, "exposure") for name in channel))
 
 
 def filters_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]) -> list[str]:
-    """Return, for each channel, the name of the channel whose responsivity applies."""
+    """Return, for each channel, the name of the channel whose responsivity it uses. Often, this is the channel itself."""
     return [(channel[name].like if name in channel else None) or name for name in channels]
 
 
 def settings_of(readout: Readout | None, channels: Sequence[str]) -> dict[str, ChannelRecipe]:
-    """Return the sections [channel.NAME] that describe a readout.
+    """Return the sections [channel.NAME] that describe a readout, without the read noise.
 
-    Read noise is left out, and so are channels that have the defaults.
+    Channels whose filter, exposure and gain are the defaults have no section. If `readout` is None, the result is empty.
     """
     if readout is None:
         return {}
@@ -113,12 +121,14 @@ def settings_of(readout: Readout | None, channels: Sequence[str]) -> dict[str, C
 
 
 def settings_from(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], path: Path) -> Readout | None:
-    """Return the readout that a measurement file declares, with zero read noise, or None if it declares none.
+    """Check the sections [channel.NAME] of a measurement file, and return the readout that they describe.
+
+    The read noise is zero wherever the file does not state it. The result is None as in `readout_of`.
 
     Raises
     ------
     RecipeError
-        If `channel` has faults.
+        If the sections have `channel_faults`. The message begins with `path`.
     """
     refuse_first(channel_faults(channel, channels), path)
     return readout_of(channel, channels, 0.0)
@@ -127,8 +137,8 @@ def settings_from(channel: Mapping[str, ChannelRecipe], channels: Sequence[str],
 def readout_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], read_noise: float) -> Readout | None:
     """Return the readout that the sections [channel.NAME] of a recipe describe. The sections must not have `channel_faults`.
 
-    The result is None if the recipe has no [channel.NAME], or if these sections only describe polarisers. `read_noise`, in
-    e-, applies to channels without a `read_noise_e`.
+    Channels without the key `read_noise_e` have the read noise `read_noise`, in e-. The result is None if the recipe has no
+    section [channel.NAME], or if these sections describe polarisers but no differences in readout.
     """
     polarised = any(one.polariser_deg is not None for one in channel.values())
     if not channel or (polarised and not any(one.read_out_differently for one in channel.values())):
@@ -145,23 +155,23 @@ def readout_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], re
 def polarisers_of(
     channel: Mapping[str, ChannelRecipe], channels: Sequence[str], wavelength: NDArray[np.float64], folder: Path
 ) -> Polarisers | None:
-    """Return the polarisers that a recipe describes, or None if it describes none.
+    """Return the polarisers that a recipe describes, or None if no channel has a polariser.
 
     Parameters
     ----------
     channel : mapping of str to ChannelRecipe
-        Sections [channel.NAME] without `channel_faults`.
+        Sections [channel.NAME], which must not have `channel_faults`.
     channels : sequence of str
         Names of all channels.
     wavelength : ndarray, (wavelength,)
         Wavelengths of the camera in nm.
     folder : Path
-        Folder of the recipe, to which file names are relative.
+        Folder of the recipe. Paths in the recipe are relative to this folder.
 
     Raises
     ------
     InputFileError
-        If a file of extinction ratios is missing, contains several curves, or contains ratios below 1.
+        If a file with extinction ratios is missing, contains more than one curve, or contains a ratio below 1.
     """
     each = [channel.get(name, ChannelRecipe()) for name in channels]
     if all(one.polariser_deg is None for one in each):
@@ -173,10 +183,10 @@ def polarisers_of(
 
 
 def _leakage(one: ChannelRecipe, wavelength: NDArray[np.float64], folder: Path) -> NDArray[np.float64]:
-    """Return the inverse of the extinction ratio of a channel at each wavelength. It is 1 without a polariser.
+    """Return the inverse of the extinction ratio of a channel at each wavelength.
 
-    If no extinction ratio is given, the polariser is ideal, and the result is 0. Raises InputFileError if the file of the
-    extinction ratio contains a ratio below 1.
+    The leakage is 1 without a polariser. It is 0 for a polariser without the key `extinction`, which is ideal. Raises
+    InputFileError if the file with the extinction ratios contains a ratio below 1.
     """
     if one.polariser_deg is None:
         return np.ones_like(wavelength)
@@ -187,7 +197,7 @@ def _leakage(one: ChannelRecipe, wavelength: NDArray[np.float64], folder: Path) 
     if table.values.min() < 1:
         raise InputFileError(
             f"{path} contains the extinction ratio {table.values.min():g}, but the smallest possible ratio is 1; write the "
-            "transmission along the axis divided by the transmission across"
+            "transmission along the axis divided by the transmission across the axis"
         )
     return np.asarray(1.0 / np.interp(wavelength, table.wavelength, table.values[0]))
 
@@ -198,20 +208,20 @@ class SensorRecipe(Recipe):
     pixel_pitch_um: Positive
     bits: Bits
     black_level_dn: float
-    gain_dn_per_e: Positive | None = None  # default: the gain at which a full well reaches the white level
-    white_level_dn: float | None = None  # default: raw value of a full well, or the largest value of the converter if lower
+    gain_dn_per_e: Positive | None = None  # default: the gain at which a full well has the white level as raw value
+    white_level_dn: float | None = None  # default: the raw value of a full well, but at most the largest value of `bits`
     fixed_pattern_seed: Seed = 0
 
 
 class CfaRecipe(Recipe):
-    """Colour filter array."""
+    """Section [cfa]: the colour filter array."""
 
     channels: list[str]
-    pattern: list[str]  # rows of the super-pixel, channel names separated by spaces
+    pattern: list[str]  # rows of the super-pixel; each row contains channel names, separated by spaces
 
 
 class NoiseRecipe(Recipe):
-    """Noise of the sensor at the gain sensor.gain_dn_per_e."""
+    """Section [noise]: the noise of the sensor at the gain sensor.gain_dn_per_e."""
 
     well_capacity_e: Positive
     read_noise_e: NotNegative = 0.0
@@ -224,14 +234,14 @@ class NoiseRecipe(Recipe):
 
 
 def noise_of(recipe: NoiseRecipe) -> Noise:
-    """Return the noise that a recipe declares."""
+    """Return the noise that the section [noise] of a recipe declares."""
     return Noise(**{name: getattr(recipe, key) for name, key in noise_keys().items()})
 
 
 def noise_entries(noise: Noise) -> dict[str, float]:
-    """Return the keys of the recipe section that declares a noise. Optional terms that are zero are left out.
+    """Return the keys and values of the recipe section that declares this noise. It is the inverse of `noise_of`.
 
-    It is the inverse of `noise_of`.
+    Optional keys whose values are zero are left out.
     """
     fields = dict(declared(Noise))
     return {
@@ -242,26 +252,26 @@ def noise_entries(noise: Noise) -> dict[str, float]:
 
 
 def noise_keys() -> dict[str, str]:
-    """Return the recipe key of each field of Noise, which is the name of the field with a suffix for its unit."""
+    """Return the recipe key for each field of `Noise`: the name of the field, followed by a suffix for its unit."""
     return {name: f"{name}{UNIT_SUFFIXES[spec.unit]}" for name, spec in declared(Noise) if isinstance(spec, Spec)}
 
 
 class GainRecipe(Recipe):
-    """Read noise at additional analog gains (docs/method.md#gains)."""
+    """Section [gain]: the read noise at further analog gains (docs/method.md#gains)."""
 
     iso: Annotated[float, msgspec.Meta(ge=0, le=MAX_ISO)] = 0.0  # ISO setting for sensor.gain_dn_per_e; 0 if unknown
-    # gains, relative to sensor.gain_dn_per_e, at which the read noise is known
+    # gains at which the read noise is known, relative to sensor.gain_dn_per_e
     gains: tuple[Annotated[float, msgspec.Meta(ge=1 / MAX_GAIN, le=MAX_GAIN)], ...] = ()
-    read_noise_e: tuple[ReadNoise, ...] = ()  # read noise at each of these gains
-    # read noise that arises before the amplifier, instead of gains and read_noise_e; the rest of noise.read_noise_e arises
-    # after the amplifier
+    read_noise_e: tuple[ReadNoise, ...] = ()  # read noise at each gain in `gains`
+    # The part of noise.read_noise_e that arises before the amplifier. The remaining part arises after the amplifier. This
+    # key replaces `gains` and `read_noise_e`.
     read_noise_before_e: NotNegative | None = None
 
 
 def gains_of(recipe: GainRecipe | None, read_noise: float) -> AnalogGains | None:
-    """Return the analog gains of a recipe without `gain_faults`.
+    """Return the analog gains that the section [gain] describes, or None without this section.
 
-    `read_noise` is the read noise at sensor.gain_dn_per_e, in e-.
+    The section must not have `gain_faults`. `read_noise` is the read noise at sensor.gain_dn_per_e, in e-.
     """
     if recipe is None:
         return None
@@ -276,13 +286,13 @@ def gains_of(recipe: GainRecipe | None, read_noise: float) -> AnalogGains | None
 
 
 def gain_faults(recipe: GainRecipe, read_noise: float) -> Iterator[Fault]:
-    """Yield the faults of [gain] for a camera with this read noise in e-."""
+    """Yield the faults of the section [gain]. `read_noise` is the read noise of the camera in e-."""
     if len(recipe.gains) != len(recipe.read_noise_e):
         message = f"gain.gains has {len(recipe.gains)} values, but gain.read_noise_e has {len(recipe.read_noise_e)}"
         yield fault(f"{message}; write one read noise per gain", "gain.read_noise_e", "gain.gains")
     for gain in recipe.gains:
         if gain == 1 or recipe.gains.count(gain) > 1:
-            reason = "1, to which noise.read_noise_e applies" if gain == 1 else f"{gain:g} twice"
+            reason = "1, whose read noise is noise.read_noise_e" if gain == 1 else f"{gain:g} twice"
             yield fault(f"gain.gains contains {reason}; remove this value", "gain.gains")
     before = recipe.read_noise_before_e
     if before is not None and recipe.gains:
@@ -303,7 +313,7 @@ class OpticsRecipe(Recipe):
 
 
 def optics_of(recipe: OpticsRecipe) -> Optics:
-    """Return the optics that a recipe declares."""
+    """Return the optics that the section [optics] of a recipe declares."""
     return Optics(
         focal_length=recipe.focal_length_mm * 1e-3,
         f_number=recipe.f_number,
@@ -312,7 +322,7 @@ def optics_of(recipe: OpticsRecipe) -> Optics:
 
 
 def optics_recipe(optics: Optics) -> OpticsRecipe:
-    """Return the recipe section that declares the optics. It is the inverse of `optics_of`."""
+    """Return the section [optics] that declares these optics. It is the inverse of `optics_of`."""
     return OpticsRecipe(
         focal_length_mm=round(optics.focal_length * 1e3, 9),
         f_number=optics.f_number,
@@ -321,7 +331,7 @@ def optics_recipe(optics: Optics) -> OpticsRecipe:
 
 
 class CameraRecipe(Recipe):
-    """A camera that is described instead of measured (configs/cameras)."""
+    """A complete camera recipe (configs/cameras)."""
 
     title: ClassVar[str] = "a camera recipe"
 
@@ -331,29 +341,32 @@ class CameraRecipe(Recipe):
     responsivity: ResponsivityRecipe
     noise: NoiseRecipe
     optics: OpticsRecipe
-    channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # channels with a polariser or other readout
-    gain: GainRecipe | None = None  # additional analog gains of the whole sensor
+    channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # channels that differ in more than the filter
+    gain: GainRecipe | None = None  # further analog gains of the whole sensor
 
 
 class PhaseRecipe(Recipe):
-    """The camera of another recipe with a shifted colour filter array."""
+    """A short camera recipe: the camera of a base recipe, but with a shifted colour filter array."""
 
     title: ClassVar[str] = CameraRecipe.title
 
     name: str
-    base: str  # path of the other recipe, relative to this recipe
-    phase: tuple[CountOrNone, CountOrNone]  # row and column in the array of the base at which this array starts
+    base: str  # path of the base recipe, relative to the folder of this recipe
+    phase: tuple[CountOrNone, CountOrNone]  # row and column, in the array of the base, at which this array begins
 
 
 def load_camera(path: Path) -> CameraModel:
-    """Read a camera model from an artifact (.h5), or make one from a camera recipe (.toml)."""
+    """Read a camera model from an artifact (.h5), or compute a camera model from a camera recipe (.toml)."""
     if path.suffix == ".toml":
         return camera_from_recipe(*read_recipe(path))
     return load(CameraModel, path)
 
 
 def camera_files(path: Path) -> list[Path]:
-    """Return the files that `load_camera` reads: the file itself and, for recipes, the base and the files of curves."""
+    """Return the files that `load_camera` reads, each once.
+
+    For a recipe, these are the recipe, its base, the file with its responsivities, and the files with its extinction ratios.
+    """
     if path.suffix != ".toml":
         return [path]
     recipe, whole = read_recipe(path)
@@ -363,9 +376,9 @@ def camera_files(path: Path) -> list[Path]:
 
 
 def curves_in_file(path: Path) -> CurveTable | None:
-    """Return the curves from the file that a camera recipe names in [responsivity].
+    """Return the curves in the file that a camera recipe specifies in the section [responsivity].
 
-    Return None if `path` is not a recipe (.toml), or if the recipe does not name a file.
+    The result is None if `path` is not a recipe (.toml), or if its responsivities are Gaussians.
     """
     if path.suffix != ".toml":
         return None
@@ -376,25 +389,28 @@ def curves_in_file(path: Path) -> CurveTable | None:
 
 
 def columns_left_out(path: Path) -> str | None:
-    """Return a note about the columns in a recipe's file of curves that do not match a channel, or None if all match."""
+    """Return a note about the columns that match no channel, in the file with the responsivities of a camera recipe.
+
+    The result is None if all columns match a channel, or if no such file is used.
+    """
     curves = curves_in_file(path)
     return None if curves is None else curves.note
 
 
 def _filters(recipe: CameraRecipe) -> list[str]:
-    """Return the channels that have their own responsivity."""
+    """Return the names of the channels that have their own responsivity, each once."""
     return list(dict.fromkeys(filters_of(recipe.channel, recipe.cfa.channels)))
 
 
 def read_recipe(path: Path) -> tuple[CameraRecipe, Path]:
-    """Read a camera recipe. If it has a base, the result is the recipe of the base with a shifted array.
+    """Read a camera recipe. If it has a base, the result is the base recipe with a shifted array and a new name.
 
     Returns
     -------
     recipe : CameraRecipe
         The complete recipe.
     path : Path
-        The file that contains the numbers, which is `path` itself or its base.
+        The file that contains the complete recipe: the base, if there is one, and `path` otherwise.
 
     Raises
     ------
@@ -410,7 +426,7 @@ def read_recipe(path: Path) -> tuple[CameraRecipe, Path]:
     period, (row, col) = parse_cfa(base.cfa, str(whole)).shape, variant.phase
     if row >= period[0] or col >= period[1]:
         raise RecipeError(
-            f"{path}: phase is [{row}, {col}], but the array of {whole} has only {period[0]}×{period[1]} sites; write a row "
+            f"{path}: phase is [{row}, {col}], but the array in {whole} has only {period[0]}×{period[1]} sites; write a row "
             "and a column of this array, counted from 0"
         )
     lines = [line.split() for line in base.cfa.pattern]
@@ -420,21 +436,21 @@ def read_recipe(path: Path) -> tuple[CameraRecipe, Path]:
 
 
 def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
-    """Make the camera model that a recipe describes.
+    """Compute the camera model that a recipe describes.
 
     Parameters
     ----------
     recipe : CameraRecipe
         A complete recipe.
     path : Path
-        File of the recipe. File names in the recipe are relative to its folder, and messages contain its name.
+        File of the recipe. Paths in the recipe are relative to the folder of this file, and messages contain its name.
 
     Raises
     ------
     RecipeError
-        If the recipe does not describe a possible camera.
+        If the recipe contains impossible or contradictory values.
     InputFileError
-        If the file of curves is missing or unusable.
+        If a file with responsivities or extinction ratios is missing or unusable.
     """
     refuse_first(camera_faults(recipe), path)
     sensor, noise = recipe.sensor, recipe.noise
@@ -467,7 +483,7 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
 
 
 def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:
-    """Yield the faults in the numbers and names of a recipe."""
+    """Yield the faults in the numbers and names of a recipe. The content of files is not checked."""
     sensor, noise, optics = recipe.sensor, recipe.noise, recipe.optics
     if recipe.responsivity.peak_efficiency is not None:
         yield from share_faults(recipe.responsivity.peak_efficiency, "responsivity.peak_efficiency", 1.0)
@@ -482,7 +498,7 @@ def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:
 
 
 def _model_faults(recipe: CameraRecipe) -> Iterator[Fault]:
-    """Yield the faults of sensor data that contradict each other."""
+    """Yield a fault if the size, the bit depth and the levels of the sensor contradict each other."""
     sensor = recipe.sensor
     black, white = sensor.black_level_dn, white_level(recipe)
     try:
@@ -495,7 +511,8 @@ def _model_faults(recipe: CameraRecipe) -> Iterator[Fault]:
 def white_level(recipe: CameraRecipe) -> float:
     """Return the raw value of a saturated pixel in DN.
 
-    It is the declared value or, if there is none, the lower of the well capacity and the maximum of the converter.
+    If the recipe contains `white_level_dn`, the result is this value. Otherwise it is the raw value of a full well or the
+    largest value of the converter, whichever is lower.
     """
     sensor = recipe.sensor
     if sensor.white_level_dn is not None:
@@ -507,7 +524,7 @@ def white_level(recipe: CameraRecipe) -> float:
 
 
 def gain_of(recipe: CameraRecipe) -> float:
-    """Return the conversion gain of a recipe without faults in DN/e-.
+    """Return the conversion gain of the camera in DN/e-. The recipe must not have faults.
 
     If the recipe does not declare a gain, the result is the gain at which a full well reaches the white level.
     """
@@ -517,16 +534,14 @@ def gain_of(recipe: CameraRecipe) -> float:
 
 
 def share_faults(value: float, key: str, most: float) -> Iterator[Fault]:
-    """Yield a fault if a fraction is greater than `most`."""
+    """Yield a fault if a fraction is greater than `most`. If `value` may be a percentage, the message says so."""
     if value > most:
         percent = f"; {value:g} % is {value / 100:g}" if value <= 100 * most else ""
         yield fault(f"{key} is {value:g}; write a fraction of at most {most:g}{percent}", key)
 
 
 def length_faults(pitch_um: float, optics: OpticsRecipe) -> Iterator[Fault]:
-    """Yield a fault for each length with a value that suggests a wrong unit, and for an object closer than the focal
-    length.
-    """
+    """Yield a fault for each length that probably has a wrong unit, and for an object within the focal length."""
     least, most = PITCHES_UM
     if not least <= pitch_um <= most:
         meant = next(
@@ -536,28 +551,33 @@ def length_faults(pitch_um: float, optics: OpticsRecipe) -> Iterator[Fault]:
         yield fault(message, "sensor.pixel_pitch_um")
     focal, f_number = optics.focal_length_mm, optics.f_number
     if focal < MIN_FOCAL_MM:
-        message = f"optics.focal_length_mm is {focal:g} mm; did you mean {focal * 1000:g}?"
+        message = (
+            f"optics.focal_length_mm is {focal:g}, but must be at least {MIN_FOCAL_MM:g} mm; did you mean {focal * 1000:g}?"
+        )
         yield fault(message, "optics.focal_length_mm")
     if f_number < MIN_F_NUMBER:
         message = f"optics.f_number is {f_number:g}, but a lens in air has at least {MIN_F_NUMBER}; correct the f-number"
         yield fault(message, "optics.f_number")
     if 0 < optics.object_distance_m <= focal * 1e-3:
         message = (
-            f"optics.object_distance_m is {optics.object_distance_m:g} m, which is not larger than the focal length; "
-            "write 0 for infinity"
+            f"optics.object_distance_m is {optics.object_distance_m:g}, which is not larger than the focal length; write "
+            "the distance in m, or 0 for infinity"
         )
         yield fault(message, "optics.object_distance_m", "optics.focal_length_mm")
 
 
 def cfa_faults(cfa: CfaRecipe) -> Iterator[Fault]:
-    """Yield the faults of a colour filter array: rows of different lengths, too many sites, unknown channels."""
+    """Yield the faults of a colour filter array.
+
+    Faults are rows of different lengths, too many sites, repeated names, and names in only one of `channels` and `pattern`.
+    """
     rows = [row.split() for row in cfa.pattern]
     even = bool(rows and rows[0]) and all(len(row) == len(rows[0]) for row in rows)
     if not even:
         message = "the rows of cfa.pattern have different lengths; write the same number of channel names in each row"
         yield fault(message, "cfa.pattern")
     elif len(rows) > MAX_CFA or len(rows[0]) > MAX_CFA:
-        message = f"cfa.pattern has {len(rows)}×{len(rows[0])} sites, but at most {MAX_CFA}×{MAX_CFA} are allowed"
+        message = f"cfa.pattern has {len(rows)}×{len(rows[0])} sites; write an array of at most {MAX_CFA}×{MAX_CFA} sites"
         yield fault(message, "cfa.pattern")
     if len(cfa.channels) > MAX_CHANNELS or len(set(cfa.channels)) != len(cfa.channels):
         yield fault(f"cfa.channels must contain at most {MAX_CHANNELS} different names", "cfa.channels")
@@ -581,9 +601,9 @@ def parse_cfa(cfa: CfaRecipe, name: str) -> NDArray[np.uint8]:
 
 
 def known_arrays() -> dict[str, CfaRecipe]:
-    """Return the colour filter arrays of the camera recipes that l3 includes, by the name of the recipe.
+    """Return the colour filter array of each camera recipe that comes with l3. The keys are the names of the recipes.
 
-    Arrays of polarisers come last, because the mean signals of a frame do not distinguish them from colour filters.
+    Arrays with polarisers come last, because the mean signals of a frame cannot distinguish polarisers from colour filters.
     """
     found = {name: tomllib.loads(path.read_text(encoding="utf-8")) for name, path in known_recipes("cameras").items()}
     found = dict(sorted(found.items(), key=lambda each: "polariser_deg" in str(each[1].get("channel"))))
@@ -592,9 +612,9 @@ def known_arrays() -> dict[str, CfaRecipe]:
 
 
 def recipe_text(path: Path) -> str:
-    """Return the text of a recipe, followed by the text of its base, for the history.
+    """Return the text of a recipe, followed by the text of its base if it has one. Artifacts store it in their history.
 
-    For an artifact, the text is empty.
+    If `path` is not a recipe (.toml), the text is empty.
     """
     if path.suffix != ".toml":
         return ""
@@ -602,9 +622,9 @@ def recipe_text(path: Path) -> str:
 
 
 def camera_recipe_faults(recipe: CameraRecipe | PhaseRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield all faults of a camera recipe and its file of curves."""
+    """Yield all faults of a camera recipe and of the files with its responsivities and extinction ratios."""
     if source.path.suffix != ".toml":
-        message = f'{source.path.name} does not have the suffix ".toml" of a camera recipe; rename the file to NAME.toml'
+        message = f'the name of a camera recipe must end in ".toml"; rename {source.path.name} to NAME.toml'
         yield fault(message, "name")
     if isinstance(recipe, PhaseRecipe):
         return

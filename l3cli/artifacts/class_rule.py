@@ -1,6 +1,6 @@
-"""The stored class rule of the first layer. Only this module converts between feature values and class indices.
+"""The class rule of the first layer, as tables store it, and the conversion between feature values and class indices.
 
-docs/method.md#classes defines the classes, and each module in l3cli/classes explains the numbers of one feature.
+docs/method.md#classes defines the classes. Each module in l3cli/classes computes one feature and explains its values.
 """
 
 import math
@@ -13,18 +13,21 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.schema import check, data, group
 
-MAX_COMBINATIONS = 4096  # largest number of combinations of the values of additional features
-MAX_WINDOW_TAPS = 4096  # largest number of taps in all windows, so that sums of 12-bit values are exact in float32
-CLASS_BITS = 12  # classes depend only on the upper 12 bits of a value, so that 32-bit sums are exact
-CHROMA_SCALE = 1 << 10  # scale of the chroma weights, with which sums over 16 channels fit into 32 bits
+MAX_COMBINATIONS = 4096  # largest number of combinations of the values of all additional features
+MAX_WINDOW_TAPS = 4096  # largest number of taps in all windows together; sums of 12-bit values are then exact in float32
+CLASS_BITS = 12  # classes depend only on the upper 12 bits of a value, so that sums are exact in 32 bits
+CHROMA_SCALE = 1 << 10  # integer that represents a chroma weight of 1; sums over 16 channels then fit into 32 bits
 MAX_CHROMAS = 64
 MAX_PATCH = 15
 
 
 class Window(NamedTuple):
-    """A rectangle of a patch whose values are added to, or subtracted from, one of the sums that a feature needs."""
+    """A rectangle in a patch.
 
-    sum: int  # index of the sum
+    Its values are added to, or subtracted from, one of the sums from which a feature is computed.
+    """
+
+    sum: int  # index of the sum to which the rectangle contributes
     top: int
     left: int
     rows: int
@@ -33,22 +36,25 @@ class Window(NamedTuple):
 
 
 class Feature(NamedTuple):
-    """An additional feature, such as the direction, as the class rule stores it."""
+    """The stored definition of an additional feature, such as the direction."""
 
-    name: str  # key in the class recipe, and name of the module
+    name: str  # key in the class recipe, and name of the module that computes the feature
     size: int  # number of values that the feature can have
-    windows: tuple[Window, ...]  # windows of the sums, which are numbered from 0
+    windows: tuple[Window, ...]  # windows of all sums; the sums are numbered from 0
     constants: NDArray[np.int32]  # constants in the formula of the feature
 
     @property
     def sums(self) -> int:
-        """Number of sums that the feature needs."""
+        """Number of sums from which the feature is computed. It is 0 if the feature has no windows."""
         return 1 + max((window.sum for window in self.windows), default=-1)
 
 
 @dataclass(frozen=True)
 class StoredFeatures:
-    """The additional features of a class rule in the form of arrays, as they are stored. Their order matters."""
+    """All additional features of a class rule, as arrays that can be stored.
+
+    The order of the features determines the index of a combination of their values.
+    """
 
     names: tuple[str, ...] = data("str", "feature", doc="names of the features, as in the recipe")
     sizes: NDArray[np.int64] = data("int64", "feature", doc="number of values of each feature")
@@ -66,7 +72,7 @@ class StoredFeatures:
 
     @classmethod
     def of(cls, features: tuple[Feature, ...]) -> "StoredFeatures":
-        """Convert feature objects to arrays."""
+        """Convert `Feature` objects to arrays. At least one feature is required."""
         windows = np.array([window for feature in features for window in feature.windows], np.int64)
         return cls(
             tuple(feature.name for feature in features),
@@ -93,33 +99,33 @@ class StoredFeatures:
         )
 
     def check(self, patch: int) -> None:
-        """Raise ValueError if the arrays do not describe features of patches with this side."""
+        """Raise ValueError unless the arrays describe features of patches with `patch` × `patch` pixels."""
         if not self.names or len(set(self.names)) != len(self.names):
-            raise ValueError("names of features must not be empty, and must differ from each other")
+            raise ValueError("names must contain at least one feature, and each feature only once")
         if (self.sizes < 1).any() or math.prod(self.sizes.tolist()) > MAX_COMBINATIONS:
-            raise ValueError(f"sizes of features must be positive, and their product must be at most {MAX_COMBINATIONS}")
+            raise ValueError(f"sizes must be positive, and their product must be at most {MAX_COMBINATIONS}")
         counts = ((self.window_counts, len(self.windows)), (self.constant_counts, len(self.constants)))
         if any((count < 0).any() or count.sum() != length for count, length in counts):
-            raise ValueError("the counts of windows or constants do not agree with the stored windows or constants")
+            raise ValueError("window_counts or constant_counts do not add up to the number of stored windows or constants")
         if self.windows.shape[1] != len(Window._fields):
             raise ValueError(f"windows has {self.windows.shape[1]} fields, but must have {len(Window._fields)}")
         number, top, left, rows, columns, sign = self.windows.T
         inside = (top >= 0) & (left >= 0) & (rows >= 1) & (columns >= 1) & (np.abs(sign) == 1)
         inside &= (top <= patch - rows) & (left <= patch - columns) & (number >= 0) & (number < len(number))
         if not inside.all():
-            raise ValueError("windows must lie within the patch and have the sign 1 or −1")
+            raise ValueError("windows must be within the patch, and their sign must be 1 or −1")
         if (rows * columns).sum() > MAX_WINDOW_TAPS:
             raise ValueError(f"windows contain more than {MAX_WINDOW_TAPS} taps")
 
 
 class ClassPlace(NamedTuple):
-    """The values of the features of a class: integers, or integer arrays of equal shape."""
+    """The feature values of a class, as integers. For several classes, each value is an integer array of the same shape."""
 
-    site: Any  # CFA row · CFA columns + CFA column
+    site: Any  # CFA row · (number of CFA columns) + CFA column
     level: Any
     contrast: Any
-    combination: Any  # index of the combination of the values of additional features; 0 without additional features
-    kind: Any  # index of the chroma if no channel is saturated; otherwise (number of chromas) − 1 + saturation case
+    combination: Any  # index of a combination of the values of all additional features; 0 without additional features
+    kind: Any  # index of the chroma if no channel is saturated, otherwise (number of chromas) − 1 + saturation case
 
 
 @dataclass(frozen=True)
@@ -130,9 +136,9 @@ class ClassRule:
 
         (((site · levels + level) · contrasts + contrast) · combinations + combination) · kinds + kind
 
-    with site = row · CFA columns + column. The kind is the chroma if no pixel near the centre is saturated. Otherwise the
-    kind is chromas − 1 + saturation case. The combination is an index that encodes the values of all additional features,
-    which a recipe can use besides level, contrast, saturation and chroma. Without additional features, the combination is 0.
+    with site = row · CFA columns + column. If no pixel near the centre is saturated, the kind is the chroma. Otherwise the
+    kind is chromas − 1 + saturation case. A class recipe can define additional features, such as the direction. The
+    combination is an index that encodes the values of all additional features. Without additional features, it is 0.
     """
 
     patch: int = data("int64", unit="pixel", doc="side of the square patch around a pixel; always odd")
@@ -190,7 +196,9 @@ class ClassRule:
         if self.patch % 2 == 0 or not 1 <= self.patch <= MAX_PATCH:
             raise ValueError(f"patch is {self.patch}, but must be an odd number from 1 to {MAX_PATCH}")
         if (np.diff(self.level_edges.astype(np.int64)) <= 0).any():
-            raise ValueError("level_edges do not increase, because there are more levels than values")
+            raise ValueError(
+                "level_edges do not increase, because there are more levels than distinct values; use fewer levels"
+            )
         if not 0 <= self.saturation_radius <= self.patch // 2 or self.saturation < 0:
             raise ValueError(
                 "saturation must not be negative, and saturation_radius must not exceed the radius of the patch"
@@ -205,13 +213,13 @@ class ClassRule:
             self.features.check(self.patch)
 
     def check_fits(self, channels: int, bits: int) -> None:
-        """Raise ValueError if the rule does not fit a camera with this number of channels and bits."""
+        """Raise ValueError unless the rule fits a camera with this number of channels and this bit depth."""
         if not 0 <= self.shift <= bits <= self.shift + CLASS_BITS:
-            raise ValueError(f"{bits}-bit values shifted by {self.shift} bits have more than {CLASS_BITS} bits")
+            raise ValueError(f"shift is {self.shift}, but must reduce {bits}-bit raw values to 0…{CLASS_BITS} bits")
         if self.channels != channels:
             raise ValueError(f"chroma_weights has {self.channels} channels, but the camera has {channels}")
         if len(self.case_of_code) != 2**channels:
-            raise ValueError(f"case_of_code has {len(self.case_of_code)} codes, but {channels} channels need {2**channels}")
+            raise ValueError(f"case_of_code has {len(self.case_of_code)} values, but {channels} channels need {2**channels}")
 
     @property
     def radius(self) -> int:
@@ -235,7 +243,7 @@ class ClassRule:
 
     @property
     def lost_cases(self) -> int:
-        """Number of saturation cases in which all channels of some filter clip, plus one for all other cases."""
+        """Number of saturation cases in which all channels of at least one filter clip, plus 1 for all other cases."""
         return self.cases - self.spared_cases
 
     @property
@@ -253,7 +261,7 @@ class ClassRule:
 
     @cached_property
     def windows(self) -> tuple[Window, ...]:
-        """The windows of all additional features. Their sums are numbered from the first feature to the last."""
+        """The windows of all additional features. The sums are numbered consecutively over all features."""
         numbered: list[Window] = []
         first = 0
         for feature in self.feature_list:
@@ -263,12 +271,12 @@ class ClassRule:
 
     @property
     def window_sums(self) -> int:
-        """Number of sums that all additional features need."""
+        """Number of sums from which all additional features are computed."""
         return sum(feature.sums for feature in self.feature_list)
 
     @property
     def combinations(self) -> int:
-        """Number of combinations of the values of additional features."""
+        """Number of combinations of the values of all additional features. It is 1 without additional features."""
         return math.prod(feature.size for feature in self.feature_list)
 
     @property
@@ -281,15 +289,15 @@ class ClassRule:
         return math.prod(self.shape)
 
     def join(self, level: Any, contrast: Any, kind: Any, site: Any = 0, combination: Any = 0) -> Any:
-        """Return the class indices for the given feature values, which are integers or arrays.
+        """Return the class index for the given feature values, which are integers or integer arrays.
 
-        Without `site`, the classes of a single site are counted from 0.
+        Without `site`, the result is the index among the classes of a single site.
         """
         stem = (site * self.levels + level) * self.contrasts + contrast
         return (stem * self.combinations + combination) * self.kinds + kind
 
     def split(self, index: Any) -> ClassPlace:
-        """Return the feature values of the class with the given index. `index` may be an array."""
+        """Return the feature values of the class with the given index, which is an integer or an array."""
         rest, kind = divmod(index, self.kinds)
         rest, combination = divmod(rest, self.combinations)
         rest, contrast = divmod(rest, self.contrasts)
@@ -297,14 +305,17 @@ class ClassRule:
         return ClassPlace(site, level, contrast, combination, kind)
 
     def join_features(self, values: Any) -> Any:
-        """Return the index of a combination of additional features. `values` has one value per feature, in order."""
+        """Return the index of a combination of feature values.
+
+        `values` contains one value per additional feature, in order.
+        """
         combined: Any = 0
         for feature, value in zip(self.feature_list, values, strict=True):
             combined = combined * feature.size + value
         return combined
 
     def split_features(self, combined: Any) -> tuple[Any, ...]:
-        """Return the value of each additional feature, in order, for the given index of a combination."""
+        """Return the value of each additional feature, in order. `combined` is the index of their combination."""
         values = []
         for feature in reversed(self.feature_list):
             combined, value = divmod(combined, feature.size)
@@ -312,37 +323,37 @@ class ClassRule:
         return tuple(reversed(values))
 
     def on_site(self, index: Any, site: Any) -> Any:
-        """Convert class indices within a site to class indices in the table."""
+        """Convert indices among the classes of a site to indices among all classes of the table."""
         return site * self.classes_per_site + index
 
     def within_site(self, index: Any) -> Any:
-        """Convert class indices in the table to class indices within their site."""
+        """Convert indices among all classes of the table to indices among the classes of their site."""
         return index % self.classes_per_site
 
     def of_site(self, site: int) -> slice:
-        """Return the range of class indices that belong to a site."""
+        """Return the range of the class indices that belong to a site."""
         return slice(site * self.classes_per_site, (site + 1) * self.classes_per_site)
 
     def by_feature(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Reshape values with the shape (class, …) to (site, level, contrast, combination, kind, …).
+        """Reshape an array from (class, …) to (site, level, contrast, combination, kind, …).
 
-        `values` contains the classes of a single site or of all sites.
+        `values` contains either the classes of a single site or the classes of all sites.
         """
         return values.reshape(len(values) // self.classes_per_site, *self.shape, *values.shape[1:])
 
     def kind(self, chroma: Any, case: Any) -> Any:
-        """Return the kind of pixels, given their chroma and saturation case.
+        """Return the kind of each pixel from its chroma and its saturation case.
 
-        The kind depends on the chroma only if the case is 0.
+        The chroma matters only if the case is 0.
         """
         return np.where(np.greater(case, 0), self.chromas - 1 + case, chroma)
 
     def case(self, kind: Any) -> Any:
-        """Return the saturation case of each kind. The case is 0 for kinds that are chromas."""
-        return np.maximum(kind, self.chromas - 1) - (self.chromas - 1)  # avoids negative values, as kinds may be unsigned
+        """Return the saturation case of each kind. The case is 0 if the kind is a chroma."""
+        return np.maximum(kind, self.chromas - 1) - (self.chromas - 1)  # no negative values, because kinds may be unsigned
 
     def lost(self, kind: Any) -> Any:
-        """Return the saturation case of kinds, counted without the spared cases.
+        """Return the saturation case of each kind, counted without the first `spared_cases` cases.
 
         The result is 0 if every filter has a channel that does not clip.
         """
@@ -353,5 +364,5 @@ class ClassRule:
         return self.chromas - 1 + case if case else slice(0, self.chromas)
 
     def join_cases(self, level: Any, contrast: Any, case: Any) -> Any:
-        """Return indices, within a site, of coarser classes that distinguish saturation cases but not chromas."""
+        """Return indices, within a site, of coarse classes that distinguish saturation cases but not chromas."""
         return (level * self.contrasts + contrast) * self.cases + case

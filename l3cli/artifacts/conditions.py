@@ -1,7 +1,7 @@
-"""Conditions of a transform table: transforms for single illuminants, and for frames with different noise.
+"""Conditions of a transform table: additional transforms for single illuminants, and for frames with different noise.
 
-docs/method.md#several-illuminants and docs/method.md#noise-sets describe them. All conditions use the same class rules, but
-some class edges depend on the noise.
+See docs/method.md#several-illuminants and docs/method.md#noise-sets. All conditions use the same class rules, except for
+class edges that depend on the noise.
 """
 
 from collections.abc import Sequence
@@ -34,10 +34,7 @@ class SceneLight:
 
 @dataclass(frozen=True)
 class NoiseEdges:
-    """The parts of the class rules that depend on the noise.
-
-    They are class edges, scales of gradients, and the noise in coarse chroma.
-    """
+    """The values in the class rules that depend on the noise: class edges, scales of gradients, noise in coarse chroma."""
 
     contrast_edges: NDArray[np.uint32] = data(
         "uint32", "contrast_edge", "level", doc="contrast edges for this noise, as in first/rule"
@@ -47,12 +44,12 @@ class NoiseEdges:
         "constant",
         doc="constants of the features for this noise, as in first/rule/features; empty without features",
     )
-    gradients: tuple[GradientScale, ...] = group(default=())  # one per refinement layer
-    coarse_chroma: CoarseChroma | None = group(default=None)  # noise in the last layer; None: as in the table
+    gradients: tuple[GradientScale, ...] = group(default=())  # one scale per refinement layer
+    coarse_chroma: CoarseChroma | None = group(default=None)  # noise in the last layer; None: the value in the table
 
     @classmethod
     def of(cls, first: MosaicLayer, later: Sequence[PlaneLayer]) -> "NoiseEdges":
-        """Collect the parts of the class rules of all layers that depend on the noise."""
+        """Collect the noise-dependent values from the class rules of all layers."""
         constants = first.rule.features.constants if first.rule.features else np.zeros(0, np.int32)
         coarse = later[-1].coarse_chroma if later else None
         return cls(first.rule.contrast_edges, constants, tuple(layer.rule.scale for layer in later), coarse)
@@ -84,15 +81,12 @@ class PlaneTransforms:
     samples: NDArray[np.float64] = data(
         "float64", "plane_class", doc="number of training patches; 0: the class uses the transform of a similar class"
     )
-    clipping: Clipping | None = group(default=None)  # as in later/
+    clipping: Clipping | None = group(default=None)  # as in the group later/ of the table
 
 
 @dataclass(frozen=True)
 class Condition:
-    """Transforms of all layers for one condition.
-
-    They were trained for one illuminant, for noise that differs from the noise of the camera, or for both.
-    """
+    """Transforms of all layers for one condition: for one illuminant, for a different noise, or for both."""
 
     first: MosaicTransforms = group()
     later: tuple[PlaneTransforms, ...] = group(default=())
@@ -109,7 +103,7 @@ class Condition:
     def of(
         cls, first: MosaicLayer, later: Sequence[PlaneLayer], light: SceneLight | None, noise: NoiseScale | None
     ) -> "Condition":
-        """Return a condition with the transforms of layers that were trained for it.
+        """Return a condition with the transforms of the given layers, which were trained for this condition.
 
         Parameters
         ----------
@@ -118,9 +112,10 @@ class Condition:
         later : sequence of PlaneLayer
             Refinement layers.
         light : SceneLight or None
-            None for all illuminants of the training set.
+            The illuminant, or None for all illuminants of the training set.
         noise : NoiseScale or None
-            None for the noise of the camera. Otherwise the condition also contains the class edges of the layers.
+            The noise, or None for the noise of the camera. If it is not None, the condition also contains the
+            noise-dependent class edges of the layers.
         """
         return cls(
             MosaicTransforms(first.weights, first.intercept, first.samples),
@@ -133,7 +128,7 @@ class Condition:
     def check_fits(self, place: str, later: Sequence[PlaneLayer], levels: int) -> None:
         """Raise ValueError unless the condition fits a table with these refinement layers and this number of levels.
 
-        `place` is the name of the condition in the error message.
+        `place` is the path of the condition in the file, for the error message.
         """
         if len(self.later) != len(later) or (self.edges and len(self.edges.gradients) != len(later)):
             raise ValueError(f"{place} has {1 + len(self.later)} layers, but the table has {1 + len(later)}")
@@ -141,10 +136,13 @@ class Condition:
             if ours.weights.shape != layer.weights.shape:
                 raise ValueError(f"the transforms of {place}/later/{number} and later/{number} have different shapes")
         if self.edges and any(len(scale.gradient_factor) != levels for scale in self.edges.gradients):
-            raise ValueError(f"{place}/edges and the table have different numbers of levels")
+            raise ValueError(f"{place}/edges does not have the {levels} levels of the table")
 
     def pictured(self, taken: list[int]) -> "Condition":
-        """Return the condition with only the outputs that have the given indices. Refinement layers stay the same."""
+        """Return the condition with only those outputs of the first layer whose indices are in `taken`.
+
+        Refinement layers stay unchanged.
+        """
         first = replace(self.first, weights=self.first.weights[:, taken], intercept=self.first.intercept[:, taken])
         light = self.light and replace(self.light, white_point=self.light.white_point[taken])
         return replace(self, first=first, light=light)

@@ -1,11 +1,12 @@
-"""HDF5 files with a checksum that cannot make HDF5 read other files.
+"""Self-contained HDF5 files with a checksum.
 
-The first 512 bytes are the user block of HDF5. They contain the SHA-256 of all bytes that follow. l3 compares a file
-with this digest before HDF5 opens the file, because the HDF5 library may crash on damaged metadata, and the checksums of
-HDF5 protect only the values of datasets.
+The first 512 bytes of such a file are the user block of HDF5. They contain the SHA-256 of all bytes that follow. l3 compares
+a file with this digest before HDF5 opens the file, because the HDF5 library may crash on damaged metadata, and the checksums
+of HDF5 protect only the values of datasets.
 
-With links, external storage, virtual datasets and unknown filters, a file could refer to other files or to plug-ins. l3
-rejects all of them. l3 also rejects a dataset whose declared size is larger than its stored bytes allow.
+With links, external storage, virtual datasets or unknown filters, an HDF5 file can make the library read different files or
+load plug-ins. l3 rejects files with such features. l3 also rejects a dataset whose declared size is larger than its stored
+bytes allow.
 """
 
 import contextlib
@@ -27,19 +28,20 @@ from l3cli.system.limits import require_values
 from l3cli.system.signals import held_back_in
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"  # first bytes of HDF5
-BLOCK = 512  # bytes of the user block, before the signature
+BLOCK = 512  # size in bytes of the user block, which precedes the signature
 TITLE = b"l3 artifact, SHA-256 of the bytes after the first 512: "
 KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 MAX_COMPRESSION = 1100  # deflate cannot compress data by more than 1032 : 1
-SMALL_BYTES = 4096  # the declared size of smaller datasets is not compared with their stored size
+SMALL_BYTES = 4096  # the declared size of a dataset may exceed the limit from MAX_COMPRESSION by this number of bytes
 ENCODING = "utf-8"
 
 
 class _Sink(io.RawIOBase):
     """The file object to which HDF5 writes.
 
-    HDF5 crashes if a write fails. Errors are therefore stored, and raised after HDF5 has closed the file. Signals are
-    delayed, because an exception in one of these methods would either crash HDF5, or be swallowed so that data are lost.
+    HDF5 crashes if a write fails. This class therefore stores the error, and its caller raises the error after HDF5 has
+    closed the file. Signals are delayed, because HDF5 would crash on an exception in a method of this class, or would ignore
+    the exception and lose data.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -89,9 +91,10 @@ class _Sink(io.RawIOBase):
 
 @contextlib.contextmanager
 def new_file(path: Path) -> Iterator[h5py.File]:
-    """Yield a new HDF5 file for writing.
+    """Context manager that returns a new HDF5 file for writing.
 
-    If the block ends without an error, the digest is written and the file gets the name `path`.
+    If the `with` block ends without an error, the digest is written, and the file is renamed to `path`. Otherwise no file
+    remains.
     """
     with atomic_output(path) as temporary, open(temporary, "r+b", buffering=0) as raw:
         sink = _Sink(raw.fileno())
@@ -103,13 +106,13 @@ def new_file(path: Path) -> Iterator[h5py.File]:
 
 
 def seal(path: Path) -> None:
-    """Write the digest of the current content of an HDF5 file to its user block."""
+    """Compute the digest of an HDF5 file, and write the digest to the user block of the file."""
     with open(path, "r+b", buffering=0) as raw:
         os.pwrite(raw.fileno(), _block(raw), 0)
 
 
 def check(path: Path, made_by: str) -> None:
-    """Compare a file with the digest in its user block.
+    """Check that the bytes of a file agree with the digest in its user block.
 
     Parameters
     ----------
@@ -121,7 +124,7 @@ def check(path: Path, made_by: str) -> None:
     Raises
     ------
     InputFileError
-        If the file is not an artifact, or has changed since it was written.
+        If the file cannot be read, is not an artifact, or has changed since it was written.
     """
     try:
         with open_regular(path, f"use a file written by {made_by}") as raw:
@@ -133,27 +136,34 @@ def check(path: Path, made_by: str) -> None:
                 return
     except OSError as error:
         raise InputFileError(f"{path}: {error.strerror}; use a file written by {made_by}") from error
-    what = "is truncated or damaged (checksum)" if has_title else "is an HDF5 file but not an l3 artifact, or is damaged"
+    what = (
+        "is truncated or damaged, because its checksum is wrong"
+        if has_title
+        else "is an HDF5 file but not an l3 artifact, or is damaged"
+    )
     raise InputFileError(f"{path} {what}; copy the file again, or create it again with {made_by}")
 
 
 def open_file(path: Path) -> h5py.File:
-    """Open an HDF5 file for reading. Raises OSError if HDF5 cannot open it.
+    """Open an HDF5 file for reading. Raises OSError if HDF5 cannot open the file.
 
-    The file is not locked, because some network file systems do not support locks, and finished files are never changed.
+    The file is not locked. Some network file systems do not support locks, and l3 never changes a finished file.
     """
     return h5py.File(path, "r", locking=False)
 
 
 def open_content(content: bytes) -> h5py.File:
-    """Open the bytes of a file for reading. Raises ValueError if they do not agree with the digest in the user block."""
+    """Open an HDF5 file whose bytes are in memory, for reading.
+
+    Raises ValueError if the bytes do not agree with the digest in the user block.
+    """
     if content[:BLOCK] != _user_block(hashlib.sha256(memoryview(content)[BLOCK:]).hexdigest()):
-        raise ValueError("the bytes do not agree with their digest")
+        raise ValueError("the bytes do not agree with the digest in the user block")
     return h5py.File(io.BytesIO(content), "r")
 
 
 def _block(raw: io.BufferedReader | io.FileIO) -> bytes:
-    """Return the user block for the bytes that follow it."""
+    """Return the user block of a file, computed from all bytes after the user block."""
     raw.seek(BLOCK)
     return _user_block(hashlib.file_digest(raw, "sha256").hexdigest())
 
@@ -163,9 +173,9 @@ def _user_block(digest: str) -> bytes:
 
 
 def encoded(text: Any) -> NDArray[np.bytes_]:
-    """Convert a text, or an array of texts, to fixed-length bytes for HDF5.
+    """Convert a text or an array of texts to fixed-length UTF-8 for HDF5. Invalid characters are replaced by "?".
 
-    Arrays have at least two bytes per text, because netCDF tools would join an array of single bytes into one text.
+    In arrays, each text has at least two bytes, because netCDF tools would join an array of single bytes into one text.
     """
     array = np.char.encode(np.asarray(text, dtype=str), ENCODING, "replace")  # file names may contain invalid characters
     length = max(array.dtype.itemsize, 2 if array.ndim else 1)
@@ -173,7 +183,7 @@ def encoded(text: Any) -> NDArray[np.bytes_]:
 
 
 def datasets(root: h5py.Group) -> Iterator[tuple[str, h5py.Dataset]]:
-    """Yield the name and the dataset of every dataset below `root`. Soft and external links are skipped."""
+    """Yield the path and the object of every dataset below `root`. Soft links and external links are not followed."""
     yield from _below(root, "", {root})
 
 
@@ -190,50 +200,54 @@ def _below(group: h5py.Group, prefix: str, seen: set[h5py.Group]) -> Iterator[tu
 
 
 def is_scale(dataset: h5py.Dataset) -> bool:
-    """Return whether a dataset is only a dimension scale, and not declared by an artifact. Its attributes decide."""
+    """Return whether a dataset is only a dimension scale of HDF5 and not a field of an artifact."""
     return "CLASS" in dataset.attrs and "axes" not in dataset.attrs
 
 
 class Stored(NamedTuple):
-    """The type, the size and the filters of a stored dataset."""
+    """Type, size and filters of a dataset in a file."""
 
     where: str  # path of the dataset in the file
     shape: tuple[int, ...]
     dtype: np.dtype
-    size: int  # bytes in the file
-    created: h5py.h5p.PropDCID
+    size: int  # number of bytes in the file, after compression
+    created: h5py.h5p.PropDCID  # properties with which the dataset was created
 
     @property
     def filters(self) -> set[int]:
-        """The HDF5 numbers of the filters that were applied to the data."""
+        """HDF5 identifiers of the filters that were applied to the data."""
         return {self.created.get_filter(index)[0] for index in range(self.created.get_nfilters())}
 
 
 def require_within_file(path: Path, dataset: h5py.h5d.DatasetID) -> Stored:
-    """Check that the data of a dataset are stored in the file, and return their type and size.
+    """Check that the data of a dataset are stored in the file itself, and return their type and size.
 
     Raises
     ------
     InputFileError
-        If the data are in another file, or if the declared size is larger than the stored bytes allow.
+        If the data are in a different file, or if the declared size is larger than the stored bytes allow.
     """
     where, created = (h5py.h5i.get_name(dataset) or b"").decode().lstrip("/"), dataset.get_create_plist()
     if created.get_layout() == h5py.h5d.VIRTUAL or created.get_external_count():
-        raise InputFileError(f"{path}: dataset {where} is stored in another file; use a file that contains the dataset")
+        raise InputFileError(
+            f"{path}: the values of dataset {where} are stored in a different file; use a file that contains its values"
+        )
     stored = Stored(where, dataset.shape, dataset.dtype, dataset.get_storage_size(), created)
     claimed = prod(stored.shape) * stored.dtype.itemsize
     if claimed > SMALL_BYTES + MAX_COMPRESSION * stored.size and stored.filters <= KNOWN_FILTERS:
-        raise InputFileError(f"{path}: dataset {where} is declared larger than its stored data allow; create the file again")
+        raise InputFileError(
+            f"{path}: the declared size of dataset {where} is larger than its stored data allow; create the file again"
+        )
     return stored
 
 
 def require_readable(path: Path, dataset: h5py.h5d.DatasetID) -> Stored:
-    """Check that a whole dataset can be read, and return its type and size.
+    """Check that a whole dataset can be read into memory, and return its type and size.
 
     Raises
     ------
     InputFileError
-        If `require_within_file` raises an error, or if the dataset or a chunk exceeds the size limit of inputs.
+        If `require_within_file` raises it, or if the dataset or a chunk exceeds the size limit for inputs.
     """
     stored = require_within_file(path, dataset)
     chunk = stored.created.get_chunk() if stored.created.get_layout() == h5py.h5d.CHUNKED else ()

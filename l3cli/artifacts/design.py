@@ -1,5 +1,7 @@
-"""Artifacts of the design of colour filter arrays. Scene moments describe scenes independently of the array. Designs
-contain arrays and their predicted errors.
+"""Artifacts for the design of colour filter arrays: scene moments and designs.
+
+Scene moments contain the statistics of scenes, which do not depend on the array. A design contains arrays and their
+predicted errors.
 """
 
 import itertools
@@ -14,24 +16,25 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.physics.mosaic import array_rows
 
-SHARP, SOFT = slice(0, 3), slice(3, 6)  # targets: X, Y, Z without and with the blur of chroma in human vision
-WEIGHTINGS = ("seen", "linear")
-SIDE = 7  # pixels; side of the neighbourhood from which errors are predicted
+SHARP, SOFT = slice(0, 3), slice(3, 6)  # targets: X, Y, Z; and X, Y, Z whose chroma is blurred as in human vision
+WEIGHTINGS = ("seen", "linear")  # patches are weighted as the eye perceives errors, or equally
+SIDE = 7  # pixels; side of the neighbourhood for which errors are predicted
 KINDS = (("plain", "edge"), ("dark", "middle", "bright"), ("neutral", "orange", "green", "blue", "magenta"))
-GROUPS = tuple(map(" ".join, itertools.product(*KINDS)))  # groups of patches by contrast, brightness and hue of the centre
+# names of the groups of patches: contrast of the patch, then brightness and hue of its centre
+GROUPS = tuple(map(" ".join, itertools.product(*KINDS)))
 TIE = 0.02  # errors that differ by less than this fraction count as equal
-Rows = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]  # headings and rows of a table
+Rows = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]  # a table for the terminal: its headings and its rows
 
 
 @dataclass(frozen=True)
 class LightMoments:
-    """Second moments of patches and targets under one illuminant, summed over all patches.
+    """Second moments of patches and targets under one illuminant, summed over the patches of each group.
 
-    The spectrum of each tap is described by `terms` coefficients. The entries of the moments are, in this order:
+    `terms` coefficients describe the spectrum at each tap. The entries of the moments are, in this order:
 
     1. the coefficients of the SIDE × SIDE taps, tap by tap;
     2. X, Y, Z at the centre, relative to white;
-    3. the same X, Y, Z with blurred chroma;
+    3. X, Y, Z at the centre with blurred chroma, relative to white;
     4. the coefficients of the scene at the centre, without the blur of the lens.
     """
 
@@ -73,10 +76,7 @@ class LightMoments:
 
 @dataclass(frozen=True, repr=False)
 class SceneMoments(Artifact):
-    """Second moments of scenes behind a lens and a pixel (docs/arrays.md#which-array).
-
-    They do not depend on any filters.
-    """
+    """Second moments of the light from scenes on pixels behind a lens, without any filter (docs/arrays.md#which-array)."""
 
     kind: ClassVar[str] = "scene moments"
     made_by: ClassVar[str] = '"l3 design moments"'
@@ -90,12 +90,12 @@ class SceneMoments(Artifact):
         super().__post_init__()
         fit = [each.patches.size == len(GROUPS) and each.mean.shape[-1] == SIDE**2 * each.terms for each in self.light]
         if not (fit and all(fit) and self.pixel_pitch > 0 and self.f_number > 0):
-            raise ValueError("the scene moments were computed by another version of l3; compute the moments again")
+            raise ValueError("a different version of l3 computed these scene moments; compute the moments again")
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """An array whose filters were tuned, with its errors before and after tuning."""
+    """An array whose filters were optimised, with its predicted errors before and after this tuning."""
 
     pattern: str = data("str", doc="the array, as rows of filter names")
     parameters: NDArray[np.float64] = data(
@@ -112,9 +112,10 @@ class Tuned:
     )
 
     def words(self, levels: Sequence[str]) -> list[str]:
-        """Return one sentence that lists the tuned filters, then one sentence per light level.
+        """Describe the tuned filters in one line, and the predicted errors at each light level in a further line.
 
-        The sentence for a level contains the predicted error before and after tuning, and that of the best Bayer array.
+        The line for a level contains the error before tuning, the error after tuning, and the error of the best Bayer array
+        with the tuned filters.
         """
         rows = zip(self.tuned_filters, self.parameters, strict=True)
         filters = ", ".join(
@@ -130,7 +131,10 @@ class Tuned:
 
 @dataclass(frozen=True)
 class Truth:
-    """Arrays that were trained, rendered and evaluated on the same unseen scenes."""
+    """Measured errors of arrays, to verify the predictions.
+
+    The arrays were trained and then evaluated on the same scenes.
+    """
 
     trained: tuple[str, ...] = data(
         "str", "trained", doc="names of the trained arrays; (tuned) marks an array with tuned filters"
@@ -157,18 +161,18 @@ class Truth:
     digest: str = data("str", doc="SHA-256 that identifies the content of the scenes, which is the same for all arrays")
 
     def correlation(self, level: int, figure: int = 0) -> float:
-        """Return Spearman's rank correlation between the predicted errors and a measured metric at one level.
+        """Return Spearman's rank correlation between the predicted errors and a measured metric.
 
-        A metric in dB is first converted to a relative error.
+        `level` and `figure` are the indices of the level and the metric. A metric in dB is first converted to an error.
         """
         expected, measured = (np.argsort(np.argsort(each)) for each in self._logarithms(level, figure))
         return float(np.corrcoef(expected, measured)[0, 1])
 
     def in_order(self, level: int, figure: int = 0) -> float:
-        """Return the fraction of pairs of arrays that prediction and measurement rank in the same order.
+        """Return the fraction of pairs of arrays that the prediction and the measurement rank in the same order.
 
-        Only pairs count whose predicted errors and measured errors both differ by more than TIE. If there is no such
-        pair, the result is NaN.
+        Pairs are ignored unless both their predicted errors and their measured errors differ by more than TIE. If no pair
+        is left, the result is NaN.
         """
         one, other = np.triu_indices(len(self.trained), 1)
         expected, measured = (each[one] - each[other] for each in self._logarithms(level, figure))
@@ -176,7 +180,7 @@ class Truth:
         return float((expected * measured > 0)[differ].mean()) if differ.any() else float("nan")
 
     def table(self, levels: Sequence[str]) -> Rows:
-        """Return headings and rows that compare the predicted and the measured errors of the trained arrays."""
+        """Return headings and rows of a table that compares the predicted and the measured errors of the trained arrays."""
         headings = (*(f"{level}\n{what}" for level in levels for what in ("predicted", "ΔE00")), "array")
         both = np.stack([self.expected, self.measured[..., 0]], axis=-1).reshape(len(self.trained), -1)
         return headings, tuple(
@@ -184,7 +188,7 @@ class Truth:
         )
 
     def agreement(self, levels: Sequence[str]) -> list[str]:
-        """Return a sentence for each level about how well the prediction ranks the arrays, for each metric."""
+        """Describe, in one line per level, how well the predicted errors rank the arrays in each metric."""
         if len(self.trained) == 1:
             return ["A single array cannot be ranked."]
         lines = []
@@ -193,26 +197,26 @@ class Truth:
             pairs = [f" ({share:.0%})" if np.isfinite(share) else "" for share in shares]
             ranks = [f"{each} {self.correlation(place, n):.2f}{pairs[n]}" for n, each in enumerate(self.figures)]
             lines.append(
-                f"{level}: rank correlation (pairs in the right order, if they differ by more than {TIE:.0%}): "
-                f"{', '.join(ranks)}."
+                f"{level}: rank correlation (and fraction of pairs in the right order, of the pairs that differ by more "
+                f"than {TIE:.0%}): {', '.join(ranks)}."
             )
         return lines
 
     def _logarithms(self, level: int, figure: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the logarithms of the predicted errors and of the measured errors, with one value per array."""
+        """Return the logarithms of the predicted errors and the logarithms of the measured errors of all arrays."""
         measured = self.measured[:, level, figure]
         of_decibels = -measured * (np.log(10) / 20)
         return np.log(self.expected[:, level]), of_decibels if self.figures[figure].endswith("psnr") else np.log(measured)
 
 
 def overall(errors: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the geometric mean of errors over the levels, which are the last axis."""
+    """Return the geometric mean of errors over the last axis, which contains the levels."""
     return np.asarray(np.exp(np.log(np.maximum(errors, 1e-12)).mean(axis=-1)))
 
 
 @dataclass(frozen=True, repr=False)
 class Design(Artifact):
-    """Arrays that can be built from a library of filters, with their predicted errors. The best array comes first."""
+    """Colour filter arrays with filters from a library, and their predicted errors. The best array comes first."""
 
     kind: ClassVar[str] = "design"
     made_by: ClassVar[str] = '"l3 design"'
@@ -249,7 +253,7 @@ class Design(Artifact):
     map_error: NDArray[np.float64] = data(
         "float64", "mapped", "dose", doc="predicted error of these arrays under the illuminant of the first level"
     )
-    pixel: CameraModel = group()  # sensor, noise and lens; its own array is not used
+    pixel: CameraModel = group()  # camera model with the sensor, the noise and the lens; its filter array is not used
     tuned: Tuned | None = group(default=None)
     truth: Truth | None = group(default=None)
 
@@ -264,26 +268,26 @@ class Design(Artifact):
 
     @property
     def predicted(self) -> NDArray[np.float64]:
-        """Mean predicted error over all patches, with the shape (candidate, level)."""
+        """Predicted error of each array at each level, as the mean over all patches: (candidate, level)."""
         return np.asarray(np.einsum("clg,lg->cl", self.error, self.share))
 
     @property
     def score(self) -> NDArray[np.float64]:
-        """Geometric mean of the predicted error of each array over the levels."""
+        """Predicted error of each array, as the geometric mean over the levels."""
         return overall(self.predicted)
 
     @property
     def winner(self) -> tuple[str, NDArray[np.float64]]:
-        """The best array, as rows of filter names, and the quantum efficiency of its filters.
+        """The best array, as rows of filter names, and the quantum efficiencies of all filters, (filter, wavelength).
 
-        If the tuned filters have a lower error, the result contains them.
+        This is the tuned array if there is one and its error is lower than the error of the first array.
         """
         if self.tuned is not None and overall(self.tuned.after) < self.score[0]:
             return self.tuned.pattern, self.tuned.tuned_efficiency
         return self.patterns[0], self.efficiency
 
     def best(self, most: int) -> list[int]:
-        """Return the indices of the best arrays, at most `most`, and the index of the best Bayer array."""
+        """Return the indices of the first `most` arrays, followed by the index of the best Bayer array, if there is one."""
         return list(dict.fromkeys([*range(min(most, len(self.patterns))), *([self.bayer] if self.bayer >= 0 else [])]))
 
     @property
@@ -291,15 +295,15 @@ class Design(Artifact):
         """Caption of the table of arrays."""
         ties = f"=: at most {TIE:.0%} worse than the best array"
         return (
-            f"{self.tried} arrays, predicted error ({self.unit}); {ties}; changes from the Bayer array with the same filters"
+            f"predicted error ({self.unit}) of {self.tried} arrays; {ties}; changes are relative to the best Bayer array "
+            "with the same filters"
         )
 
     def table(self, most: int) -> Rows:
-        """Return headings and rows with the rank, the errors and the change from Bayer of the best arrays and the Bayer
-        array.
+        """Return headings and rows of a table of the first `most` arrays and the best Bayer array.
 
-        A rank marked with "=" is a tie with the best array. The changes are relative to the best Bayer array with the
-        same filters.
+        The columns are the rank, the predicted errors, their changes relative to the best Bayer array with the same filters,
+        and the array. The mark "=" after a rank means that the array is at most TIE worse than the best array.
         """
         headings = ("", *self.levels, *(f"{level}\nto Bayer" for level in self.levels), "array")
         rows = []
@@ -313,9 +317,10 @@ class Design(Artifact):
 
     @property
     def verdict(self) -> list[str]:
-        """A sentence for each level about the best array.
+        """One sentence per level about the best array at this level.
 
-        It states how much better this array is than the Bayer array, and which fraction of this is due to its filters.
+        The sentence states how much lower the error of this array is than the error of the best Bayer array, and which
+        fraction of the difference is due to the filters of the array.
         """
         lines = []
         for place, (level, errors) in enumerate(zip(self.levels, self.predicted.T, strict=True)):
@@ -327,14 +332,14 @@ class Design(Artifact):
                 lines.append(f"{level}: no array has an error more than {TIE:.0%} below {rival} (Bayer).")
             else:
                 filters = min(max((bayer - own) / (bayer - least), 0), 1) if own else 0.0
-                most = f"; {filters:.0%} of this is due to its filters" if filters else ""
+                most = f"; {filters:.0%} of this difference is due to its filters" if filters else ""
                 gain = f"{bayer - least:.2f} {self.unit} ({1 - least / bayer:.0%})"
                 lines.append(f"{level}: the error of {self.patterns[best]} is {gain} below {rival} (Bayer){most}.")
         return lines
 
     @property
     def crossings(self) -> list[str]:
-        """Sentences about the arrays whose error crosses the error of the Bayer array as the light increases."""
+        """One sentence for each dose of light at which an array becomes better, or worse, than the best Bayer array."""
         lines: list[str] = []
         bayer = self.map_error[[self.mapped.index(self.patterns[self.bayer])]] if self.bayer >= 0 else self.map_error
         for name, over in zip(self.mapped, self.map_error / bayer - 1, strict=True):
@@ -346,8 +351,14 @@ class Design(Artifact):
         return lines
 
     def camera(self, pattern: str, efficiency: NDArray[np.float64]) -> CameraModel:
-        """Return a camera with the pixel of the design, the array `pattern`, and filters with the quantum efficiency
-        `efficiency`.
+        """Return a camera with the pixel of this design and a given filter array.
+
+        Parameters
+        ----------
+        pattern : str
+            The array, as rows of filter names separated by "/".
+        efficiency : ndarray, (filter, wavelength)
+            Quantum efficiencies of all filters of the design, in e-/photon.
         """
         cfa = sites(pattern, self.filters)
         used = np.unique(cfa)
@@ -363,10 +374,10 @@ class Design(Artifact):
 
 
 def shown(cfa: NDArray[np.integer], names: Sequence[str]) -> str:
-    """Return an array of filter indices as text: rows of filter names, separated by "/"."""
+    """Convert an array of filter indices to text: rows of filter names, separated by "/"."""
     return " / ".join(array_rows(names, cfa))
 
 
 def sites(pattern: str, names: Sequence[str]) -> NDArray[np.intp]:
-    """Return the array of filter indices that `shown` has converted to text."""
+    """Convert text such as "g r / b g" to an array of filter indices. It is the inverse of `shown`."""
     return np.array([[names.index(name) for name in row.split()] for row in pattern.split("/")])

@@ -1,6 +1,6 @@
-"""Calibration results, and the quality of the fit of the camera model to the measurements.
+"""Results of the calibration, and how well the camera model fits the measurements.
 
-The results are stored in the group `fit` of a camera model.
+They are stored in the group `fit` of a camera model.
 """
 
 from collections.abc import Mapping
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.schema import data, group
 
-# The most probable illuminants are listed until their probabilities sum to GUESSED_PROBABILITY, but at most MAX_GUESSES.
+# Messages list the most probable illuminants until their probabilities sum to GUESSED_PROBABILITY, but at most MAX_GUESSES.
 GUESSED_PROBABILITY, MAX_GUESSES = 0.9, 4
 
 
 @dataclass(frozen=True)
 class NoiseFit:
-    """Results from dark and white frames for each channel, as defined in EMVA 1288."""
+    """Noise parameters of each channel, from dark and white frames, as defined in EMVA 1288."""
 
     conversion_gain: NDArray[np.float64] = data("float64", "channel", unit="DN/e-", doc="overall system gain K")
     conversion_gain_error: NDArray[np.float64] = data(
@@ -94,9 +94,8 @@ class SweepFit:
 
 @dataclass(frozen=True)
 class ChartFit:
-    """Fit of the chart captures (Eq. 2 in docs/method.md#gain-and-offset).
-
-    The fit contains the measured and the predicted value of every patch.
+    """Fit of the chart captures (Eq. 2 in docs/method.md#gain-and-offset), with measured and predicted values of all
+    patches.
     """
 
     alpha: NDArray[np.float64] = data(
@@ -119,10 +118,7 @@ class ChartFit:
 
 @dataclass(frozen=True)
 class DriftFit:
-    """Drift of the lamps that was estimated from the charts.
-
-    This drift is larger than the drift that the measurement file declares.
-    """
+    """Drift of the lamps, estimated from the charts. It is stored only if it is larger than the declared drift."""
 
     deviation: float = data("float64", doc="estimated relative standard deviation of the lamps from their measured spectra")
     declared: float = data("float64", doc="relative standard deviation that the measurement file states")
@@ -130,9 +126,9 @@ class DriftFit:
 
 @dataclass(frozen=True)
 class SeriesFit:
-    """Fit of a chart behind narrow-band filters.
+    """Fit of captures of a chart behind narrow-band filters.
 
-    Each capture is predicted from the other exposures behind the same filter.
+    The value of each patch is predicted from the remaining exposures behind the same filter.
     """
 
     lights: tuple[str, ...] = data("str", "band", doc="name of each band")
@@ -171,19 +167,22 @@ class SeriesFit:
 
 @dataclass(frozen=True)
 class LightGuess:
-    """Probability of each common illuminant for each photo, if the photo was taken under one of these illuminants."""
+    """Probability that a photo was taken under each common illuminant, assuming that its illuminant is one of these."""
 
     names: tuple[str, ...] = data("str", "usual_light", doc="names of the common illuminants")
     probability: NDArray[np.float64] = data("float64", "photo", "usual_light", doc="probability of each common illuminant")
 
     def of(self, photo: int) -> dict[str, float]:
-        """Return the probability of each common illuminant for a photo. The most probable illuminant comes first."""
+        """Return the probability of each common illuminant for the photo with index `photo`. The most probable is first."""
         found = zip(self.names, map(float, self.probability[photo]), strict=True)
         return dict(sorted(found, key=lambda each: each[1], reverse=True))
 
 
 def guessed_light(probable: Mapping[str, float]) -> str:
-    """Return the most probable illuminants and their probabilities as text."""
+    """Return a text with the most probable illuminants and their probabilities in percent.
+
+    `probable` contains the probability of each illuminant, beginning with the most probable illuminant.
+    """
     parts, total = [], 0.0
     for name, probability in probable.items():
         parts.append(f"{name} {100 * probability:.0f} %")
@@ -195,7 +194,7 @@ def guessed_light(probable: Mapping[str, float]) -> str:
 
 @dataclass(frozen=True)
 class PhotoWindow:
-    """The parts of the sensor that photos contain, if a photo does not contain the whole sensor."""
+    """The area of the sensor that each photo covers. It is stored only if a photo does not cover the whole sensor."""
 
     first_site: NDArray[np.int64] = data(
         "int64", "photo", "coordinate", doc="row and column of the CFA site of the first pixel"
@@ -203,7 +202,7 @@ class PhotoWindow:
     size: NDArray[np.int64] = data("int64", "photo", "coordinate", unit="pixel", doc="rows, columns of each photo")
 
     def of(self, photo: int) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Return the CFA site of a photo's first pixel, and the size of the photo."""
+        """Return the CFA row and CFA column of a photo's first pixel, and the rows and columns of the photo."""
         (row, col), (rows, cols) = self.first_site[photo].tolist(), self.size[photo].tolist()
         return (row, col), (rows, cols)
 
@@ -261,11 +260,14 @@ class PhotoFit:
         "float64", "photo", "photo_patch", "channel", unit="DN", doc="mean value above black that the model predicts"
     )
     likely: LightGuess | None = group(default=None)
-    window: PhotoWindow | None = group(default=None)  # None: every photo covers the whole sensor area
+    window: PhotoWindow | None = group(default=None)  # None: every photo covers the whole sensor
 
     @property
     def misfit(self) -> NDArray[np.float64]:
-        """RMS error of the predicted values of each photo and channel, relative to the brightest patch."""
+        """RMS error of the predicted values, relative to the brightest patch, with the shape (photo, channel).
+
+        Only patches that were used count.
+        """
         left = np.where(self.used, self.measured - self.predicted, 0.0)
         count = np.maximum(self.used.sum(axis=1), 1)
         return np.asarray(np.sqrt((left**2).sum(axis=1) / count) / np.where(self.used, self.measured, 0.0).max(axis=1))
@@ -273,7 +275,7 @@ class PhotoFit:
 
 @dataclass(frozen=True)
 class PolariserFit:
-    """Fit of Malus's law to frames of a uniform light behind a rotating polariser.
+    """Fit of Malus's law to frames of a uniform light source behind a rotating polariser.
 
     A channel without a polariser has the angle 0 and the leakage 1, with standard deviations of 0.
     """
@@ -301,7 +303,7 @@ class PolariserFit:
 
 @dataclass(frozen=True)
 class Fit:
-    """Results of the calibration of a camera. A part is None if the measurements for it were not made."""
+    """Results of the calibration of a camera. An attribute is None if the corresponding measurements were not made."""
 
     noise: NoiseFit | None = group(default=None)
     sweep: SweepFit | None = group(default=None)
@@ -313,5 +315,5 @@ class Fit:
 
     @property
     def validation(self) -> ChartFit | SeriesFit | None:
-        """The part with R² and the relative RMSE of each channel, which compares predictions with measurements."""
+        """The fit that compares predicted with measured chart values: `chart`, otherwise `series`, otherwise None."""
         return self.chart or self.series

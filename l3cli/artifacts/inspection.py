@@ -1,4 +1,4 @@
-"""Inspection of artifacts: their content (`describe`), their integrity (`verify`) and their input files (`chain`)."""
+"""Functions for `l3 info`: the content of an artifact, its integrity, and the files from which it was made."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping
@@ -15,18 +15,23 @@ from l3cli.artifacts.store import open_artifact, read_history, reading, require_
 from l3cli.errors import InputFileError
 from l3cli.system.limits import read_bounded
 
-SLAB_BYTES = 1 << 26  # number of bytes that are read at a time, to limit memory
+SLAB_BYTES = 1 << 26  # number of bytes that are read at a time, to limit the use of memory
 
 
 def describe(path: Path) -> dict[str, Any]:
-    """Return the kind, version, history and datasets of an artifact of any kind.
+    """Return the type, the version, the history and the datasets of an artifact. All types of artifacts are accepted.
 
     Returns
     -------
     dict
-        The entries are "kind", "version", "history" (list of stages) and "datasets". Each dataset has the entries
-        "name", "dtype", "shape", "axes", "unit", "doc" and "value", which is None except for scalars, text and short
-        lists. Dimension scales are not included.
+        The entries are "kind" (type of the artifact), "version", "history" (list of stages) and "datasets". Each dataset
+        has the entries "name", "dtype", "shape", "axes", "unit", "doc" and "value". The value is None for arrays with
+        more than one axis or more than 16 elements. Dimension scales are not included.
+
+    Raises
+    ------
+    InputFileError
+        If the file is damaged or not an artifact.
     """
     with open_artifact(path) as root:
         with reading(path, "a dataset"):
@@ -41,7 +46,7 @@ def describe(path: Path) -> dict[str, Any]:
 
 
 def _refuse_null(path: Path, name: str, dataset: h5py.Dataset) -> None:
-    """Raise InputFileError if a dataset has an HDF5 null dataspace. l3 never writes such datasets."""
+    """Raise InputFileError if a dataset has the null dataspace of HDF5, which l3 never writes."""
     if dataset.shape is None:
         raise InputFileError(f"{path}: dataset {name} is empty; create the file again")
 
@@ -61,21 +66,21 @@ def _describe_dataset(path: Path, name: str, dataset: h5py.Dataset) -> dict[str,
 
 @dataclass(frozen=True)
 class Intact:
-    """Result of `verify` for an undamaged file."""
+    """Result of `verify` for an undamaged artifact."""
 
     kind: str
     version: int
-    datasets: int  # number of datasets with correct checksums, not including dimension scales
+    datasets: int  # number of datasets with correct checksums, without dimension scales
     history: tuple[Stage, ...]
 
 
 def verify(path: Path) -> Intact:
-    """Compare all bytes of an artifact with the digest of the file, and every dataset with its checksums.
+    """Verify the digest of an artifact, and read every dataset to verify its checksums.
 
     Raises
     ------
     InputFileError
-        If a checksum differs. The message contains the name of the dataset.
+        If the digest or a checksum is wrong. For a wrong checksum, the message contains the name of the dataset.
     """
     with open_artifact(path) as root:
         count = 0
@@ -92,13 +97,15 @@ def verify(path: Path) -> Intact:
                 for _ in _slabs(dataset):
                     pass
             except OSError as error:
-                raise InputFileError(f"{path}: dataset {name} is damaged (checksum); create the file again") from error
+                raise InputFileError(
+                    f"{path}: dataset {name} is damaged, because its checksum is wrong; create the file again"
+                ) from error
             count += not scale
         return Intact(str(root.attrs["kind"]), int(root.attrs["version"]), count, read_history(root, path))
 
 
 def _slabs(dataset: h5py.Dataset) -> Iterator[Any]:
-    """Yield a dataset in parts of at most SLAB_BYTES."""
+    """Yield a dataset in parts of at most SLAB_BYTES, but at least one row each."""
     if not dataset.ndim or not dataset.size:
         yield dataset[()]
         return
@@ -109,36 +116,36 @@ def _slabs(dataset: h5py.Dataset) -> Iterator[Any]:
 
 @dataclass(frozen=True)
 class Link:
-    """The input files of one stage in a history with the same role, and the matching files among the files at hand."""
+    """The input files of one stage that have the same role, and the files of the user that match these inputs."""
 
-    stage: str
-    role: str
-    named: int  # number of input files in the history
-    given: tuple[str, ...]  # paths of the matching files
+    stage: str  # command of the stage, such as "simulate"
+    role: str  # role of the input files, such as "camera"
+    named: int  # number of input files that the history lists
+    given: tuple[str, ...]  # paths of the user's files that match
 
 
 def chain(history: tuple[Stage, ...], inputs: Mapping[Path, str]) -> tuple[tuple[Link, ...], tuple[Path, ...]]:
-    """Find the input files of a history among the files at hand, by their SHA-256.
+    """Compare files with the input files that a history lists, by their SHA-256.
 
-    The histories of matching files are searched, too, because an artifact that was made from several training sets
-    contains only the history of the first.
+    The histories of files that match are compared too, because an artifact from several training sets contains only the
+    history of the first training set.
 
     Parameters
     ----------
     history : tuple of Stage
         History of an artifact.
-    inputs : mapping
-        SHA-256 of each file at hand, by its path.
+    inputs : mapping of Path to str
+        SHA-256 of each file to compare.
 
     Returns
     -------
     links : tuple of Link
-        One link per stage and role, with the matching files.
+        One link for each stage and role, with the files that match.
     others : tuple of Path
-        The files at hand that do not match any input.
+        The files that match no input of any stage.
     """
     stages = list(history)
-    for stage in stages:  # the loop appends to this list
+    for stage in stages:  # the body of this loop appends to the list
         named = {digest for digests in stage.inputs.values() for digest in digests}
         for path in (path for path, digest in inputs.items() if digest in named):
             stages += [other for other in history_of(path) if other not in stages]
@@ -165,7 +172,10 @@ def history_of(path: Path) -> tuple[Stage, ...]:
 
 
 def _is_recipe_of(path: Path, stage: Stage) -> bool:
-    """Return whether a file contains the recipe of a stage, or one of the two texts of which the recipe consists."""
+    """Return whether a TOML file contains the recipe of a stage.
+
+    A stage may store two recipes, one after the other. A file that contains only one of the two also matches.
+    """
     if path.suffix != ".toml":
         return False
     content = read_bounded(path).decode("utf-8-sig", "replace")

@@ -1,7 +1,7 @@
 """The layers of a transform table (docs/method.md#layers).
 
-The first layer computes outputs from the mosaic. Each refinement layer computes outputs from three planes, which the
-previous layer has computed.
+The first layer computes outputs from the mosaic. Each refinement layer computes outputs from the three opponent planes of
+the previous layer's outputs.
 """
 
 from dataclasses import dataclass, replace
@@ -16,20 +16,22 @@ from l3cli.artifacts.schema import check, data, group
 
 PlaneRule = StructureRule | TreeRule
 PLANES = 3  # number of input planes of a refinement layer: X − aY, Y and Z − bY
-PLANE_STEP = 2.0**-18  # quantisation step of planes in output units, far below the noise of any sensor
-# Largest plane value, 16 times full scale. The difference of two values times a 7-bit factor fits into 32 bits.
+PLANE_STEP = 2.0**-18  # quantisation step of planes in output units; it is far below the noise of any sensor
+# Largest quantised value of a plane, which is 16 times full scale. The difference of two such values times a 7-bit factor
+# fits into 32 bits.
 PLANE_TOP = 2**22 - 1
-# Possible numbers of additional taps of the last layer: none, two for colour ratios, or two more for bilateral chroma.
+# Possible numbers of additional taps of the last layer: none, two for colour ratios, or four for colour ratios and bilateral
+# chroma.
 RATIO_TAPS = (0, 2, 4)
 COMPARED = (4, 3, 3)  # shape of `CoarseChroma.variance`: smoothing steps, planes, powers of luminance
 
 
 @dataclass(frozen=True)
 class MosaicLayer:
-    """The first layer of a table, which computes the outputs of each pixel from the surrounding patch of the mosaic.
+    """The first layer of a table. It computes the outputs of each pixel from the patch of the mosaic around the pixel.
 
-    The outputs of a pixel are weights · (patch − black level) / full scale + intercept. The class of the pixel selects the
-    weights and the intercept.
+    The outputs are weights · (patch − black level) / full scale + intercept, with the weights and the intercept of the
+    pixel's class.
     """
 
     rule: ClassRule = group()
@@ -56,7 +58,7 @@ class MosaicLayer:
             raise ValueError(f"weights has {self.weights.shape[2]} taps, but the patch of the rule has {self.rule.patch**2}")
 
     def pictured(self, taken: list[int]) -> "MosaicLayer":
-        """Return a copy of the layer with only the outputs at the indices `taken`."""
+        """Return a copy of the layer with only the outputs whose indices are in `taken`."""
         return replace(self, weights=self.weights[:, taken], intercept=self.intercept[:, taken])
 
 
@@ -64,8 +66,8 @@ class MosaicLayer:
 class CoarseChroma:
     """Noise model for the smoothing of coarse chroma (docs/method.md#coarse-chroma).
 
-    Coarse chroma is smoothed over blocks of pixels in several steps. In each step, the last layer uses the noise model to
-    decide whether two blocks differ by more than noise.
+    The last layer smooths coarse chroma over blocks of pixels, in several steps. In each step, the noise model determines
+    whether two blocks differ by more than their noise.
     """
 
     variance: NDArray[np.float64] = data(
@@ -85,13 +87,13 @@ class CoarseChroma:
             raise ValueError("variance must not be negative, and must be positive at luminance 0")
 
     def with_noise(self, share: float) -> "CoarseChroma":
-        """Return the noise model for frames with `share` times the noise variance."""
+        """Return the noise model for frames whose noise variance is multiplied by `share`."""
         return CoarseChroma(self.variance * share)
 
 
 @dataclass(frozen=True)
 class Clipping:
-    """Linear response that renders uniform areas with clipped channels (docs/method.md#uniform-clipped-areas)."""
+    """Linear response with which uniform areas with clipped channels are rendered (docs/method.md#uniform-clipped-areas)."""
 
     response: NDArray[np.float64] = data(
         "float64",
@@ -110,19 +112,20 @@ class Clipping:
     def __post_init__(self) -> None:
         check(self)
         if not self.white.min() > 0:
-            raise ValueError("white must be positive in every channel")
+            raise ValueError("white must contain only positive values")
         if self.response.shape[:2] != (1 + self.white.size,) * 2 or not np.isfinite(self.response).all():
             raise ValueError(
-                f"response has the shape {self.response.shape}; its first two axes must have the length channels + 1, "
-                "and all values must be finite"
+                f"response has the shape {self.response.shape}; its first two axes must have the length "
+                f"{1 + self.white.size}, which is the number of channels + 1, and its values must be finite"
             )
 
 
 @dataclass(frozen=True)
 class PlaneLayer:
-    """A refinement layer, which computes each pixel from square windows of the three planes of the previous layer.
+    """A refinement layer. It computes the outputs of each pixel from square windows of three opponent planes.
 
-    The planes are X − aY, Y and Z − bY. The factors a and b are chosen so that the planes of a white object are (0, Y, 0).
+    The planes are X − aY, Y and Z − bY, from the outputs X, Y, Z of the previous layer. The factors a and b are such that
+    the planes of a white object are (0, Y, 0).
     """
 
     side: int = data("int64", unit="pixel", doc="side of the windows")
@@ -140,20 +143,20 @@ class PlaneLayer:
     samples: NDArray[np.float64] = data(
         "float64", "plane_class", doc="number of training patches; 0: the class uses the transform of a similar class"
     )
-    structure: StructureRule | None = group(default=None)  # class rule by structure; None if the layer has a tree
-    tree: TreeRule | None = group(default=None)  # class rule by the leaves of a tree; None if the layer has a structure rule
-    coarse_chroma: CoarseChroma | None = group(default=None)  # None if chroma is computed from the windows only
+    structure: StructureRule | None = group(default=None)  # class rule by structure; None if the class rule is a tree
+    tree: TreeRule | None = group(default=None)  # class rule by the leaves of a tree; None if classes are structures
+    coarse_chroma: CoarseChroma | None = group(default=None)  # None: chroma is computed only from the windows
     clipping: Clipping | None = group(default=None)  # requires coarse chroma; None: clipped areas are not smoothed
 
     def __post_init__(self) -> None:
         check(self)
         one_rule(self.structure, self.tree)
         if self.clipping and not self.coarse_chroma:
-            raise ValueError("a layer with clipping must have coarse chroma")
+            raise ValueError("a layer with clipping must also have coarse_chroma")
 
     @property
     def rule(self) -> PlaneRule:
-        """The class rule of the layer, by structure or by a tree."""
+        """The class rule of the layer: `structure` or `tree`."""
         return one_rule(self.structure, self.tree)
 
     @property
@@ -162,35 +165,35 @@ class PlaneLayer:
 
     @property
     def window_taps(self) -> int:
-        """Number of window taps. In `weights`, the taps for colour ratios and bilateral chroma follow the window taps."""
+        """Number of taps in the windows of all planes. These taps come first in `weights`."""
         return PLANES * self.side**2
 
     @property
     def ratio_taps(self) -> int:
-        """Number of taps for colour ratios and bilateral chroma. The number is one of RATIO_TAPS."""
+        """Number of taps for colour ratios and bilateral chroma, which is one of RATIO_TAPS."""
         return self.weights.shape[2] - self.window_taps
 
     def with_noise(self, share: float) -> "PlaneLayer":
-        """Return the layer for frames with `share` times the noise variance. Only coarse chroma changes."""
+        """Return the layer for frames whose noise variance is multiplied by `share`. Only coarse chroma depends on it."""
         return replace(self, coarse_chroma=self.coarse_chroma.with_noise(share)) if self.coarse_chroma else self
 
     def scaled_as(self, scale: GradientScale) -> "PlaneLayer":
-        """Return a copy of the layer with the gradient scale `scale`."""
+        """Return a copy of the layer whose class rule uses the given scale of gradients."""
         return replace(self, **rule_fields(self.rule.scaled_as(scale)))
 
 
 def rule_fields(rule: PlaneRule) -> dict[str, Any]:
-    """Return the keyword argument of PlaneLayer for the class rule `rule`."""
+    """Return the class rule as a keyword argument of PlaneLayer: `structure` or `tree`, depending on its type."""
     return {"structure" if isinstance(rule, StructureRule) else "tree": rule}
 
 
 def one_rule(structure: StructureRule | None, tree: TreeRule | None) -> PlaneRule:
-    """Return the rule that is not None.
+    """Return the class rule that is not None.
 
     Raises
     ------
     ValueError
-        If both rules or no rules are set.
+        If both are None, or if neither is None.
     """
     if structure is None and tree is not None:
         return tree

@@ -1,4 +1,4 @@
-"""Summaries of artifacts for notebooks: HTML that lists the fields with axes, units and meanings, as xarray does."""
+"""HTML summaries of artifacts for notebooks. They list each field with its axes, unit and meaning."""
 
 from collections.abc import Iterator
 from html import escape
@@ -8,19 +8,19 @@ import numpy as np
 
 from l3cli.artifacts.schema import Spec, declared, instances, is_stored
 
-MAX_VALUES = 8  # longer arrays are described by their shape and range
-MAX_LETTERS = 60  # longer texts are cut off
+MAX_VALUES = 8  # longer arrays are summarised by their range
+MAX_LETTERS = 60  # longer texts are truncated
 
 
 def html(title: str, content: Any) -> str:
-    """Return an instance of a dataclass with declared fields as HTML.
+    """Return an HTML summary of an artifact, or of any dataclass whose fields `data` and `group` declare.
 
     Parameters
     ----------
     title : str
         Heading, such as the repr of the artifact.
     content : dataclass
-        Instance with fields that `data` and `group` declare.
+        The instance to summarise.
     """
     return f"<div><strong>{escape(title)}</strong>{''.join(_fields(content))}</div>"
 
@@ -40,13 +40,13 @@ def _fields(content: Any) -> Iterator[str]:
 
 
 def _shape(spec: Spec, value: Any) -> str:
-    """Return the type of a dataset, and its axes with their lengths."""
+    """Return a text with the type of a dataset, and the name and length of each axis."""
     axes = ", ".join(f"{axis}: {length}" for axis, length in zip(spec.axes, np.shape(value), strict=True))
     return f"{spec.dtype} ({axes})" if axes else spec.dtype
 
 
 def _preview(value: Any) -> str:
-    """Return a short value as text, or the range of a long array."""
+    """Return a short value as text. For a long array, return its range instead."""
     array = np.asarray(value)
     if array.dtype.kind == "U":
         text = ", ".join(array.ravel()[:MAX_VALUES].tolist())

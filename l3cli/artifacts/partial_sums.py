@@ -1,7 +1,7 @@
-"""Partial sums: the normal equations that one shard of a training run has accumulated.
+"""Partial sums: the normal equations from the training frames of one shard.
 
-There are separate sums for each canonical site and class, for the first layer (docs/method.md#exact-sums) or for a
-refinement layer (docs/method.md#layers).
+A file contains the sums of one layer, separately for each canonical site and class. The layer is the first layer
+(docs/method.md#exact-sums) or a refinement layer (docs/method.md#layers).
 """
 
 import contextlib
@@ -25,12 +25,15 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
 from l3cli.errors import InputFileError
 
-USUAL, OTHERS = "sums", "condition_sums"  # HDF5 groups of the sums for the noise of the camera, and for other noise
+USUAL, OTHERS = "sums", "condition_sums"  # HDF5 groups with the sums for the noise of the camera, and for different noise
 
 
 @dataclass(frozen=True)
 class ClassSums:
-    """Weighted sums over the patches of one canonical site. The columns are the taps, the intercept and the outputs."""
+    """Sums for the first layer over the weighted patches of one canonical site.
+
+    The columns of the normal equations are the taps, the intercept and the outputs.
+    """
 
     moments: NDArray[np.float64] = data(
         "float64", "class", "pair", doc="products of the columns: upper triangle of the moment matrix, row by row"
@@ -57,10 +60,10 @@ def noise_columns(rule: ClassRule, camera: CameraModel) -> int:
 class PartialSums(Artifact):
     """Header of a file with partial sums of the first layer.
 
-    The sums are stored in the groups sums/00000, sums/00001…, in the order of `sites`. The sums for other noise
-    (docs/method.md#noise-sets) are stored in condition_sums/0/00000….
+    The sums for the noise of the camera are stored in the groups sums/00000, sums/00001…, in the order of `sites`. The sums
+    for the first different noise (docs/method.md#noise-sets) are stored in the groups condition_sums/0/00000….
 
-    The last stage of the history is the training run. All shards of the same run have equal histories.
+    The last stage in the history describes the training. All shards of a training have equal histories.
     """
 
     kind: ClassVar[str] = "partial sums"
@@ -88,7 +91,10 @@ class PartialSums(Artifact):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 1 <= self.shard <= self.shards or self.pass_number not in (1, 2):
-            raise ValueError(f"shard {self.shard} of {self.shards} in pass {self.pass_number} does not exist")
+            raise ValueError(
+                f"shard is {self.shard} of {self.shards} and pass_number is {self.pass_number}; shard must be between 1 and "
+                "shards, and pass_number must be 1 or 2"
+            )
         self.rule.check_fits(len(self.training.camera.channels), self.training.camera.bits)
         if len(self.white_point) != len(self.training.outputs):
             raise ValueError(
@@ -97,7 +103,7 @@ class PartialSums(Artifact):
 
     @property
     def shapes(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int]]:
-        """Shapes of the moments, the noise and the count of each site."""
+        """Required shapes of `moments`, `noise` and `count` in the sums of each site."""
         classes, taps = self.rule.classes_per_site, self.rule.patch**2
         width = taps + 1 + len(self.training.outputs)
         noise = noise_columns(self.rule, self.training.camera)
@@ -106,9 +112,9 @@ class PartialSums(Artifact):
 
 @dataclass(frozen=True)
 class LayerSums:
-    """Sums over the samples of one canonical site.
+    """Sums for a refinement layer over the training samples of one canonical site.
 
-    The columns are the taps, the intercept and the outputs as opponent planes.
+    The columns of the normal equations are the taps, the intercept, and the outputs as opponent planes.
     """
 
     moments: NDArray[np.float64] = data(
@@ -133,8 +139,8 @@ class LayerSums:
 class PartialLayerSums(Artifact):
     """Header of a file with partial sums of a refinement layer.
 
-    The sums are stored in the same groups as the sums of the first layer. The last stage of the history is the training
-    run. All shards of the same run have equal histories.
+    The sums are stored in the same groups as in `PartialSums`. The last stage in the history describes the training. All
+    shards of a training have equal histories.
     """
 
     kind: ClassVar[str] = "partial sums of a layer"
@@ -146,16 +152,16 @@ class PartialLayerSums(Artifact):
         "int64", "frame", doc="number of mosaics of each training frame, in all shards together"
     )
     side: int = data("int64", unit="pixel", doc="side of the windows")
-    table: TransformTable = group()  # the previous layers, whose outputs this layer reads
+    table: TransformTable = group()  # table with all previous layers
     sites: NDArray[np.int64] = data(
         "int64", "canonical_site", doc="CFA sites that are trained, as row · CFA columns + column", coordinate=True
     )
-    structure: StructureRule | None = group(default=None)  # the class rule, if classes are structures
-    tree: TreeRule | None = group(default=None)  # the class rule, if classes are the leaves of a tree
+    structure: StructureRule | None = group(default=None)  # class rule; None if classes are the leaves of a tree
+    tree: TreeRule | None = group(default=None)  # class rule; None if classes are structures
     ratio_taps: int = data(
         "int64", doc="number of taps for colour ratios and bilateral chroma, which follow the taps of the windows", default=0
     )
-    gradients: tuple[GradientScale, ...] = group(default=())  # scales of gradients for each other noise
+    gradients: tuple[GradientScale, ...] = group(default=())  # scale of gradients for each different noise
 
     @property
     def rule(self) -> PlaneRule:
@@ -164,9 +170,9 @@ class PartialLayerSums(Artifact):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 1 <= self.shard <= self.shards:
-            raise ValueError(f"shard {self.shard} of {self.shards} does not exist")
+            raise ValueError(f"shard is {self.shard}, but must be between 1 and {self.shards}")
         if self.table.camera is None:
-            raise ValueError("the table must contain the model of its camera")
+            raise ValueError("table must contain a camera model")
         if self.ratio_taps not in RATIO_TAPS:
             raise ValueError(f"ratio_taps is {self.ratio_taps}, but must be one of {', '.join(map(str, RATIO_TAPS))}")
         if self.side < 1 or self.side % 2 == 0:
@@ -174,11 +180,14 @@ class PartialLayerSums(Artifact):
         self.rule.check_fits(self.table.cfa.size, self.table.first.rule)
         levels = self.table.first.rule.levels
         if [len(scale.gradient_factor) for scale in self.gradients] != [levels for _ in self.table.noises]:
-            raise ValueError("gradients must contain one scale for each noise for which the table has transforms")
+            raise ValueError(
+                f"gradients must contain one scale with {levels} levels for each of the {len(self.table.noises)} noise "
+                "conditions of the table"
+            )
 
     @property
     def shapes(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int]]:
-        """Shapes of the moments, the noise and the count of each site."""
+        """Required shapes of `moments`, `noise` and `count` in the sums of each site."""
         classes, outputs = self.rule.classes_per_site, len(self.table.outputs)
         taps = PLANES * self.side**2 + self.ratio_taps
         width, noisy = taps + 1 + outputs, taps + (outputs if self.table.components else 0)
@@ -190,14 +199,14 @@ SUMS: dict[type[Head], type] = {PartialSums: ClassSums, PartialLayerSums: LayerS
 
 
 class PartialSumsReader:
-    """An open file of partial sums, from which the sums are read site by site.
+    """An open file with partial sums. The sums are read site by site.
 
     Attributes
     ----------
     head : PartialSums or PartialLayerSums
         Header of the file.
     conditions : int
-        Number of other noise levels for which the file contains sums.
+        Number of different noises, besides the noise of the camera, for which the file contains sums.
 
     Raises
     ------
@@ -215,25 +224,43 @@ class PartialSumsReader:
             others = store.hard_group(root, OTHERS, path)
             self._sums += [store.hard_group(others, str(number), path) for number in range(len(store.members(others, path)))]
         if any(len(store.members(sums, path)) != len(self.head.sites) for sums in self._sums):
-            raise InputFileError(f"{path} does not contain the sums of all sites; create the file again with {kind.made_by}")
+            raise InputFileError(
+                f"{path} does not contain the sums of every site; create the file again with {kind.made_by}"
+            )
         self.conditions = len(self._sums) - 1
 
     def site(self, index: int, condition: int = 0) -> Any:
-        """Return the sums of the site `head.sites[index]`, as ClassSums, or as LayerSums for a refinement layer.
+        """Read the sums of one site.
 
-        Condition 0 is the noise of the camera. Other noise levels are numbered from 1. Raises InputFileError if the sums do
-        not agree with the class rule.
+        Parameters
+        ----------
+        index : int
+            Index of the site in `head.sites`.
+        condition : int, default 0
+            0 for the noise of the camera, or the number of a different noise, from 1 to `conditions`.
+
+        Returns
+        -------
+        ClassSums or LayerSums
+            ClassSums for the first layer, and LayerSums for a refinement layer.
+
+        Raises
+        ------
+        InputFileError
+            If the shapes of the sums do not agree with the class rule.
         """
         where = store.hard_group(self._sums[condition], f"{index:05d}", self._path)
         sums: Any = store.read_fields(where, SUMS[type(self.head)], self._path)
         if (sums.moments.shape, sums.noise.shape, sums.count.shape) != self.head.shapes:
-            raise InputFileError(f"{self._path}: {where.name} does not agree with the class rule; create the file again")
+            raise InputFileError(
+                f"{self._path}: the sums in {where.name} do not agree with the class rule; create the file again"
+            )
         return sums
 
 
 @contextlib.contextmanager
 def open_partial_sums(path: Path) -> Iterator[PartialSumsReader]:
-    """Open a file of partial sums.
+    """Context manager that opens a file with partial sums.
 
     Raises
     ------
@@ -245,7 +272,7 @@ def open_partial_sums(path: Path) -> Iterator[PartialSumsReader]:
 
 
 def write_partial_sums(path: Path, head: Head, *sets: Iterable[ClassSums] | Iterable[LayerSums]) -> None:
-    """Write a file of partial sums. If this fails, no file is left behind.
+    """Write a file with partial sums. If an error occurs, no incomplete file remains.
 
     Parameters
     ----------
@@ -254,8 +281,8 @@ def write_partial_sums(path: Path, head: Head, *sets: Iterable[ClassSums] | Iter
     head : PartialSums or PartialLayerSums
         Header of the file.
     *sets : iterable of ClassSums or LayerSums
-        The sums of each site in `head.sites`, first for the noise of the camera, then for each other noise. The
-        iterables are read one site at a time.
+        The sums of each site in `head.sites`: one iterable for the noise of the camera, then one for each different
+        noise. Only the sums of one site are in memory at a time.
     """
     with store.new_artifact(path, head.kind, head.history) as root:
         store.write_fields(root, head)

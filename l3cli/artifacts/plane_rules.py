@@ -1,7 +1,7 @@
-"""The stored class rules of refinement layers, and the indices of their classes.
+"""The class rules of refinement layers, as tables store them, and the indices of their classes.
 
-Classes are structures (docs/method.md#structure) or the leaves of a decision tree (docs/method.md#trees). l3cli/classes
-explains the numbers.
+Classes are structures (docs/method.md#structure) or the leaves of a decision tree (docs/method.md#trees). The modules in
+l3cli/classes compute these features and explain their values.
 """
 
 from dataclasses import dataclass, replace
@@ -13,20 +13,20 @@ from numpy.typing import NDArray
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.schema import check, data
 
-GRADIENT = 4095  # largest gradient, in units of noise σ / SIGMA, so that sums of 81 squares are below 2³¹
+GRADIENT = 4095  # largest gradient, in units of noise σ / SIGMA; the sum of 81 squares is then below 2³¹
 FACTORS, MAX_SHIFT = (64, 127), 24  # range of the factors of gradients, and their largest shift in bits
-DIRECTIONS = 8  # number of directions of edges, within half a turn
+DIRECTIONS = 8  # number of edge directions within 180°
 MAX_LEAVES = 2048
-MAX_DEPTH = 24  # largest number of tests from the root to a leaf, which limits the time of the kernels
-TESTS = 23  # number of different tests
+MAX_DEPTH = 24  # largest number of tests from the root to a leaf; it limits the run time of the kernels
+TESTS = 23  # number of different tests in a tree
 ORIENTATIONS = 8  # number of orientations of a square: four rotations, with and without reflection
-# Smallest and largest absolute value of a threshold other than 0. Some devices flush smaller numbers to zero.
+# Smallest and largest absolute value of a non-zero threshold. Some devices replace smaller numbers by zero.
 SMALLEST, LARGEST = 1e-30, 2.0**31
 
 
 @dataclass(frozen=True)
 class GradientScale:
-    """Factor by which gradients are multiplied at each level of the first layer: gradient_factor / 2^gradient_shift."""
+    """Scale that normalises gradients by their noise: gradient_factor / 2^gradient_shift for each level."""
 
     gradient_factor: NDArray[np.uint8] = data(
         "uint8",
@@ -44,38 +44,41 @@ class GradientScale:
 
     @staticmethod
     def of(scale: NDArray[np.float64]) -> "GradientScale":
-        """Round the scale of each level to a 7-bit factor and a shift."""
+        """Convert a scale per level to 7-bit factors and shifts. `scale` must be positive."""
         shift = np.clip(np.ceil(np.log2(FACTORS[0] / scale)), 0, MAX_SHIFT)
         factor = np.clip(np.rint(scale * 2**shift), 1, FACTORS[1])
         return GradientScale(factor.astype(np.uint8), shift.astype(np.uint8))
 
     @property
     def scale(self) -> "GradientScale":
-        """The scale alone, without the other fields of a class rule."""
+        """A GradientScale with only the scale, without the further fields of a class rule."""
         return GradientScale(self.gradient_factor, self.gradient_shift)
 
     def scaled_as(self, scale: "GradientScale") -> Self:
-        """Return a copy of the class rule with another scale."""
+        """Return a copy of this object, which may be a class rule, with the values of `scale`."""
         return replace(self, gradient_factor=scale.gradient_factor, gradient_shift=scale.gradient_shift)
 
 
 class PlanePlace(NamedTuple):
-    """The values of the features of a refinement layer's class: integers, or integer arrays of equal shape."""
+    """The feature values of a class of a refinement layer.
 
-    site: Any  # CFA row · CFA columns + CFA column
+    For several classes, each is an integer array of the same shape.
+    """
+
+    site: Any  # CFA row · (number of CFA columns) + CFA column
     level: Any
-    kind: Any  # structure if nothing is saturated, otherwise structures − 1 + saturation case
+    kind: Any  # structure if no channel is saturated, otherwise (number of structures) − 1 + saturation case
 
 
 class PlaneClasses(GradientScale):
-    """Classes of a refinement layer. The index of a class is (site · levels + level) · kinds + kind.
+    """Base class of the class rules of refinement layers. A class has the index (site · levels + level) · kinds + kind.
 
-    The level and the saturation case are taken from the class of the first layer. The kind is a structure if nothing is
+    The level and the saturation case are derived from the class of the first layer. The kind is a structure if no channel is
     saturated, and a saturation case otherwise.
     """
 
-    cases: int  # saturation cases of the first layer, including the unsaturated case
-    turns: NDArray[Any]  # (site, …) orientation in which the windows of each site are trained
+    cases: int  # number of saturation cases of the first layer, including the unsaturated case
+    turns: NDArray[Any]  # (site, …): orientation in which the windows of each site are trained
 
     @property
     def levels(self) -> int:
@@ -94,13 +97,13 @@ class PlaneClasses(GradientScale):
         return self.levels * self.kinds
 
     def check_fits(self, sites: int, first: ClassRule) -> None:
-        """Raise ValueError unless the rule fits an array with this number of sites, and the rule of the first layer."""
+        """Raise ValueError unless the rule fits the number of CFA sites and the class rule of the first layer."""
         if len(self.turns) != sites:
             raise ValueError(f"turns has {len(self.turns)} sites, but the CFA has {sites}")
         if (len(self.gradient_factor), self.cases) != (first.levels, first.lost_cases):
             raise ValueError(
                 f"a refinement layer has {len(self.gradient_factor)} levels and {self.cases} saturation cases, but the "
-                f"first layer has {first.levels} and {first.lost_cases}"
+                f"first layer has {first.levels} levels and {first.lost_cases} saturation cases"
             )
 
     def level_of(self, first: Any) -> Any:
@@ -108,35 +111,34 @@ class PlaneClasses(GradientScale):
         raise NotImplementedError
 
     def join(self, level: Any, kind: Any, site: Any = 0) -> Any:
-        """Return class indices from the values of the features."""
+        """Return the class index for the given feature values, which are integers or integer arrays."""
         return (site * self.levels + level) * self.kinds + kind
 
     def split(self, index: Any) -> PlanePlace:
-        """Return the values of the features of classes, given an index or an array of indices."""
+        """Return the feature values of the class with the given index, which is an integer or an array."""
         rest, kind = divmod(index, self.kinds)
         site, level = divmod(rest, self.levels)
         return PlanePlace(site, level, kind)
 
     def within_site(self, index: Any) -> tuple[Any, Any]:
-        """Convert indices among the classes of all sites to the site and the index among the classes of this site."""
+        """Convert indices among all classes to (site, index among the classes of this site)."""
         site, within = divmod(index, self.classes_per_site)
         return site, within
 
     def kind(self, structure: Any, case: Any) -> Any:
-        """Return the kind of pixels, given their structure and saturation case.
-
-        It depends on the structure only if the case is 0.
+        """Return the kind of each pixel from its structure and its saturation case. The structure matters only if the case
+        is 0.
         """
         return np.where(np.greater(case, 0), self.structures - 1 + case, structure)
 
     def case(self, kind: Any) -> Any:
-        """Return the saturation case of kinds. It is 0 if nothing is saturated and the kind is a structure."""
+        """Return the saturation case of each kind. The case is 0 if the kind is a structure."""
         return np.maximum(kind - self.structures + 1, 0)
 
 
 @dataclass(frozen=True)
 class StructureRule(PlaneClasses):
-    """Class rule with classes by level, and by the strength and direction of edges."""
+    """Class rule that distinguishes levels, and strengths and directions of edges."""
 
     level_step: int = data("int64", doc="number of levels of the first layer that form one level of this layer")
     strength_edges: NDArray[np.uint32] = data(
@@ -174,15 +176,14 @@ class StructureRule(PlaneClasses):
     def structures(self) -> int:
         """Number of structures.
 
-        There is one structure for flat areas. Each strength has one structure without direction and one for each
-        direction.
+        Flat areas are one structure. Each strength has one structure without direction and one structure per direction.
         """
         return 1 + self.strengths * (1 + DIRECTIONS)
 
     def next_strengths(self, structure: int) -> list[int]:
-        """Return the structures with the same direction and the next lower or next higher strength.
+        """Return the structures with the next lower and the next higher strength, and with the same direction.
 
-        The lowest strength is never returned, and has no such structures.
+        Flat areas and the lowest strength have no such structures, and are never part of the result.
         """
         step, least = 1 + DIRECTIONS, 2 + DIRECTIONS
         others = (structure - step, structure + step)
@@ -193,7 +194,7 @@ class StructureRule(PlaneClasses):
 class TreeRule(PlaneClasses):
     """Class rule whose classes are the leaves of a decision tree.
 
-    All sites use the same tree. The window of each site is turned to the orientation in which the site was trained.
+    All sites use the same tree. The window of a pixel is first turned to the orientation in which its site was trained.
     """
 
     test: NDArray[np.uint8] = data("uint8", "node", doc="number of the quotient that the node compares with its threshold")
@@ -215,7 +216,9 @@ class TreeRule(PlaneClasses):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.cases < 1 or self.turns.max(initial=0) >= ORIENTATIONS or self.test.max(initial=0) >= TESTS:
-            raise ValueError(f"cases must be at least 1, turns must be below {ORIENTATIONS}, and test below {TESTS}")
+            raise ValueError(
+                f"cases must be at least 1, turns must be less than {ORIENTATIONS}, and test must be less than {TESTS}"
+            )
         size = np.abs(self.threshold[self.threshold != 0])
         if size.size and not SMALLEST <= size.min() <= size.max() <= LARGEST:
             raise ValueError(f"every threshold must be 0 or have an absolute value between {SMALLEST:g} and {LARGEST:g}")
@@ -226,9 +229,9 @@ class TreeRule(PlaneClasses):
                 "branch is not a tree: every node except the first must be a branch of exactly one earlier node"
             )
         if self.structures > MAX_LEAVES:
-            raise ValueError(f"the tree has {self.structures} leaves; at most {MAX_LEAVES} are allowed")
+            raise ValueError(f"the tree has {self.structures} leaves, but may have at most {MAX_LEAVES}")
         if self.depth > MAX_DEPTH:
-            raise ValueError(f"the tree is {self.depth} tests deep; at most {MAX_DEPTH} are allowed")
+            raise ValueError(f"the tree has a depth of {self.depth} tests, but the depth may be at most {MAX_DEPTH}")
 
     @property
     def levels(self) -> int:
@@ -239,18 +242,18 @@ class TreeRule(PlaneClasses):
 
     @property
     def structures(self) -> int:
-        """Number of leaves, each of which is a structure."""
+        """Number of leaves. Each leaf is a structure."""
         return len(self.branch) - int(np.count_nonzero(self.branch))
 
     @property
     def leaf(self) -> NDArray[np.int64]:
-        """Number of the first leaf below each node. If a node is a leaf, the number of the node's own leaf.
+        """For each node, the number of the first leaf below this node. For a leaf, this is the number of the leaf itself.
 
-        Leaves are numbered in depth-first order, the first child of each node before the second.
+        Leaves are numbered in depth-first order. The first branch of a node comes before its second branch.
         """
         below = np.ones(len(self.branch), np.int64)  # number of leaves below each node
         inner = np.flatnonzero(self.branch).tolist()
-        for node in reversed(inner):  # children have higher numbers than their parent
+        for node in reversed(inner):  # the branches of a node have higher numbers than the node
             below[node] = below[self.branch[node]] + below[self.branch[node] + 1]
         first = np.zeros(len(self.branch), np.int64)
         for node in inner:
@@ -262,6 +265,6 @@ class TreeRule(PlaneClasses):
     def depth(self) -> int:
         """Number of tests from the root to the deepest leaf."""
         depth = np.zeros(len(self.branch), np.int64)
-        for node in np.flatnonzero(self.branch).tolist():  # children have higher numbers than their parent
+        for node in np.flatnonzero(self.branch).tolist():  # the branches of a node have higher numbers than the node
             depth[self.branch[node] : self.branch[node] + 2] = depth[node] + 1
         return int(depth.max())

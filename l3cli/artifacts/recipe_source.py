@@ -1,4 +1,4 @@
-"""A recipe file while it is checked: the data that the checks need, and the key to which an error message refers."""
+"""Support for checking recipe files: the data that the checks need, and a search for the key that caused an error."""
 
 import contextlib
 import re
@@ -12,25 +12,28 @@ from l3cli.errors import L3Error, shortened
 from l3cli.recipes.faults import Fault
 from l3cli.recipes.toml import KeyPath
 
-UNIT_SUFFIX = re.compile("_(dn|e|s|nm|um|mm|m)$")  # suffix of a key that states its unit
-MIN_LETTERS = 4  # shorter values are too common to find a key by its value
-Meaning = tuple[dict[str, Any], list[Fault]]  # interpretation of a recipe, ready for JSON, and the faults in the recipe
+UNIT_SUFFIX = re.compile("_(dn|e|s|nm|um|mm|m)$")  # end of a key that states the unit of its value
+MIN_LETTERS = 4  # a value with fewer letters may be part of a message by chance, so it does not identify its key
+Meaning = tuple[dict[str, Any], list[Fault]]  # how l3 interprets a recipe, ready for JSON, and the faults in the recipe
 
 
 @dataclass(frozen=True)
 class RecipeSource:
-    """A recipe that is being checked, with its file and its camera."""
+    """A recipe that is being checked: its path, its parsed content, and the camera for which it is meant."""
 
     path: Path
     content: Mapping[str, Any]
-    camera: CameraModel | None  # the camera that the recipe is for, if it is known
+    camera: CameraModel | None  # None if the camera is unknown
 
     def file(self, name: str) -> Path:
-        """Return the path of a file whose name the recipe contains."""
+        """Return the path of a file whose name is in the recipe. Names are relative to the folder of the recipe."""
         return self.path.parent / name
 
     def attempt(self, key: KeyPath | None, work: Callable[..., object], *arguments: object) -> Iterator[Fault]:
-        """Yield a fault if `work` raises an error. If `key` is None, the key is found in the error message."""
+        """Call `work(*arguments)`, and yield a fault if it raises an error.
+
+        The fault refers to `key`. If `key` is None, `key_in` searches the error message for the key.
+        """
         try:
             work(*arguments)
         except (L3Error, OSError) as error:  # OSError if a name is too long, or if a folder cannot be read
@@ -39,24 +42,27 @@ class RecipeSource:
 
     @contextlib.contextmanager
     def noting(self, faults: list[Fault], *keys: KeyPath) -> Iterator[None]:
-        """Append a fault to `faults` if the block raises an error. The fault is reported at the first of the `keys`."""
+        """Context manager that appends a fault to `faults` if the `with` block raises an error.
+
+        The fault refers to the first of `keys` that the recipe contains.
+        """
         try:
             yield
         except (L3Error, OSError) as error:
             faults.append(Fault(self.plain(error), keys))
 
     def plain(self, error: L3Error | OSError) -> str:
-        """Return the message of an error without the name of the recipe file."""
+        """Return the message of an error, without the name of the recipe at its start."""
         if isinstance(error, OSError):
-            return f"{shortened(str(error.filename))}: {error.strerror}; specify another file"
+            return f"{shortened(str(error.filename))}: {error.strerror}; specify a different file"
         return re.sub(rf"^{re.escape(str(self.path))}(:\d+)?: ", "", str(error))
 
 
 def key_in(message: str, content: Mapping[str, Any]) -> KeyPath:
-    """Return the key of a recipe to which a message refers, or () if there is none.
+    """Return the key of a recipe to which an error message refers, or () if no key matches.
 
-    A message refers to a key if it contains the name of the key or, if no name matches, the value of the key, such as a
-    file name.
+    A key matches if the message contains its name, or its value, such as a file name. If several keys match, a dotted name
+    has the highest priority, then a value, then the longest name.
     """
     found: list[tuple[int, KeyPath]] = []
     for path, value in keys_of(content):
@@ -74,7 +80,7 @@ def key_in(message: str, content: Mapping[str, Any]) -> KeyPath:
 
 
 def keys_of(value: Any, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
-    """Yield the path and the value of every key in a recipe, and of every entry in its lists."""
+    """Yield the path and the value of every key in a recipe, and of every element of its lists. Parents come first."""
     inner = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else ()
     for key, item in inner:
         yield (*path, key), item

@@ -1,14 +1,12 @@
-"""Writes the names of axes in artifacts as HDF5 dimension scales. xarray, netCDF tools and the attribute `dims` of h5py
-use them.
+"""Writes HDF5 dimension scales, so that xarray, netCDF tools and the attribute `dims` of h5py know the axes of an artifact.
 
-Each axis of a group's datasets has one dimension scale in that group, whose name is the name of the axis. The scale is
-one of:
+In each group, every axis of the datasets has one dimension scale with the name of the axis. The scale is one of:
 
-1. the declared dataset with this name, which contains the values along the axis (wavelength);
-2. a copy of a declared dataset with another name (`channels` for the axis channel);
-3. a dataset without values, as in netCDF, which only states the length.
+1. the declared dataset with this name, if it contains the values along the axis (`wavelength`);
+2. a copy of a declared dataset with a different name (`channels` for the axis `channel`);
+3. a dataset without values, as in netCDF, which only states the length of the axis.
 
-l3 itself does not read scales or follow their references.
+l3 itself does not use the scales when it reads artifacts.
 """
 
 import functools
@@ -21,14 +19,14 @@ import numpy as np
 from l3cli.artifacts.container import ENCODING, encoded
 from l3cli.artifacts.schema import Group, Spec, declared, instances
 
-# In netCDF-4, this is the attribute NAME of an axis without values.
+# netCDF-4 requires this text in the attribute NAME of an axis without values.
 LENGTH_ALONE = "This is a netCDF dimension but not a netCDF variable.%10d"
 REFERENCES = np.dtype([("dataset", h5py.ref_dtype), ("dimension", "<i4")])
-Coordinates = Mapping[str, tuple[Any, Spec]]  # values along each axis, and their declaration, by the name of the axis
+Coordinates = Mapping[str, tuple[Any, Spec]]  # name of each axis: the values along the axis, and their declaration
 
 
 def coordinates_of(content: Any) -> Coordinates:
-    """Return the values along axes that the fields of an instance contain, by the name of the axis."""
+    """Return the name of each axis for which the fields of an instance contain coordinates, with these coordinates."""
     kind: type = type(content)
     fields = {name: spec for name, spec in _layout(kind)[0].items() if spec.coordinate}
     return {spec.axes[0]: (getattr(content, name), spec) for name, spec in fields.items()}
@@ -40,13 +38,13 @@ def name_axes(group: h5py.Group, kind: type, above: Coordinates, content: Any = 
     Parameters
     ----------
     group : h5py.Group
-        A group that contains an instance of `kind`.
+        A group to which an instance of `kind` was written.
     kind : type
         The dataclass that declares the group.
     above : mapping
-        Coordinates from the groups above.
+        Coordinates from the parent groups.
     content : dataclass, optional
-        The stored instance, which contains the coordinates of its group and of the groups below.
+        The instance that was written. Without it, the coordinates in this group and the groups below are not used.
     """
     known = above if content is None else {**above, **coordinates_of(content)}
     _write_scales(group, kind, known)
@@ -62,7 +60,7 @@ def name_axes(group: h5py.Group, kind: type, above: Coordinates, content: Any = 
 
 @functools.cache
 def _layout(kind: type) -> tuple[dict[str, Spec], dict[str, Group]]:
-    """Return the datasets with axes, and the groups, that a dataclass declares."""
+    """Return the datasets with at least one axis, and the groups, that a dataclass declares."""
     members = declared(kind)
     return (
         {name: member for name, member in members if isinstance(member, Spec) and member.axes},
@@ -73,7 +71,7 @@ def _layout(kind: type) -> tuple[dict[str, Spec], dict[str, Group]]:
 def _write_scales(group: h5py.Group, kind: type, known: Coordinates) -> None:
     """Write one dimension scale per axis of a group, and the references between scales and datasets.
 
-    Each list of references is written only once. `attach_scale` of h5py would rewrite the list for every dataset.
+    The references are written directly, because `attach_scale` of h5py would rewrite the list of a scale for every dataset.
     """
     fields = {name: (spec, group[name]) for name, spec in _layout(kind)[0].items() if name in group}
     scales: dict[str, h5py.Dataset] = {}
@@ -97,9 +95,9 @@ def _write_scales(group: h5py.Group, kind: type, known: Coordinates) -> None:
 
 
 def _new_scale(group: h5py.Group, axis: str, length: int, known: tuple[Any, Spec] | None) -> h5py.Dataset:
-    """Create a dimension scale that is not a declared dataset.
+    """Create a dimension scale for an axis without a declared dataset of its name.
 
-    It contains values if they are known, otherwise only a length.
+    The scale contains the coordinates in `known` if their number is `length`. Otherwise it only states the length.
     """
     if known is None or len(known[0]) != length or not length:
         scale = group.create_dataset(axis, (length,), ">f4", track_times=False)

@@ -1,8 +1,8 @@
 """Artifacts as frozen dataclasses whose field declarations define the HDF5 schema.
 
-`data(dtype, axes, unit, doc)` declares a dataset. `group()` declares a group, which contains the fields of another
-dataclass. A field with the type `tuple[X, ...]` is stored as numbered groups 0, 1, 2…. Saving, loading, checking and `l3
-info` all use these declarations, so a new field has to be declared in only one place.
+`data(dtype, axes, unit, doc)` declares a dataset. `group()` declares a group with the fields of a second dataclass. A field
+with the type `tuple[X, ...]` is stored as groups with the names 0, 1, 2…. Saving, loading, checking and `l3 info` all use
+these declarations, so a new field must be declared in only one place.
 """
 
 import dataclasses
@@ -16,7 +16,7 @@ import numpy as np
 
 from l3cli import __version__
 
-LARGEST_VALUE = 1e27  # largest absolute value of a stored number, so that sums of squares are finite
+LARGEST_VALUE = 1e27  # largest absolute value of a stored number; sums of squares then stay finite
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Spec:
     axes: tuple[str, ...]
     unit: str
     doc: str
-    coordinate: bool = False  # whether the dataset contains the labels of its axis, such as wavelengths or names
+    coordinate: bool = False  # whether the dataset contains the coordinates of its axis, such as wavelengths or names
     optional: bool = False  # whether the dataset is stored only if its value differs from the default
 
 
@@ -49,39 +49,40 @@ def data(
     *axes : str
         Names of the axes. Without axes, the dataset is a scalar.
     unit, doc : str
-        Unit and meaning, which are stored as attributes and shown by `l3 info`.
+        Unit and meaning. They are stored as attributes of the dataset, and `l3 info` prints them.
     default : optional
         Default of the dataclass field. The dataset is stored even if it has this value.
     optional : optional
-        Default of a field that is stored only if its value differs from the default. Use this for every field that is
-        added to an existing format, so that files without the field stay the same byte for byte. For arrays, use None.
+        Default of a field that is stored only if its value differs from the default. Use this for every field that you
+        add to an existing format, so that files that do not need the field stay identical. For arrays, use None.
     coordinate : bool
-        Whether the dataset contains the labels of an axis whose name differs from the name of the field.
+        Whether the dataset contains the coordinates of its axis, although its name differs from the name of the axis.
+        Text with one axis always does.
     """
     is_optional = optional is not dataclasses.MISSING
     spec = Spec(dtype, axes, unit, doc, coordinate or (dtype == "str" and len(axes) == 1), is_optional)
-    # Arrays are not part of the repr, because they would fill pages.
+    # The repr contains no arrays, because they would fill pages.
     return field(metadata={"spec": spec}, default=optional if is_optional else default, repr=not axes)
 
 
 @dataclass(frozen=True)
 class Group:
-    """Declaration of a group that contains one instance of a dataclass, or a list of instances."""
+    """Declaration of a group that contains one instance of a dataclass, or several instances in numbered groups."""
 
-    kind: type
-    several: bool
-    optional: bool
+    kind: type  # the dataclass
+    several: bool  # whether the field is a tuple of instances
+    optional: bool  # whether the group may be absent
 
 
 def group(default: Any = dataclasses.MISSING, kw_only: bool = False) -> Any:
-    """Declare a dataclass field that is stored as a group, or as a list of groups.
+    """Declare a dataclass field that is stored as a group, or as several numbered groups.
 
-    The type of the field is a dataclass X with declared fields, or `tuple[X, ...]`.
+    The type of the field is a dataclass X with declared fields, `X | None` or `tuple[X, ...]`.
 
     Parameters
     ----------
     default : optional
-        None or () for a group that may be absent. It is stored only if the field has another value.
+        None or () for a group that may be absent. The group is stored only if the field has a different value.
     kw_only : bool
         As in `dataclasses.field`.
     """
@@ -92,22 +93,22 @@ def group(default: Any = dataclasses.MISSING, kw_only: bool = False) -> Any:
 class Stage:
     """One stage in the history of an artifact: the command, its options, its recipe and the digests of its inputs.
 
-    A stage contains no time, host name or path, so that equal inputs produce equal bytes.
+    It contains no time, host name or path. Equal inputs therefore produce artifacts with equal bytes.
     """
 
     command: str
     options: dict[str, Any]
     recipe: str = ""
-    inputs: dict[str, list[str]] = field(default_factory=dict)  # SHA-256 of the input files, by their role
+    inputs: dict[str, list[str]] = field(default_factory=dict)  # role, such as "camera": SHA-256 of each input file
     version: str = __version__
 
 
 @dataclass(frozen=True, repr=False)
 class Artifact:
-    """Base class of the files that stages exchange. Subclasses set `kind` and `made_by`."""
+    """Base class of artifacts, the files that stages exchange. Subclasses set `kind` and `made_by`."""
 
-    kind: ClassVar[str]
-    made_by: ClassVar[str]
+    kind: ClassVar[str]  # type of the artifact, such as "camera model"
+    made_by: ClassVar[str]  # command that writes such artifacts, for messages
     history: tuple[Stage, ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
@@ -152,29 +153,29 @@ def _declared(cls: type) -> tuple[tuple[str, Spec | Group], ...]:
 
 
 def is_stored(instance: Any, name: str, spec: Spec) -> bool:
-    """Return whether a dataset is stored in the file of an instance.
+    """Return whether a dataset of an instance is stored.
 
-    Optional datasets are not stored if they have their default.
+    Optional datasets are stored only if they differ from the default.
     """
     return not spec.optional or not np.array_equal(getattr(instance, name), getattr(type(instance), name))
 
 
 def instances(name: str, value: Any) -> dict[str, Any]:
-    """Return the dataclass instances in a field, by the name of their group."""
+    """Return the dataclass instances in a group field. The keys are the paths of their groups, such as "later/0"."""
     if isinstance(value, tuple):
         return {f"{name}/{index}": each for index, each in enumerate(value)}
     return {} if value is None else {name: value}
 
 
 def check(instance: Any) -> None:
-    """Check the fields of an instance against their declarations.
+    """Check that the fields of an instance agree with their declarations.
 
-    Each field must have the declared dtype and number of axes, and numbers must be finite. Axes with the same name must
-    have the same length, with two exceptions:
+    Each field must have the declared dtype and number of axes. Numbers must not exceed LARGEST_VALUE. Axes with the same
+    name must have the same length, with two exceptions:
 
-    1. If a group contains a dataset that labels an axis and has the same name as this axis, the axis belongs to this
-       group and the groups below it. Elsewhere, an axis with the same name may have a different length.
-    2. Axes that occur only in the members of a list may have different lengths in each member.
+    1. If a group contains a dataset with the name of its only axis, this axis belongs to the group and to the groups below.
+       Outside this group, an axis with the same name may have a different length.
+    2. An axis that occurs only in numbered groups may have a different length in each of these groups.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""Reads and writes artifacts, which are HDF5 files with the structure that their dataclasses declare
+"""Reads and writes artifacts: HDF5 files with the structure that the dataclasses of the artifacts declare
 (docs/artifacts.md).
 
-A file is either written completely or not at all. It contains the history of the stages that produced it.
+Each file contains the history of the stages that produced it. If an error occurs during writing, no incomplete file remains.
 """
 
 import contextlib
@@ -23,10 +23,10 @@ from l3cli.errors import InputFileError, raised_as
 from l3cli.system.files import require_regular
 from l3cli.system.text import a
 
-FORMAT_VERSION = 1  # version of all artifacts; new fields are optional, so the version stays (docs/architecture.md)
+FORMAT_VERSION = 1  # version of all artifacts; new fields are optional and do not change it (docs/architecture.md)
 GZIP_LEVEL = 4
-MAX_LISTED_GROUPS = 64  # a damaged file could otherwise claim to contain millions of groups
-HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # errors of h5py for damaged files
+MAX_LISTED_GROUPS = 64  # limit for numbered groups, because a damaged file could claim to contain millions
+HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # raised by h5py for damaged files
 HISTORY = Spec("str", (), "1", "JSON: the stages that led here, oldest first")
 A = TypeVar("A", bound=Artifact)
 
@@ -35,9 +35,9 @@ A = TypeVar("A", bound=Artifact)
 
 
 def write_fields(group: h5py.Group, instance: Any, compressed: bool = True) -> None:
-    """Write the declared fields of a dataclass instance to a group, without dimension scales.
+    """Write the declared fields of a dataclass instance to a group.
 
-    Optional fields that have their default are not written.
+    Optional fields that have their default are not written. The dimension scales are not written either.
 
     Parameters
     ----------
@@ -46,8 +46,8 @@ def write_fields(group: h5py.Group, instance: Any, compressed: bool = True) -> N
     instance : dataclass
         Instance with fields that `data` and `group` declare.
     compressed : bool
-        Whether to compress datasets. Frames are not compressed, because noise hardly compresses, and compression would
-        take longer than the simulation.
+        Whether to compress arrays. Frames are not compressed, because compression hardly reduces the size of noise and
+        would take longer than the simulation of the frames.
     """
     for name, spec in declared(type(instance)):
         value = getattr(instance, name)
@@ -61,7 +61,7 @@ def write_fields(group: h5py.Group, instance: Any, compressed: bool = True) -> N
 def _write_dataset(group: h5py.Group, name: str, spec: Spec, value: Any, compressed: bool = True) -> None:
     """Write a dataset, with its axes, unit and meaning as attributes.
 
-    Arrays get a checksum and, if `compressed` is set, are compressed. Texts are stored as bytes.
+    Arrays have a checksum, and are compressed if `compressed` is set. Text is stored as fixed-length UTF-8.
     """
     is_text = spec.dtype == "str"
     array = encoded(value) if is_text else np.asarray(value, dtype=spec.dtype, order="C")
@@ -79,8 +79,9 @@ def _write_dataset(group: h5py.Group, name: str, spec: Spec, value: Any, compres
 
 
 def _chunk(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
-    """Return the shape of a chunk of about 1 MiB. It contains the last axes completely, and as much of the first axes as
-    fits.
+    """Return the shape of a chunk of about 1 MiB.
+
+    The first axes are shortened until the chunk fits, the last axes are whole.
     """
     chunk = list(shape)
     for axis in range(len(shape)):
@@ -91,9 +92,9 @@ def _chunk(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
 
 @contextlib.contextmanager
 def new_artifact(path: Path, kind: str, history: tuple[Stage, ...]) -> Iterator[h5py.File]:
-    """Yield a new HDF5 file whose root contains kind, version and history.
+    """Context manager that returns a new HDF5 file whose root already contains kind, version and history.
 
-    The file gets the name `path` when the block ends without an error.
+    If the `with` block ends without an error, the file is renamed to `path`. Otherwise no file remains.
     """
     stages = json.dumps([dataclasses.asdict(stage) for stage in history], sort_keys=True, ensure_ascii=False)
     with container.new_file(path) as root:
@@ -104,7 +105,7 @@ def new_artifact(path: Path, kind: str, history: tuple[Stage, ...]) -> Iterator[
 
 
 def save(artifact: Artifact, path: Path) -> None:
-    """Write an artifact to `path`. If this fails, no file is left behind."""
+    """Write an artifact to `path`. An existing file is replaced. If an error occurs, no incomplete file remains."""
     with new_artifact(path, artifact.kind, artifact.history) as root:
         write_fields(root, artifact)
         name_axes(root, type(artifact), {}, artifact)
@@ -115,21 +116,21 @@ def save(artifact: Artifact, path: Path) -> None:
 
 @contextlib.contextmanager
 def open_artifact(path: Path, *expected: type[Artifact], unchanged: bool = False) -> Iterator[h5py.File]:
-    """Open the file of an artifact for reading.
+    """Context manager that opens an artifact for reading.
 
     Parameters
     ----------
     path : Path
         The file.
     *expected : type
-        The accepted kinds of artifacts. If there are none, all kinds are accepted.
+        The accepted types of artifacts, such as CameraModel. If you pass no type, all types are accepted.
     unchanged : bool
-        Whether the checksum was already compared in this run, so that the comparison can be skipped.
+        If true, the digest of the file is not verified, because the current run has already verified it.
 
     Raises
     ------
     InputFileError
-        If the file has changed since it was written, if it is not an artifact of an accepted kind, or if it has a
+        If the file does not exist, has changed since it was written, is not an artifact of an accepted type, or has a
         different format version.
     """
     made_by = expected[0].made_by if expected else "an l3 command"
@@ -166,7 +167,7 @@ def load(cls: type[A], path: Path) -> A:
     Parameters
     ----------
     cls : type
-        The kind of artifact, such as CameraModel or TransformTable.
+        The type of the artifact, such as CameraModel or TransformTable.
     path : Path
         The file.
 
@@ -178,14 +179,14 @@ def load(cls: type[A], path: Path) -> A:
     Raises
     ------
     InputFileError
-        If the file is missing, damaged or of another kind. The message contains the file, the dataset and a remedy.
+        If the file does not exist, is damaged, or contains a different type of artifact.
     """
     with open_artifact(path, cls) as root:
         return read_fields(root, cls, path, history=read_history(root, path))
 
 
 def read_history(root: h5py.File, path: Path) -> tuple[Stage, ...]:
-    """Return the stages that produced an artifact, oldest first. Raises InputFileError if the history is damaged."""
+    """Return the stages that produced an artifact, from first to last. Raises InputFileError if the history is damaged."""
     text = _read_dataset(root, "history", HISTORY, path)
     try:
         return tuple(msgspec.json.decode(text, type=list[Stage]))
@@ -210,7 +211,7 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
     Raises
     ------
     InputFileError
-        If a dataset that is not optional is missing, or if a dataset does not agree with its declaration.
+        If a required dataset or group is missing, or if a dataset does not agree with its declaration.
     """
     values = dict(extra)
     held = members(group, path)
@@ -223,15 +224,15 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
             else:
                 values[name] = _read_group(group, name, spec, path)
         instance = cls(**values)
-        if not isinstance(instance, Artifact):  # artifacts check themselves
+        if not isinstance(instance, Artifact):  # the constructor of an artifact calls `check`
             check(instance)
     return instance
 
 
 def _read_group(group: h5py.Group, name: str, spec: Group, path: Path) -> Any:
-    """Read the instance, or the tuple of instances, in a declared group.
+    """Read the instance, or the tuple of instances, that a group contains.
 
-    Raises InputFileError if the group is missing, damaged, or contains too many groups.
+    Raises InputFileError if the group is missing or damaged, or contains more than MAX_LISTED_GROUPS groups.
     """
     below = hard_group(group, name, path)
     if not spec.several:
@@ -245,17 +246,17 @@ def _read_group(group: h5py.Group, name: str, spec: Group, path: Path) -> Any:
 
 
 def _inside(group: h5py.Group, name: str) -> str:
-    """Return the path of a member within its file."""
+    """Return the path of a member of a group within the file."""
     return f"{group.name.rstrip('/')}/{name}".lstrip("/")
 
 
 @contextlib.contextmanager
 def reading(path: Path, what: str) -> Iterator[None]:
-    """Convert the errors that h5py raises for damaged files to InputFileError."""
+    """Context manager that converts the errors of h5py for damaged files to InputFileError. `what` is the damaged part."""
     try:
         yield
     except (*HDF5_ERRORS, UnicodeDecodeError) as error:
-        raise InputFileError(f"{path}: {what} is damaged (checksum); create the file again") from error
+        raise InputFileError(f"{path}: {what} is damaged; create the file again") from error
 
 
 def members(group: h5py.Group, path: Path) -> list[str]:
@@ -265,16 +266,22 @@ def members(group: h5py.Group, path: Path) -> list[str]:
 
 
 def hard_group(group: h5py.Group, name: str, path: Path) -> h5py.Group:
-    """Return a group in the same file below `group`. Raises InputFileError if there is none."""
+    """Return the group `name` below `group`.
+
+    Raises InputFileError if it is missing or is only a link to a different place.
+    """
     with reading(path, f"the group {_inside(group, name)}"):
         return _member(group, name, h5py.Group, "group", path)
 
 
 def _member(group: h5py.Group, name: str, kind: type, what: str, path: Path) -> Any:
-    """Return a member of a group that is stored in this file. Soft and external links raise InputFileError."""
+    """Return a member of a group, which must be a `kind`.
+
+    Raises InputFileError otherwise, and for soft or external links.
+    """
     link = group.get(name, getlink=True)
     if not isinstance(link, h5py.HardLink):
-        fault = "is missing" if link is None else "is a link to another place"
+        fault = "is missing" if link is None else "is a link to a different place"
         raise InputFileError(f"{path}: the {what} {_inside(group, name)} {fault}; create the file again")
     member = group[name]
     if not isinstance(member, kind):
@@ -283,9 +290,9 @@ def _member(group: h5py.Group, name: str, kind: type, what: str, path: Path) -> 
 
 
 def require_plain(dataset: h5py.h5d.DatasetID, path: Path) -> Stored:
-    """Return how a dataset is stored.
+    """Check that a dataset can be read and uses only filters of l3, and return how the dataset is stored.
 
-    Raises InputFileError if it is too large, or stored with a filter that l3 never uses.
+    Raises InputFileError otherwise.
     """
     stored = require_readable(path, dataset)
     if not stored.filters <= KNOWN_FILTERS:
@@ -294,7 +301,7 @@ def require_plain(dataset: h5py.h5d.DatasetID, path: Path) -> Stored:
 
 
 def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
-    """Read a dataset: as a string, a tuple of strings, a number, or an array that cannot be changed.
+    """Read a dataset as a string, a tuple of strings, a number, or a read-only array, depending on its declaration.
 
     Raises InputFileError if the dataset is missing or damaged, or if its type or its number of axes differs from the
     declaration.

@@ -1,4 +1,4 @@
-"""The transform table: the class rules and the transforms of all layers and conditions (docs/method.md#classes)."""
+"""The transform table, which contains the class rules and the transforms of all layers (docs/method.md#classes)."""
 
 import itertools
 from dataclasses import dataclass, replace
@@ -14,16 +14,17 @@ from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.artifacts.training_set import LightSpectrum, white_signal
 from l3cli.physics.stokes import STOKES
 
-LUMINANCE = ("Y",)  # outputs of a table that renders luminance only
-GREY = ("Y", "Y", "Y")  # outputs of a luminance table that was converted for rendering pictures
-WINDOWS = (3, 5, 7, 9)  # allowed side lengths, in pixels, of the window for smoothing spectra
+LUMINANCE = ("Y",)  # outputs of a table that renders only luminance
+GREY = ("Y", "Y", "Y")  # outputs of a luminance table after `TransformTable.pictured` has converted it
+WINDOWS = (3, 5, 7, 9)  # pixels; allowed sides of the window in which spectra are averaged
 
 
 @dataclass(frozen=True)
 class SpectralSmoothing:
-    """Smoothing of spectra.
+    """Settings for the smoothing of spectra.
 
-    Each pixel gets the mean spectrum of neighbours with similar brightness, but keeps its own brightness.
+    The spectrum of each pixel is replaced by the mean spectrum of neighbours with similar brightness. The brightness of the
+    pixel stays unchanged.
     """
 
     window: int = data("int64", unit="pixel", doc="side of the square neighbourhood over which spectra are averaged")
@@ -43,9 +44,10 @@ class SpectralSmoothing:
 
 @dataclass(frozen=True)
 class ChromaSmoothing:
-    """Smoothing of chroma in tables with the outputs X, Y, Z (docs/method.md#smoothed-chroma).
+    """Settings for the smoothing of chroma in tables with the outputs X, Y, Z (docs/method.md#smoothed-chroma).
 
-    Each pixel gets the mean chromaticity of eight neighbours with similar luminance and chroma, but keeps its luminance.
+    The chromaticity of each pixel is averaged with the chromaticities of those of its eight neighbours that have similar
+    luminance and chroma. The luminance of the pixel stays unchanged.
     """
 
     reach: float = data("float64", doc="relative difference of luminance from which neighbours have no weight")
@@ -63,7 +65,7 @@ class ChromaSmoothing:
 
 @dataclass(frozen=True)
 class LeadingComponents:
-    """The components of a spectrum that a refinement layer reads and corrects (docs/method.md#leading-components)."""
+    """The leading components of spectra, which a refinement layer corrects (docs/method.md#leading-components)."""
 
     basis: NDArray[np.float64] = data(
         "float64", "output", "plane", doc="matrix that converts outputs to planes: planes = outputs · basis"
@@ -77,10 +79,10 @@ class LeadingComponents:
 
 @dataclass(frozen=True, repr=False)
 class TransformTable(Artifact):
-    """Local linear transforms for every class of every layer, and the rules that determine the class of a pixel.
+    """The linear transforms of every class of every layer, and the rules that determine the class of a pixel.
 
-    The first layer transforms patches of the mosaic. Each refinement layer transforms windows of the output of the
-    previous layer. Rendering needs only the table and no other files (docs/method.md#classes).
+    The first layer transforms patches of the mosaic. Each refinement layer transforms windows of the previous layer's
+    output. The table contains everything that rendering needs (docs/method.md#classes).
 
     Attributes
     ----------
@@ -113,15 +115,16 @@ class TransformTable(Artifact):
     light : LightSpectrum or None
         Mean illuminant of the training scenes.
     camera : CameraModel or None
-        The camera for which the table was trained, without its fit. `l3 train` always stores it.
+        The camera model for which the table was trained, without its `fit`. `l3 train` always stores it.
     conditions : tuple of Condition
-        Transforms for other noise, then for each illuminant.
+        Transforms for different noise, then transforms for each illuminant.
     spectra : SpectralSmoothing or None
-        Smoothing of spectra after all layers.
+        Smoothing of spectra after all layers. None: no smoothing.
     chroma_smoothing : ChromaSmoothing or None
-        Smoothing of chroma after all layers.
+        Smoothing of chroma after all layers. None: no smoothing.
     components : LeadingComponents or None
-        The components of a spectrum that a refinement layer corrects. None if the refinement layers compute X, Y, Z.
+        Leading components of spectra, which the refinement layer corrects. None if refinement layers compute X, Y, Z, or
+        if the table has no refinement layers.
     """
 
     kind: ClassVar[str] = "transform table"
@@ -160,46 +163,47 @@ class TransformTable(Artifact):
         check_sensor(self.rows, self.cols, self.bits, self.black_level, self.white_level)
         check_cfa(self.cfa, self.channels)
         if self.camera and not (self.camera.channels == self.channels and np.array_equal(self.camera.cfa, self.cfa)):
-            raise ValueError("the channels or the CFA of the camera differ from the channels or the CFA of the table")
+            raise ValueError("channels or cfa of the table differ from channels or cfa of its camera")
         if not self.outputs or not self.output_unit > 0:
-            raise ValueError("a table must have at least one output, and output_unit must be positive")
+            raise ValueError("outputs must not be empty, and output_unit must be positive")
         if not self.exposure >= 0:
             raise ValueError("exposure must not be negative")
         for layer in self.layers:
             sites, classes = self.cfa.size, layer.rule.classes_per_site
             if len(layer.weights) != sites * classes:
                 raise ValueError(
-                    f"weights has {len(layer.weights)} classes, but the class rule defines {classes} at each of {sites} "
-                    "sites"
+                    f"weights has {len(layer.weights)} classes, but the class rule defines {classes} classes at each of the "
+                    f"{sites} sites"
                 )
         self.first.rule.check_fits(len(self.channels), self.bits)
         for later in self.later:
             self._check_refinement(later)
         if any(later.ratio_taps for later in self.later[:-1]):
-            raise ValueError("only the last layer may have colour ratios")
+            raise ValueError("only the last layer may have taps for colour ratios")
         if any(later.coarse_chroma for later in self.later[:-1]):
-            raise ValueError("only the last layer may have coarse chroma")
+            raise ValueError("only the last layer may have coarse_chroma")
         if self.spectra and (len(self.outputs) == 1 or self.outputs[:3] == ("X", "Y", "Z")):
             raise ValueError(
                 f"the outputs {', '.join(self.outputs)} are not spectral bands and cannot be smoothed as spectra"
             )
         if self.chroma_smoothing and (self.outputs != ("X", "Y", "Z") or not (self.white_point > 0).all()):
-            raise ValueError("chroma can only be smoothed if the outputs are X, Y, Z and all three are positive for white")
+            raise ValueError("chroma_smoothing requires the outputs X, Y, Z and a white_point with positive values")
         if self.later and (
             len(self.later) > 1 or self.later[-1].coarse_chroma if self.components else len(self.outputs) != 3
         ):
             raise ValueError(
-                "a table with more or fewer than three outputs can have only one refinement layer, which corrects components"
+                "refinement layers require three outputs; with a different number of outputs, a table can have only one "
+                "refinement layer, which must correct components"
             )
         for index, condition in enumerate(self.conditions):
             condition.check_fits(f"conditions/{index}", self.later, self.first.rule.levels)
         there = [(None, None), *((each.light and each.light.name, each.noise) for each in self.conditions)]
         lights, noises = (dict.fromkeys(part) for part in zip(*there, strict=True))
         if there != list(itertools.product(lights, noises)):
-            raise ValueError("conditions must be grouped by light, with the same noise levels for every light")
+            raise ValueError("conditions must be grouped by illuminant, with the same noise conditions for every illuminant")
 
     def _check_refinement(self, layer: PlaneLayer) -> None:
-        """Raise ValueError if a refinement layer does not fit the levels, saturation cases and sites of the first layer."""
+        """Raise ValueError unless a refinement layer fits the CFA and the first layer, and has a valid number of taps."""
         layer.rule.check_fits(self.cfa.size, self.first.rule)
         taps = layer.window_taps
         if layer.side % 2 == 0 or layer.ratio_taps not in RATIO_TAPS:
@@ -217,17 +221,17 @@ class TransformTable(Artifact):
 
     @property
     def layers(self) -> tuple[MosaicLayer | PlaneLayer, ...]:
-        """All layers, in the order in which they render."""
+        """All layers, in the order in which they are applied."""
         return (self.first, *self.later)
 
     def pictured(self) -> "TransformTable":
-        """Return the table with which pictures are rendered.
+        """Return a table with only those outputs that are needed to render pictures.
 
         Returns
         -------
         TransformTable
-            If the table has more outputs after X, Y, Z, a table of X, Y, Z only. If luminance is the only output, a
-            table that computes it three times (GREY). Otherwise the table itself.
+            If the outputs are X, Y, Z and further outputs, a table with only X, Y, Z. If the only output is Y, a table
+            that contains this output three times (GREY). Otherwise, or if there are refinement layers, this table.
         """
         grey = self.outputs == LUMINANCE
         if self.later or not (grey or (self.outputs[:3] == ("X", "Y", "Z") and len(self.outputs) > 3)):
@@ -243,15 +247,15 @@ class TransformTable(Artifact):
 
     @property
     def shows_grey(self) -> bool:
-        """Whether pictures are grey.
+        """Whether pictures from this table are grey.
 
-        They are grey if the table renders luminance only or Stokes parameters, or if the camera has a single channel.
+        This is the case if the table renders only luminance or Stokes parameters, or if the camera has only one channel.
         """
         return self.outputs in (GREY, STOKES) or len(self.channels) == 1
 
     @property
     def noises(self) -> tuple[Condition, ...]:
-        """The conditions for noise that differs from the camera's. Their transforms were trained on all illuminants."""
+        """The conditions for noise that differs from the noise of the camera, trained on all illuminants together."""
         return tuple(each for each in self.conditions if each.light is None)
 
     @property
@@ -260,9 +264,10 @@ class TransformTable(Artifact):
         return tuple(each.light for each in self.conditions if each.light and each.noise is None)
 
     def of_light(self, light: SceneLight | None) -> "TransformTable":
-        """Return a table with the transforms for one illuminant or, if `light` is None, trained on all illuminants.
+        """Return a table with only the transforms for one illuminant.
 
-        The conditions for other noise are kept.
+        If `light` is None, the result contains the transforms that were trained on all illuminants together. In both cases,
+        the result also contains the conditions for different noise.
         """
         if light is None:
             return replace(self, conditions=self.noises) if self.lights else self
@@ -270,9 +275,10 @@ class TransformTable(Artifact):
         return replace(self.under(usual), conditions=tuple(replace(each, light=None) for each in noises))
 
     def under(self, condition: Condition) -> "TransformTable":
-        """Return a table that contains only the transforms of one of its conditions.
+        """Return a table that contains only the transforms of one condition of this table.
 
-        The white, the illuminant, the camera, the output unit and the exposure time of the table are those of the condition.
+        The white point, the illuminant, the camera, the output unit and the exposure time also change to match the
+        condition.
         """
         light, noise = condition.light, condition.noise or NoiseScale()
         table = self._with_edges(condition.edges) if condition.edges else self
@@ -289,7 +295,7 @@ class TransformTable(Artifact):
         )
 
     def _with_edges(self, edges: NoiseEdges) -> "TransformTable":
-        """Return the table with different class edges and noise, and without conditions."""
+        """Return the table with the noise-dependent values of its class rules replaced, and without conditions."""
         usual = self.first.rule
         features = usual.features and replace(usual.features, constants=edges.constants)
         rule = replace(usual, contrast_edges=edges.contrast_edges, features=features)
@@ -300,11 +306,10 @@ class TransformTable(Artifact):
 
     @property
     def clipped_white(self) -> NDArray[np.float64] | None:
-        """XYZ of the darkest white that clips every channel, in output units.
+        """XYZ, in output units, of the darkest white that clips every channel (docs/method.md#clipped-white).
 
-        No pixel is rendered brighter (docs/method.md#clipped-white).
-
-        None if the illuminant is unknown, or if the outputs are neither GREY nor begin with X, Y, Z.
+        Pixels are never rendered brighter than this. None if the illuminant or the camera is unknown, or if the outputs are
+        neither GREY nor begin with X, Y, Z.
         """
         if self.outputs[:3] not in (("X", "Y", "Z"), GREY) or (white := self.white_signals) is None:
             return None
@@ -324,13 +329,16 @@ class TransformTable(Artifact):
         return signals if signals.min() > 0 else None
 
     def gain_at(self, iso: float) -> float | None:
-        """Return the analog gain at an ISO speed, relative to the gain of the table's camera, or None if it is unknown."""
+        """Return the analog gain at an ISO speed, relative to the gain of the table's camera, or None if it is unknown.
+
+        It is unknown if the table contains no camera, or if the ISO speed of the camera is unknown.
+        """
         return self.camera.gain_at(iso) if self.camera else None
 
     def dark_signal(self, exposure: float | None) -> float:
-        """Return the mean dark signal above black, in DN, after `exposure` seconds.
+        """Return the mean signal, in DN, that the dark current causes in `exposure` seconds.
 
-        If the exposure time is None, the exposure time of the training frames is used. If the table has no camera, the
-        result is 0.
+        If `exposure` is None, the exposure time of the training frames is used. If the table contains no camera, the result
+        is 0.
         """
         return self.camera.dark_signal(self.exposure if exposure is None else exposure) if self.camera else 0.0

@@ -1,4 +1,4 @@
-"""The training set: simulated raw frames, each with noise-free electrons and the ideal picture."""
+"""The training set: raw frames with their ideal outputs. Simulated frames also contain the noise-free electrons."""
 
 import contextlib
 import re
@@ -19,7 +19,7 @@ from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.errors import InputFileError
 from l3cli.physics import spectra
 
-LARGEST = 1e12  # largest number of electrons, cd/m² or seconds, so that their squares fit into 32-bit floats
+LARGEST = 1e12  # largest number of electrons, cd/m² or seconds; the squares of such numbers fit into 32-bit floats
 
 
 @dataclass(frozen=True)
@@ -39,13 +39,13 @@ class LightSpectrum:
     def __post_init__(self) -> None:
         check(self)
         if not (self.wavelength.size > 1 and self.wavelength[0] > 0 and (np.diff(self.wavelength) > 0).all()):
-            raise ValueError("the wavelengths of an illuminant must be positive and increase")
+            raise ValueError("wavelength of an illuminant must contain at least two values, positive and increasing")
         if not self.radiance.min() >= 0 < self.radiance.max():
-            raise ValueError("the radiance of an illuminant must not be negative, and must be positive somewhere")
+            raise ValueError("radiance of an illuminant must not be negative, and must be positive at some wavelength")
 
 
 def white_signal(light: LightSpectrum, camera: CameraModel, output_unit: float | None = None) -> NDArray[np.float64]:
-    """Return the channel values of a white with Y = 1 under an illuminant.
+    """Return the signals that a white with Y = 1 under an illuminant causes in the channels of a camera.
 
     Parameters
     ----------
@@ -54,13 +54,13 @@ def white_signal(light: LightSpectrum, camera: CameraModel, output_unit: float |
     camera : CameraModel
         The camera.
     output_unit : float, optional
-        Luminance times exposure time, in cd s/m², that corresponds to Y = 1. [default: the output unit of the camera;
-        computing it imports colour-science]
+        Luminance × exposure time, in cd s/m², that corresponds to Y = 1. Passing it saves the import of colour-science.
+        [default: the output unit of the camera]
 
     Returns
     -------
     ndarray, (channel,)
-        Fractions of full scale.
+        Signal above black of each channel, as a fraction of full scale. The result is not clipped.
     """
     radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
     unit = camera.output_unit if output_unit is None else output_unit
@@ -69,7 +69,11 @@ def white_signal(light: LightSpectrum, camera: CameraModel, output_unit: float |
 
 @dataclass(frozen=True)
 class TrainingPair:
-    """A raw frame and the ideal picture. For a real pair, which a camera has captured, nothing more is known."""
+    """A raw frame and the ideal outputs for each of its pixels.
+
+    Simulated frames are instances of the subclass `TrainingFrame`. A real pair, whose raw frame comes from a camera, is an
+    instance of this class.
+    """
 
     raw: NDArray[np.uint16] = data(
         "uint16", "row", "col", unit="DN", doc="noisy mosaic, which begins at site (0, 0) of the colour filter array"
@@ -90,28 +94,33 @@ class TrainingPair:
         check(self)
         _require_moderate("target", self.target)
         if not (self.white.size and self.white.min() >= 0 < self.white.max() <= LARGEST):
-            raise ValueError("white must have no negative value and at least one positive value")
+            raise ValueError(
+                f"white must contain no negative value and at least one positive value, and no value may exceed {LARGEST:g}"
+            )
         if min(self.luminance, self.exposure) < 1 / LARGEST or max(self.luminance, self.exposure) > LARGEST:
             bounds = f"between {1 / LARGEST:g} and {LARGEST:g}"
-            raise ValueError(f"luminance is {self.luminance:g} and exposure {self.exposure:g}, but both must be {bounds}")
+            raise ValueError(f"luminance is {self.luminance:g} and exposure is {self.exposure:g}, but both must be {bounds}")
 
     @property
     def dark_time(self) -> float:
-        """Exposure time in s from which the dark signal in `raw` is computed.
+        """Exposure time in s that determines the dark signal in `raw`.
 
-        It is 0 for real pairs, whose dark signal is subtracted.
+        It is 0 for real pairs, because their dark signal has already been subtracted.
         """
         return 0.0
 
     @property
     def shown(self) -> "Shown | None":
-        """Fingerprints of the scene and the illuminant, or None for real pairs."""
+        """Fingerprints of the scene and the illuminant, or None if they are unknown. For real pairs, they are unknown."""
         return None
 
 
 @dataclass(frozen=True)
 class Shown:
-    """Fingerprints of the scene and the illuminant of a frame, which can be compared between cameras."""
+    """Fingerprints of the scene and the illuminant of a frame.
+
+    With these fingerprints, l3 recognises the same scene or illuminant in the training sets of different cameras.
+    """
 
     scene: NDArray[np.float64] = data(
         "float64", "projection", doc="fingerprint that identifies the visible part of the scene"
@@ -124,7 +133,10 @@ class Shown:
 
 @dataclass(frozen=True)
 class IgnoredPixels:
-    """Pixels without data in the file of the scene. They are filled from their neighbours and are not used in training."""
+    """Pixels for which the scene file contains no data.
+
+    Their values come from neighbouring pixels. Training ignores them.
+    """
 
     mask: NDArray[np.uint8] = data(
         "uint8", "row", "col", doc="1: the pixel has no data and is ignored; 0: the pixel is used"
@@ -136,10 +148,10 @@ class IgnoredPixels:
 
 @dataclass(frozen=True)
 class TrainingFrame(TrainingPair):
-    """A simulated pair, for which the noise-free electrons are also known.
+    """A simulated pair, which also contains the noise-free electrons.
 
-    The electrons are known for every channel at every pixel, so training can use any offset and any of the eight
-    orientations of the mosaic (docs/method.md#patches). `raw` is the mosaic that the camera would record.
+    The electrons of every channel at every pixel are stored. Training can therefore use mosaics with any offset and in any
+    of the eight orientations (docs/method.md#patches). `raw` is the mosaic that the camera itself would record.
     """
 
     electrons: NDArray[np.float32] = data(
@@ -164,7 +176,7 @@ class TrainingFrame(TrainingPair):
 
 
 def _require_moderate(name: str, values: NDArray[np.float32]) -> None:
-    """Raise ValueError unless the products of the values fit into 32-bit floats."""
+    """Raise ValueError if there are no values, or if a product of two values may not fit into a 32-bit float."""
     if values.size == 0 or max(float(values.max()), -float(values.min())) > LARGEST:
         raise ValueError(f"{name} is empty or contains values larger than {LARGEST:g}")
 
@@ -173,8 +185,8 @@ def _require_moderate(name: str, values: NDArray[np.float32]) -> None:
 class TrainingSet(Artifact):
     """Header of a training set: the camera, the outputs and the description of the target.
 
-    Simulated frames are stored in the groups frames/00000, frames/00001…, and real pairs in pairs/00000….
-    `open_training_set` reads them one by one.
+    Simulated frames are stored in the groups frames/00000, frames/00001…, and real pairs in the groups pairs/00000….
+    `open_training_set` reads these frames one after the other.
 
     Attributes
     ----------
@@ -185,7 +197,8 @@ class TrainingSet(Artifact):
     target_description : str
         Description of the target.
     target_light : LightSpectrum or None
-        The illuminant for which the target is defined. None if it is the illuminant of each frame.
+        The illuminant under which the target is computed. None if the target of each frame is computed under the
+        illuminant of the frame.
     """
 
     kind: ClassVar[str] = "training set"
@@ -202,13 +215,16 @@ class TrainingSet(Artifact):
 
 
 def frame_name(index: int, scene: str) -> str:
-    """Return the stem of a frame's file names, which consists of its number and the name of its scene."""
+    """Return the stem of the names of a frame's files: the number of the frame and the name of its scene.
+
+    In the name of the scene, characters other than ASCII letters and digits are replaced by hyphens.
+    """
     return f"{index:05d}_{re.sub(r'[^A-Za-z0-9]+', '-', scene)}"
 
 
 @dataclass(frozen=True)
 class FrameLight:
-    """The illuminant of a frame, which can be read without reading the pixels."""
+    """The illuminant of a frame. It is a part of `TrainingPair` that can be read without the pixels."""
 
     illuminant: str = data("str", doc="name of the illuminant")
     white: NDArray[np.float64] = data("float64", "output", unit="cd/m^2 (XYZ)", doc="target of a perfect white")
@@ -219,10 +235,10 @@ GROUPS: dict[str, type[TrainingPair]] = {"frames": TrainingFrame, "pairs": Train
 
 
 class TrainingSetReader:
-    """An open training set, from which frames are read one by one.
+    """An open training set, whose frames are read one after the other.
 
-    `len()` is the number of frames. Iteration yields simulated frames first, then real pairs. Only one frame is in
-    memory at a time.
+    `len()` returns the number of frames and real pairs. Iteration yields the simulated frames first, then the real pairs,
+    with only one frame in memory at a time.
 
     Attributes
     ----------
@@ -244,7 +260,7 @@ class TrainingSetReader:
 
     @property
     def simulated(self) -> int:
-        """Number of simulated frames, which come before real pairs."""
+        """Number of simulated frames. These frames have lower indices than the real pairs."""
         return sum(group == "frames" for group, _ in self._names)
 
     def __repr__(self) -> str:
@@ -261,13 +277,13 @@ class TrainingSetReader:
         return "pairs" in self._groups
 
     def frame(self, index: int) -> TrainingPair:
-        """Return a frame, as a TrainingFrame if it was simulated, otherwise as a TrainingPair."""
+        """Read a frame. The result is a TrainingFrame if the frame was simulated, and a TrainingPair otherwise."""
         return self._read(index, GROUPS[self._names[index][0]])
 
     def pair(self, index: int) -> TrainingPair:
-        """Return a frame as a TrainingPair.
+        """Read a frame as a TrainingPair.
 
-        The electrons and fingerprints of a simulated frame, which make up most of its size, are not read.
+        Of a simulated frame, the electrons and the fingerprints are not read. The electrons are most of its data.
         """
         return self._read(index, TrainingPair)
 
@@ -282,7 +298,7 @@ class TrainingSetReader:
         return frame
 
     def light(self, index: int) -> FrameLight:
-        """Return the illuminant of a frame."""
+        """Read only the illuminant of a frame."""
         group, name = self._names[index]
         light: FrameLight = store.read_fields(
             store.hard_group(self._groups[group], name, self._path), FrameLight, self._path
@@ -296,26 +312,26 @@ class TrainingSetReader:
 
 @contextlib.contextmanager
 def open_training_set(path: Path, unchanged: bool = False) -> Iterator[TrainingSetReader]:
-    """Open a training set.
+    """Context manager that opens a training set for reading.
 
     Parameters
     ----------
     path : Path
         File of the training set.
     unchanged : bool
-        Whether the checksum was already compared in this run, so that the comparison can be skipped.
+        If true, the digest of the file is not verified, because the current run has already verified it.
 
     Raises
     ------
     InputFileError
-        If the file is damaged or is not a training set.
+        If the file is damaged, is not a training set, or contains no frames.
     """
     with store.open_artifact(path, TrainingSet, unchanged=unchanged) as root:
         yield TrainingSetReader(root, path)
 
 
 class TrainingSetWriter:
-    """Appends frames and pairs, one by one, to a training set."""
+    """Appends simulated frames and real pairs to a new training set."""
 
     def __init__(self, root: h5py.File, head: TrainingSet) -> None:
         self._root = root
@@ -331,7 +347,13 @@ class TrainingSetWriter:
         name_axes(group[name], type(frame), self._coordinates)
 
     def append_part(self, path: Path) -> "SceneCoverage":
-        """Append the frame that `write_part` has stored, byte for byte, and return its scene and coverage."""
+        """Append a copy of the frame that `write_part` wrote to `path`.
+
+        Returns
+        -------
+        SceneCoverage
+            Name of the scene, and the fraction of the camera's signal that the data of the scene do not cover.
+        """
         with container.open_file(path) as part:
             simulated = bool(part.attrs["simulated"])
             group, name = self._place(simulated)
@@ -342,7 +364,10 @@ class TrainingSetWriter:
 
 @contextlib.contextmanager
 def write_training_set(path: Path, head: TrainingSet) -> Iterator[TrainingSetWriter]:
-    """Open a new training set for writing. The file gets the name `path` when the block ends without an error."""
+    """Context manager that writes a new training set.
+
+    If the `with` block ends without an error, the file is renamed to `path`. Otherwise no file remains.
+    """
     with store.new_artifact(path, head.kind, head.history) as root:
         store.write_fields(root, head)
         name_axes(root, type(head), {}, head)
@@ -351,14 +376,17 @@ def write_training_set(path: Path, head: TrainingSet) -> Iterator[TrainingSetWri
 
 @dataclass(frozen=True)
 class SceneCoverage:
-    """Name of the scene of a frame, and the fraction of the camera's signal that the data of the scene do not cover."""
+    """The scene of a frame, and how completely the data of the scene cover the wavelengths of the camera."""
 
-    scene: str
-    uncovered: float  # fraction of the electrons of a white that come from wavelengths without scene data
+    scene: str  # name of the scene
+    uncovered: float  # fraction of a white's electrons that come from wavelengths without scene data
 
 
 def write_part(path: Path, frame: TrainingPair, uncovered: float) -> None:
-    """Write one frame to a separate file, so that an interrupted run can be continued."""
+    """Write one frame to a separate file, so that an interrupted run can be continued.
+
+    `uncovered` is stored with the frame, for `SceneCoverage`.
+    """
     with container.new_file(path) as root:
         root.attrs["simulated"] = isinstance(frame, TrainingFrame)
         root.attrs["scene"] = frame.scene.encode("utf-8", "replace").decode()  # file names may contain invalid characters
@@ -367,13 +395,16 @@ def write_part(path: Path, frame: TrainingPair, uncovered: float) -> None:
 
 
 def read_part(path: Path) -> TrainingPair:
-    """Read the frame that `write_part` has stored."""
+    """Read the frame in a file that `write_part` has written. The digest of the file is not verified."""
     with container.open_file(path) as part:
         return _frame_of(part, path)
 
 
 def part_in(content: bytes) -> TrainingPair:
-    """Read the frame from the bytes of a file that `write_part` has written. Raises an exception if they are damaged."""
+    """Read the frame from the bytes of a file that `write_part` has written.
+
+    Raises ValueError if the bytes do not agree with their digest.
+    """
     with container.open_content(content) as part:
         return _frame_of(part, Path("frame.h5"))
 
@@ -385,7 +416,7 @@ def _frame_of(part: h5py.File, path: Path) -> TrainingPair:
 
 
 def whole_part(path: Path) -> bool:
-    """Return whether the file of a frame is undamaged."""
+    """Return whether a file that `write_part` has written exists and agrees with its digest."""
     try:
         container.check(path, "l3 simulate")
     except InputFileError:

@@ -1,7 +1,7 @@
-"""Compares captures with each other to find wrong exposure times and illuminants.
+"""Compares captures with each other to find wrong exposure times, units and illuminants.
 
-Signals are proportional to exposure time times radiance. If an exposure time is mistyped, a unit is wrong or two
-illuminants are interchanged, the signal is therefore wrong by a large factor. The tolerances are much wider than the
+A signal is proportional to exposure time × radiance. If an exposure time is mistyped, a unit is wrong or two illuminants are
+swapped, the signal therefore differs from its expected value by a large factor. The tolerances are much wider than the
 variations of lamps, lenses and sensors.
 """
 
@@ -14,20 +14,21 @@ from l3cli.calibration.responsivity import Sweep, light_centre
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import BandCapture, Capture, ChartCapture, MonoCapture
 
-FACTOR = 1.5  # largest ratio between signals per second under the same illuminant
-# Largest ratio between the scales of chart captures and monochromatic captures, which fill the frame differently.
+FACTOR = 1.5  # largest plausible ratio between signals per second under the same illuminant
+# Largest plausible ratio between the scales of chart captures and monochromatic captures. It is wide, because the light of a
+# monochromator fills the frame differently.
 SCALE = 3.0
-STEP = 3.0  # largest ratio between the response at a monochromator step and at both neighbouring steps
-END = 20.0  # largest ratio between the response at the first or last step and the response that the next two steps predict
-LEAST = 0.02  # fraction of the largest response or signal below which differences are ignored
-NEAR_TOP = 0.85  # fraction of the largest signal above which a signal may be saturated
-LONGEST = 20.0  # exposures that exceed saturation by more than this factor are mistakes
+STEP = 3.0  # largest plausible ratio between the response to a monochromatic capture and the responses to both neighbours
+END = 20.0  # as STEP, but for the first and the last capture, compared with an extrapolation from the next two captures
+LEAST = 0.02  # differences below this fraction of the largest response or signal are ignored
+NEAR_TOP = 0.85  # signals above this fraction of the largest signal may be saturated
+LONGEST = 20.0  # largest plausible ratio between the expected signal of a saturated capture and the saturation
 DRIFT = 0.05  # DN; tolerated drift of the black level
 Array = NDArray[np.float64]
 
 
 def check_whites(captures: Sequence[Capture], lit: Array, signal: Array) -> None:
-    """Raise InputFileError if the signal of a white capture is not proportional to the exposure time.
+    """Raise InputFileError if the signal of a white capture is far from proportional to its exposure time.
 
     Parameters
     ----------
@@ -36,7 +37,7 @@ def check_whites(captures: Sequence[Capture], lit: Array, signal: Array) -> None
     lit : ndarray, (capture,)
         Exposure time in seconds, corrected for the brightness of the lamp.
     signal : ndarray, (capture, channel)
-        Mean DN above black.
+        Mean signal above black in DN.
     """
     top = signal.max(axis=0)
     total = np.maximum(signal.sum(axis=1), 1e-9)
@@ -52,10 +53,14 @@ def check_whites(captures: Sequence[Capture], lit: Array, signal: Array) -> None
 
 
 def check_darks(captures: Sequence[Capture], signal: Array) -> None:
-    """Raise InputFileError if the mean signal of a dark capture is far from the line through all other dark captures.
+    """Raise InputFileError if a dark capture contradicts the straight line through the remaining dark captures.
 
-    A capture is checked only if the other captures have at least three exposure times. `signal` contains the mean DN of
-    each capture.
+    Parameters
+    ----------
+    captures : sequence of Capture
+        Dark captures. A capture is checked only if the remaining captures have at least three different exposure times.
+    signal : ndarray, (capture,)
+        Mean raw value of each capture in DN.
     """
     exposure = np.array([capture.exposure for capture in captures])
     worst, outlier = 0.0, None
@@ -74,23 +79,23 @@ def check_darks(captures: Sequence[Capture], signal: Array) -> None:
         capture, value, predicted = outlier
         raise InputFileError(
             f"the mean of {capture.name} after {capture.exposure:g} s in the dark is {value:.2f} DN, but the other dark "
-            f"captures predict {predicted:.2f} DN; check its exposure time"
+            f"captures predict {predicted:.2f} DN; check its exposure time, and that no light reached the sensor"
         )
 
 
 def check_series(captures: Sequence[BandCapture], light: NDArray[np.int64], values: Array, valid: NDArray[np.bool_]) -> None:
-    """Raise InputFileError if the patch values of a capture contradict the other captures behind the same filter.
+    """Raise InputFileError if a capture contradicts the remaining captures behind the same filter.
 
     Parameters
     ----------
     captures : sequence of BandCapture
         Captures of a chart behind narrow-band filters.
     light : ndarray, (capture,)
-        Index of the filter.
+        Index of the filter of each capture.
     values : ndarray, (capture, patch, channel)
-        DN above black.
+        Mean signal above black of each patch in DN.
     valid : ndarray of bool, (capture, patch, channel)
-        Whether the value is not saturated.
+        Whether the patch is unsaturated in the channel.
     """
     lit = np.array([capture.lit for capture in captures])[:, None, None]
     for band in np.unique(light):
@@ -109,22 +114,23 @@ def check_series(captures: Sequence[BandCapture], light: NDArray[np.int64], valu
 
 
 def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: Array, absolute: bool) -> None:
-    """Raise InputFileError if one chart contradicts the other charts, or if all charts contradict the monochromatic
+    """Raise InputFileError if a chart contradicts the remaining charts, or if all charts contradict the monochromatic
     captures.
 
     Parameters
     ----------
     captures : sequence of ChartCapture
-        The charts.
+        Captures of charts.
     measured : ndarray, (chart, channel)
         Measured signals.
     predicted : ndarray, (chart, channel)
         Signals that the responsivity curves from the monochromatic captures predict.
     absolute : bool
-        Whether the radiances of the monochromatic captures are in absolute units. Only then are the scales compared.
+        Whether the radiances of the monochromatic captures are in absolute units. If they are not, the charts are compared
+        only with each other.
     """
     ratio = np.median(np.maximum(measured, 1e-9) / np.maximum(predicted, 1e-30), axis=1)
-    # If two charts disagree, the monochromatic captures decide which chart is wrong.
+    # If there are only two charts, the monochromatic captures decide which of them is wrong.
     votes = np.append(ratio, 1.0) if absolute and len(ratio) == 2 else ratio
     off = np.abs(np.log(ratio / np.median(votes)))
     if off.max() > np.log(FACTOR if votes.size > 2 else FACTOR**2):
@@ -132,17 +138,21 @@ def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: A
     scale = float(np.median(ratio))
     if absolute and not 1 / SCALE < scale < SCALE:
         raise InputFileError(
-            f"the [[chart]] captures are {_factor(scale)} than the [[mono]] captures predict; check exposures and radiances "
-            'of both, or set unit = "relative photons" if the scale of the monochromator radiances is unknown'
+            f"the [[chart]] captures are {_factor(scale)} than the [[mono]] captures predict; check the exposure times and "
+            'the radiances of both, or set unit = "relative photons" if the scale of the monochromator radiances is unknown'
         )
 
 
 def odd_steps(captures: Sequence[MonoCapture], sweep: Sweep) -> tuple[str, ...]:
-    """Describe the monochromatic captures whose response contradicts both neighbouring wavelengths.
+    """Describe the monochromatic captures whose response contradicts the captures at both neighbouring wavelengths.
 
-    The response of such a capture is far above or far below both neighbours in every channel that responds to its
-    wavelength. The descriptions begin with the worst capture. Each implausible capture is removed before the next is
-    searched for.
+    The response to such a capture is far above or far below both neighbours, in every channel that responds to its
+    wavelength. The function finds the worst capture, removes it, and repeats the search with the remaining captures.
+
+    Returns
+    -------
+    tuple of str
+        One line per implausible capture, beginning with the worst.
     """
     centre = np.array([light_centre(capture.wavelength, capture.radiance) for capture in captures])
     left = list(np.argsort(centre, kind="stable"))
@@ -160,8 +170,8 @@ def odd_steps(captures: Sequence[MonoCapture], sweep: Sweep) -> tuple[str, ...]:
 def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
     """Return the factor by which a monochromatic capture is brighter (> 1) or darker (< 1) than its neighbours allow.
 
-    The result is the factor of the channel with the smallest deviation, or 1 if the capture is plausible in any channel.
-    `place` is the position of the capture in `order`, which is sorted by wavelength.
+    The factor is 1 if the capture is plausible in at least one channel. Otherwise it is the factor of the channel that
+    deviates least. `order` contains the indices of captures, sorted by wavelength, and `place` is a position in `order`.
     """
     factors = []
     for channel in range(sweep.values.shape[1]):
@@ -178,7 +188,7 @@ def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
         else:
             low, high = min(values[at - 1], values[at + 1]) / STEP, max(values[at - 1], values[at + 1]) * STEP
         if max(values[at], low) < floor:
-            continue  # the response is negligible, as the neighbours predict
+            continue  # the response and its prediction are both negligible
         value = max(values[at], 1e-3 * floor)
         factors.append(value / high if value > max(high, floor) else value / low if value < low else 1.0)
     if not factors or min(factors) <= 1.0 <= max(factors):
@@ -187,9 +197,9 @@ def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
 
 
 def _check_alike(captures: Sequence[Capture], rates: Array, kind: str) -> None:
-    """Raise InputFileError if the signals per second of two captures differ by more than FACTOR.
+    """Raise InputFileError if the signals per second of captures under the same light disagree by more than FACTOR.
 
-    If there are more than two captures, each capture is compared with the median.
+    Two captures are compared with each other. If there are more captures, each is compared with the median.
     """
     if len(captures) < 2:
         return
@@ -198,7 +208,7 @@ def _check_alike(captures: Sequence[Capture], rates: Array, kind: str) -> None:
     if len(captures) == 2 and np.ptp(np.log(rates)) > np.log(FACTOR):
         raise InputFileError(
             f"the signals per second of {captures[0].name} and {captures[1].name} differ by a factor of "
-            f"{np.exp(np.ptp(np.log(rates))):.3g}; check the exposure times of both"
+            f"{np.exp(np.ptp(np.log(rates))):.3g}; check the exposure times of both captures"
         )
     if len(captures) > 2 and off[worst] > np.log(FACTOR):
         raise _odd(captures[worst], float(rates[worst] / np.median(rates)), kind)

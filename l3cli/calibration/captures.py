@@ -1,8 +1,8 @@
-"""Evaluates captures, and computes the corrections of a camera.
+"""Evaluates the captures of a measurement file, and computes defect maps and flat fields.
 
-This module evaluates dark and white frames, monochromatic captures, charts (docs/method.md#calibration), and charts
-behind narrow-band filters (docs/method.md#sweeps-and-band-series). It also makes defect maps and flat fields
-(docs/method.md#corrections).
+The captures are dark and white frames, monochromatic captures, charts (docs/method.md#calibration), charts behind
+narrow-band filters (docs/method.md#sweeps-and-band-series), and frames behind a rotating polariser
+(docs/method.md#polarisers). docs/method.md#corrections describes defect maps and flat fields.
 """
 
 import functools
@@ -30,27 +30,30 @@ from l3cli.frames.measurement import (
 )
 from l3cli.physics import spectra
 
-OVEREXPOSED = 1e-3  # fraction of saturated pixels from which a monochromatic capture is not used
-CUT_OFF = 0.05  # largest radiance at the ends of a measured spectrum, as a fraction of its peak
+OVEREXPOSED = 1e-3  # a channel with this fraction of saturated pixels in a monochromatic capture is not used
+CUT_OFF = 0.05  # largest radiance at the ends of the spectrum of a monochromatic light, as a fraction of its peak
 Array = NDArray[np.float64]
-DEGREE = 4  # degree of the polynomial that is fitted to the flat field
-CELLS = (36, 54)  # largest number of rows and columns of cells, to whose means the polynomial is fitted
+DEGREE = 4  # degree of the polynomial from which the flat field is computed
+CELLS = (
+    36,
+    54,
+)  # the frame is divided into at most this number of rows and columns of cells; the polynomial fits their means
 GRID = (33, 49)  # rows and columns of the stored grid; linear interpolation of cos⁴ is then accurate to 0.1 %
-UNEVEN = 0.05  # largest relative RMS deviation of the means from the polynomial; lens shading is smoother
-LEAST_SIGNAL = 0.02  # fraction of full scale; PRNU cannot be corrected with darker white frames
-MOST_DEFECTIVE = 0.05  # largest fraction of defective pixels; a larger fraction means that the frames are unsuitable
+UNEVEN = 0.05  # largest relative RMS deviation of the means from the polynomial; the shading of lenses deviates less
+LEAST_SIGNAL = 0.02  # fraction of full scale; white frames that are darker are not accepted
+MOST_DEFECTIVE = 0.05  # if a larger fraction of the pixels seems defective, the frames are unsuitable
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """Results from dark and white frames."""
+    """Properties of the sensor, from dark and white frames."""
 
     dark: noise.DarkNoise
     transfer: noise.PhotonTransfer
-    prnu: Array  # (channel)
-    exposure: Array  # (capture) exposure times of the white captures in s
+    prnu: Array  # (channel,): PRNU as a fraction of the signal
+    exposure: Array  # (capture,): exposure times of the white captures in s
     defects: statistics.Defects
-    response: Array  # (row, col) DN/s under white light; defective pixels are replaced
+    response: Array  # (row, col): DN/s under white light; the values of defective pixels are interpolated
 
     @property
     def saturation(self) -> float:
@@ -61,17 +64,29 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Charts:
-    """Measured values of all patches under all illuminants, and the photons that pixels received from the patches."""
+    """Measured values of the patches in all chart captures, and the photons that pixels received from these patches."""
 
-    illuminants: tuple[str, ...]
-    values: Array  # (chart, patch, channel) DN; the dark signal is subtracted
-    photons: Array  # (chart, patch, wavelength) photons on a pixel in each hat function, reduced by the lens fall-off
+    illuminants: tuple[str, ...]  # illuminant of each chart capture
+    values: Array  # (chart, patch, channel): mean value in DN, without dark signal
+    photons: (
+        Array  # (chart, patch, wavelength): photons on a pixel in each hat function, reduced by the fall-off of the lens
+    )
 
 
 def measure_sensor(measurements: Measurements, each: statistics.Each = map) -> Sensor:
-    """Measure noise, black level, saturation and defects from dark and white frames.
+    """Measure noise, black level, saturation and defects from dark and white frames (docs/method.md#dark-and-white-frames).
 
-    docs/method.md#dark-and-white-frames describes the method.
+    Parameters
+    ----------
+    measurements : Measurements
+        Measurements with dark and white captures.
+    each : callable
+        A function with the signature of the built-in `map`. It may use several processes.
+
+    Raises
+    ------
+    InputFileError
+        If a capture cannot be used, or if captures contradict each other.
     """
     body = measurements.body
     dark = noise.dark_noise(measurements.darks, body, each)
@@ -88,9 +103,10 @@ def measure_sensor(measurements: Measurements, each: statistics.Each = map) -> S
 
 
 def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Body) -> Array:
-    """Return the photons that a pixel on the optical axis receives during a capture.
+    """Return the number of photons that a pixel on the optical axis receives during a capture, per hat function.
 
-    They are divided among the hat functions of `nodes`.
+    The hat functions are centred on the wavelengths `nodes`. The result has the shape (…, node), with one row per patch for
+    charts.
     """
     photons = responsivity.node_photons(capture.wavelength, capture.radiance, nodes)
     return body.photons_per_radiance * capture.lit * photons
@@ -101,9 +117,9 @@ def measure_sweep(
 ) -> tuple[responsivity.Sweep, tuple[str, ...]]:
     """Set up the linear systems for the spectral responsivities (docs/method.md#responsivity).
 
-    Each monochromatic capture contributes one equation, which is divided by the number of photons. The signal is the
-    mean over the whole frame. The fall-off of the lens is the same in all captures and only changes the scale of the
-    responsivities, which the charts determine later.
+    Each monochromatic capture is one equation, whose signal is the mean over the whole frame. Both sides are divided by the
+    number of photons. The fall-off of the lens is the same in all captures. It changes only the scale of the responsivities,
+    which the charts determine later.
 
     Parameters
     ----------
@@ -119,21 +135,21 @@ def measure_sweep(
     Returns
     -------
     sweep : Sweep
-        The linear systems. A capture in which a channel is saturated is not used for this channel.
+        The linear systems of all channels. If a channel is saturated in a capture, this capture is not used for the channel.
     left_out : tuple of str
-        A line of text for each capture with a saturated channel.
+        One line for each capture with a saturated channel.
 
     Raises
     ------
     InputFileError
-        If a channel is saturated or dark in all captures, or if a measured spectrum does not include all wavelengths of
-        the light.
+        If a channel is saturated or without signal in all captures, or if the spectrum of a capture does not fall to zero
+        at both ends.
     """
     for capture in captures:
         if max(capture.radiance[0], capture.radiance[-1]) > CUT_OFF * capture.radiance.max():
             raise InputFileError(
-                f"{capture.name}: the spectrum does not fall to zero at the ends of its wavelength range; measure a "
-                "wider range"
+                f"{capture.name}: the spectrum does not fall to zero at the ends of its wavelength range; measure the "
+                "spectrum over a wider range"
             )
     nodes = responsivity.node_grid([(capture.wavelength, capture.radiance) for capture in captures])
     design, values, valid = [], [], []
@@ -164,16 +180,16 @@ def measure_sweep(
 def measure_charts(
     captures: Sequence[ChartCapture], nodes: Array, body: Body, sensor: Sensor, each: statistics.Each = map
 ) -> Charts:
-    """Measure the mean DN of every patch, and compute the photons that pixels receive from the patches.
+    """Measure the mean value of every patch, and compute the photons that pixels receive from the patches.
 
-    Raises InputFileError if the measured radiances do not cover the wavelengths of the nodes.
+    Raises InputFileError if the measured radiances do not cover the wavelengths `nodes`, or if a patch is saturated.
     """
     for capture in captures:
         first, last = capture.wavelength[[0, -1]]
         if first > nodes[0] + responsivity.NODE_STEP or last < nodes[-1] - responsivity.NODE_STEP:
             raise InputFileError(
-                f"{capture.name}: the radiances cover {first:g}…{last:g} nm, but the responsivity needs "
-                f"{nodes[0]:g}…{nodes[-1]:g} nm; measure a wider range"
+                f"{capture.name}: the radiances cover {first:g}…{last:g} nm, but the monochromatic captures cover "
+                f"{nodes[0]:g}…{nodes[-1]:g} nm; measure the radiances over a wider range"
             )
     read = functools.partial(responsivity.unsaturated_values, body=body, limit=sensor.saturation, defects=sensor.defects)
     dark = [sensor.dark.slope * capture.exposure for capture in captures]
@@ -184,10 +200,22 @@ def measure_charts(
 
 
 def flat_field(response: Array, body: Body) -> FlatField:
-    """Fit the gains that make the response to a uniform white target uniform.
+    """Compute the gains that make the response to an evenly lit white target uniform.
 
-    A polynomial is fitted to the square root of the gain. If the fall-off is cos⁴, this root is a polynomial of degree
-    two. Raises InputFileError if the response is not smooth, or if it falls off more than the response of real lenses.
+    A polynomial is fitted to the square root of the gain, because this root is a polynomial of degree two if the fall-off is
+    cos⁴.
+
+    Parameters
+    ----------
+    response : ndarray, (row, col)
+        Response of each pixel to an evenly lit white target, above black, in any unit.
+    body : Body
+        Filter array and size of the sensor.
+
+    Raises
+    ------
+    InputFileError
+        If the response is not positive and smooth, or if it falls off more than FlatField allows.
     """
     gains = []
     for channel, name in enumerate(body.channels):
@@ -206,26 +234,26 @@ def flat_field(response: Array, body: Body) -> FlatField:
         lines = np.meshgrid(np.linspace(-1, 1, GRID[0]), np.linspace(-1, 1, GRID[1]), indexing="ij")
         root = (_surface(*map(np.ravel, lines)) @ terms).reshape(GRID)
         gains.append((root / terms[0]) ** 2)
-    with raised_as(InputFileError, "no flat field can be computed from the white frames"):
+    with raised_as(InputFileError, "l3 cannot compute a flat field from the white frames"):
         return FlatField(np.linspace(0, body.rows - 1, GRID[0]), np.linspace(0, body.cols - 1, GRID[1]), np.array(gains))
 
 
 def corner_falloff(field: FlatField) -> Array:
-    """Return the fraction of light that each channel loses in the darkest corner."""
+    """Return, for each channel, the relative loss of light in the darkest corner, from 0 to 1."""
     corners = field.shading_gain[:, [0, 0, -1, -1], [0, -1, 0, -1]]
     return np.asarray(1.0 - 1.0 / corners.max(axis=1))
 
 
 def _surface(y: Array, x: Array) -> Array:
-    """Return the terms of the polynomial at coordinates from −1 to 1, with the shape (place, term). The first term is 1."""
+    """Return the terms of the polynomial at the given coordinates from −1 to 1: (point, term). The first term is 1."""
     powers = [(down, across) for down in range(DEGREE + 1) for across in range(DEGREE + 1 - down)]
     return np.stack([y**down * x**across for down, across in powers], axis=1)
 
 
 def _means(response: Array, body: Body, channel: int) -> tuple[Array, Array, Array]:
-    """Divide the pixels of a channel into cells.
+    """Divide the pixels of a channel into cells. Return the mean y, the mean x and the mean response of each cell.
 
-    Return the mean coordinates (y and x, from −1 to 1) and the mean response of each cell.
+    The coordinates y and x range from −1 to 1.
     """
     places: list[tuple[Array, Array, Array]] = []
     y, x = (np.linspace(-1.0, 1.0, length) for length in response.shape)
@@ -240,7 +268,7 @@ def _means(response: Array, body: Body, channel: int) -> tuple[Array, Array, Arr
 
 
 def _by_cell(site: Array) -> Array:
-    """Divide a picture into at most CELLS rows and columns of equal cells, and return the mean of each cell."""
+    """Divide a picture into equal cells, at most CELLS rows and columns, and return the mean of each cell."""
     starts = [
         np.linspace(0, length, min(length, most) + 1).astype(int) for length, most in zip(site.shape, CELLS, strict=True)
     ]
@@ -249,9 +277,10 @@ def _by_cell(site: Array) -> Array:
 
 
 def with_corrections(camera: CameraModel, sensor: Sensor, body: Body) -> CameraModel:
-    """Return the camera with its defect map, and with a flat field if the white frames are evenly lit.
+    """Return the camera model with a defect map and, if the white frames are evenly lit, a flat field.
 
-    Uneven white frames are not an error, because they are sufficient for measuring noise.
+    If the white frames are uneven, the flat field is left out. This is not an error, because such frames are sufficient to
+    measure noise.
     """
     shape = (body.rows, body.cols)
     defects = statistics.defect_map(sensor.defects, sensor.dark.hot, shape)
@@ -262,11 +291,17 @@ def with_corrections(camera: CameraModel, sensor: Sensor, body: Body) -> CameraM
 
 
 def correct_by_frames(camera: CameraModel, measurements: Measurements) -> CameraModel:
-    """Return the camera with a new defect map and a new flat field, or with measured polarisers.
+    """Return the camera model with new corrections, and with its remaining properties unchanged.
 
-    White frames determine defects and flat field, and frames behind a rotating polariser the polarisers. All other
-    properties stay the same. The dark and white frames may have one or several exposure times. Raises InputFileError if
-    the white frames are too dark, clipped or uneven, or if too many pixels are defective.
+    If the measurements contain white frames, the result has a new defect map and a new flat field. If they contain frames
+    behind a rotating polariser, the result has newly measured polarisers. One exposure time is sufficient for the dark and
+    white frames.
+
+    Raises
+    ------
+    InputFileError
+        If the white frames are too dark, clipped or uneven, if too many pixels seem to be defective, or if the frames
+        behind the polariser cannot be used.
     """
     if measurements.polariser:
         fit = measure_polarisers(measurements, _figures_of(camera))
@@ -287,15 +322,15 @@ def correct_by_frames(camera: CameraModel, measurements: Measurements) -> Camera
     every = statistics.joined_defects(hot, dead)
     if len(every) > MOST_DEFECTIVE * response.size:
         raise InputFileError(
-            f"{len(every) / response.size:.0%} of the pixels would count as defective; check that the dark frames contain "
-            "no light and that the white frames are evenly lit"
+            f"{len(every) / response.size:.0%} of the pixels seem to be defective; check that no light reached the sensor "
+            "in the dark frames and that the white frames are evenly lit"
         )
     found = statistics.defect_map(every, hot, (body.rows, body.cols))
     return replace(camera, defects=found, flat_field=flat_field(response, body), fit=camera.fit or Fit())
 
 
 def _nearest(darks: Sequence[Capture], exposure: float) -> int:
-    """Return the index of the dark capture whose exposure time is closest to `exposure` by ratio."""
+    """Return the index of the dark capture whose exposure time has the smallest ratio to `exposure`, in either direction."""
     return int(np.argmin([abs(np.log(dark.exposure / exposure)) for dark in darks]))
 
 
@@ -311,21 +346,21 @@ def _check_level(mean: NDArray[np.floating], camera: CameraModel, name: str) -> 
 
 @dataclass(frozen=True)
 class Series:
-    """Patch values in all captures of a chart behind narrow-band filters. The dark signal is subtracted."""
+    """Patch values in all captures of a chart behind narrow-band filters."""
 
     lights: tuple[str, ...]  # names of the filters, sorted by central wavelength
-    light: NDArray[np.int64]  # (capture) index of the filter
-    lit: Array  # (capture) exposure time in s, corrected for the brightness of the lamp
-    values: Array  # (capture, patch, channel) DN
-    valid: NDArray[np.bool_]  # (capture, patch, channel) whether the value is not saturated
+    light: NDArray[np.int64]  # (capture,): index of the filter of each capture
+    lit: Array  # (capture,): exposure time in s, corrected for the brightness of the lamp
+    values: Array  # (capture, patch, channel): mean value in DN, without dark signal
+    valid: NDArray[np.bool_]  # (capture, patch, channel): whether the patch is unsaturated
 
 
 def fit_series(
     captures: Sequence[BandCapture], darks: Sequence[Capture], body: Body, black_level: float, white_level: float
 ) -> tuple[Curves, SeriesFit]:
-    """Fit the response of each channel to the light behind each narrow-band filter, and check linearity.
+    """Fit the response of each channel to the light behind each narrow-band filter, and measure the linearity.
 
-    Saturated patches are left out.
+    Saturated patches are not used.
 
     Parameters
     ----------
@@ -336,7 +371,7 @@ def fit_series(
     body : Body
         Geometry of the camera.
     black_level, white_level : float
-        DN.
+        Levels of the sensor in DN.
 
     Returns
     -------
@@ -348,7 +383,7 @@ def fit_series(
     Raises
     ------
     InputFileError
-        If a channel has fewer than two unsaturated exposure times behind a filter.
+        If a channel has fewer than two unsaturated exposure times behind a filter, or if captures contradict each other.
     """
     limit = black_level + noise.SATURATED * (white_level - black_level)
     series = measure_series(captures, darks, body, black_level, limit)
@@ -357,7 +392,7 @@ def fit_series(
     for band, name in enumerate(series.lights):
         if not used[series.light == band].any(axis=(0, 1)).all():
             raise InputFileError(
-                f"filter {name}: a channel has fewer than two exposure times below saturation; add shorter exposures"
+                f"filter {name}: a channel has fewer than two exposure times without saturation; add shorter exposures"
             )
     centres, photons = band_photons(captures, series)
     response, spread = respond(rates, photons)
@@ -383,21 +418,27 @@ def fit_series(
 def measure_polarisers(
     measurements: Measurements, sensor: Sensor | SensorFigures, each: statistics.Each = map
 ) -> PolariserFit | None:
-    """Measure the polarisers of the channels, or return None if there are no frames behind a rotating polariser.
+    """Measure the polarisers of the channels from frames behind a rotating polariser.
 
     Parameters
     ----------
     measurements : Measurements
         Captures and settings from a measurement file.
     sensor : Sensor or SensorFigures
-        Noise and levels of the sensor, from dark and white frames or from another source.
+        Noise and levels of the sensor: `Sensor` if they were measured from dark and white frames, otherwise
+        `SensorFigures`.
     each : callable
-        Applies a function to each capture.
+        A function with the signature of the built-in `map`. It may use several processes.
+
+    Returns
+    -------
+    PolariserFit or None
+        None if there are no frames behind a rotating polariser.
 
     Raises
     ------
     InputFileError
-        If the captures cannot be used, or contradict each other or the stated polarisers.
+        If the captures cannot be used, or contradict each other or the polarisers that the file states.
     """
     captures, body = measurements.polariser, measurements.body
     if not captures:
@@ -425,20 +466,21 @@ def measure_polarisers(
 
 
 def check_polarisers(measurements: Measurements) -> None:
-    """Check the frames behind a rotating polariser before a camera is calibrated.
+    """Check the frames behind a rotating polariser, before the long calibration starts.
 
     Nothing is checked if there are no such frames, or if the black level is unknown.
 
     Raises
     ------
     InputFileError
-        As `measure_polarisers`, for example if the polarisers of two channels are swapped.
+        If `measure_polarisers` raises it, for example because the polarisers of two channels are swapped.
     """
     base, sensor = measurements.base, measurements.datasheet
     if base is not None:
         sensor = _figures_of(base)
     elif sensor is None and measurements.darks:
-        # The noise only determines the weights of the captures. Black is interpolated between the dark frames.
+        # The black level is interpolated between dark frames. The noise only determines the weights of the captures, so any
+        # values are sufficient for this check.
         sensor = SensorFigures(1.0, 0.0, 2.0**measurements.body.bits - 1.0, Noise(0.0, 0.0, 0.0, 0.0, math.inf))
     if sensor is not None:
         measure_polarisers(measurements, sensor)
@@ -451,10 +493,9 @@ def _figures_of(camera: CameraModel) -> SensorFigures:
 def measure_series(
     captures: Sequence[BandCapture], darks: Sequence[Capture], body: Body, black_level: float, limit: float
 ) -> Series:
-    """Measure the patches in every capture of a series behind filters.
+    """Measure the patches in every capture behind narrow-band filters, and subtract the dark signal.
 
-    The dark signal is subtracted, and values at or above `limit` are marked as invalid. The filters are sorted by central
-    wavelength.
+    Patches that reach `limit`, in DN, are marked as invalid. The filters are sorted by central wavelength.
     """
     names = list(dict.fromkeys(capture.illuminant for capture in captures))
     names.sort(key=lambda name: next(band_centre(capture) for capture in captures if capture.illuminant == name))
@@ -470,14 +511,15 @@ def measure_series(
 
 
 def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body, black_level: float) -> Array:
-    """Return the dark signal at each exposure time, interpolated between dark captures.
+    """Return the mean raw value in the dark at each exposure time, interpolated between dark captures.
 
-    If there are no dark captures, the dark signal is `black_level`.
+    If there are no dark captures, all values are `black_level`. Beyond the shortest and the longest dark capture, the value
+    of this capture is used.
 
     Returns
     -------
     ndarray, (exposure, channel)
-        Dark signal in DN.
+        Mean value in DN.
     """
     if not darks:
         return np.full((len(exposures), len(body.channels)), black_level)
@@ -490,18 +532,16 @@ def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body
 
 
 def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Fit signals that are proportional to the exposure time.
-
-    Each capture is also predicted from the other captures behind the same filter.
+    """Fit signals that are proportional to the exposure time, and predict each capture from the remaining captures.
 
     Returns
     -------
     rates : ndarray, (filter, patch, channel)
-        DN/s, fitted to all unsaturated captures behind a filter.
+        Signal per second in DN/s, fitted to all unsaturated captures behind a filter. NaN if all are saturated.
     predicted : ndarray, (capture, patch, channel)
-        Signal in DN, predicted from the other captures.
+        Signal in DN, predicted from the remaining captures behind the same filter. 0 if there is no prediction.
     used : ndarray of bool, (capture, patch, channel)
-        Whether the value is not saturated and has a prediction.
+        Whether the patch is unsaturated and has a prediction.
     """
     weight = series.lit[:, None, None] * series.valid
     products, squares = weight * series.values, weight * series.lit[:, None, None]
@@ -515,14 +555,19 @@ def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
 
 
 def band_centre(capture: BandCapture) -> float:
-    """Return the central wavelength of a filter in nm, computed from the sum of the radiances of all patches."""
+    """Return the central wavelength in nm of the light behind a filter, from the sum of the radiances of all patches."""
     return light_centre(capture.wavelength, capture.radiance.sum(axis=0))
 
 
 def band_photons(captures: Sequence[BandCapture], series: Series) -> tuple[Array, Array]:
-    """Return the central wavelength of each filter in nm, and the radiance of each patch behind each filter.
+    """Return the central wavelengths of the filters, and the radiances of the patches behind each filter.
 
-    The radiances are integrated over wavelength and have the shape (filter, patch).
+    Returns
+    -------
+    centres : ndarray, (filter,)
+        Central wavelengths in nm.
+    photons : ndarray, (filter, patch)
+        Radiances, integrated over wavelength.
     """
     first = [captures[int(np.argmax(series.light == band))] for band in range(len(series.lights))]
     photons = [capture.radiance @ spectra.bin_widths(capture.wavelength) for capture in first]
@@ -530,15 +575,15 @@ def band_photons(captures: Sequence[BandCapture], series: Series) -> tuple[Array
 
 
 def respond(rates: Array, photons: Array) -> tuple[Array, Array]:
-    """Return the response behind each filter, averaged over the patches, and its relative spread.
+    """Return the mean response of the patches behind each filter, and the relative spread of this response.
 
-    Uneven illumination changes the signal of a patch by the same factor behind all filters. This factor is estimated
-    from the channel with the largest response behind each filter. The spread is computed after division by this factor.
+    Uneven illumination multiplies the signal of a patch by the same factor behind all filters. This factor is estimated from
+    the channel with the largest response behind each filter, and removed before the spread is computed.
 
     Parameters
     ----------
     rates : ndarray, (filter, patch, channel)
-        Signal per second of exposure. Saturated values are NaN.
+        Signal per second of exposure. Values without an unsaturated capture are NaN, and are not used.
     photons : ndarray, (filter, patch)
         Photons per second from each patch.
 
@@ -550,7 +595,7 @@ def respond(rates: Array, photons: Array) -> tuple[Array, Array]:
         Standard deviation over the patches, relative to the mean.
     """
     each = rates / photons[..., None]
-    response = np.nanmean(each, axis=1)  # a patch that is saturated in every capture is NaN
+    response = np.nanmean(each, axis=1)
     relative = each / response[:, None]
     brightest = np.take_along_axis(relative, response.argmax(axis=1)[:, None, None], axis=2)[..., 0]
     spread = np.nanstd(relative / np.nanmedian(brightest, axis=0)[:, None], axis=1, ddof=1)
@@ -560,7 +605,8 @@ def respond(rates: Array, photons: Array) -> tuple[Array, Array]:
 def linearity_errors(series: Series, span: float) -> Array:
     """Return the linearity error of each channel, averaged over filters and patches.
 
-    A patch is used if at least three captures are between 5 % and 95 % of full scale (`span`, in DN).
+    Only captures in which a patch is between 5 % and 95 % of full scale are used, and only patches with at least three such
+    captures behind a filter. `span` is the full scale in DN. The result is 0 for channels without such a patch.
     """
     low, high = (share * span for share in noise.LINEAR)
     errors: list[list[float]] = [[] for _ in range(series.values.shape[2])]
@@ -574,7 +620,7 @@ def linearity_errors(series: Series, span: float) -> Array:
 
 
 def named(captures: Sequence[BandCapture], series: Series, body: Body) -> tuple[str, ...]:
-    """Describe each capture with saturated patches in one line, with the number of these patches in each channel."""
+    """Describe the captures with saturated patches: one line per capture, with the number of these patches per channel."""
     lines = []
     for capture, valid in zip(captures, series.valid, strict=True):
         counts = zip(body.channels, (~valid).sum(axis=0), strict=True)

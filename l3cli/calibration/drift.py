@@ -1,9 +1,9 @@
 """Estimates the drift of lamps from disagreements between charts (docs/method.md#drift-of-lamps).
 
-If a lamp is brighter during a capture than when its spectrum was measured, the responses of all channels increase by the
-same factor. In a monochromator sweep, such factors vary slowly over wavelength and deform the curves. The curves alone
-do not reveal this deformation. In a chart capture, the factor changes the scale. Both effects become visible if the
-prediction of the curves for each chart and channel is compared with the measured values.
+If a lamp is brighter during a capture than it was when its spectrum was measured, the signals of all channels increase by
+the same factor. During a monochromator sweep, this factor changes slowly with wavelength and deforms the curves. The curves
+alone do not reveal the deformation. In a chart capture, the factor changes the scale of the signals. Both effects become
+visible when the measured values of each chart and channel are compared with the predictions from the curves.
 """
 
 from dataclasses import dataclass
@@ -15,25 +15,25 @@ from l3cli.calibration.captures import Charts
 from l3cli.calibration.responsivity import Sweep, chart_factors, fit_gain, smoothers
 
 MEMORY = 0.8  # correlation of the drift between consecutive captures in the measurement file
-CHART_ERROR = 0.002  # relative error of the mean of a chart in a channel; errors of 0.5 % per patch explain half of it
-TRIED = np.geomspace(2e-4, 0.2, 100)  # candidates for the relative standard deviation of the drift
-EVIDENCE = 4.0  # smallest log likelihood ratio at which an estimated drift replaces the declared drift
+CHART_ERROR = 0.002  # relative error of the mean of a chart in a channel; errors of 0.5 % per patch cause half of it
+TRIED = np.geomspace(2e-4, 0.2, 100)  # possible values of the relative standard deviation of the drift
+EVIDENCE = 4.0  # smallest log likelihood ratio with which the estimated drift replaces the declared drift
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class DriftError:
-    """Lamp drift that was estimated from the charts, and the uncertainty of the responsivities that it causes."""
+    """Drift of the lamps, estimated from the charts, and the resulting uncertainty of the responsivities."""
 
     deviation: float  # relative standard deviation of the lamps from their measured spectra
-    curve_error: Array  # (channel, wavelength) standard deviation of the responsivities, except for the error of the scale
-    scale_error: float  # relative standard deviation of the scale, which the charts determine
+    curve_error: Array  # (channel, wavelength): standard deviation of the responsivities, without the error of their scale
+    scale_error: float  # relative standard deviation of the scale of the responsivities
 
 
 def estimate_drift(
     sweep: Sweep, charts: Charts, curves: Array, delta: float, black_level: Array, declared: float
 ) -> DriftError | None:
-    """Estimate how much the lamps drifted from the disagreement of the charts.
+    """Estimate the drift of the lamps from disagreements between the charts.
 
     Parameters
     ----------
@@ -44,30 +44,29 @@ def estimate_drift(
     curves : ndarray, (channel, wavelength)
         Responsivities from `sweep` with the smoothing `delta`.
     delta : float
-        Smoothing weight in Eq. 1.
+        Smoothing weight in Eq. 1 of docs/method.md#responsivity.
     black_level : ndarray, (channel,)
-        DN.
+        Black level of each channel in DN.
     declared : float
-        Relative standard deviation of the drift, as declared in the measurement file.
+        Relative standard deviation of the drift that the measurement file declares.
 
     Returns
     -------
     DriftError or None
-        None if the declared drift explains the disagreement.
+        None if the declared drift explains the disagreements.
 
     Notes
     -----
-    For each chart and channel, the ratio of the measured signal to the predicted signal is computed. The logarithms of
-    these ratios are linear in the unknown drifts of all captures. The drifts are assumed to be normally distributed,
-    with an exponential correlation. The prior of the logarithm of the standard deviation is uniform. The returned
-    deviation is the square root of the posterior mean of the variance. If there are only few charts, it exceeds the most
-    probable deviation.
+    The logarithms of the ratios of measured to predicted signals, one per chart and channel, are linear in the unknown
+    drifts of all captures. The drifts are assumed to be normally distributed, with an exponential correlation between
+    captures. The prior of the logarithm of their standard deviation is uniform. The returned deviation is the square root of
+    the posterior mean of the variance. With few charts, it is larger than the most probable deviation.
     """
     steps, count = len(sweep.values), len(charts.values)
     order = np.arange(steps + count)
     correlation = MEMORY ** np.abs(order[:, None] - order)
     factors = np.empty((count, len(curves)))
-    # (chart, channel, capture) derivative of the logarithm of each ratio with respect to the drift of a capture
+    # (chart, channel, capture): derivative of the logarithm of a ratio with respect to the drift in each capture
     response = np.zeros((count, len(curves), steps + count))
     deformations = []
     for channel, (curve, smoother) in enumerate(zip(curves, smoothers(sweep, delta), strict=True)):
@@ -82,7 +81,7 @@ def estimate_drift(
         scale = response[:, channel, :steps].mean(axis=0)
         deformations.append(deformation + curve[:, None] * scale)
     if not (factors > 0).all():
-        return None  # fit_charts raises an error if the charts contradict the curves completely
+        return None  # the charts contradict the curves completely; `fit_charts` later raises an error
     seen_factors, cause = np.log(factors).ravel(), response.reshape(factors.size, -1)
     seen_factors, cause = seen_factors - seen_factors.mean(), cause - cause.mean(axis=0)
     deviation = _deviation(seen_factors, cause @ correlation @ cause.T, declared)
@@ -97,8 +96,8 @@ def estimate_drift(
 def _deviation(factors: Array, covariance: Array, declared: float) -> float | None:
     """Return the standard deviation of the drift, or None if the declared drift explains the ratios.
 
-    `factors` contains the logarithms of the ratios of all charts and channels. `covariance` is the covariance of these
-    logarithms for a drift with a standard deviation of 1.
+    `factors` contains the logarithms of the ratios of all charts and channels. `covariance` is the covariance that these
+    logarithms have for a drift with a standard deviation of 1.
     """
     variance, directions = np.linalg.eigh(covariance)
     seen = (directions.T @ factors) ** 2

@@ -1,4 +1,4 @@
-"""Reports on a calibrated camera: its EMVA 1288 parameters, its errors relative to a known true camera, and warnings."""
+"""Results of a calibration for reports: EMVA 1288 parameters, errors relative to a known true camera, and warnings."""
 
 from typing import Any
 
@@ -17,12 +17,12 @@ from l3cli.physics import spectra
 from l3cli.physics.stokes import angle_difference
 from l3cli.system.text import columns, figure
 
-SHOWN = 8  # number of defective pixels that the text lists; JSON and the artifact contain all defective pixels
-LEAST_EFFICIENCY = 0.01  # a lower peak quantum efficiency is more likely caused by a wrong unit than by the camera
-MOST_MISFIT = 0.03  # largest RMS error of the patches of a photo, as a fraction of the brightest patch
+SHOWN = 8  # number of defective pixels in the text; JSON and the artifact contain all defective pixels
+LEAST_EFFICIENCY = 0.01  # a lower peak quantum efficiency is probably due to a wrong unit
+MOST_MISFIT = 0.03  # largest acceptable RMS error of the patches of a photo, as a fraction of the brightest patch
 LARGEST_POWER = 4  # factors of 10^4 and above are printed as powers of ten
-TINY_LEAKAGE = 1e-6  # smaller leakages count as this one, so that errors of extinction ratios are finite
-LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # a calibration fails if R² is lower, or the RMSE higher, in any channel
+TINY_LEAKAGE = 1e-6  # smaller leakages are replaced by this value, so that errors of extinction ratios are finite
+LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # limits for the validation of each channel; the RMSE is relative to the mean signal
 
 
 def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
@@ -31,8 +31,9 @@ def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
     Returns
     -------
     dict
-        Value and unit of each parameter, by its name in EMVA 1288. The noise of rows and columns is included only if the
-        camera has it. Calibration does not measure column noise, the fixed offset of columns.
+        Name of each parameter, as in EMVA 1288, with its value and its unit. Row temporal noise, column temporal noise and
+        column noise are included only if they are not zero. Calibration does not measure column noise, which is the fixed
+        offset of columns, but a camera recipe may declare it.
     """
     noise = camera.noise
     lines = {
@@ -71,8 +72,8 @@ def figures(camera: CameraModel) -> dict[str, Any]:
     Returns
     -------
     dict
-        Results for the camera and, if they were measured, for the channels, illuminants, filters, gains and photos.
-        Entries without measurements are empty or None.
+        Results for the camera as a whole, and for its channels, illuminants, filters, analog gains and photos. Entries
+        for which nothing was measured are empty or None.
     """
     fit = camera.fit or Fit()
     columns: dict[str, Any] = {}
@@ -129,7 +130,7 @@ def _curves(camera: CameraModel) -> dict[str, Any]:
 
 
 def _corners(camera: CameraModel) -> dict[str, float] | None:
-    """Return the percentage of light that each channel loses in the darkest corner."""
+    """Return the loss of light in the darkest corner for each channel, in percent, or None without a flat field."""
     if camera.flat_field is None:
         return None
     lost = 100.0 * corner_falloff(camera.flat_field)
@@ -137,7 +138,7 @@ def _corners(camera: CameraModel) -> dict[str, float] | None:
 
 
 def _efficiency_columns(camera: CameraModel, chart: ChartFit) -> dict[str, Any]:
-    """Return the peak quantum efficiency of each channel, its 95 % confidence band if known, and the offset in Eq. 2."""
+    """Return the peak quantum efficiency of each channel, its 95 % confidence band if known, and the offset of Eq. 2."""
     peak = camera.responsivity.argmax(axis=1)[:, None]
     height, band = (np.take_along_axis(of, peak, 1)[:, 0] for of in (camera.responsivity, camera.responsivity_band))
     known = {"± 95 % (%)": 100.0 * band} if camera.responsivity_band.any() else {}
@@ -163,10 +164,10 @@ def _emva_columns(noise: NoiseFit) -> dict[str, Any]:
 
 
 def _polariser_columns(fit: PolariserFit) -> dict[str, Any]:
-    """Return the angle, the extinction ratio and the relative gain of each channel, with their 95 % confidence intervals.
+    """Return the angle, the extinction ratio and the relative gain of each channel, with 95 % confidence intervals.
 
-    A leakage below its standard deviation is replaced by its standard deviation, so that the extinction ratio is finite. The
-    extinction ratio is 1 without a polariser.
+    If a leakage is below its standard deviation, the standard deviation is used instead, so that the extinction ratio is
+    finite. Without a polariser, the extinction ratio is 1.
     """
     leakage = np.maximum(fit.leakage, fit.leakage_error)
     return {
@@ -208,7 +209,7 @@ def _gains(camera: CameraModel) -> dict[str, dict[str, float]]:
 
 
 def _bands(camera: CameraModel, series: SeriesFit) -> dict[str, dict[str, float]]:
-    """Return the central wavelength of each filter, and the response and its spread over the patches for each channel."""
+    """Return the central wavelength of each filter, and, for each channel, the mean and the spread of the response."""
     rows = {}
     for index, light in enumerate(series.lights):
         row = {"centre (nm)": float(camera.wavelength[index])}
@@ -220,7 +221,7 @@ def _bands(camera: CameraModel, series: SeriesFit) -> dict[str, dict[str, float]
 
 
 def _photo_columns(camera: CameraModel, fit: PhotoFit) -> dict[str, Any]:
-    """Return the uncertainty of the curves, and of the colours that the curves predict under other illuminants."""
+    """Return the uncertainty of the curves, and the uncertainty of the colours that they predict under other illuminants."""
     band = camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     return {
         "curve ± 95 % (% of peak)": 100.0 * np.sqrt(np.mean(band**2, axis=1)),
@@ -229,7 +230,7 @@ def _photo_columns(camera: CameraModel, fit: PhotoFit) -> dict[str, Any]:
 
 
 def _photos(fit: PhotoFit) -> dict[str, dict[str, Any]]:
-    """Return the illuminant, chart, uneven illumination, glare and RMS error of each photo."""
+    """Return the illuminant, the chart, the unevenness of the illumination, the glare and the RMS error of each photo."""
     rows = {}
     for index, name in enumerate(fit.names):
         place = np.stack(np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-1, 1, 5)), axis=-1)
@@ -251,7 +252,7 @@ def _photos(fit: PhotoFit) -> dict[str, dict[str, Any]]:
 
 
 def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
-    """Compare a calibrated camera with the true camera: all parameters, and the responsivity curves.
+    """Compare the parameters and the responsivity curves of a calibrated camera with the true camera.
 
     Parameters
     ----------
@@ -263,8 +264,8 @@ def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
     Returns
     -------
     dict
-        The entry "camera" contains the recovered value, true value, unit and error of each parameter. The entry
-        "channels" contains the errors of the curves.
+        Entry "camera": measured value ("recovered"), true value, unit and error of each parameter. Entry "channels":
+        errors of the curves and, if both cameras have polarisers, of the polarisers.
 
     Raises
     ------
@@ -301,9 +302,9 @@ def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
 
 
 def _polariser_errors(measured: Polarisers, truth: CameraModel) -> dict[str, Any]:
-    """Return the errors of the angles and, as a percentage, of the extinction ratios.
+    """Return the errors of the angles in degrees and the errors of the extinction ratios in percent.
 
-    The true extinction ratio is an average over the wavelengths to which the channel responds.
+    The true leakage is averaged over wavelength, weighted by the responsivity of the channel.
     """
     assert truth.polarisers is not None
     true = (truth.polarisers.leakage * truth.responsivity).sum(axis=1) / truth.responsivity.sum(axis=1)
@@ -315,7 +316,7 @@ def _polariser_errors(measured: Polarisers, truth: CameraModel) -> dict[str, Any
 
 
 def _by_channel(camera: CameraModel, columns: dict[str, Any]) -> dict[str, dict[str, float]]:
-    """Convert arrays with one value per channel to one dict of Python numbers per channel."""
+    """Convert columns, which are arrays with one value per channel, to one dict of Python numbers per channel."""
     return {
         name: {title: float(column[index]) for title, column in columns.items()}
         for index, name in enumerate(camera.channels)
@@ -330,7 +331,7 @@ def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
     result : dict
         The result of `figures`. If the true camera is known, the entry "truth" contains the result of `compare`.
     width : int, optional
-        Largest width in characters. Wider tables are split.
+        Largest width in characters. Wider tables are split. None: no limit.
     """
     truth = result.get("truth")
     lines = []
@@ -358,12 +359,12 @@ def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
     defects = result["defects"]
     if defects:
         shown = " ".join(f"({row}, {col})" for row, col in defects[:SHOWN]) + (" …" if len(defects) > SHOWN else "")
-        lines.append(f"{len(defects)} hot and dead pixels left out (row, column): {shown}")
+        lines.append(f"left out {len(defects)} hot and dead pixels (row, column): {shown}")
     return lines + _correction_lines(result) + _curve_lines(result["curves"], width)
 
 
 def _curve_lines(curves: dict[str, Any], width: int | None) -> list[str]:
-    """Format the peak wavelength and the width of each channel's curve."""
+    """Format the range of wavelengths, and the peak wavelength and width of each channel's curve."""
     rows = []
     for name, curve in curves["channels"].items():
         wide = "–" if curve["FWHM (nm)"] is None else f"{curve['FWHM (nm)']:.0f}"
@@ -373,23 +374,23 @@ def _curve_lines(curves: dict[str, Any], width: int | None) -> list[str]:
 
 
 def _correction_lines(result: dict[str, Any]) -> list[str]:
-    """Format the numbers of defects and the light that is lost in the corners."""
+    """Format the number of defects of each type, and the loss of light in the darkest corner."""
     lines = []
     if found := result["defect map"]:
         lines.append("defect map: " + ", ".join(f"{what} {count}" for what, count in found.items()))
     if lost := result["corner fall-off %"]:
         shares = ", ".join(f"{name} {figure(share, '.3g')} %" for name, share in lost.items())
-        lines.append(f"flat field: light lost in the darkest corner: {shares}")
+        lines.append(f"flat field: loss of light in the darkest corner: {shares}")
     return lines
 
 
 def matrix_lines(matrices: dict[str, dict[str, dict[str, Any]]], width: int | None = None) -> list[str]:
-    """Format the colour errors of the exported matrices, for each illuminant and matrix.
+    """Format the colour errors of the exported matrices as a table with one row per illuminant and matrix.
 
     Parameters
     ----------
     matrices : dict
-        CIEDE2000 errors over measured surfaces, by illuminant and matrix.
+        Illuminant: matrix: statistics of CIEDE2000 errors over measured surfaces.
     width : int, optional
         Largest width in characters.
     """
@@ -408,66 +409,70 @@ def matrix_lines(matrices: dict[str, dict[str, dict[str, Any]]], width: int | No
 
 
 def _table(rows: dict[str, dict[str, float]], width: int | None) -> list[str]:
-    """Format a table with two heading lines. The second line contains the units, which are in brackets in the titles."""
+    """Format a table with a heading of two lines.
+
+    The second line contains the units, which are in brackets in the titles.
+    """
     titles = list(next(iter(rows.values())))
     headings = ["channel\n", *("\n".join(title.rstrip(")").partition(" (")[::2]) for title in titles)]
     return columns(headings, [[name, *(figure(row[title], ".5g") for title in titles)] for name, row in rows.items()], width)
 
 
 def _photo_lines(result: dict[str, Any]) -> list[str]:
-    """Format the results from photos of charts, and explain which confidence bands matter."""
+    """Format the results from photos of charts."""
     lines = [""]
     for name, photo in result["photos"].items():
         light = guessed_light(photo["probable lights"]) if photo["guessed"] else photo["light"]
         nearest = "" if photo["nearest"] == photo["light"] else f" (most similar common illuminant: {photo['nearest']})"
         lines.append(
-            f"{name}: {photo['chart']}, light {light}{nearest}, illumination uneven by {photo['uneven %']:.0f} %, glare up "
-            f"to {max(photo['glare %']):.1f} %, RMS error of the patches up to {max(photo['misfit %']):.1f} % of the "
-            "brightest patch"
+            f"{name}: {photo['chart']}, illuminant {light}{nearest}, illumination uneven by {photo['uneven %']:.0f} %, "
+            f"glare up to {max(photo['glare %']):.1f} %, RMS error of the patches up to {max(photo['misfit %']):.1f} % "
+            "of the brightest patch"
         )
     further = result["next light"]
     return [
         *lines,
-        f"prior of the curves: {result['prior']}; colours are less uncertain than curves, as the bands of both show",
-        f"one more photo, under {further['light']}, would reduce the colour error to {further['remaining %']:.0f} %",
+        f"prior of the curves: {result['prior']}; colours are less uncertain than curves, as the two bands ± 95 % show",
+        f"a further photo under {further['light']} would reduce the colour error to {further['remaining %']:.0f} % of the "
+        "present error",
     ]
 
 
 def doubts(camera: CameraModel) -> list[str]:
-    """Return warnings about a camera that can still be used.
+    """Return warnings about a calibration whose result can still be used.
 
-    A warning is returned if the lamps have drifted more than declared, or if the patches of a photo contradict the
-    illuminant that the user specified.
+    There is a warning if the lamps drifted more than the measurement file declares, and a warning for each photo whose
+    patches contradict the illuminant that the user specified.
     """
     if camera.fit and camera.fit.drift:
         drift = camera.fit.drift
         return [
-            f"the differences between the charts suggest that the lamps drifted by {100 * drift.deviation:.2g} %, more than "
-            f"the {100 * drift.declared:.2g} % of [uncertainty] lamp_drift; the confidence bands were widened accordingly; "
-            'set "monitor" to the readings of the lamps to correct the drift'
+            f"the differences between the charts suggest that the lamps drifted by {100 * drift.deviation:.2g} %, which is "
+            f'more than the {100 * drift.declared:.2g} % in "uncertainty.lamp_drift"; l3 has widened the confidence bands; '
+            'to correct the drift, set "monitor" to the readings of the lamps'
         ]
     fit = camera.fit.photo if camera.fit else None
     if fit is None:
         return []
     return [
         f"{name}: the patches are {_times(fit.deficit[index])} times more probable under {fit.nearest[index]} than under "
-        f"the specified illuminant {fit.lights[index]}, which is used; check the illuminant"
+        f"the specified illuminant {fit.lights[index]}, which l3 has used; check the illuminant"
         for index, name in enumerate(fit.names)
         if not fit.guessed[index] and fit.deficit[index] > NOTICED
     ]
 
 
 def _times(logarithm: float) -> str:
-    """Format a factor, given its natural logarithm."""
+    """Format a factor with one significant digit, given its natural logarithm. Large factors become powers of ten."""
     power = logarithm / np.log(10)
     return f"{float(f'{10**power:.1g}'):.0f}" if power < LARGEST_POWER else f"10^{power:.0f}"
 
 
 def shortfall(camera: CameraModel) -> str | None:
-    """Return the reason why a camera should not be used, or None if there is no such reason.
+    """Return the reason why the result of a calibration should not be used, or None if there is no such reason.
 
-    Possible reasons are captures that contradict each other, an implausible quantum efficiency, patches of a photo that
-    do not fit, and a channel that fails the validation.
+    Reasons are monochromatic captures that contradict their neighbours, an implausible quantum efficiency, a photo whose
+    patches do not fit the curves, and a channel that fails the validation.
     """
     if camera.fit and camera.fit.sweep and camera.fit.sweep.odd:
         odd = camera.fit.sweep.odd
@@ -492,13 +497,13 @@ def shortfall(camera: CameraModel) -> str | None:
 
 
 def _photo_shortfall(fit: PhotoFit, channels: tuple[str, ...]) -> str | None:
-    """Return a sentence about the first photo whose patches do not fit, or None."""
+    """Describe the first photo whose patches do not fit the curves. The result is None if all fit."""
     for index, name in enumerate(fit.names):
         worst = int(fit.misfit[index].argmax())
         if fit.misfit[index, worst] > MOST_MISFIT:
             return (
                 f"{name}: the RMS error of the patches in channel {channels[worst]} is "
-                f"{100 * fit.misfit[index, worst]:.1f} % of the brightest patch, but at most {100 * MOST_MISFIT:g} % is "
-                "allowed; check the chart and the illuminant"
+                f"{100 * fit.misfit[index, worst]:.1f} % of the brightest patch, but must not exceed {100 * MOST_MISFIT:g} "
+                "%; check the chart and the illuminant"
             )
     return None

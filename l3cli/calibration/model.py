@@ -1,4 +1,4 @@
-"""Builds a camera model from measurements. The functions follow the order of docs/method.md#calibration."""
+"""Builds a camera model from measurements (docs/method.md#calibration)."""
 
 from dataclasses import replace
 from typing import Any
@@ -28,15 +28,15 @@ from l3cli.calibration.statistics import Each, channel_shares
 from l3cli.errors import InputFileError, raised_as
 from l3cli.frames.measurement import Body, Measurements, SensorFigures
 
-DELTAS = np.geomspace(1e-7, 1e1, 33)  # candidates for the smoothing weight in Eq. 1 (docs/method.md#responsivity)
-LEAST_R_SQUARED = 0.5  # if R² is lower, the measurement file does not describe the charts correctly
+DELTAS = np.geomspace(1e-7, 1e1, 33)  # smoothing weights that are tried in Eq. 1 (docs/method.md#responsivity)
+LEAST_R_SQUARED = 0.5  # if R² is lower, the description of the charts in the measurement file is wrong
 Array = NDArray[np.float64]
 TOLERANCE = 0.1  # largest relative difference between a gain or exposure in the measurement file and its measured value
-SAME_SPEED = 1.25  # largest ratio, in either direction, between a measured gain and the gain that the ISO speed implies
-# Weaker temporal noise of rows or columns, relative to the temporal dark noise, is not visible and is left out of the camera
-# model, because it would make training slower. Stripes become visible at about twice this strength.
+SAME_SPEED = 1.25  # largest factor between a measured gain and the gain that the ISO speed implies
+# Temporal noise of rows or columns that is weaker than this fraction of the temporal dark noise is left out of the camera
+# model. It is not visible, but would make training slower. Stripes become visible at about twice this strength.
 LEAST_LINE_NOISE = 0.05
-CERTAIN = 4.0  # a measured gain is an error only if it deviates by more than this number of standard deviations
+CERTAIN = 4.0  # a measured gain contradicts the file only if it deviates by more than this number of standard deviations
 
 
 def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
@@ -53,12 +53,12 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
     Returns
     -------
     CameraModel
-        The camera, with the results of each fit in `fit`.
+        The camera model. Its attribute `fit` contains the results of all fits.
 
     Raises
     ------
     InputFileError
-        If a capture cannot be used or contradicts other captures. The message names the capture.
+        If a capture cannot be used, or if captures contradict each other. The message contains the name of the capture.
     """
     body, drift = measurements.body, measurements.lamp_drift
     if measurements.base is not None:
@@ -103,12 +103,12 @@ def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = 
     Returns
     -------
     AnalogGains or None
-        None if the measurement file does not specify an ISO speed.
+        Gains relative to the gain of `camera`, or None if the measurement file does not specify an ISO speed.
 
     Raises
     ------
     InputFileError
-        If a measured gain does not agree with the ISO speed.
+        If a measured gain does not agree with its ISO speed, or if a capture cannot be used.
     """
     body, found = measurements.body, {}
     if measurements.iso is None:
@@ -121,7 +121,7 @@ def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = 
         if not 1 / SAME_SPEED < times / stated < SAME_SPEED:
             raise InputFileError(
                 f"the gain at ISO {captures.iso:g} is {times:.3g} times the gain at ISO {measurements.iso:g}, but the ISO "
-                f'speeds imply {stated:.3g} times; use frames with analog gain only, or correct "iso"'
+                f'speeds imply a factor of {stated:.3g}; use frames with analog gain only, or correct "iso"'
             )
         # The row and column noise of a camera changes in proportion to its read noise.
         found[times] = noise.noise.dark_noise * (
@@ -132,18 +132,19 @@ def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = 
 
 
 def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:
-    """Build a camera model with relative responsivity curves from photographs of charts.
+    """Build a camera model with relative responsivity curves from photos of charts.
 
-    Dark and white frames determine the noise and the levels of the sensor. If there are no white frames, the noise is
-    estimated from the photographs, and the levels are those of the raw frames. Raises InputFileError if no responsivities
-    explain the values of the patches.
+    If the measurements contain white and dark frames, the noise and the levels of the sensor come from these frames.
+    Otherwise the levels come from the raw files of the photos, and the noise is estimated from the patches. Raises
+    InputFileError if no responsivities explain the values of the patches.
     """
     try:
         curves, fit, sensor = fit_photos(measurements)
     except np.linalg.LinAlgError as error:
         name = measurements.photos[0].name
         raise InputFileError(
-            f"{name}: no responsivities explain the values of the patches; check the chart, the light and the levels"
+            f"{name}: no responsivities explain the values of the patches; check the chart, the illuminant, the black level "
+            "and the white level"
         ) from error
     if not measurements.whites:
         polarisers = measure_polarisers(measurements, sensor, each)
@@ -156,10 +157,10 @@ def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:
 
 
 def from_data_sheet(measurements: Measurements, figures: SensorFigures, each: Each = map) -> CameraModel:
-    """Build a camera model with relative responsivity curves. The noise and the levels come from a data sheet.
+    """Build a camera model with relative responsivity curves, and with the noise and the levels of a data sheet.
 
-    The curves are finished curves, or are measured with a monochromator and a photodiode, or on a chart behind
-    narrow-band filters.
+    If the measurements contain curves, from a table or from a sweep with a photodiode, these curves are used. Otherwise the
+    responsivities are fitted to captures of a chart behind narrow-band filters.
     """
     body, drift, shift = measurements.body, measurements.lamp_drift, measurements.wavelength_uncertainty
     polarisers = measure_polarisers(measurements, figures, each)
@@ -178,9 +179,17 @@ def fit_curves(
 ) -> tuple[Curves, SweepFit, DriftError | None]:
     """Fit the responsivity curves (Eq. 1 in docs/method.md#responsivity), and estimate the lamp drift from the charts.
 
-    The smoothing weight is the one that predicts the charts best. If the charts disagree more than the declared drift
-    explains, the estimated drift is returned, and the confidence bands include it. Otherwise the returned drift is None.
-    Every curve is scaled to a peak of 1.
+    The smoothing weight is chosen so that the curves predict the charts best.
+
+    Returns
+    -------
+    Curves
+        Relative responsivities with confidence bands. The peak of every channel is 1.
+    SweepFit
+        Details of the fit.
+    DriftError or None
+        The estimated drift of the lamps, if the charts disagree more than the declared drift explains. The confidence bands
+        then include this drift. Otherwise None.
     """
     errors = np.array([_validation_error(sweep, charts, delta, black_level) for delta in DELTAS])
     delta = responsivity.choose_smoothing(DELTAS, errors)
@@ -196,7 +205,10 @@ def fit_curves(
 
 
 def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, black_level: Array) -> float:
-    """Return the relative RMSE of cross-validation over the charts for one smoothing weight, averaged over the channels."""
+    """Return the relative RMSE of a cross-validation over the charts, averaged over the channels.
+
+    `delta` is the smoothing weight of the curves.
+    """
     photons = charts.photons @ responsivity.solve_channels(sweep, delta).T
     channels = range(len(black_level))
     return float(
@@ -207,8 +219,9 @@ def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, b
 def check_charts(
     measurements: Measurements, charts: Charts, sweep: responsivity.Sweep, smoothing: float, black_level: Array
 ) -> None:
-    """Raise InputFileError if one chart contradicts the other charts, or if all charts contradict the monochromatic
-    captures.
+    """Raise InputFileError if a chart contradicts the remaining charts, or if all charts contradict the sweep.
+
+    `smoothing` is the smoothing weight with which the curves are computed from the sweep.
     """
     curves = responsivity.solve_channels(sweep, smoothing)
     measured = (charts.values - black_level).sum(axis=1)
@@ -229,18 +242,18 @@ def fit_charts(
     relative : ndarray, (channel, wavelength)
         Relative responsivity curves.
     black_level : ndarray, (channel,)
-        DN.
+        Black level of each channel in DN.
     drift : float
         Relative standard deviation of the lamp drift.
     body : Body
         Geometry and channels of the camera.
     odd : tuple of str
-        Descriptions of implausible monochromatic captures. The error message mentions the first of them.
+        Descriptions of implausible monochromatic captures. The error message contains the first description.
 
     Raises
     ------
     InputFileError
-        If the charts contradict the curves.
+        If R² of a channel is below LEAST_R_SQUARED.
     """
     photons = charts.photons @ relative.T
     fits = []
@@ -253,7 +266,9 @@ def fit_charts(
     r_squared = responsivity.r_squared(charts.values, predicted)
     worst = int(r_squared.argmin())
     if r_squared[worst] < LEAST_R_SQUARED:
-        cure = f"check {odd[0]}" if odd else 'check "corners", the order of the radiances, the exposures and "cfa.pattern"'
+        cure = (
+            f"check {odd[0]}" if odd else 'check "corners", the order of the radiances, the exposure times and "cfa.pattern"'
+        )
         raise InputFileError(
             f"channel {body.channels[worst]}: the responsivity predicts the values of the charts poorly "
             f"(R² {r_squared[worst]:.2f}); {cure}"
@@ -274,12 +289,12 @@ def fit_charts(
 
 
 def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
-    """Convert the noise in dark and white frames from DN to electrons.
+    """Return the results from dark and white frames, with noise converted from DN to electrons.
 
     Raises InputFileError if the measured gains of the channels contradict the measurement file.
     """
     dark, transfer = sensor.dark, sensor.transfer
-    own = conversion_gain(sensor, body) * body.channel_gains  # (channel) DN/e-
+    own = conversion_gain(sensor, body) * body.channel_gains  # (channel,): conversion gain in DN/e-
     check_gains(transfer.gain, transfer.gain_error, body)
     return NoiseFit(
         conversion_gain=transfer.gain,
@@ -305,8 +320,9 @@ def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
 def conversion_gain(sensor: Sensor, body: Body) -> float:
     """Return the conversion gain K of the whole sensor in DN/e-.
 
-    K is the mean of the gains of all channels, weighted by the number of pixels in each channel. If the channels differ
-    in exposure time or amplification, the gains are weighted by their inverse variances instead.
+    K is the weighted mean of the conversion gains of all channels. The weights are the numbers of pixels. If the channels
+    have different exposure times or gains, each gain is first divided by the relative gain of its channel, and the weights
+    are the inverse variances.
     """
     each = sensor.transfer.gain / body.channel_gains
     if body.readout is None:
@@ -315,9 +331,9 @@ def conversion_gain(sensor: Sensor, body: Body) -> float:
 
 
 def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
-    """Average the noise parameters of the channels to obtain one set for the whole sensor.
+    """Average the noise parameters of the channels over the whole sensor, weighted by the number of pixels per channel.
 
-    The weight of a channel is its number of pixels.
+    The read noise is averaged only over the channels with the lowest gain.
     """
     pixels = channel_shares(body)
     conversion, black_level = conversion_gain(sensor, body), float(pixels @ sensor.dark.black_level)
@@ -352,22 +368,36 @@ def without_lines(dark_noise: Any, rows: float, columns: float) -> Any:
 
 
 def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> CameraModel:
-    """Assemble the camera model. Its responsivity is absolute if charts determine the scale of the curves.
+    """Assemble the camera model.
 
-    `curves` are measured in unpolarised light.
+    The responsivity is absolute if charts determine the scale of the curves. Otherwise it is relative.
 
-    Raises InputFileError if the values do not form a valid camera model.
+    Parameters
+    ----------
+    body : Body
+        Geometry, filter array and optics.
+    sensor : SensorFigures
+        Noise and levels.
+    curves : Curves
+        Relative responsivities to unpolarised light.
+    fit : Fit
+        Results of all fits.
+
+    Raises
+    ------
+    InputFileError
+        If the values are implausible or do not form a valid camera model.
     """
     curve, band = curves.relative, curves.band
     if fit.chart is not None:
         curve, band = efficiency(curves, fit, sensor.gain, body)
-        # Without bands of the curves, the error of the scale alone would be too narrow a confidence band.
+        # If the curves have no confidence bands, the error of the scale alone would result in bands that are too narrow.
         band = band if curves.band.any() else np.zeros_like(band)
         check_exposures(curve, body)
         check_efficiency(curve, fit.sweep.odd if fit.sweep else ())
     elif body.readout is not None:
         curve, band = filter_curves(curve, band, body)
-    with raised_as(InputFileError, "the measurements result in an invalid camera", cure="; check the dark and white frames"):
+    with raised_as(InputFileError, "the measured values are not plausible", cure="; check the dark and white frames"):
         camera = CameraModel(
             name=body.name,
             rows=body.rows,
@@ -394,7 +424,7 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
 
 
 def _declared(fit: Fit) -> tuple[str, ...]:
-    """Return the names of the quantities that were not measured."""
+    """Return the names of the quantities that come from a data sheet or are assumed, because they were not measured."""
     if fit.noise is not None:
         return ()
     if fit.photo is None:
@@ -405,7 +435,7 @@ def _declared(fit: Fit) -> tuple[str, ...]:
 def check_gains(measured: Array, error: Array, body: Body) -> None:
     """Raise InputFileError if measured conversion gains contradict the channel gains in the measurement file.
 
-    `measured` contains the conversion gain of each channel in DN/e-, and `error` its standard deviation.
+    `measured` contains the conversion gain of each channel in DN/e-, and `error` contains the standard deviations.
     """
     if body.readout is None:
         return
@@ -416,16 +446,15 @@ def check_gains(measured: Array, error: Array, body: Body) -> None:
     for channel in np.flatnonzero(certain & (np.abs(relative / usual - 1.0) > TOLERANCE)).tolist():
         name, seen = body.channels[channel], measured[channel] / usual
         raise InputFileError(
-            f"channel {name}: in the white frames, the gain is {seen:.3g} times the gain of other channels, but the "
-            f'measurement file states {body.channel_gains[channel]:.3g} times; correct "channel.{name}.gain"'
+            f"the white frames imply a relative gain of {seen:.3g} for channel {name}, but the measurement file states "
+            f'{body.channel_gains[channel]:.3g}; correct "channel.{name}.gain"'
         )
 
 
 def check_exposures(responsivity: Array, body: Body) -> None:
-    """Raise InputFileError if channels with the same filter differ in quantum efficiency.
+    """Raise InputFileError if two channels with the same filter differ in quantum efficiency.
 
-    They differ if the measurement file states a wrong exposure time for one of them. `responsivity` has the shape
-    (channel, wavelength).
+    The reason is a wrong exposure time in the measurement file. `responsivity` has the shape (channel, wavelength).
     """
     if body.readout is None:
         return
@@ -435,16 +464,16 @@ def check_exposures(responsivity: Array, body: Body) -> None:
         if abs(ratio - 1.0) > TOLERANCE:
             name, seen = body.channels[channel], body.channel_exposures[channel] * ratio
             raise InputFileError(
-                f"compared with channel {body.channels[first]}, channel {name} responds as if it were exposed for "
-                f"{seen:.3g} of the frame's exposure time, but the measurement file states "
+                f"a comparison with channel {body.channels[first]} implies that the exposure time of channel {name} is "
+                f"{seen:.3g} of the exposure time of the frame, but the measurement file states "
                 f'{body.channel_exposures[channel]:.3g}; correct "channel.{name}.exposure"'
             )
 
 
 def filter_curves(curves: Array, band: Array, body: Body) -> tuple[Array, Array]:
-    """Divide curves and bands by the gain and the exposure of each channel, and scale the highest peak to 1.
+    """Divide curves and confidence bands by the gain and the exposure of their channel, and scale the highest peak to 1.
 
-    Both arrays have the shape (channel, wavelength).
+    `curves` and `band` have the shape (channel, wavelength).
     """
     setting = (body.channel_gains * body.channel_exposures)[:, None]
     peak = float((curves / setting).max())
@@ -452,9 +481,10 @@ def filter_curves(curves: Array, band: Array, body: Body) -> tuple[Array, Array]
 
 
 def measured_readout(body: Body, fit: NoiseFit | None, noise: Noise) -> Readout | None:
-    """Return the exposure, gain and read noise of each channel, or None if all channels have the same exposure and gain.
+    """Return the exposure, the gain and the read noise of each channel.
 
-    The read noise of `noise` is used for every channel if the noise was not measured.
+    The result is None if all channels have the same exposure and gain. If the noise was not measured (`fit` is None), all
+    channels have the read noise of `noise`.
     """
     if body.readout is None:
         return None

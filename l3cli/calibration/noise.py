@@ -1,7 +1,8 @@
 """Measures sensor noise as defined in EMVA 1288 (docs/method.md#dark-and-white-frames).
 
-Temporal variances are computed from differences between two frames, in which the fixed pattern cancels. Spatial
-variances are corrected for the temporal noise that remains in averaged frames. Hot and dead pixels are left out.
+Temporal variances are computed from differences between two frames, in which the fixed pattern cancels. Spatial variances
+are computed from averaged frames, and corrected for the temporal noise that remains in the average. Hot and dead pixels are
+left out.
 """
 
 import functools
@@ -33,31 +34,34 @@ from l3cli.calibration.statistics import (
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import Body, Capture
 
-SATURATED = 0.985  # fraction of full scale from which a pixel counts as saturated
+SATURATED = 0.985  # pixels at or above this fraction of full scale are saturated
 TOLERATED = 1e-4  # largest fraction of saturated pixels in frames from which a variance is computed
 LINEAR = (0.05, 0.95)  # fractions of saturation between which EMVA 1288 evaluates linearity
 CHANCE = 0.01  # probability of finding row noise where there is none, and the same for column noise
-WINDOW = 7  # side of the window of local means, in samples of one CFA site; with more than 9, dust increases the PRNU
+WINDOW = 7  # side of the window of local means, in samples of one CFA site; if it were over 9, dust would increase the PRNU
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class DarkNoise:
-    """Results from dark frames. All fields except `hot` contain one value per channel."""
+    """Results from dark frames. Except for `hot`, each attribute contains one value per channel."""
 
-    black_level: Array  # DN at zero exposure time
-    slope: Array  # DN/s; dark signal per exposure time
+    black_level: Array  # DN; mean value at zero exposure time
+    slope: Array  # DN/s; dark signal per second of exposure
     variance: Array  # DN²; temporal variance at zero exposure time, without quantisation noise
     dsnu: Array  # DN
-    hot: Defects = field(default_factory=no_defects)  # hot pixels
-    # noise that lines share, in channels with the lowest gain; part of `variance`
+    hot: Defects = field(default_factory=no_defects)
+    # temporal noise of rows and of columns in the channels with the lowest gain; it is a part of `variance`
     rows: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
     columns: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
 
 
 @dataclass(frozen=True)
 class LineNoise:
-    """Temporal noise that the pixels of a row share, or those of a column. Both values are 0 if it is not significant."""
+    """Temporal noise that all pixels of a row, or all pixels of a column, have in common.
+
+    Both values are 0 if the noise is not significant.
+    """
 
     deviation: float  # DN
     error: float  # DN; standard deviation of `deviation`
@@ -67,23 +71,27 @@ class LineNoise:
 class PhotonTransfer:
     """Results from white frames: the photon transfer curve and the quantities that are computed from it."""
 
-    mean: Array  # (exposure, channel) mean signal in DN above black
-    variance: Array  # (exposure, channel) temporal variance in DN²
-    used: NDArray[np.bool_]  # (exposure, channel) whether the signal is below saturation
-    white_level: float  # DN at which pixels saturate
-    white_level_reached: bool  # False if no frame saturates; the white level is then the maximum of the converter
-    gain: Array  # (channel) conversion gain K in DN/e-
-    gain_error: Array  # (channel) standard deviation of K in DN/e-
-    linearity_error: Array  # (channel) linearity error LE of EMVA 1288, as a fraction
+    mean: Array  # (exposure, channel): mean signal above black in DN
+    variance: Array  # (exposure, channel): temporal variance in DN²
+    used: NDArray[np.bool_]  # (exposure, channel): whether the signal is below saturation
+    white_level: float  # raw value of saturated pixels in DN
+    white_level_reached: bool  # whether a frame saturates; if not, the white level is the maximum of the converter
+    gain: Array  # (channel,): conversion gain K in DN/e-
+    gain_error: Array  # (channel,): standard deviation of K in DN/e-
+    linearity_error: Array  # (channel,): linearity error LE of EMVA 1288, as a fraction
 
 
 # ------------------------------------------------------------------------------------------------------------ dark
 
 
 def line_weights(exposures: Array) -> tuple[Array, Array]:
-    """Return the weights that give the intercept and the slope of a line fitted to values at these exposure times.
+    """Return the weights for a linear fit over exposure time.
 
-    The intercept is the weighted sum of the values with the first weights, the slope with the second weights.
+    Returns
+    -------
+    intercept, slope : ndarray, (exposure,)
+        The weighted sum of values with the weights `intercept` is the intercept of the fitted line. With the weights
+        `slope`, it is the slope of this line.
     """
     centred = exposures - exposures.mean()
     slope = centred / (centred @ centred)
@@ -93,17 +101,17 @@ def line_weights(exposures: Array) -> tuple[Array, Array]:
 def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> DarkNoise:
     """Measure black level, dark signal, read noise, DSNU and hot pixels from dark frames.
 
-    Three variances are involved:
+    The DSNU is computed from three variances:
 
-    1. The temporal variance is computed from differences between frames. It contains all noise that changes from frame
-       to frame, including row noise and column noise. The read noise is computed from this variance.
-    2. The spatial variance is the variance of the mean frame, extrapolated to zero exposure time. The variances of row
-       means and column means are subtracted, because DSNU does not include row noise and column noise. The spatial
-       variance consists of the DSNU and the temporal noise that remains after averaging.
+    1. The temporal variance is computed from differences between frames. It contains all noise that changes from frame to
+       frame, including row noise and column noise. The read noise is computed from this variance too.
+    2. The spatial variance is the variance of the mean frame, extrapolated to zero exposure time. The variances of row means
+       and column means are subtracted, because the DSNU does not include row noise and column noise. The result consists of
+       the DSNU and the temporal noise that remains after averaging.
     3. The remaining temporal noise is the temporal variance without row noise and column noise, divided by the number of
        frames. It is subtracted from the spatial variance.
 
-    Raises InputFileError if all frames have the same exposure time.
+    Raises InputFileError if all frames have the same exposure time, or if a capture contradicts the remaining captures.
     """
     exposures = np.array([capture.exposure for capture in captures])
     if np.unique(exposures).size < 2:
@@ -173,7 +181,7 @@ def line_noise(squares: Sequence[tuple[float, float, int]], pixels: int) -> Line
 def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> PhotonTransfer:
     """Fit the conversion gain, which is the slope of the temporal variance over the mean signal.
 
-    The well or the converter saturates where the variance begins to fall. Longer exposures are not used
+    When the well or the converter saturates, the variance falls. Exposures after the maximum of the variance are not used
     (docs/method.md#dark-and-white-frames).
 
     Parameters
@@ -188,13 +196,14 @@ def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> Pho
     Raises
     ------
     InputFileError
-        If a channel has fewer than two exposure times below saturation.
+        If a channel has fewer than two exposure times below saturation, or if the frames contain no photon noise.
     """
     mean = np.array([mean_value(level.counts) for level in levels]) - dark.black_level
     variance = np.array([level.variance for level in levels])
     if not variance.max(axis=0).all():
         raise InputFileError(
-            "the white frames contain no noise, because they are saturated or copies of one frame; capture new white frames"
+            "the white frames contain no noise, because they are saturated or are copies of one frame; use different white "
+            "frames"
         )
     white_level, reached = saturation(levels, variance, 2**body.bits - 1)
     limit = dark.black_level.mean() + SATURATED * (white_level - dark.black_level.mean())
@@ -220,10 +229,10 @@ def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> Pho
 
 
 def _transfer_line(levels: Sequence[Level], mean: Array, channel: int) -> tuple[float, float]:
-    """Fit the slope of the temporal variance over the mean signal of one channel.
+    """Fit the slope of the temporal variance over the mean signal of one channel. Return it and its standard deviation.
 
-    The result is the slope and its standard deviation. The standard deviation of a variance from n samples is √(2/n)
-    times the variance.
+    Each variance is weighted by its uncertainty: the standard deviation of a variance from n samples is √(2/n) times the
+    variance.
     """
     variance = np.array([level.variance[channel] for level in levels])
     samples = np.array([level.counts[channel].sum() / level.trials * (level.trials // 2) for level in levels])
@@ -234,9 +243,9 @@ def _transfer_line(levels: Sequence[Level], mean: Array, channel: int) -> tuple[
 def linearity_errors(
     levels: Sequence[Level], mean: Array, used: NDArray[np.bool_], dark: DarkNoise, white_level: float
 ) -> Array:
-    """Return the linearity error LE of EMVA 1288 for each channel, which is the mean relative deviation from a line.
+    """Return the linearity error LE of EMVA 1288 for each channel, as a fraction.
 
-    The error is 0 if a channel has fewer than three usable exposures.
+    LE is the mean relative deviation of the signal from a line. It is 0 if a channel has fewer than three usable exposures.
     """
     lit, exposure = np.array([(level.lit, level.exposure) for level in levels]).T
     errors = []
@@ -248,7 +257,7 @@ def linearity_errors(
 
 
 def linearity_error(lit: Array, signal: Array) -> float:
-    """Return the mean relative deviation of `signal` from a line over `lit`.
+    """Return the mean relative deviation of `signal` from a straight line over `lit`, the exposure times.
 
     The line minimises the squared relative deviations.
     """
@@ -257,10 +266,10 @@ def linearity_error(lit: Array, signal: Array) -> float:
 
 
 def saturation(levels: Sequence[Level], variance: Array, top: int) -> tuple[float, bool]:
-    """Return the DN at which pixels saturate, and whether any pixel reached this value.
+    """Return the raw value of saturated pixels in DN, and whether the longest exposure reached this value.
 
-    If the variance of a channel is below half its maximum at the longest exposure, the channel is saturated, and the
-    result is its median. Otherwise the result is `top`, the maximum of the converter.
+    A channel is saturated if its variance at the longest exposure is at most half its maximum. The result is then the median
+    of this channel. If no channel is saturated, the result is `top`, the maximum of the converter.
     """
     fallen = variance[-1] / variance.max(axis=0)
     channel = int(fallen.argmin())
@@ -273,7 +282,7 @@ def saturation(levels: Sequence[Level], variance: Array, top: int) -> tuple[floa
 def prnu(
     captures: Sequence[Capture], levels: Sequence[Level], used: NDArray[np.bool_], body: Body, hot: Defects, each: Each = map
 ) -> tuple[Array, Defects, Array]:
-    """Measure PRNU and dead pixels from the slopes of the pixels over exposure time.
+    """Measure PRNU and dead pixels. Both are computed from the slope of each pixel over exposure time.
 
     Parameters
     ----------
@@ -288,17 +297,17 @@ def prnu(
     hot : ndarray, (defect, 2)
         Row and column of the hot pixels.
     each : callable
-        Applies a function to each capture.
+        A function with the signature of the built-in `map`. It may use several processes.
 
     Returns
     -------
     prnu : ndarray, (channel,)
-        Relative spread of the slopes around their local mean. Uneven light changes the slopes and the local mean by the
-        same factor, so it does not increase the PRNU.
+        Relative standard deviation of the slopes around their local mean. Uneven light changes a slope and its local mean
+        by the same factor, so it does not increase the PRNU.
     dead : ndarray, (defect, 2)
-        Row and column of the pixels whose slope differs from the local mean by a tenth or more.
+        Row and column of the pixels whose slope differs from the local mean by at least 10 %.
     slopes : ndarray, (row, col)
-        Slopes in DN/s. Defective pixels are replaced.
+        Slopes in DN/s. The values of defective pixels are interpolated.
     """
     weights = np.zeros(used.shape)
     for channel in range(used.shape[1]):
@@ -314,17 +323,17 @@ def prnu(
 
 
 def dead_pixels(response: Array, cfa: NDArray[np.uint8]) -> tuple[Defects, Array]:
-    """Find pixels whose response to uniform light differs from the local mean by a tenth or more.
+    """Find pixels whose response to uniform light differs from the local mean by at least 10 %.
 
-    The search runs twice. The local means of the second run do not contain the pixels from the first run. Otherwise,
-    intact pixels next to a defective row or cluster would be found, too.
+    The search is repeated once, with local means that do not contain the pixels from the first search. Without the second
+    search, intact pixels next to a defective row or cluster would be found too.
 
     Returns
     -------
     dead : ndarray, (defect, 2)
-        Row and column of each pixel.
+        Row and column of each dead pixel.
     response : ndarray, (row, col)
-        The response. The pixels in `dead` are replaced.
+        The response. The values of dead pixels are interpolated.
     """
     suspect = outliers(_over_local_mean(response, response, cfa), cfa, LEAST_LOSS)
     if not suspect.size:
@@ -341,7 +350,7 @@ def _local_mean(site: Array) -> Array:
 
 
 def _over_local_mean(picture: Array, patched: Array, cfa: NDArray[np.uint8]) -> Array:
-    """Divide each pixel by the local mean of its CFA site in `patched`, and subtract 1."""
+    """Return the relative deviation of each pixel in `picture` from the local mean of its CFA site in `patched`."""
     deviation = np.empty_like(picture)
     for (_, into), (_, site), (_, whole) in zip(
         *(by_site(each, cfa) for each in (deviation, picture, patched)), strict=True
@@ -351,7 +360,10 @@ def _over_local_mean(picture: Array, patched: Array, cfa: NDArray[np.uint8]) -> 
 
 
 def _local_spread(site: Array, temporal: float) -> float:
-    """Return the variance of the ratio of pixels to their local mean. The temporal variance of a pixel is subtracted."""
+    """Return the spatial variance of pixels relative to their local mean, without the part that is temporal noise.
+
+    `temporal` is the temporal variance of a pixel.
+    """
     inner = slice(WINDOW // 2, -(WINDOW // 2))
     local = _local_mean(site)[inner, inner]
     deviation = site[inner, inner] / local - 1.0

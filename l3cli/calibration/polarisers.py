@@ -5,9 +5,9 @@ polarised at the angle φ according to Malus's law:
 
     signal = brightness · gain / 2 · [(1 + k) + p (1 − k) cos 2(θ − φ)]
 
-The degree of polarisation p of the light follows from the extinction ratio of the rotating polariser. The brightness of
-each capture is estimated together with the channels, because lamps drift, and because a lamp that is polarised itself
-changes in brightness when the polariser turns. This is possible because the channels have different angles.
+The degree of polarisation p of the light follows from the extinction ratio of the rotating polariser. The brightness may
+change between captures, because lamps drift, and because the light of a lamp can itself be polarised. It is therefore
+estimated for each capture, which is possible because the channels have different angles.
 """
 
 import functools
@@ -25,29 +25,29 @@ from l3cli.errors import InputFileError, listed
 from l3cli.frames.measurement import LEAKAGE_NM, Body, Capture, PolariserCapture, Rotator
 from l3cli.physics.stokes import angle_difference, malus
 
-BRIGHTNESS = 0.05  # relative standard deviation of the brightness of a capture, before it is estimated from the channels
-BLACK_ERROR = 0.05  # DN; standard deviation of the black level, which drifts after the dark frames
-LARGEST_CONDITION = 20.0  # condition number of Malus's law over the angles of the captures; with 0°, 10° and 20°, it is 64
-LEAST_MODULATION = 0.2  # a smaller modulation means that the light is not polarised, or that a channel has no polariser
-WRONG_ANGLE = 3.0  # degrees; a larger error of the stated angle of a capture is a typing error
-OTHER_ANGLE = 10.0  # degrees; a larger difference between the stated and the measured angle of a channel is a mistake
+BRIGHTNESS = 0.05  # prior relative standard deviation of the brightness of a capture
+BLACK_ERROR = 0.05  # DN; standard deviation of the black level, because it drifts after the dark frames
+LARGEST_CONDITION = 20.0  # largest condition number of the fit of Malus's law; with angles of 0°, 10° and 20°, it is 64
+LEAST_MODULATION = 0.2  # if the modulation is smaller, the light is not polarised, or the channel has no polariser
+WRONG_ANGLE = 3.0  # degrees; if the stated angle of a capture is wrong by more, it is reported as a mistake
+OTHER_ANGLE = 10.0  # degrees; if the stated angle of a channel is wrong by more, it is reported as a mistake
 Array = NDArray[np.float64]
 
 
 def harmonics(degrees: Array) -> Array:
-    """Return 1, cos 2φ and sin 2φ of each angle φ: (angle, 3)."""
+    """Return the terms 1, cos 2φ and sin 2φ for each angle φ in degrees, with the shape (angle, 3)."""
     twice = 2.0 * np.radians(degrees)
     return np.stack([np.ones_like(twice), np.cos(twice), np.sin(twice)], axis=-1)
 
 
 @dataclass(frozen=True)
 class Guess:
-    """Malus's law of each channel, from a fit of the channel by itself."""
+    """First estimate of the parameters of Malus's law. Each channel is fitted separately."""
 
-    gain: Array  # (channel) DN/s
-    angle: Array  # (channel) degrees
-    leakage: Array  # (channel)
-    modulation: Array  # (channel) amplitude of the signal over its mean
+    gain: Array  # (channel,): DN/s
+    angle: Array  # (channel,): degrees
+    leakage: Array  # (channel,): inverse of the extinction ratio
+    modulation: Array  # (channel,): amplitude of the signal, divided by its mean
 
 
 # ---------------------------------------------------------------------------------------------------------- the fit
@@ -69,18 +69,18 @@ def fit_polarisers(
     light_angle : ndarray, (capture,)
         Angle of the transmission axis of the rotating polariser in degrees, counter-clockwise in the picture.
     rate : ndarray, (capture, channel)
-        Signal per second of exposure in DN/s. The dark signal is subtracted.
+        Signal per second of exposure in DN/s, without dark signal.
     deviation : ndarray, (capture, channel)
-        Standard deviation of each rate. It is infinite if a rate must not be used.
+        Standard deviation of each rate in DN/s. Rates with an infinite standard deviation are not used.
     polarised : ndarray of bool, (channel,)
-        Whether each channel has a polariser. At least one channel must have one.
+        Whether each channel has a polariser. At least one channel must have a polariser.
     light_polarisation : float
         Degree of linear polarisation of the light.
     light_angle_error : float
-        Standard deviation of `light_angle`. The errors of the captures are independent.
+        Standard deviation of each value of `light_angle` in degrees. The errors of the captures are independent.
     black_error : ndarray, (capture,), or float
-        Standard deviation of the dark signal that was subtracted, in DN/s. The error of a channel, in DN, is the same in all
-        captures.
+        Standard deviation of the dark signal that was subtracted, in DN/s. The error in DN is the same in all captures, but
+        differs between channels.
 
     Returns
     -------
@@ -94,7 +94,8 @@ def fit_polarisers(
     first = first_guess(light_angle, rate, used, polarised, light_polarisation)
     count = int(polarised.sum())
     black = np.broadcast_to(black_error, captures)[:, None]
-    # The parameters are changes from the first fit, then values with priors, in units of their prior standard deviations.
+    # The parameters are ln gain, angle and leakage of the channels, relative to the first estimate or absolute, and then the
+    # black levels, brightnesses and angles of the light, in units of their prior standard deviations.
     parts = np.cumsum([channels, count, count, channels, captures])
 
     def unpacked(values: Array) -> tuple[Array, ...]:
@@ -113,8 +114,8 @@ def fit_polarisers(
 
     start = np.concatenate([np.zeros(channels + count), first.leakage[polarised], np.zeros(channels + 2 * captures)])
     solved = least_squares(residuals, start, method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    # Each parameter uses up one rate, except for the errors of angles and black levels, whose priors are narrow. The overall
-    # brightness is not a parameter of its own, because the gains contain it.
+    # Number of degrees of freedom: rates minus parameters. The errors of angles and black levels do not count, because their
+    # priors are narrow. One brightness does not count, because the gains contain the overall brightness.
     spare = int(used.sum()) - parts[2] - (len(rate) - 1)
     scatter = 2.0 * solved.cost / spare if spare > 0 else 1.0
     covariance = np.linalg.inv(solved.jac.T @ solved.jac) * max(1.0, scatter)
@@ -147,7 +148,7 @@ def first_guess(
 ) -> Guess:
     """Estimate the gain, the angle and the leakage of each channel with a linear fit.
 
-    The fit treats each channel separately, and assumes that the brightness of the light does not change between captures.
+    Each channel is fitted separately, and the brightness of the light is assumed to be the same in all captures.
     """
     terms = harmonics(light_angle)
     law = np.array([np.linalg.lstsq(terms[use], of[use], rcond=None)[0] for use, of in zip(used.T, rate.T, strict=True)])
@@ -166,13 +167,13 @@ def first_guess(
 
 @dataclass(frozen=True)
 class Electronics:
-    """What the rates behind the polariser and their uncertainty depend on, except the light."""
+    """Properties of the sensor that are needed to compute rates and their uncertainty from raw values."""
 
-    dark: Array  # (capture, channel) dark signal in DN, including the black level
-    saturation: float  # DN; pixels from this value on are saturated
-    gain: Array  # (channel) conversion gain in DN/e-
-    dark_variance: Array  # (channel) temporal variance in the dark in DN²
-    defects: statistics.Defects  # pixels that are left out
+    dark: Array  # (capture, channel): mean value in the dark in DN, including the black level
+    saturation: float  # DN; pixels at or above this value are saturated
+    gain: Array  # (channel,): conversion gain in DN/e-
+    dark_variance: Array  # (channel,): temporal variance in the dark in DN²
+    defects: statistics.Defects  # defective pixels, which are not used
 
 
 def measure_polarisers(
@@ -184,14 +185,14 @@ def measure_polarisers(
 ) -> PolariserFit:
     """Measure the polarisers of all channels from frames behind a rotating polariser.
 
-    A channel that saturates in a capture is not used in this capture. If the measurement file states no angles, the
-    channels whose signal changes with the angle of the polariser are those with a polariser.
+    If a channel is saturated in a capture, this capture is not used for the channel. If the measurement file does not state
+    which channels have polarisers, these are the channels whose signal changes with the angle of the rotating polariser.
 
     Raises
     ------
     InputFileError
-        If the angles of the usable captures do not determine Malus's law, if the light is not polarised, if a capture
-        contradicts the other captures, or if the measured angles contradict the angles that the measurement file states.
+        If the usable captures have too few different angles, if the light is not polarised, if captures contradict each
+        other, or if the measured angles contradict the angles that the measurement file states.
     """
     read = functools.partial(_means, body=body, saturation=electronics.saturation, defects=electronics.defects)
     mean, pixels, saturated = (np.array(values) for values in zip(*each(read, captures), strict=True))
@@ -206,8 +207,8 @@ def measure_polarisers(
     if weak.any():
         name, modulation = body.channels[int(weak.argmax())], guess.modulation[weak.argmax()]
         raise InputFileError(
-            f"the signal of channel {name} changes by only {modulation:.1%} of its mean when the polariser turns; check the "
-            'polariser in front of the light, and "polariser_deg"'
+            f"the signal of channel {name} changes by only {modulation:.1%} when the polariser in front of the light turns; "
+            'check this polariser and "polariser_deg"'
         )
     deviation = np.where(used, np.sqrt(variance / pixels) / lit, np.inf)
     fit = fit_polarisers(
@@ -222,27 +223,27 @@ def measure_polarisers(
 
 
 def _means(capture: Capture, body: Body, saturation: float, defects: statistics.Defects) -> tuple[Array, Array, Array]:
-    """Return the mean DN of each channel, its number of pixels in all frames, and the fraction of saturated pixels."""
+    """Return, for each channel, the mean value in DN, the number of pixels in all frames, and the saturated fraction."""
     counts = statistics.count_values(capture, body, defects)
     return statistics.mean_value(counts), counts.sum(axis=1), statistics.share_from(counts, saturation)
 
 
 def _check_angles(angle: Array, used: NDArray[np.bool_], body: Body) -> None:
-    """Raise InputFileError if the usable captures of a channel do not determine the three terms of Malus's law."""
+    """Raise InputFileError if the angles of the usable captures do not determine the parameters of Malus's law."""
     for name, chosen in zip(body.channels, used.T, strict=True):
         count = np.unique(angle[chosen] % 180.0).size
         if count < 3 or np.linalg.cond(harmonics(angle[chosen])) > LARGEST_CONDITION:
             raise InputFileError(
-                f"the angle of channel {name} cannot be determined from {count} usable angles of the rotating polariser; "
-                "capture at least 3 angles, spread over 180° and below saturation"
+                f"l3 cannot determine the angle of channel {name} from captures with {count} usable angles of the rotating "
+                "polariser; use at least 3 angles, spread over 180°, and avoid saturation"
             )
 
 
 def _check_captures(captures: Sequence[PolariserCapture], fit: PolariserFit) -> None:
-    """Raise InputFileError if the polariser angle that the frames of a capture show differs from the stated angle.
+    """Raise InputFileError if the stated polariser angle of a capture differs from the angle that its frames imply.
 
-    The angle is determined from the ratios of the channels, so that at least three channels with different angles are
-    needed.
+    The implied angle is computed from the ratios between the channels. A capture is checked only if at least three channels
+    with different angles are usable.
     """
     response = fit.gain[:, None] * np.stack([1.0 + fit.leakage, *(1.0 - fit.leakage) * harmonics(fit.angle).T[1:]], axis=1)
     seen = []
@@ -256,18 +257,22 @@ def _check_captures(captures: Sequence[PolariserCapture], fit: PolariserFit) -> 
     worst = int(np.abs(wrong - np.median(wrong)).argmax())
     if abs(wrong[worst] - np.median(wrong)) > WRONG_ANGLE:
         raise InputFileError(
-            f"{captures[worst].name}: the frames show a polariser at {seen[worst]:.1f}°, but its angle is stated as "
-            f"{captures[worst].angle:g}°; correct angle_deg"
+            f"{captures[worst].name}: the frames imply that the rotating polariser was at {seen[worst]:.1f}°, but "
+            f'"angle_deg" is {captures[worst].angle:g}; correct "angle_deg"'
         )
 
 
 def _with_reference(fit: PolariserFit, reference: str, body: Body) -> PolariserFit:
     """Return the fit with all angles shifted so that the channel `reference` has its stated angle.
 
-    The error of the angle of this channel becomes 0, and is added to the errors of the other angles.
+    The standard deviation of the angle of this channel becomes 0. It is added in quadrature to the standard deviations of
+    the remaining angles.
     """
     if body.polarisers is None or reference not in body.channels:
-        raise InputFileError(f'the camera has no polariser of a channel "{reference}"; correct "rotator.reference"')
+        raise InputFileError(
+            f'"rotator.reference" is "{reference}", which is not a channel with a stated polariser; write the name of a '
+            "channel with polariser_deg"
+        )
     channel = body.channels.index(reference)
     shift = angle_difference(body.polarisers.polariser_deg[channel], fit.angle[channel])
     error = np.where(fit.polarised, np.hypot(fit.angle_error, fit.angle_error[channel]), 0.0)
@@ -281,7 +286,7 @@ def _with_reference(fit: PolariserFit, reference: str, body: Body) -> PolariserF
 
 
 def contradiction(body: Body, measured: Array) -> str:
-    """Return a message if measured angles contradict the stated angles of the channels, or "" if they do not.
+    """Return an error message if measured angles contradict the stated angles of the channels, otherwise "".
 
     Parameters
     ----------
@@ -296,7 +301,7 @@ def contradiction(body: Body, measured: Array) -> str:
     if not wrong.size:
         return ""
     found = listed(f"{body.channels[each]} has {measured[each]:.1f}° instead of {stated[each]:g}°" for each in wrong)
-    # The stated angle that is nearest to each measured angle.
+    # For each measured angle, find the nearest stated angle of any channel.
     known = np.unique(stated[present])
     nearest = known[np.abs(angle_difference(measured[present][:, None], known)).argmin(axis=1)]
     close = (np.abs(angle_difference(measured[present], nearest)) <= OTHER_ANGLE).all()
@@ -308,24 +313,29 @@ def contradiction(body: Body, measured: Array) -> str:
     elif (np.abs(turned := angle_difference(shift, shift[0])) < OTHER_ANGLE).all():
         cure += f', or subtract {(shift[0] + turned.mean()) % 180.0:.0f}° from "angle_deg"'
     if swapped:
-        return f"polarisers are swapped: {found}; {cure}"
-    return f"polarisers have other angles than stated: {found}; {cure}"
+        return f"the measured angles imply that polarisers are swapped: {found}; {cure}"
+    return f"the measured angles of polarisers differ from the stated angles: {found}; {cure}"
 
 
 # -------------------------------------------------------------------------------------------------------- the camera
 
 
 def polarisers_of(fit: PolariserFit | None, body: Body, wavelength: Array) -> Polarisers | None:
-    """Return the polarisers of a camera: as measured, otherwise as stated, or None if there are none.
+    """Return the polarisers of a camera. Measured polarisers take precedence over stated polarisers.
 
     Parameters
     ----------
     fit : PolariserFit or None
-        The measured polarisers. Their leakage is used at all wavelengths.
+        The measured polarisers, or None if they were not measured. The leakage is the same at all wavelengths.
     body : Body
-        The stated polarisers.
+        The camera with the stated polarisers, if any.
     wavelength : ndarray, (wavelength,)
         Wavelengths of the camera in nm.
+
+    Returns
+    -------
+    Polarisers or None
+        None if no channel has a polariser.
     """
     if fit is not None:
         leakage = np.clip(fit.leakage, 0.0, 1.0)[:, None]
@@ -337,11 +347,11 @@ def polarisers_of(fit: PolariserFit | None, body: Body, wavelength: Array) -> Po
 
 
 def with_polarisers(camera: CameraModel, fit: PolariserFit | None, body: Body) -> CameraModel:
-    """Return a camera, which was measured in unpolarised light, with its polarisers.
+    """Add polarisers to a camera model whose responsivities were measured in unpolarised light.
 
-    The responsivity of a channel with a polariser becomes its responsivity to light that is polarised along the transmission
-    axis. It is higher than the measured responsivity by a factor of 2 / (1 + k). If the responsivities are relative, their
-    highest peak stays 1.
+    The responsivity of a channel with a polariser is converted to light that is polarised along the transmission axis. With
+    the leakage k, this multiplies it by 2 / (1 + k). Relative responsivities are scaled so that their highest peak is 1. If
+    there are no polarisers, the camera model is returned unchanged.
     """
     polarisers = polarisers_of(fit, body, camera.wavelength)
     if polarisers is None:

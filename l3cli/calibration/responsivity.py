@@ -1,8 +1,8 @@
 """Estimates spectral responsivities, and the gain of each channel.
 
-Eq. 1 determines the responsivities from monochromatic captures (docs/method.md#responsivity). Eq. 2 determines the gain
-and the offset of each channel from charts under known illuminants (docs/method.md#gain-and-offset). Sweep tables and
-finished curves are used without a fit.
+Eq. 1 determines the responsivities from monochromatic captures (docs/method.md#responsivity). Eq. 2 determines the gain and
+the offset of each channel from charts under known illuminants (docs/method.md#gain-and-offset). Sweep tables and finished
+curves need no fit.
 """
 
 from dataclasses import dataclass, replace
@@ -19,14 +19,14 @@ from l3cli.physics import spectra
 
 NODE_STEP = 5.0  # nm; distance between hat functions; 10 nm would double the error (docs/method.md#responsivity)
 EDGE = 0.01  # radiances below this fraction of the peak are ignored
-PLATEAU = 1.05  # smoothing weights whose error is at most 5 % above the smallest error count as equally good
-PILOT = 10.0  # the pilot curve for the confidence band has this multiple of the smoothing weight
+PLATEAU = 1.05  # smoothing weights are equally good if their error is at most 5 % above the smallest error
+PILOT = 10.0  # smoothing weight of the pilot curve for the confidence band, relative to the smoothing weight of the curve
 BAND_FLOOR = 0.0002  # smallest half width of a confidence band, as a fraction of the peak
 COVERAGE = 1.96  # half width of a 95 % band in standard deviations
 Array = NDArray[np.float64]
 USUAL = (0.03, 1.0)  # range of plausible peak quantum efficiencies, including lens and filters
 PHOTONS_PER_JOULE = 2.5e18  # at 500 nm
-# Likely mistakes in a measurement file, and the factor by which each mistake multiplies the quantum efficiency.
+# Common mistakes in a measurement file, and the factor by which each mistake multiplies the quantum efficiency.
 MISTAKES = {
     "exposure times are in ms (use exposure_ms)": 1e-3,
     "exposure times are in µs (use exposure_us)": 1e-6,
@@ -36,8 +36,8 @@ MISTAKES = {
     "radiances are per µm": 1e-3,
     "exposure times are in s but declared as ms": 1e3,
 }
-CORE = 0.25  # half the side of the central square of a patch that is averaged, as a fraction of the distance of patches
-# Relative and absolute (DN) error of a patch (docs/method.md#gain-and-offset).
+CORE = 0.25  # half the side of the central square that is averaged in each patch, as a fraction of the spacing of patches
+# Standard deviation of the mean value of a patch: relative, and in DN (docs/method.md#gain-and-offset).
 RELATIVE_ERROR, ABSOLUTE_ERROR = 0.005, 0.3
 
 
@@ -45,14 +45,17 @@ RELATIVE_ERROR, ABSOLUTE_ERROR = 0.005, 0.3
 class Sweep:
     """The linear systems of Eq. 1 for all channels: values = design @ responsivity."""
 
-    nodes: Array  # (wavelength) nm
-    design: Array  # (capture, wavelength) fraction of the capture's photons in each hat function
-    values: Array  # (capture, channel) DN/photon
-    valid: NDArray[np.bool_]  # (capture, channel) whether the value is not saturated
+    nodes: Array  # (wavelength,): centres of the hat functions in nm
+    design: Array  # (capture, wavelength): fraction of the capture's photons in each hat function
+    values: Array  # (capture, channel): DN/photon
+    valid: NDArray[np.bool_]  # (capture, channel): whether the channel is unsaturated
 
 
 def node_grid(lights: list[tuple[Array, Array]]) -> Array:
-    """Return nodes every 5 nm that cover all spectra, in nm. Each spectrum is a pair (wavelength, radiance)."""
+    """Return the centres of the hat functions in nm, every NODE_STEP. They cover all spectra.
+
+    `lights` contains each spectrum as a pair (wavelength in nm, radiance).
+    """
     lit = [wavelength[radiance >= EDGE * radiance.max()] for wavelength, radiance in lights]
     first = np.floor(min(part[0] for part in lit) / NODE_STEP) * NODE_STEP
     last = np.ceil(max(part[-1] for part in lit) / NODE_STEP) * NODE_STEP
@@ -62,14 +65,14 @@ def node_grid(lights: list[tuple[Array, Array]]) -> Array:
 def light_centre(wavelength: Array, radiance: Array) -> float:
     """Return the central wavelength of a narrow spectrum in nm.
 
-    The central wavelength is the centroid of the part of the spectrum with at least half the peak radiance.
+    It is the centroid of the part of the spectrum in which the radiance is at least half its peak.
     """
     inside = np.where(radiance >= radiance.max() / 2, radiance * spectra.bin_widths(wavelength), 0.0)
     return float(inside @ wavelength / inside.sum())
 
 
 def node_photons(wavelength: Array, radiance: Array, nodes: Array) -> Array:
-    """Integrate the product of a radiance and the hat function of each node.
+    """Integrate the product of a radiance and each hat function over wavelength.
 
     Parameters
     ----------
@@ -78,7 +81,7 @@ def node_photons(wavelength: Array, radiance: Array, nodes: Array) -> Array:
     radiance : ndarray, (…, wavelength)
         Radiance in photons/s/sr/m²/nm.
     nodes : ndarray, (node,)
-        Nodes in nm.
+        Centres of the hat functions in nm.
 
     Returns
     -------
@@ -89,7 +92,7 @@ def node_photons(wavelength: Array, radiance: Array, nodes: Array) -> Array:
 
 
 def roughness(nodes: int) -> Array:
-    """Return the matrix that computes second differences, with the shape (nodes − 2, nodes)."""
+    """Return the matrix that computes the second differences of a curve, with the shape (nodes − 2, nodes)."""
     return np.diff(np.eye(nodes), n=2, axis=0)
 
 
@@ -120,7 +123,7 @@ def solve(design: Array, values: Array, delta: float) -> Array:
 
 
 def solve_channels(sweep: Sweep, delta: float) -> Array:
-    """Solve Eq. 1 for each channel. Captures in which the channel is saturated are not used.
+    """Solve Eq. 1 for each channel, without the captures in which the channel is saturated.
 
     Returns
     -------
@@ -141,10 +144,10 @@ def residuals(sweep: Sweep, responsivity: Array) -> Array:
 
 
 def choose_smoothing(deltas: Array, errors: Array) -> float:
-    """Return the geometric middle of the smoothing weights with nearly the smallest error.
+    """Return the geometric centre of the range of smoothing weights whose error is nearly the smallest (PLATEAU).
 
-    Neighbouring smoothing weights have nearly the same error, and chance decides which error is smallest
-    (docs/method.md#responsivity).
+    The errors in this range are so similar that the weight with the smallest error depends on chance
+    (docs/method.md#responsivity). `deltas` contains the smoothing weights in increasing order, and `errors` their errors.
     """
     best = int(errors.argmin())
     good = errors <= PLATEAU * errors[best]
@@ -179,14 +182,14 @@ def confidence_bands(sweep: Sweep, responsivity: Array, delta: float, drift: flo
 
     Notes
     -----
-    The bands add five errors in quadrature:
+    The half width is the root sum of squares of five errors:
 
     1. The standard deviation that the curve would have if the signs of the residuals were random (wild bootstrap). The
-       residuals are those of a smoother pilot curve, divided by 1 − leverage. The estimate is linear where r > 0, so
-       this error has a closed form.
+       residuals come from a smoother pilot curve and are divided by 1 − leverage. Because the estimate is linear where r >
+       0, this error has a closed form.
     2. The bias of the pilot curve.
-    3. The lamp drift.
-    4. The wavelength error.
+    3. The effect of the lamp drift.
+    4. The effect of the wavelength error.
     5. A minimum, BAND_FLOOR.
     """
     bands = []
@@ -214,19 +217,18 @@ def confidence_bands(sweep: Sweep, responsivity: Array, delta: float, drift: flo
 
 
 def _smoother(design: Array, delta: float) -> Array:
-    """Return the matrix that converts values to responsivities, with the shape (node, capture).
+    """Return the matrix that converts the values of captures to a responsivity: (node, capture).
 
-    Negative responsivities are not set to zero.
+    Unlike in `solve`, responsivities may be negative.
     """
     penalty = roughness(design.shape[1])
     return np.asarray(np.linalg.solve(design.T @ design + delta * penalty.T @ penalty, design.T), dtype=np.float64)
 
 
 def smoothers(sweep: Sweep, delta: float) -> list[Array]:
-    """Return, for each channel, the matrix that converts the values of the captures to the responsivity.
+    """Return, for each channel, the matrix that converts the values of the captures to the responsivity: (node, capture).
 
-    The matrices have the shape (node, capture). They contain columns of zeros for captures in which the channel is
-    saturated.
+    The columns of captures in which the channel is saturated contain zeros.
     """
     matrices = []
     for valid in sweep.valid.T:
@@ -240,12 +242,12 @@ def smoothers(sweep: Sweep, delta: float) -> list[Array]:
 class Curves:
     """Relative responsivities per photon, with confidence bands."""
 
-    wavelength: Array  # (wavelength) nm
-    relative: Array  # (channel, wavelength)
-    band: Array  # (channel, wavelength) half width of the 95 % band; 0 everywhere if unknown
+    wavelength: Array  # (wavelength,): nm
+    relative: Array  # (channel, wavelength): responsivity
+    band: Array  # (channel, wavelength): half width of the 95 % confidence band; 0 everywhere if it is unknown
 
     def to_common_peak(self) -> "Curves":
-        """Scale all curves by a common factor, so that the highest peak is 1."""
+        """Scale all curves by the same factor, so that the highest peak is 1."""
         peak = self.relative.max()
         return replace(self, relative=self.relative / peak, band=self.band / peak)
 
@@ -255,9 +257,9 @@ class Curves:
         return replace(self, relative=self.relative / peak, band=self.band / peak)
 
     def widened(self, light_error: float, wavelength_error: float) -> "Curves":
-        """Widen the bands by the errors of the illumination.
+        """Widen the confidence bands by the errors of the light with which the curves were measured.
 
-        `light_error` is the relative standard deviation of its brightness, and `wavelength_error` is the standard
+        `light_error` is the relative standard deviation of the brightness of this light. `wavelength_error` is the standard
         deviation of its wavelength in nm.
         """
         slope = np.gradient(self.relative, self.wavelength, axis=1) if self.wavelength.size > 1 else 0.0
@@ -268,7 +270,7 @@ class Curves:
 def from_sweep(table: SweepTable, body: Body) -> Array:
     """Compute the responsivities per photon from a sweep that was measured with a photodiode.
 
-    Dark readings are subtracted from the camera and the photodiode. Negative values become zero.
+    Dark readings are subtracted from the readings of the camera and of the photodiode. Negative responsivities become zero.
 
     Returns
     -------
@@ -278,29 +280,29 @@ def from_sweep(table: SweepTable, body: Body) -> Array:
     Raises
     ------
     InputFileError
-        If the photodiode or a channel receives no light.
+        If the photodiode receives no light at a wavelength, or if a channel has no signal at all.
     """
     energy = (table.diode_light - table.diode_dark) / table.diode_response
     dark = np.flatnonzero(~(energy > 0))
     if dark.size:
         raise InputFileError(
-            f"the photodiode receives no light at {table.wavelength[dark[0]]:g} nm; remove this row from the table of "
-            "the monochromator sweep"
+            f"the photodiode receives no light at {table.wavelength[dark[0]]:g} nm; remove this row from the table of the "
+            "sweep"
         )
     per_energy = np.maximum(table.light - table.dark, 0.0) / energy
     blind = np.flatnonzero(per_energy.max(axis=1) <= 0)
     if blind.size:
         raise InputFileError(
-            f"channel {body.channels[blind[0]]} has no signal in the table of the monochromator sweep; check its columns"
+            f"channel {body.channels[blind[0]]} has no signal in the table of the sweep; check the columns of this channel"
         )
     return np.asarray(per_energy / table.wavelength, dtype=np.float64)
 
 
 def without_fit(curve: SweepTable | FinishedCurves, body: Body, light_error: float, wavelength_error: float) -> Curves:
-    """Convert a sweep table or finished curves to responsivities, whose highest peak is 1.
+    """Convert a sweep table or finished curves to relative responsivities with a highest peak of 1.
 
-    The bands are computed from the declared errors of brightness and wavelength. If one of these errors is not declared,
-    the bands are 0, which means unknown.
+    The confidence bands are computed from the declared errors of brightness and wavelength. If one of these errors is 0, it
+    is unknown, and the bands are 0.
     """
     relative = from_sweep(curve, body) if isinstance(curve, SweepTable) else curve.responsivity
     curves = Curves(curve.wavelength, relative, np.zeros_like(relative))
@@ -311,10 +313,23 @@ def without_fit(curve: SweepTable | FinishedCurves, body: Body, light_error: flo
 
 
 def efficiency(curves: Curves, fit: Fit, gain: float, body: Body) -> tuple[Array, Array]:
-    """Return the absolute quantum efficiency alpha · r / K, and the half width of its 95 % band.
+    """Convert relative responsivities r to quantum efficiencies alpha · r / K (docs/method.md#gain-and-offset).
 
-    Both have the shape (channel, wavelength). The band includes the errors of alpha and K
-    (docs/method.md#gain-and-offset).
+    Parameters
+    ----------
+    curves : Curves
+        Relative responsivities. Each channel has a peak of 1.
+    fit : Fit
+        Results of the calibration, with `chart` (alpha) and `noise` (K of each channel).
+    gain : float
+        Conversion gain K of the sensor in DN/e-.
+    body : Body
+        Gains and exposures of the channels.
+
+    Returns
+    -------
+    efficiency, band : ndarray, (channel, wavelength)
+        Quantum efficiency, and the half width of its 95 % confidence band, which includes the errors of alpha and K.
     """
     assert fit.chart is not None
     assert fit.noise is not None
@@ -328,7 +343,7 @@ def efficiency(curves: Curves, fit: Fit, gain: float, body: Body) -> tuple[Array
 def check_efficiency(responsivity: Array, odd: tuple[str, ...] = ()) -> None:
     """Raise InputFileError if a quantum efficiency exceeds 1.
 
-    `odd` contains descriptions of implausible captures. The error message mentions the first of them.
+    `odd` contains descriptions of implausible captures. If there are any, the message asks the user to check the first.
     """
     peak = float(responsivity.max())
     if peak > 1.0:
@@ -339,17 +354,17 @@ def check_efficiency(responsivity: Array, odd: tuple[str, ...] = ()) -> None:
 
 
 def likely_mistake(peak: float) -> str:
-    """Return advice to check the units. It lists the mistakes that would explain the given peak quantum efficiency."""
+    """Return the advice to check the units, with the mistakes that would explain an implausible peak quantum efficiency."""
     likely = [mistake for mistake, factor in MISTAKES.items() if USUAL[0] <= peak / factor <= USUAL[1]]
     general = "the units of radiances (photons/s/sr/m²/nm), exposure times, pixel_pitch_um and f_number"
     return f"check {general}" + (f"; perhaps {' or '.join(likely)}" if likely else "")
 
 
 def patch_map(corners: Array, rows: int, cols: int) -> NDArray[np.int64]:
-    """Return the index of the ColorChecker patch to which each pixel belongs.
+    """Return the index of the ColorChecker patch to which each pixel belongs, with the shape (row, col).
 
-    A pixel belongs to a patch if it is within the central square of the patch. Other pixels get the index 24. The chart
-    may be rotated and seen in perspective.
+    A pixel belongs to a patch if it is within the central square of the patch. All remaining pixels have the index 24. The
+    chart may be rotated and seen in perspective.
 
     Parameters
     ----------
@@ -365,20 +380,21 @@ def patch_map(corners: Array, rows: int, cols: int) -> NDArray[np.int64]:
 def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> tuple[Array, NDArray[np.bool_]]:
     """Measure the patches of a chart, averaged over all frames of the capture.
 
-    A value is saturated if, in any frame, more than 0.1 % of the pixels in the central square of the patch have at least
-    `limit` DN.
+    A patch is saturated in a channel if, in any frame, more than 0.1 % of the pixels in its central square have at least
+    `limit` DN. Defective pixels are not used.
 
     Returns
     -------
     values : ndarray, (patch, channel)
-        Mean DN.
+        Mean value in DN.
     saturated : ndarray of bool, (patch, channel)
-        Whether the value is saturated.
+        Whether the patch is saturated.
 
     Raises
     ------
     InputFileError
-        If a corner of the chart lies outside the frame, or if a central square contains no pixel of a channel.
+        If the corners of the chart are outside the frame or on a line, or if a central square contains no pixel of a
+        channel.
     """
     channels = len(body.channels)
     pixels, label, count = _cores(capture, body, defects)
@@ -393,18 +409,21 @@ def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defec
 
 
 def unsaturated_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> Array:
-    """Measure the patches of a chart, as in `patch_values`. Raises InputFileError if a patch is saturated."""
+    """Return the mean value of each patch and channel in DN, as `patch_values`.
+
+    Raises InputFileError if a patch is saturated, or if `patch_values` raises it.
+    """
     values, saturated = patch_values(capture, body, limit, defects)
     if saturated.any():
         patch, channel = np.argwhere(saturated)[0]
         raise InputFileError(
-            f"{capture.name}: patch {patch + 1} is saturated in channel {body.channels[channel]}; shorten the exposure"
+            f"{capture.name}: patch {patch + 1} is saturated in channel {body.channels[channel]}; use a shorter exposure"
         )
     return values
 
 
 def patch_illumination(capture: ChartCapture, body: Body, defects: Defects) -> Array:
-    """Return the illumination of each patch through the lens, relative to the optical axis, with the shape (patch, 1)."""
+    """Return the relative illumination at each patch due to the fall-off of the lens, 1 on the optical axis: (patch, 1)."""
     pixels, label, count = _cores(capture, body, defects)
     channels = len(body.channels)
     light = _per_label(label, body.relative_illumination.ravel()[pixels], channels)
@@ -412,33 +431,34 @@ def patch_illumination(capture: ChartCapture, body: Body, defects: Defects) -> A
 
 
 def _cores(capture: ChartCapture, body: Body, defects: Defects) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Find the pixels in the central squares of the patches. Defective pixels are left out.
+    """Find the pixels in the central squares of the patches, except for defective pixels.
 
     Returns
     -------
-    pixels : ndarray
-        Indices of the pixels.
-    label : ndarray
-        Label of each pixel: patch · channels + channel.
+    pixels : ndarray, (pixel,)
+        Indices of the pixels in the flattened frame.
+    label : ndarray, (pixel,)
+        Label of each pixel: patch · (number of channels) + channel.
     count : ndarray, (patch, channel)
-        Number of pixels.
+        Number of pixels with each label.
 
     Raises
     ------
     InputFileError
-        If the corners of the chart are outside the frame or on a line.
+        If the corners of the chart are outside the frame or on a line, or if a patch contains no pixel of a channel.
     """
     rows, cols, channels = body.rows, body.cols, len(body.channels)
     if (capture.corners < 0).any() or (capture.corners > (cols, rows)).any():
         raise InputFileError(
-            f'{capture.name}: a corner of the chart is outside the {cols}×{rows} frame; correct "corners", which contains '
-            "the column and row of each corner"
+            f"{capture.name}: a corner of the chart is outside the frame, which has {cols} columns and {rows} rows; "
+            'correct "corners", which contains the column and row of each corner'
         )
     try:
         patches = patch_map(capture.corners, rows, cols)
     except np.linalg.LinAlgError:
         raise InputFileError(
-            f'{capture.name}: the corners of the chart are on a line; correct "corners", clockwise from patch 1'
+            f'{capture.name}: the corners of the chart are on a line; correct "corners", which must begin at patch 1 and '
+            "continue clockwise"
         ) from None
     patches[defects[:, 0], defects[:, 1]] = PATCHES
     patch = patches.ravel()
@@ -448,13 +468,14 @@ def _cores(capture: ChartCapture, body: Body, defects: Defects) -> tuple[NDArray
     count = _per_label(label, np.ones(label.size), channels)
     if not count.all():
         raise InputFileError(
-            f'{capture.name}: a patch contains too few pixels; check "corners", which must be clockwise from patch 1'
+            f'{capture.name}: a patch contains too few pixels; check "corners", which must begin at patch 1 and continue '
+            "clockwise"
         )
     return pixels, label, count
 
 
 def _per_label(label: NDArray[np.int64], weights: NDArray, channels: int) -> Array:
-    """Sum the weights of the pixels with the same label. The result has the shape (patch, channel)."""
+    """Sum `weights` over the pixels with the same label. The result has the shape (patch, channel)."""
     sums = np.bincount(label, weights=weights, minlength=PATCHES * channels)
     return sums.astype(np.float64).reshape(PATCHES, channels)
 
@@ -465,16 +486,16 @@ def fit_gain(photons: Array, values: Array, black_level: float) -> tuple[float, 
     Parameters
     ----------
     photons : ndarray, (sample,)
-        Photons, weighted by the responsivity.
+        Photons from each patch, weighted by the relative responsivity.
     values : ndarray, (sample,)
-        Mean DN.
+        Mean value of each patch in DN.
     black_level : float
-        Black level in DN, which affects the weights of the samples (docs/method.md#gain-and-offset).
+        Black level in DN. It affects only the weights of the samples (docs/method.md#gain-and-offset).
 
     Returns
     -------
     alpha, beta : float
-        Slope, and offset in DN.
+        Slope in DN/photon, and offset in DN.
     """
     from scipy.optimize import lsq_linear
 
@@ -488,9 +509,9 @@ def fit_gain(photons: Array, values: Array, black_level: float) -> tuple[float, 
 def gain_error(photons: Array, values: Array, black_level: float, alpha: float, beta: float, drift: float) -> float:
     """Return the standard error of alpha.
 
-    Alpha is also fitted to each chart separately. The standard error is computed from the standard deviation of these
-    values, or from the declared drift of the lamp if that is larger. `photons` and `values` have the shape (chart,
-    patch).
+    Alpha is fitted to each chart separately. The standard error is the standard deviation of these values, or the effect of
+    the declared lamp drift if it is larger, divided by the square root of the number of charts. `photons` and `values` have
+    the shape (chart, patch).
     """
     single, _ = chart_factors(photons, values, black_level, beta)
     charts = len(single)
@@ -514,24 +535,24 @@ def chart_factors(photons: Array, values: Array, black_level: float, beta: float
 def relative_rmse(measured: Array, predicted: Array, black_level: Array | float) -> Array:
     """Return the RMSE over charts and patches, divided by the mean signal above black.
 
-    Charts and patches are the first two axes. Further axes are kept.
+    The arrays have the shape (chart, patch, …), and the result has the shape (…).
     """
     return np.sqrt(np.mean((measured - predicted) ** 2, axis=(0, 1))) / np.mean(measured - black_level, axis=(0, 1))
 
 
 def r_squared(measured: Array, predicted: Array) -> Array:
-    """Return the fraction of the variance over charts and patches that the prediction explains.
+    """Return R²: the fraction of the variance over charts and patches that the prediction explains.
 
-    Charts and patches are the first two axes. Further axes are kept.
+    The arrays have the shape (chart, patch, …), and the result has the shape (…).
     """
     residual = np.sum((measured - predicted) ** 2, axis=(0, 1))
     return 1.0 - residual / np.sum((measured - measured.mean(axis=(0, 1))) ** 2, axis=(0, 1))
 
 
 def cross_validate(photons: Array, values: Array, black_level: float) -> float:
-    """Return the relative RMSE of leave-one-out cross-validation over the charts.
+    """Return the relative RMSE of a leave-one-out cross-validation over the charts.
 
-    Each chart is predicted with alpha and beta from the other charts. `photons` and `values` have the shape (chart,
+    Each chart is predicted with alpha and beta from the remaining charts. `photons` and `values` have the shape (chart,
     patch).
     """
     predicted = np.empty_like(values)

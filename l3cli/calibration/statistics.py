@@ -1,8 +1,7 @@
-"""Statistics of frames per CFA site or channel: histograms, means, temporal variances, weighted sums and defective
-pixels.
+"""Statistics of frames, and the search for defective pixels.
 
-Defective pixels are left out. The parameter `each` is a function with the signature of the built-in `map`, which applies
-a function to each capture. It may use several processes.
+Histograms, means and temporal variances are computed for each channel, without defective pixels. The parameter `each` is a
+function with the signature of the built-in `map`, which applies a function to each capture. It may use several processes.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -16,13 +15,13 @@ from l3cli.artifacts.camera import DefectMap
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import Body, Capture
 
-OUTLIER = 6.0  # robust standard deviations; normally distributed pixels exceed them with a probability below 10⁻⁸
-LEAST_LOSS = 0.1  # a smaller relative deviation from the neighbouring pixels is PRNU and not a defect
-WHOLE_LINE = 0.9  # fraction of defective pixels from which a whole row or column counts as defective
-Defects = NDArray[np.int64]  # (defect, 2) row, col
+OUTLIER = 6.0  # robust standard deviations; normally distributed pixels exceed this with a probability below 10⁻⁸
+LEAST_LOSS = 0.1  # a smaller relative deviation from neighbouring pixels is PRNU and not a defect
+WHOLE_LINE = 0.9  # if this fraction of a row or column is defective, the whole row or column is marked as defective
+Defects = NDArray[np.int64]  # (defect, 2): row and column of each defective pixel
 Array = NDArray[np.float64]
-Counts = NDArray[np.int64]
-Each = Callable[[Callable, Iterable], Iterator]
+Counts = NDArray[np.int64]  # (channel, value): number of pixels with each raw value
+Each = Callable[[Callable, Iterable], Iterator]  # the built-in `map`, or a replacement that uses several processes
 
 
 def no_defects() -> Defects:
@@ -30,10 +29,10 @@ def no_defects() -> Defects:
 
 
 def outliers(picture: Array, cfa: NDArray[np.uint8], least: float = 0.0) -> Defects:
-    """Find pixels that differ from the median of their CFA site by much more than the spread, and by at least `least`.
+    """Find pixels that differ from the median of their CFA site by more than OUTLIER standard deviations and by `least`.
 
-    All pixels of a row or column are included if the median of this line differs from the medians of the other lines by
-    much more than their spread, and by more than the spread of pixels.
+    All pixels of a row or column at a CFA site are included if the median of this line differs from the medians of all lines
+    by more than OUTLIER standard deviations of these medians, and by more than the standard deviation of pixels and `least`.
     """
     rows, cols = cfa.shape
     defects = []
@@ -51,18 +50,18 @@ def outliers(picture: Array, cfa: NDArray[np.uint8], least: float = 0.0) -> Defe
 
 
 def _middle_and_spread(values: Array) -> tuple[float, float]:
-    """Return the median and a robust standard deviation."""
+    """Return the median and a robust standard deviation, which is half the distance between the 16 % and 84 % quantiles."""
     low, middle, high = np.percentile(values, (15.87, 50.0, 84.13))
     return float(middle), float((high - low) / 2 or values.std())
 
 
 def joined_defects(*parts: Defects) -> Defects:
-    """Merge lists of defective pixels. Each pixel occurs once in the result, which is sorted by row and column."""
+    """Merge lists of defective pixels. The result is sorted by row and column, and contains each pixel once."""
     return np.unique(np.concatenate(parts), axis=0).astype(np.int64)
 
 
 def patched(picture: Array, cfa: NDArray[np.uint8], defects: Defects) -> Array:
-    """Replace every defective pixel of a picture by the median of its neighbours on the same CFA site."""
+    """Return a picture in which defective pixels are replaced by the median of neighbours with the same CFA site."""
     rows, cols = cfa.shape
     result = picture.copy()
     for row, col in defects:
@@ -75,7 +74,7 @@ def patched(picture: Array, cfa: NDArray[np.uint8], defects: Defects) -> Array:
 def defect_map(defects: Defects, hot: Defects, shape: tuple[int, int]) -> DefectMap:
     """Build the defect map of a sensor.
 
-    If nearly all pixels of a row or column are defective, all its pixels are marked as a defective row or column.
+    If nearly all pixels of a row or column are defective, the whole row or column is marked as defective.
 
     Parameters
     ----------
@@ -98,7 +97,7 @@ def defect_map(defects: Defects, hot: Defects, shape: tuple[int, int]) -> Defect
 
 
 def defect_counts(defects: DefectMap, shape: tuple[int, int]) -> dict[str, int]:
-    """Count the hot pixels, dead pixels, rows and columns of a defect map, and its clusters of adjacent single pixels."""
+    """Count the defects of each type in a defect map, and the clusters of adjacent hot or dead pixels."""
     from scipy.ndimage import label
 
     kind, (row, col) = np.array(defects.pixel_kind, dtype=str), defects.position.T
@@ -118,23 +117,23 @@ def defect_counts(defects: DefectMap, shape: tuple[int, int]) -> dict[str, int]:
 
 @dataclass(frozen=True)
 class Level:
-    """Statistics of the frames that were captured with the same exposure time."""
+    """Statistics of a capture, whose frames all have the same exposure time."""
 
     exposure: float  # s
     lit: float  # s; exposure time, corrected for the brightness of the lamp
     trials: int  # number of frames
-    counts: Counts  # (channel, value) number of pixels with each value, added over all frames
-    variance: Array  # (channel) DN²; temporal variance, including row noise and column noise
-    pixel_variance: Array  # (channel) DN²; temporal variance without row noise and column noise
+    counts: Counts  # sum of the histograms of all frames
+    variance: Array  # (channel,): temporal variance in DN², including row noise and column noise
+    pixel_variance: Array  # (channel,): temporal variance in DN² without row noise and column noise
     lines: "LineSquares"  # analysis of the temporal variance by rows and columns
 
 
 @dataclass(frozen=True)
 class LineSquares:
-    """Mean squares of a two-way analysis of variance of differences between two frames, divided by 2.
+    """Mean squares from a two-way analysis of variance of the difference between two frames, divided by 2.
 
-    Without row noise, `rows` and `pixels` have the same expected value. With row noise, the expected value of `rows` is
-    larger by the variance of the rows times their number of pixels. The same applies to columns.
+    If there is no row noise, `rows` and `pixels` have the same expected value. Row noise increases the expected value of
+    `rows` by the variance of the rows, multiplied by the number of pixels in a row. The same applies to columns.
     """
 
     rows: float  # DN²
@@ -145,9 +144,10 @@ class LineSquares:
 
 
 def line_squares(difference: NDArray[np.integer], body: Body) -> Array:
-    """Return the sums of squares of rows, columns and pixels in the difference of two frames, divided by 2.
+    """Return the sums of squares of rows, columns and pixels in the difference between two frames, divided by 2.
 
-    Differences are divided by the relative gain of their channel, and the mean of each CFA site is subtracted.
+    Before the sums are computed, the difference is divided by the relative gain of each channel, and the mean of each CFA
+    site is subtracted.
     """
     scaled = np.empty(difference.shape)
     for (channel, site), (_, target) in zip(by_site(difference, body.cfa), by_site(scaled, body.cfa), strict=True):
@@ -157,7 +157,7 @@ def line_squares(difference: NDArray[np.integer], body: Body) -> Array:
 
 
 def mean_squares(sums: Sequence[Array], body: Body) -> LineSquares:
-    """Convert the results of `line_squares` for pairs of frames with the same exposure time to mean squares."""
+    """Return the mean squares for the results of `line_squares` from pairs of frames with the same exposure time."""
     (down, across), pairs = body.cfa.shape, len(sums)
     rows, columns = body.rows - down, body.cols - across
     means = np.mean(sums, axis=0) / np.maximum([rows, columns, rows * columns], 1)
@@ -166,29 +166,20 @@ def mean_squares(sums: Sequence[Array], body: Body) -> LineSquares:
 
 
 def by_site(values: NDArray, cfa: NDArray[np.uint8]) -> Iterator[tuple[int, NDArray]]:
-    """Yield the channel and the pixels of each CFA site. The pixels form a picture."""
+    """Yield the channel and the pixels of each CFA site, row by row. The pixels are a view of `values` with two axes."""
     rows, cols = cfa.shape
     for row, col in np.ndindex(rows, cols):
         yield int(cfa[row, col]), values[row::rows, col::cols]
 
 
 def pooled(per_site: Sequence[float], cfa: NDArray[np.uint8]) -> Array:
-    """Average numbers over the CFA sites of each channel.
-
-    `per_site` contains one number per site, in the order of `by_site`.
-    """
+    """Average numbers over the CFA sites of each channel. `per_site` has one number per site, in the order of `by_site`."""
     count = np.bincount(cfa.ravel())
     return np.bincount(cfa.ravel(), weights=np.asarray(per_site, dtype=np.float64)) / count
 
 
 def histogram(values: NDArray[np.uint16], body: Body, defects: Defects) -> Counts:
-    """Count the pixels of each channel that have each raw value. Defective pixels are left out.
-
-    Returns
-    -------
-    ndarray, (channel, value)
-        Number of pixels.
-    """
+    """Return the histogram of each channel of a frame, without defective pixels: (channel, value)."""
     counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
     for channel, site in by_site(values, body.cfa):
         counts[channel] += np.bincount(site.ravel(), minlength=2**body.bits)
@@ -199,7 +190,7 @@ def histogram(values: NDArray[np.uint16], body: Body, defects: Defects) -> Count
 
 
 def count_values(capture: Capture, body: Body, defects: Defects) -> Counts:
-    """Return the sum of the histograms of all frames of a capture. Defective pixels are left out."""
+    """Return the sum of the histograms of all frames of a capture, without defective pixels: (channel, value)."""
     counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
     for frame in capture.frames:
         counts += histogram(frame, body, defects)
@@ -207,21 +198,21 @@ def count_values(capture: Capture, body: Body, defects: Defects) -> Counts:
 
 
 def mean_value(counts: Counts) -> Array:
-    """Return the mean DN of each channel, computed from its histogram."""
+    """Return the mean value of each channel in DN, from its histogram."""
     return counts @ np.arange(counts.shape[1]) / counts.sum(axis=1)
 
 
 def share_from(counts: Counts, value: float) -> Array:
-    """Return the fraction of the pixels of each channel that have at least `value` DN, computed from its histogram."""
+    """Return the fraction of the pixels of each channel with at least `value` DN, from its histogram."""
     return counts[:, int(np.ceil(value)) :].sum(axis=1) / counts.sum(axis=1)
 
 
 def measure_level(capture: Capture, body: Body, defects: Defects) -> Level:
     """Measure the histogram and the temporal variance of a capture in uniform light or in the dark.
 
-    The temporal variance is half the variance of the difference between two frames, averaged over pairs of frames.
-    Fixed-pattern noise, and drifts of the lamp or of the black level, cancel in the difference. Frames 1 and 2 form a
-    pair, frames 3 and 4 form the next pair. Raises InputFileError if the capture contains a single frame.
+    The temporal variance is half the variance of the difference between two consecutive frames, averaged over pairs (frames
+    1 and 2, frames 3 and 4…). Fixed-pattern noise cancels in the difference. Drifts of the lamp or of the black level hardly
+    matter between consecutive frames. Raises InputFileError if the capture contains only one frame.
     """
     counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
     variances, pixel_variances, squares, trials = [], [], [], 0
@@ -240,7 +231,10 @@ def measure_level(capture: Capture, body: Body, defects: Defects) -> Level:
         squares.append(line_squares(difference, body))
         previous = None
     if not variances:
-        raise InputFileError(f"{capture.name} is a single frame; measure noise with two or more frames per exposure time")
+        raise InputFileError(
+            f"{capture.name} is a single frame, from which noise cannot be measured; capture two or more frames with each "
+            "exposure time"
+        )
     variance, of_pixels = np.mean(variances, axis=0), np.mean(pixel_variances, axis=0)
     lines = mean_squares(squares, body)
     return Level(capture.exposure, capture.lit, trials, counts, variance, of_pixels, lines)
@@ -249,7 +243,7 @@ def measure_level(capture: Capture, body: Body, defects: Defects) -> Level:
 def pixel_variance(picture: NDArray[Any]) -> float:
     """Return the variance of a picture without the variances of its row means and column means.
 
-    The estimate is unbiased. If there is no row noise or column noise, its expected value is the variance of the pixels.
+    The estimate is unbiased: without row noise and column noise, its expected value is the variance of the pixels.
     """
     rows, cols = picture.shape
     lines = [picture.mean(axis=axis, dtype=np.float64).var() for axis in (0, 1)]
@@ -258,18 +252,20 @@ def pixel_variance(picture: NDArray[Any]) -> float:
 
 
 def weighted_sums(captures: Sequence[Capture], weights: Array, body: Body, each: Each = map) -> Array:
-    """Return weighted sums of the mean frames of captures. Captures are read one at a time.
+    """Return weighted sums of the mean frames of captures.
+
+    Captures are read one at a time. Captures with a weight of 0 in all sums are not read.
 
     Parameters
     ----------
     captures : sequence of Capture
-        Captures.
+        The captures.
     weights : ndarray, (sum, capture, channel)
         Weight of each capture in each sum, for each channel.
     body : Body
         Geometry of the camera.
     each : callable
-        Applies a function to each capture.
+        As described in the module docstring.
 
     Returns
     -------
@@ -287,7 +283,7 @@ def weighted_sums(captures: Sequence[Capture], weights: Array, body: Body, each:
 
 
 def mean_frame(capture: Capture) -> NDArray[np.float32]:
-    """Return the mean of all frames of a capture in DN."""
+    """Return the mean of all frames of a capture in DN: (row, col)."""
     total: NDArray | None = None
     trials = 0
     for frame in capture.frames:

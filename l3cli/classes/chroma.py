@@ -2,14 +2,14 @@
 
     chroma = the first k that minimises Σ clamp((S · round(65536 / n) >> 12) − chroma_black_level, 0…65535) · weight[k]
 
-S is the sum of the values of a channel in the patch, and n the number of its pixels. Σ is the sum over the channels.
+S is the sum of the values of a channel in the patch, and n is the number of these values. Σ is the sum over the channels.
 
-Let f be the channel means above black, divided by their sum, and q a chroma centre. The distance |f − q|² is smallest
-where |q|² Σ f − 2 Σ f q is smallest. The weights are therefore |q|² − 2 q, and no division is needed.
+Let f be the channel means above black, divided by their sum, and let q be a chroma centre. The distance |f − q|² is smallest
+for the centre with the smallest |q|² Σ f − 2 Σ f q. The weights are therefore |q|² − 2 q, and no division is needed.
 
-A class rule may dither between chromas (docs/method.md#dither). Midway between two chroma centres, about half of the CFA
-sites use the second nearest centre instead of the nearest. The closer the colour is to the nearest centre, the fewer
-sites use the second nearest. Colours then change smoothly, because later layers average over the sites.
+A class rule may dither between chromas (docs/method.md#dither). If a colour lies midway between two chroma centres, half of
+the CFA sites use the second nearest centre instead of the nearest centre. The closer the colour is to the nearest centre,
+the fewer sites use the second nearest. Colours then change smoothly, because later layers average over the sites.
 """
 
 import warnings
@@ -26,11 +26,11 @@ from l3cli.classes.windows import Integers, Neighbourhoods
 
 CHROMA_FRACTION = 4  # number of fractional bits of a channel mean in the chroma scores
 MAX_CHROMA_INPUT = 2**16 - 1  # channel means are clamped to this value, so that the scores fit into 32 bits
-STARTS = 4  # number of k-means runs; one run in ten finds centres that increase the S-CIELAB error by a tenth
+STARTS = 4  # number of k-means runs, of which the best is used; one run in ten would increase the S-CIELAB error by 10 %
 WIDTH_FRACTION = 8  # number of fractional bits of the dither widths
-DITHERED = 0.6  # dither width, relative to the squared distance to the next centre; a width of 1 tints the palest paints
-TWINS = 2e-3  # centres are not dithered if their squared distance, times the squared number of channels, is smaller
-TURN = 159  # 256 times the golden ratio conjugate, so that the dither thresholds of consecutive sites are evenly spread
+DITHERED = 0.6  # dither width, relative to the squared distance to the nearest centre; a width of 1 tints the palest paints
+TWINS = 2e-3  # no dither between centres whose squared distance, times the squared number of channels, is smaller
+TURN = 159  # 256 × the golden ratio conjugate; the dither thresholds of consecutive sites are then evenly distributed
 SNIPPET = "features/chroma.cl"
 
 
@@ -42,14 +42,14 @@ def channel_shares(signal: NDArray[np.float32], neighbours: Neighbourhoods, site
     signal : ndarray, (patch, tap)
         Signal above black.
     neighbours : Neighbourhoods
-        Windows of the CFA.
+        Channel of each tap in the patch around each site.
     site : int
         CFA site at the centre of the patches.
 
     Returns
     -------
     ndarray, (patch, channel)
-        Fractions, which sum to 1 for each patch.
+        Fractions, which add up to 1 for each patch.
     """
     member = (neighbours.channel[site][:, None] == np.arange(neighbours.count.shape[1])) / neighbours.count[site]
     means = signal.astype(np.float64) @ member
@@ -70,12 +70,12 @@ def choose_chromas(
     seed : int
         Seed of the random starts.
     white : ndarray, (channel,), optional
-        Channel values of a white. If it is given, its colour becomes the last centre.
+        Channel values of a white. If all are positive, the colour of this white is the last centre.
 
     Returns
     -------
     ndarray, (chroma, channel), or None
-        The centres, or None if `count` is 0 or 1.
+        The centres, or None if `count` is 0 or 1. There are fewer than `count` centres if there are fewer distinct colours.
     """
     if count <= 1:
         return None
@@ -96,13 +96,13 @@ def _means(shares: NDArray[np.float64], count: int, seed: int) -> NDArray[np.flo
         rng = np.random.default_rng([seed, 2])
         tried = [kmeans2(shares, count, iter=30, minit="++", rng=rng) for _ in range(STARTS)]
     centres, member = min(tried, key=lambda each: float(((shares - each[0][each[1]]) ** 2).sum()))
-    return np.asarray(centres[np.unique(member)])  # without centres that are not nearest to any sample
+    return np.asarray(centres[np.unique(member)])  # removes centres that are nearest to no sample
 
 
 def chroma_weights(centres: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Return integer weights with which the nearest of the chroma centres gets the lowest score.
+    """Return the integer weights with which the nearest chroma centre has the lowest score.
 
-    Both arrays have the shape (chroma, channel).
+    `centres` and the result have the shape (chroma, channel).
     """
     weights = (centres**2).sum(axis=1, keepdims=True) - 2 * centres
     return np.rint(weights * CHROMA_SCALE).astype(np.int32)
@@ -114,7 +114,7 @@ def chroma_centres(rule: ClassRule) -> NDArray[np.float64]:
     Returns
     -------
     ndarray, (chroma, channel)
-        Channel means divided by their sum. If the rule has a single chroma, all channels have the same value.
+        Channel means, divided by their sum. If the rule has only one chroma, all channels have the same value.
     """
     weights = rule.chroma_weights / CHROMA_SCALE
     if rule.chromas == 1:
@@ -126,10 +126,10 @@ def chroma_centres(rule: ClassRule) -> NDArray[np.float64]:
 def chroma_widths(rule: ClassRule) -> NDArray[np.int32]:
     """Return the dither width of each chroma.
 
-    A pixel uses the second nearest chroma centre only if its score exceeds the lowest score by less than the dither
-    width. The width is DITHERED times the squared distance from the centre to the nearest other centre, in units of
-    1/256 of a score divided by the sum of the channels. The widths are 0 if the rule does not dither. A width is also 0
-    if the nearest other centre is very close, because greys would flicker between the two.
+    A pixel uses its second nearest chroma centre only if the score of this centre exceeds the lowest score by less than the
+    dither width. The dither width of a chroma is DITHERED times the squared distance between its centre and the nearest
+    different centre. Its unit is 1/256 of a score for channel means that add up to 1. The width is 0 if the rule does not
+    dither, and also if the nearest different centre is so close that greys would flicker between the two.
     """
     centres = chroma_centres(rule)
     distance = ((centres[:, None] - centres[None]) ** 2).sum(axis=2)
@@ -141,14 +141,18 @@ def chroma_widths(rule: ClassRule) -> NDArray[np.int32]:
 
 
 def stored_black_level(camera: CameraModel, shift: int) -> int:
-    """Return the black level for the channel means in the class rule, in units of (DN >> shift) / 2^CHROMA_FRACTION."""
+    """Return the black level that is subtracted from channel means, in units of (DN >> shift) / 2^CHROMA_FRACTION."""
     return int(np.rint((camera.black_level - truncation(shift)) / 2**shift * 2**CHROMA_FRACTION))
 
 
 def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
-    """Return the chroma of each pixel. Saturated pixels get a chroma, too, although their class does not depend on it."""
+    """Return the chroma of each pixel.
+
+    The chroma of a saturated pixel is also computed, but its class does not depend on it.
+    """
     above_black = np.clip((statistics.scaled >> (16 - CHROMA_FRACTION)) - rule.chroma_black_level, 0, MAX_CHROMA_INPUT)
-    # Scores below 2⁵³ are exact in float64, and BLAS multiplies float64 matrices faster than numpy multiplies integers.
+    # Scores are below 2⁵³ and therefore exact in float64. BLAS multiplies matrices of floats faster than numpy those of
+    # integers.
     scores = above_black.astype(np.float64) @ rule.chroma_weights.T.astype(np.float64)
     nearest = np.argmin(scores, axis=-1)
     if not (widths := chroma_widths(rule)).any():
@@ -163,7 +167,7 @@ def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
 
 
 def entry(table: TransformTable, chroma: int) -> dict[str, Any]:
-    """Describe a chroma for reports and JSON: its number, and the fraction of each channel at its centre."""
+    """Describe a chroma for reports and JSON: its number, and the value of each channel at its centre."""
     shares = chroma_centres(table.first.rule)[chroma].tolist()
     return {"chroma": chroma, "shares": dict(zip(table.channels, shares, strict=True))}
 
@@ -178,7 +182,7 @@ def name(table: TransformTable, chroma: int) -> str:
 
 
 def macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros for compiling chroma.cl."""
+    """Return the macros with which chroma.cl is compiled."""
     black_level = rule.chroma_black_level
     return {
         "CHROMAS": rule.chromas,
@@ -190,9 +194,10 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.int32]:
-    """Return the array that chroma.cl reads. It has one row per chroma and a last row with equal weights.
+    """Return the array that chroma.cl reads. It has one row per chroma, and a last row in which all weights are 1.
 
-    Each row contains a start value, the dither width, and the weights of all channels, packed in pairs of 16 bits.
+    Each row contains the start value of the score, the dither width, and the weights of all channels. Two weights of 16 bits
+    are packed into one integer.
     """
     weights = np.concatenate([rule.chroma_weights, np.ones((1, rule.channels), np.int32)])
     pairs = np.zeros((len(weights), (rule.channels + 1) // 2, 2), np.int16)  # weights fit into 16 bits

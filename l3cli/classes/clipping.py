@@ -1,15 +1,15 @@
-"""Areas in which channels clip: smooth outputs of uniform areas, and the hue of similar unclipped areas nearby.
+"""Rendering of areas in which channels clip: smooth outputs in uniform areas, and the hue of similar unclipped areas nearby.
 
 docs/method.md#uniform-clipped-areas and docs/method.md#hue-of-clipped-areas describe the two methods.
 
-The class of a pixel changes abruptly where a channel clips, which would be visible as a contour in a uniform area. In
-such areas, a smooth function of the channel means therefore replaces the outputs.
+The class of a pixel changes abruptly where a channel clips. In a uniform area, this would be visible as a contour. In
+uniform areas, the outputs are therefore replaced by a smooth function of the channel means.
 
-The means are computed in blocks. A block consists of whole periods of the CFA, and its sides are at least 4 pixels long.
-For uniform areas, each block has four values: the fraction of the outputs that is replaced, and the values that are
-added to X, Y and Z instead. For the hue, each block has three more values: the weight of the hue of unclipped blocks
-nearby that may show the same surface, and the X/Y and Z/Y of this hue, multiplied by the weight. All values are
-interpolated between the blocks. All pixels of a quad (2 × 2 pixels) get the same interpolated values.
+The means are computed in blocks. A block consists of whole periods of the CFA, and its sides are at least 4 pixels long. For
+uniform areas, each block has four values: the fraction of the outputs that is replaced, and the values that are added to X,
+Y and Z instead. For the hue, each block has three further values. The first is the weight of the hue of unclipped blocks
+nearby that may show the same surface. The remaining two are X/Y and Z/Y of this hue, multiplied by the weight. All values
+are interpolated between the blocks. All pixels of a quad (2 × 2 pixels) have the same interpolated values.
 """
 
 from dataclasses import dataclass
@@ -19,28 +19,28 @@ from numpy.typing import NDArray
 
 SMALLEST_BLOCK = 4  # pixels; shortest permitted side of a block
 QUAD = 2  # pixels; side of a quad
-# The degree to which a channel clips rises from 0 to 1 between these two channel means (fractions of full scale).
+# The degree to which a channel clips increases from 0 at the channel mean BEGINS to 1 at CLIPS (fractions of full scale).
 BEGINS, CLIPS = 0.6, 0.985
-# The replaced fraction of the outputs rises from 0 to 1 between these two means of the brightest channel (fractions of full
-# scale).
+# The fraction of the outputs that is replaced increases from 0, if the brightest channel has the mean KEPT, to 1 at REPLACED
+# (fractions of full scale).
 KEPT, REPLACED = 0.85, 0.975
-# A block counts as uniform if the values of each channel in 3 × 3 blocks differ by at most PLAIN, and as textured if they
-# differ by TEXTURED or more (fractions of full scale).
+# A block is uniform if the values of each channel in 3 × 3 blocks differ by at most PLAIN. It is textured if they differ by
+# TEXTURED or more (fractions of full scale).
 PLAIN, TEXTURED = 0.12, 0.3
-WHITE_FROM = 1.25  # luminance, relative to the clipped white, from which pixels are rendered white
-MIN_WEIGHT = 1e-6  # weight of a clipped channel in the grey level, so that the weights never sum to zero
+WHITE_FROM = 1.25  # pixels with at least this luminance, relative to the clipped white, are rendered white
+MIN_WEIGHT = 1e-6  # smallest weight of a channel in the grey level, so that the sum of weights is never zero
 # Number of values per block: four for the replacement of the outputs, and three for the hue.
 MAPS, REPLACEMENT_MAPS = 7, 4
 HUE_STEPS = 2  # a clipped block is compared with this number of blocks in each direction
-HUE_REACH = 24  # pixels; distance from a clipped block to the farthest of these blocks
-MAX_DIFFERENCE = 0.05  # squared relative difference of the signals from which two blocks show different surfaces
-MIN_SIGNAL = 0.02  # fraction of full scale; smallest signal by which signals are divided
-# If the likeness of the surroundings, as a fraction of its maximum, has the value HUE_DOUBT, the weight of their hue is one
-# half. GREY_DOUBT times the likeness of the clipped block to a white is added to this value.
+HUE_REACH = 24  # pixels; distance between a clipped block and the farthest block with which it is compared
+MAX_DIFFERENCE = 0.05  # two blocks show different surfaces if their squared relative difference reaches this value
+MIN_SIGNAL = 0.02  # fraction of full scale; signals that are used as divisors are at least this large
+# The weight of the surrounding hue is one half if the likeness of the surroundings, as a fraction of its maximum, equals
+# HUE_DOUBT plus GREY_DOUBT times the squared likeness of the clipped block to a white.
 HUE_DOUBT, GREY_DOUBT = 0.05, 3.0
 SPREADS = 4  # number of steps in which the estimates of clipped blocks spread over uniform areas
 SPREAD_REACH = 32  # pixels; distance over which one step spreads the estimates
-MAX_CHANGE = 0.6  # mean squared relative difference of the unclipped channels from which estimates do not spread
+MAX_CHANGE = 0.6  # estimates do not spread if the mean squared relative difference of unclipped channels reaches this value
 WHITE_DOUBT = 0.002  # the larger this value, the less white is mixed with the colour of the surroundings
 MAX_HUE = 10.0  # largest X/Y and Z/Y of a hue
 Array = NDArray[np.float64]
@@ -48,44 +48,44 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Mosaic:
-    """A raw mosaic on the scale of the table, with its CFA and its black and white levels."""
+    """A raw frame whose levels have been scaled to the levels of the table, with its CFA."""
 
-    values: NDArray[np.uint16]  # (row, col) DN
-    cfa: NDArray[np.uint8]  # (cfa_row, cfa_col) channel of each site, beginning with the site of the first pixel
+    values: NDArray[np.uint16]  # (row, col): DN
+    cfa: NDArray[np.uint8]  # (cfa_row, cfa_col): channel of each site, beginning with the site of the first pixel
     black_level: float  # DN
     white_level: float  # DN
 
 
 def block_sides(cfa: NDArray[np.uint8]) -> tuple[int, int]:
-    """Return the height and width of a block in pixels. Both are multiples of the CFA period."""
+    """Return the height and width of a block in pixels. They are multiples of the height and width of the CFA."""
     rows, cols = (-(-SMALLEST_BLOCK // period) * period for period in cfa.shape)
     return rows, cols
 
 
 def first_bright(black_level: float, white_level: float) -> int:
-    """Return the lowest raw value, in DN, that makes the block of a pixel count as bright."""
+    """Return the lowest raw value, in DN, of a bright pixel. Blocks without a bright pixel are ignored."""
     return int(np.ceil(black_level + BEGINS * (white_level - black_level)))
 
 
 def limited_to_white(outputs: Array, clipped_white: Array) -> Array:
     """Limit the luminance of the outputs to the luminance of the clipped white.
 
-    If all channels clip, the raw values do not contain the brightness of the pixel, and different classes estimate
-    different values. Without the limit, uniform white areas would look grey next to brighter pixels along edges. As the
-    luminance rises from the limit to WHITE_FROM times the limit, the colour of the pixel fades to the colour of the
-    white.
+    If all channels clip, the raw values do not contain the brightness of the pixel, and each class estimates a different
+    brightness. Without the limit, uniform white areas would look grey next to brighter pixels along edges. If the luminance
+    exceeds the limit, the colour of the pixel fades to the colour of the white, which it reaches at WHITE_FROM times the
+    limit.
 
     Parameters
     ----------
     outputs : ndarray, (output, row, col)
-        Rendered outputs, in the table's output unit. The first three outputs are X, Y and Z.
+        Rendered outputs in output units. The first three outputs must be X, Y and Z.
     clipped_white : ndarray, (3,)
         XYZ of the darkest white that clips every channel (`TransformTable.clipped_white`).
 
     Returns
     -------
     ndarray, (output, row, col)
-        The limited outputs. Pixels that are not brighter than the white are unchanged.
+        The limited outputs. Pixels that are not brighter than the white, and outputs after X, Y and Z, are unchanged.
     """
     limit = clipped_white[1]
     luminance = np.maximum(outputs[1], limit)
@@ -95,7 +95,7 @@ def limited_to_white(outputs: Array, clipped_white: Array) -> Array:
 
 
 def replaced(outputs: Array, mosaic: Mosaic, response: Array, white: Array) -> Array:
-    """Replace the outputs of uniform areas where channels clip, then the hue of all areas where channels clip.
+    """Replace the outputs of uniform areas with clipped channels, and then the hue of all areas with clipped channels.
 
     Parameters
     ----------
@@ -106,7 +106,12 @@ def replaced(outputs: Array, mosaic: Mosaic, response: Array, white: Array) -> A
     response : ndarray, (clipped, signal, output)
         `Clipping.response` of the table.
     white : ndarray, (channel,)
-        Channel values of a white.
+        `Clipping.white` of the table.
+
+    Returns
+    -------
+    ndarray, (output, row, col)
+        The new X, Y and Z.
     """
     share, added, taken, hue = np.split(clipping_maps(mosaic, response, white), [1, 4, 5])
     x, y, z = (1 - share) * outputs + added
@@ -115,9 +120,9 @@ def replaced(outputs: Array, mosaic: Mosaic, response: Array, white: Array) -> A
 
 
 def clipping_maps(mosaic: Mosaic, response: Array, white: Array) -> Array:
-    """Interpolate the values of the blocks at every pixel.
+    """Compute the seven values of each block (see the module docstring), and interpolate them at every pixel.
 
-    `replaced` describes the parameters. The result has the shape (map, row, col).
+    The parameters are the same as in `replaced`. The result has the shape (map, row, col).
     """
     (means, spread), sides = block_means(mosaic, len(response) - 1), block_sides(mosaic.cfa)
     maps = np.concatenate([block_maps(means, spread, response, white), hue_maps(means, spread, response, white, sides)])
@@ -131,23 +136,24 @@ def clipping_maps(mosaic: Mosaic, response: Array, white: Array) -> Array:
 
 
 def block_means(mosaic: Mosaic, channels: int) -> tuple[Array, Array]:
-    """Return the mean of each channel in the blocks of a mosaic, and the largest range of a channel.
+    """Return the mean of each channel in every block of a mosaic, and the largest range of the values of a channel.
 
-    If the mosaic does not consist of whole blocks, the last blocks overlap their neighbours, so that every block lies
+    If the mosaic does not consist of whole blocks, the last blocks overlap the blocks before them, so that every block is
     within the mosaic.
 
     Returns
     -------
     means : ndarray, (channel, block row, block col)
-        Channel means as fractions of full scale. All means of a block are 0 if it contains no bright pixel or lacks a
-        channel.
+        Channel means as fractions of full scale. If a block contains no bright pixel, or no pixel of some channel, all its
+        means are 0.
     spread : ndarray, (block row, block col)
         Largest difference between two values of one channel, as a fraction of full scale.
     """
     sides, shape = block_sides(mosaic.cfa), mosaic.values.shape
     values = mosaic.values
     for axis, (length, side) in enumerate(zip(shape, sides, strict=True)):
-        if length > side and (begin := length - side) % side:  # move the last block back, and sort its pixels by CFA site
+        # Move the last block back so that it ends with the mosaic, and sort its pixels so that the CFA continues.
+        if length > side and (begin := length - side) % side:
             index = np.append(np.arange(length // side * side), begin + (np.arange(side) - begin) % side)
             values = values.take(index, axis)
     blocks, count = tuple(-(-length // side) for length, side in zip(shape, sides, strict=True)), np.zeros(channels, int)
@@ -167,10 +173,9 @@ def block_means(mosaic: Mosaic, channels: int) -> tuple[Array, Array]:
 
 
 def plain_blocks(means: Array, spread: Array) -> tuple[NDArray[np.intp], Array, Array, Array]:
-    """Return the blocks that may be uniform.
+    """Return the blocks that may be uniform: the blocks that contain a bright pixel and are not textured.
 
-    The result contains neither dark blocks nor textured blocks. A bright block next to a dark block does not count as
-    uniform, because the means of a dark block are 0.
+    A bright block next to a dark block is not uniform, because the means of a dark block are 0.
 
     Parameters
     ----------
@@ -182,7 +187,7 @@ def plain_blocks(means: Array, spread: Array) -> tuple[NDArray[np.intp], Array, 
     Returns
     -------
     numbers : ndarray, (block,)
-        Indices of the blocks, counted row by row.
+        Indices of these blocks, counted row by row.
     signal : ndarray, (channel, block)
         Channel means, smoothed over 3 × 3 blocks.
     plain : ndarray, (block,)
@@ -205,9 +210,9 @@ def plain_blocks(means: Array, spread: Array) -> tuple[NDArray[np.intp], Array, 
 
 
 def block_maps(means: Array, spread: Array, response: Array, white: Array) -> Array:
-    """Compute the fraction that is replaced, and the added values, for every block.
+    """Return, for every block, the fraction of the outputs that is replaced, and the values that are added to X, Y and Z.
 
-    `replaced` and `block_means` describe the parameters. The result has the shape (map, block row, block col).
+    The parameters are the same as in `replaced` and `plain_blocks`. The result has the shape (map, block row, block col).
     """
     numbers, signal, plain, share = plain_blocks(means, spread)
     level = grey_level(signal, white)
@@ -220,47 +225,53 @@ def block_maps(means: Array, spread: Array, response: Array, white: Array) -> Ar
 
 
 def hue_spacing(side: int) -> int:
-    """Return the spacing, in blocks, of the grid of blocks for comparison. `side` is the side of a block in pixels."""
+    """Return the spacing, in blocks, of the blocks with which a clipped block is compared.
+
+    `side` is the side of a block in pixels.
+    """
     return max(HUE_REACH // (HUE_STEPS * side), 1)
 
 
 def spread_spacing(side: int) -> int:
-    """Return the distance over which one step spreads the estimates, in blocks with this side in pixels."""
+    """Return the distance, in blocks, over which one step spreads the estimates. `side` is the side of a block in pixels."""
     return max(SPREAD_REACH // side, 1)
 
 
 def reach(cfa: NDArray[np.uint8]) -> int:
-    """Return the number of rows above and below a pixel that may influence its values (`clipping_maps`)."""
+    """Return the number of rows above and below a pixel that may influence its values in `clipping_maps`."""
     side = block_sides(cfa)[0]
     return (HUE_STEPS * hue_spacing(side) + SPREADS * spread_spacing(side) + 3) * side
 
 
 @dataclass(frozen=True)
 class ClippedBlocks:
-    """Blocks in which some channels clip, but not all, and the comparison of other signals with their signals."""
+    """The blocks in which some channels clip, but not all. Its methods compare these blocks with other signals."""
 
-    numbers: NDArray[np.intp]  # (block,) indices of the blocks, counted row by row
-    own: Array  # (channel, block) channel means, at least MIN_SIGNAL
-    clipped: Array  # (channel, block) degree to which each channel clips
+    numbers: NDArray[np.intp]  # (block,): indices of the blocks, counted row by row
+    own: Array  # (channel, block): channel means, at least MIN_SIGNAL
+    clipped: Array  # (channel, block): degree to which each channel clips
     shape: tuple[int, int]  # number of block rows and block columns of the frame
 
     def neighbour(self, down: int, right: int) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-        """Return the indices of the blocks at an offset (0 outside the frame), and whether they are inside the frame."""
+        """Return the index of the block at the same offset from each block, and whether it is inside the frame.
+
+        `down` and `right` are the offset in blocks. Outside the frame, the index is 0.
+        """
         row, col = np.divmod(self.numbers, self.shape[1])
         row, col = row + down, col + right
         inside = (row >= 0) & (row < self.shape[0]) & (col >= 0) & (col < self.shape[1])
         return np.where(inside, row * self.shape[1] + col, 0), inside
 
     def scaled(self, signal: Array) -> tuple[Array, Array]:
-        """Scale signals (channel, block) to the signals of the blocks.
+        """Scale the brightness of signals (channel, block) to the unclipped channels of the blocks.
 
         Returns
         -------
         signal : ndarray, (channel, block)
             The scaled signals.
         likeness : ndarray, (block,)
-            From 1, if the scaled signals equal the signals of the unclipped channels and reach full scale in the clipped
-            channels, to 0.
+            Likeness of the scaled signals and the blocks, from 0 to 1. It is 1 if they are equal in the unclipped channels,
+            and if the scaled signals reach the signals of the blocks in the clipped channels.
         """
         ratio, unclipped = signal / self.own, 1 - self.clipped
         scale = (unclipped * ratio).sum(axis=0) / ((unclipped * ratio**2).sum(axis=0) + MIN_WEIGHT)
@@ -269,15 +280,15 @@ class ClippedBlocks:
         return scale * signal, np.maximum(1 - difference / MAX_DIFFERENCE, 0.0)
 
     def change(self, signal: Array) -> Array:
-        """Return the mean squared relative difference between signals and the blocks, over the unclipped channels."""
+        """Return the mean squared relative difference between signals and the blocks in the unclipped channels: (block,)."""
         unclipped = 1 - self.clipped
         return np.asarray((unclipped * (1 - signal / self.own) ** 2).sum(axis=0) / (unclipped.sum(axis=0) + MIN_WEIGHT))
 
     def estimated(self, colour: Array, white: Array) -> Array:
-        """Estimate the signals that the blocks would have if no channel clipped.
+        """Estimate the signals that the blocks would have if no channel clipped: (channel, block).
 
-        The signals of the unclipped channels are known. The signals of the clipped channels follow from the mixture of a
-        colour (channel, block) and white that fits the unclipped channels best.
+        The signals of the unclipped channels are known. For the clipped channels, the signals are those of a mixture of the
+        colour `colour`, (channel, block), and white. The mixture is chosen to fit the unclipped channels best.
         """
         unclipped, ratio, of_white = 1 - self.clipped, colour / self.own, white[:, None] / self.own
         squares = (unclipped * ratio**2).sum(axis=0) + MIN_WEIGHT
@@ -290,12 +301,12 @@ class ClippedBlocks:
 
 
 def hue_maps(means: Array, spread: Array, response: Array, white: Array, sides: tuple[int, int]) -> Array:
-    """Compute the hue that each clipped block gets from unclipped blocks.
+    """Estimate the hue of clipped blocks from unclipped blocks nearby.
 
-    A block nearby may show the same surface under more or less light. For this test, its signals are scaled to the
-    signals of the clipped block. They must then agree in the channels that do not clip, and reach full scale in the
-    channels that clip. The estimated signals of clipped blocks then spread in several steps over uniform areas, for
-    example over a sky.
+    A block nearby may show the same surface under more or less light. To test this, its signals are scaled to the brightness
+    of the clipped block. They must then agree in the channels that do not clip, and reach full scale in the channels that
+    clip. Afterwards, the estimated signals of clipped blocks spread in several steps over uniform areas, for example over a
+    sky.
 
     Parameters
     ----------
@@ -306,7 +317,7 @@ def hue_maps(means: Array, spread: Array, response: Array, white: Array, sides: 
     response : ndarray, (clipped, signal, output)
         `Clipping.response` of the table.
     white : ndarray, (channel,)
-        Channel values of a white.
+        `Clipping.white` of the table.
     sides : tuple of int
         Height and width of a block in pixels.
 
@@ -332,7 +343,7 @@ def hue_maps(means: Array, spread: Array, response: Array, white: Array, sides: 
         likeness += weight
         total += weight * signal
     doubt = HUE_DOUBT + GREY_DOUBT * blocks.scaled(white[:, None])[1] ** 2
-    # Signals that each block would have if no channel clipped, and the reliability of this estimate
+    # `estimates` are the signals that each block would have if no channel clipped. `reliability` is their reliability.
     estimates, reliability = signals.copy(), trust.copy()
     found = blocks.estimated(total / np.where(likeness > 0, likeness, 1.0), white)
     estimates[:, numbers] = np.where(likeness > 0, found, own)
@@ -367,10 +378,10 @@ def hue_maps(means: Array, spread: Array, response: Array, white: Array, sides: 
 
 
 def grey_level(signal: Array, white: Array) -> Array:
-    """Estimate the brightness of each signal as if it were grey.
+    """Estimate the brightness of each signal, assuming that it is grey.
 
-    The result is a weighted mean of the estimates of all channels. The more a channel clips, the lower is its weight. If
-    all channels clip, the result is the largest estimate.
+    The brightness is estimated from each channel, and the estimates are averaged. The more a channel clips, the lower is its
+    weight. If all channels clip, the result is the largest estimate.
 
     Parameters
     ----------
@@ -382,7 +393,7 @@ def grey_level(signal: Array, white: Array) -> Array:
     Returns
     -------
     ndarray, (…)
-        Brightness, relative to the white.
+        Brightness relative to the white.
     """
     level = np.stack([each / one for each, one in zip(signal, white, strict=True)])
     clipped = smooth_step(signal, BEGINS, CLIPS)
@@ -394,7 +405,7 @@ def grey_level(signal: Array, white: Array) -> Array:
 def added_terms(signal: Array) -> Array:
     """Return the terms of the linear regression that corrects the outputs where channels clip.
 
-    Each channel has one group of terms: the means of all channels and the constant 1, multiplied by the degree to which
+    Each channel has a group of terms: the means of all channels and the constant 1, each multiplied by the degree to which
     the channel clips.
 
     Parameters
@@ -405,13 +416,13 @@ def added_terms(signal: Array) -> Array:
     Returns
     -------
     ndarray, (channel, channel + 1, …)
-        Terms of each clipping channel.
+        One group of terms per channel.
     """
     terms = np.concatenate([signal, np.ones_like(signal[:1])])
     return np.asarray(smooth_step(signal, BEGINS, CLIPS)[:, None] * terms)
 
 
 def smooth_step(values: Array, low: float, high: float) -> Array:
-    """Rise smoothly from 0 at `low` to 1 at `high`. The result is constant outside this interval."""
+    """Return a function of `values` that increases smoothly from 0 at `low` to 1 at `high`, and is constant elsewhere."""
     part = np.clip((values - low) / (high - low), 0.0, 1.0)
     return np.asarray(part * part * (3 - 2 * part))

@@ -1,7 +1,8 @@
 """Coarse chroma: the mean chroma of similar pixels in an area much larger than a window (docs/method.md#coarse-chroma).
 
-The opponent planes are averaged over blocks of 4 × 4 pixels. Four edge-avoiding steps then smooth the blocks, with
-spacings of 1, 2, 4 and 8 blocks. The change in chroma is interpolated between the blocks and added to each pixel.
+The opponent planes are averaged over blocks of 4 × 4 pixels. The blocks are then smoothed in four edge-avoiding steps, with
+spacings of 1, 2, 4 and 8 blocks. The resulting change of the chroma is interpolated between the blocks and added to each
+pixel.
 """
 
 import numpy as np
@@ -12,15 +13,15 @@ from l3cli.classes.planes import CHROMA, LUMINANCE
 
 BLOCK = 4  # pixels; side of a block
 SPACINGS = (1, 2, 4, 8)  # spacing of each step, in blocks
-REACH = BLOCK * (sum(SPACINGS) + 2)  # pixels; more distant pixels do not influence the result
+REACH = BLOCK * (sum(SPACINGS) + 2)  # pixels; pixels at a larger distance do not influence the result
 ALIKE = np.array([3.0, 4.0, 5.0, 6.0])  # width of the similarity function in each step, in standard deviations of the noise
-POWER = 8  # exponent of (1 − u / POWER), an approximation of exp(−u) that reaches zero
+POWER = 8  # exponent in (1 − u / POWER)^POWER, an approximation of exp(−u) that reaches zero
 STEP_WEIGHTS = np.array([1.0, 2.0, 1.0]) / 4
 Array = NDArray[np.float64]
 
 
 def scales_of(chroma: CoarseChroma, noise_ratio: float = 1.0) -> Array:
-    """Return the scales of the similarity function, which divides the squared differences between blocks by these scales.
+    """Return the scales of the similarity function. Squared differences between blocks are divided by these scales.
 
     Parameters
     ----------
@@ -32,19 +33,20 @@ def scales_of(chroma: CoarseChroma, noise_ratio: float = 1.0) -> Array:
     Returns
     -------
     ndarray, (step, plane, power of luminance)
-        Each scale is a polynomial in the luminance, with these coefficients. The planes are in integer units (PLANE_STEP).
+        Coefficients of the scale of each step and plane, which is a polynomial in the luminance. The unit of the planes is
+        PLANE_STEP.
     """
     steps = chroma.variance * (noise_ratio / PLANE_STEP**2) * PLANE_STEP ** np.arange(chroma.variance.shape[-1])
     return steps * (4 * POWER * ALIKE**2)[:, None, None]
 
 
 def coarse_change(planes: NDArray[np.int32], scales: Array) -> Array:
-    """Return the change that coarse chroma adds to the two chroma planes, in their integer units.
+    """Return the change that coarse chroma adds to the two chroma planes, in units of PLANE_STEP.
 
     Parameters
     ----------
     planes : ndarray, (plane, row, col)
-        Opponent planes from the previous layer.
+        Opponent planes of the previous layer's outputs, in units of PLANE_STEP.
     scales : ndarray
         Result of `scales_of`.
 
@@ -63,14 +65,17 @@ def coarse_change(planes: NDArray[np.int32], scales: Array) -> Array:
 
 
 def blocks_of(planes: NDArray) -> Array:
-    """Return the block means of opponent planes. The last pixels are repeated to complete blocks at the border."""
+    """Return the block means of opponent planes: (plane, block row, block col).
+
+    Incomplete blocks at the border are completed by repeating the last pixels.
+    """
     rows, cols = planes.shape[1:]
     whole = np.pad(planes, ((0, 0), (0, -rows % BLOCK), (0, -cols % BLOCK)), mode="edge")
     return np.asarray(whole.reshape(3, -(-rows // BLOCK), BLOCK, -(-cols // BLOCK), BLOCK).mean(axis=(2, 4)))
 
 
 def edge_avoiding(blocks: Array, spacing: int, scale: Array) -> Array:
-    """Average each block with the similar blocks among its 3 × 3 neighbours at the given spacing.
+    """Average each block with the similar blocks among its eight neighbours at the given spacing.
 
     Parameters
     ----------
@@ -97,15 +102,15 @@ def edge_avoiding(blocks: Array, spacing: int, scale: Array) -> Array:
 
 
 def _between(length: int) -> tuple[NDArray[np.intp], Array]:
-    """Return, for each pixel along an axis, the index of the previous block and the weight of the next block.
+    """Return the index of the previous block and the weight of the next block, for each pixel along an axis.
 
-    Index 0 is a block outside the frame.
+    The blocks are padded by one block at each end, so index 0 is a block outside the frame.
     """
     low, place = np.divmod(np.arange(length) + BLOCK // 2, BLOCK)
     return low, (place + 0.5) / BLOCK
 
 
 def _at(scale: Array, luminance: Array) -> Array:
-    """Evaluate the scale of each plane at every luminance. Negative luminances count as zero."""
+    """Return the scale of each plane at every luminance. Negative luminances are replaced by zero."""
     above = np.maximum(luminance, 0)
     return np.asarray(np.einsum("pn,nrc->prc", scale, np.stack([np.ones_like(above), above, above**2])))

@@ -1,8 +1,8 @@
-"""Contrast: how much the values in a patch vary, relative to the noise at their level (docs/method.md#contrast).
+"""Contrast: how much the values in a patch vary, relative to the noise at the level of the patch (docs/method.md#contrast).
 
-For each channel, let n be the number of its pixels in the patch, S the sum of their values, Q the sum of the squared
-values and M = S · round(65536 / n) >> 16 the mean. The product S · round(65536 / n) fits into uint32, because values have
-at most 12 bits.
+For each channel, n is the number of its values in the patch, S is their sum, Q is the sum of their squares, and
+M = S · round(65536 / n) >> 16 is their mean. The product S · round(65536 / n) fits into uint32, because values have at most
+12 bits.
 
     variance    V = min((Q − M (2 S − n M)) · round(512 / n), cap)   cap = (2³² − 1) // channels
     contrast    number of contrast edges of the pixel's level that are below the sum of V over all channels
@@ -21,7 +21,7 @@ from l3cli.classes.statistics import Statistics
 from l3cli.classes.windows import VARIANCE_FRACTION, Integers, window_channels
 from l3cli.errors import RecipeError
 
-MEAN_TRUNCATED = 1 / 3  # DN²; mean increase of V because M is rounded down, which matters if the noise is below 1 DN
+MEAN_TRUNCATED = 1 / 3  # DN²; mean increase of V because M is rounded down; it matters if the noise is below 1 DN
 SNIPPET = "features/contrast.cl"
 
 
@@ -39,20 +39,20 @@ def stored_edges(
     Parameters
     ----------
     recipe : BasicKeys
-        Keys of the class recipe.
+        Class recipe with the edges in standard deviations of the noise.
     levels : ndarray, (level,)
         Signal at the centre of each level in the most sensitive channel, as a fraction of full scale.
     camera : CameraModel
         The camera.
     shift : int
-        Number of bits by which raw values are shifted right before they are summed, so that they have at most 12 bits.
+        Number of bits by which raw values are shifted right, so that they have at most 12 bits.
     dark : float
         Dark signal, in DN, that was subtracted from the frame.
 
     Returns
     -------
     ndarray, (contrast edge, level)
-        Edges of the contrast, as values of the sum of V over all channels (see the module docstring).
+        The edges, as values of the sum of V over all channels (see the module docstring).
     """
     channels = len(camera.channels)
     variance = noise_of_grey(levels, camera, dark) - noise_of_means(camera, recipe.patch, dark)
@@ -63,12 +63,12 @@ def stored_edges(
 
 
 def noise_of_grey(levels: NDArray[np.float64], camera: CameraModel, dark: float) -> NDArray[np.floating]:
-    """Return the noise variance of greys in DN², averaged over the channels. Clipped channels are assumed to have no noise.
+    """Return the noise variance of greys in DN², averaged over the channels. Clipped channels have no noise.
 
     Parameters
     ----------
     levels : ndarray, (level,)
-        Signals in the most sensitive channel, as fractions of full scale.
+        Signals of the greys in the most sensitive channel, as fractions of full scale.
     camera : CameraModel
         The camera.
     dark : float
@@ -97,7 +97,7 @@ def noise_of_means(camera: CameraModel, patch: int, dark: float) -> float:
 
 
 def contrasts(rule: ClassRule, statistics: Statistics, level: Integers) -> Integers:
-    """Return the contrast of each pixel, given the level of each pixel."""
+    """Return the contrast of each pixel. `level` contains the level of each pixel."""
     if statistics.squares is None:
         return np.zeros(level.shape, np.int64)
     neighbours, site, sums = statistics.neighbours, statistics.site, statistics.sums
@@ -122,10 +122,10 @@ def name(table: TransformTable, contrast: int) -> str:
 
 
 def macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros for compiling contrast.cl."""
+    """Return the macros with which contrast.cl is compiled."""
     return {"CONTRASTS": rule.contrasts}
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.uint32]:
-    """Return the contrast edges that contrast.cl reads, as an array (contrast edge, level)."""
+    """Return the contrast edges, which contrast.cl reads: (contrast edge, level)."""
     return rule.contrast_edges

@@ -1,6 +1,6 @@
-"""Computes the class of a pixel from the statistics of its patch, in integers.
+"""Computes the class of a pixel from the statistics of its patch, in integer arithmetic.
 
-All renderers must assign every pixel to the same class as this reference. The tests compare them.
+This is the reference for all renderers. They must assign every pixel to the same class, which the tests verify.
 """
 
 import numpy as np
@@ -30,7 +30,7 @@ def labels(rule: ClassRule, statistics: Statistics) -> Integers:
 def label_mosaic(
     values: NDArray[np.uint16], rule: ClassRule, cfa: NDArray[np.uint8], channels: int, phase: tuple[int, int] = (0, 0)
 ) -> Integers:
-    """Return the class of every pixel of a mosaic.
+    """Return the class of every pixel of a raw frame.
 
     Parameters
     ----------
@@ -70,41 +70,41 @@ def label_patches(
     rule : ClassRule
         The class rule.
     neighbours : Neighbourhoods
-        Windows of the CFA.
+        Result of `neighbourhoods` for the CFA.
     site : int
         CFA site at the centre of the patches.
     order : TapOrder, optional
-        Result of `tap_order` for the site. [default: computed]
+        Result of `tap_order` for the site, to save time. [default: computed]
     """
     order = order or tap_order(rule, neighbours, site)
     return label_sums(patch_statistics(patches.T[order.taps].astype(np.uint32), rule, order), rule, neighbours, site)
 
 
 def label_sums(seen: PatchSums, rule: ClassRule, neighbours: Neighbourhoods, site: int) -> Integers:
-    """Return the class of each patch from its sums, as an index among the classes of one CFA site."""
+    """Return the class of each patch from its sums, as an index among the classes of the CFA site `site`."""
     return labels(rule, _statistics(seen, neighbours, site))
 
 
 def observe_patches(
     patches: NDArray[np.unsignedinteger], rule: ClassRule, neighbours: Neighbourhoods, site: int
 ) -> dict[str, NDArray[np.float64]]:
-    """Collect the statistics of the pilot patches that the additional features need to choose their constants.
+    """Collect statistics of pilot patches, from which the additional features compute their constants.
 
     Parameters
     ----------
     patches : ndarray, (patch, tap)
-        Raw values in DN.
+        Raw values of the pilot patches in DN.
     rule : ClassRule
         The class rule.
     neighbours : Neighbourhoods
-        Windows of the CFA.
+        Result of `neighbourhoods` for the CFA.
     site : int
         CFA site at the centre of the patches.
 
     Returns
     -------
-    dict of ndarray, (patch, …)
-        Statistics of each additional feature, by its name.
+    dict of str to ndarray, (patch, …)
+        Name of each additional feature, and its statistics. Empty without additional features.
     """
     if not rule.feature_list:
         return {}

@@ -1,14 +1,14 @@
 """Direction: the axis along which the values of a patch change most, and the strength and coherence of this change.
 
-docs/method.md#direction contains the formulas. A change is coherent if the values hardly change across the axis.
-Coherence is used only if the class recipe sets it. Increasing and decreasing brightness along an axis count as the same
-direction, because transforms are linear.
+docs/method.md#direction contains the formulas. A change is coherent if the values hardly change across the axis. Coherence
+is used only if the class recipe sets it. An increase and a decrease of brightness along an axis are the same direction,
+because transforms are linear.
 
-If a patch is mirrored or rotated, its axis changes (`turned`). A rotation by 90° exchanges axis 0 with axis 2 and axis 1
-with axis 3. Transposition exchanges axis 0 with axis 2. Strength and coherence do not change. The boxes are placed
-symmetrically, so these rules are exact unless two axes change equally. Sites that are mirror images of each other are
-trained together, and their classes are exchanged according to these rules (training/symmetry). Sums are averaged only
-over orientations that do not change any direction.
+If a patch is mirrored or rotated, its direction changes as `turned` describes. A rotation by 90° exchanges axis 0 with axis
+2, and axis 1 with axis 3. Transposition exchanges axis 0 with axis 2. Strength and coherence stay unchanged. Because the
+boxes are placed symmetrically, these rules are exact, unless the values change equally along two axes. CFA sites that are
+mirror images of each other are trained together, and their classes are exchanged according to these rules
+(training/symmetry). Sums are averaged only over orientations that do not change any direction.
 """
 
 import math
@@ -26,34 +26,35 @@ from l3cli.errors import RecipeError
 from l3cli.recipes.toml import Recipe, Share
 
 SNIPPET = "features/direction.cl"
-SCALE = 64  # the larger of the two multipliers that make differences along the axes comparable
+SCALE = 64  # value of the larger of the two multipliers that make differences along straight and diagonal axes comparable
 SHARES = 16  # coherence is stored in units of 1/SHARES
-# Number of constants before the strength edges: multiplier of axes 0 and 2, multiplier of axes 1 and 3, number of
-# orientations, number of strengths, coherence.
+# Number of constants before the strength edges. These constants are the multiplier of axes 0 and 2, the multiplier of axes 1
+# and 3, the number of orientations, the number of strengths, and the coherence.
 HEAD = 5
 
 
 class DirectionKeys(Recipe):
     """The section [classes.direction] of a class recipe."""
 
-    orientations: Literal[4, 8] = 4
-    strengths: tuple[float, ...] = (4.0,)  # edges between strengths, as the largest difference divided by its noise
-    # A change is coherent if the difference across the axis is at most this fraction of the difference along the axis. By
-    # default, coherence is not used.
+    orientations: Literal[4, 8] = 4  # number of orientations that are distinguished
+    strengths: tuple[float, ...] = (4.0,)  # edges between strengths, in standard deviations of the noise of a difference
+    # A change is coherent if the difference across the axis is at most this fraction of the difference along the axis.
+    # Default: coherence is not used
     coherence: Share | None = None
 
 
 def fits(camera: CameraModel, patch: int) -> bool:
-    """Return whether patches are larger than one CFA period, so that boxes of one period fit at different positions."""
+    """Return whether a patch is larger than one CFA period, so that it contains boxes of one period at several positions."""
     return math.lcm(*camera.cfa.shape) < patch
 
 
 def make_feature(
     keys: DirectionKeys, camera: CameraModel, rule: ClassRule, dark: float, observed: NDArray[np.float64] | None
 ) -> Feature:
-    """Compute the windows, multipliers and strength edges for a camera. See `features.FeatureModule.make_feature`.
+    """Compute the windows, the multipliers and the strength edges for a camera.
 
-    Raises RecipeError if the strengths are not positive or do not increase.
+    The parameters are the same as in `features.FeatureModule.make_feature`. `observed` is not used. Raises RecipeError if
+    the strengths are not positive or do not increase.
     """
     if not keys.strengths or tuple(sorted(set(keys.strengths))) != keys.strengths or keys.strengths[0] <= 0:
         raise RecipeError(
@@ -73,18 +74,18 @@ def make_feature(
 
 
 def inner_span(span: int) -> int:
-    """Return the distance between the two boxes of a diagonal, in rows and in columns.
+    """Return the distance between the two boxes of a diagonal axis, in rows and in columns.
 
-    The distance along the diagonal is then close to `span`, and both boxes are equally far from the centre of the patch.
+    With this distance, the boxes are about as far from each other as the boxes of a straight axis, whose distance is `span`.
+    Both boxes are also equally far from the centre of the patch.
     """
     return max(2 - span % 2, span - 2 * round((span - span / math.sqrt(2)) / 2))
 
 
 def boxes(patch: int, period: int, inner: int) -> tuple[Window, ...]:
-    """Return the boxes of the four differences.
+    """Return the boxes from which the four differences are computed.
 
-    If the middle between two pixels would be the right position for a box, boxes at both neighbouring positions are
-    used.
+    If a box would have to be centred between two pixels, there are two boxes instead, at both neighbouring positions.
     """
     span = patch - period
     inner_edge, outer_edge = (span - inner) // 2, (span + inner) // 2
@@ -106,10 +107,11 @@ def _strength_edges(
     rule: ClassRule,
     dark: float,
 ) -> Integers:
-    """Return the edges between strengths, with the shape (strength edge, level).
+    """Return the edges between strengths as integers: (strength edge, level).
 
-    The edges are multiples of the RMS difference that noise alone causes. The noise of rows and columns changes some of the
-    four differences more than others. The edges then follow the noisiest difference, so that it is no structure.
+    They are multiples of the RMS difference that noise alone causes at each level. Row noise and column noise affect some of
+    the four differences more than others. For a camera with such noise, the edges are multiples of the noisiest difference,
+    so that noise is not mistaken for structure.
     """
     counts = np.zeros((4, rule.patch, rule.patch))
     for window in windows:
@@ -137,22 +139,22 @@ def check(feature: Feature, rule: ClassRule) -> None:
         )
     straight, diagonal, orientations, strengths, coherence = feature.constants[:HEAD].tolist()
     if not (1 <= straight <= SCALE and 1 <= diagonal <= SCALE and orientations in (4, 8) and 0 <= coherence <= SHARES):
-        raise ValueError("a constant of the direction is out of range")
+        raise ValueError(f"the constants {feature.constants[:HEAD].tolist()} of the direction are out of range")
     size = 1 + strengths * (2 if coherence else 1) * orientations
     if strengths < 1 or size != feature.size or len(feature.constants) != HEAD + strengths * rule.levels:
         raise ValueError(
-            f"the numbers of constants ({len(feature.constants)}) and of values ({feature.size}) of the direction are "
-            "inconsistent"
+            f"the direction has {len(feature.constants)} constants and {feature.size} values, but {strengths} strengths and "
+            f"{rule.levels} levels need {HEAD + strengths * rule.levels} constants and {size} values"
         )
 
 
 def observe(feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:
-    """Return an array without columns. The edges depend on the noise of the camera and not on the pilot patches."""
+    """Return an array without columns, because the constants depend only on the noise of the camera."""
     return np.empty((*level.shape, 0))
 
 
 def values(feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> Integers:
-    """Return the direction of each pixel.
+    """Return the direction of each pixel, as a number from 0 (flat) to `feature.size` − 1.
 
     Parameters
     ----------
@@ -182,7 +184,7 @@ def values(feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -
 
 
 def with_less_noise(feature: Feature, noise_fraction: float | NDArray[np.float64]) -> Feature:
-    """Scale the strength edges for frames in which only the given fraction of the noise variance is left."""
+    """Scale the strength edges for frames in which only the fraction `noise_fraction` of the noise variance remains."""
     constants = feature.constants.copy()
     edges = constants[HEAD:] * np.sqrt(np.resize(noise_fraction, constants.size - HEAD))
     constants[HEAD:] = np.minimum(np.rint(edges), 2**31 - 1)
@@ -190,7 +192,7 @@ def with_less_noise(feature: Feature, noise_fraction: float | NDArray[np.float64
 
 
 def turned(feature: Feature, transposed: bool, turns: int) -> Integers:
-    """Return what each direction becomes if rot90(patch.T if transposed else patch, turns) replaces the patch."""
+    """Return, for each direction of a patch, the direction of rot90(patch.T if transposed else patch, turns)."""
     orientations = int(feature.constants[2])
     quarter = orientations // 2
     orientation = np.arange(orientations)
@@ -219,7 +221,7 @@ def _feature_of(table: TransformTable) -> Feature:
 
 
 def entry(table: TransformTable, index: int) -> dict[str, Any]:
-    """Describe a direction for reports and JSON: its number, and the angle of its axis, clockwise from the horizontal."""
+    """Describe a direction for reports and JSON: its number, and its axis in degrees clockwise from the horizontal."""
     return {"direction": index, "varies": _described(_feature_of(table), index)}
 
 
@@ -234,7 +236,7 @@ def name(table: TransformTable, index: int) -> str:
 
 
 def macros(feature: Feature, rule: ClassRule) -> dict[str, int]:
-    """Return the macros for compiling direction.cl."""
+    """Return the macros with which direction.cl is compiled."""
     names = ("STRAIGHT", "DIAGONAL", "ORIENTATIONS", "STRENGTHS", "COHERENCE")
     head = {f"DIRECTION_{name}": value for name, value in zip(names, feature.constants[:HEAD].tolist(), strict=True)}
     return head | {"DIRECTION_HEAD": HEAD, "DIRECTION_SHARES": SHARES}

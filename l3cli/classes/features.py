@@ -1,12 +1,12 @@
-"""The features of a class rule, and the interface of their modules.
+"""The features of a class rule, and the interface of the modules that implement them.
 
-Every class rule has the basic features level, contrast, saturation and chroma. Training and the kernels contain special
-code for these four. For example, a level with few patches also uses the patches of neighbouring levels, and saturated
-classes are trained on greys.
+Every class rule has the basic features level, contrast, saturation and chroma. Training and the kernels contain special code
+for these four. For example, a level with few patches also uses the patches of neighbouring levels, and classes with clipped
+channels are trained on greys.
 
-A recipe can add any number of other features. To add a feature, the recipe contains a table with the name of the feature
-(`ClassRecipe`). A module with the functions of `FeatureModule` implements the feature. A transform table stores it as a
-`class_rule.Feature`, which the functions receive as `feature`.
+A class recipe can enable additional features. To enable a feature, it contains a table with the name of the feature
+(`ClassRecipe`). The feature is implemented in a module with the functions of `FeatureModule`. Its windows and constants are
+stored as a `class_rule.Feature`, which these functions receive as `feature`.
 """
 
 from collections.abc import Mapping
@@ -26,36 +26,36 @@ from l3cli.errors import InputFileError
 
 
 class DescribedFeature(Protocol):
-    """Functions that the modules of all features have."""
+    """Interface that the modules of all features share."""
 
-    SNIPPET: str  # file with the formula, below opencl/
+    SNIPPET: str  # OpenCL file with the formula of the feature, relative to opencl/
 
     def entry(self, table: TransformTable, index: int) -> dict[str, Any]:
-        """Describe one value of the feature for reports and JSON. `index` is the number of the value."""
+        """Describe the value `index` of the feature for reports and JSON."""
 
     def heading(self, entry: dict[str, Any]) -> str:
-        """Return the label of a value in the first column of a table. `entry` is a result of the function `entry`."""
+        """Return the label of a value for the first column of a report. `entry` is a result of the function `entry`."""
 
     def name(self, table: TransformTable, index: int) -> str:
-        """Return the name of one value of the feature. `index` is the number of the value."""
+        """Return the name of the value `index` of the feature."""
 
 
 class BasicFeatureModule(DescribedFeature, Protocol):
     """Interface of the modules level, contrast, saturation and chroma."""
 
     def macros(self, rule: ClassRule) -> dict[str, int]:
-        """Return the macros for compiling the OpenCL snippet of the feature."""
+        """Return the macros with which the OpenCL snippet of the feature is compiled."""
 
     def kernel_array(self, rule: ClassRule) -> NDArray[Any]:
         """Return the constants that the OpenCL snippet of the feature reads."""
 
 
 class FeatureModule(DescribedFeature, Protocol):
-    """Interface of the module of an additional feature, which a class recipe enables.
+    """Interface of the module of an additional feature, which a class recipe can enable.
 
-    The value of the feature depends on integer sums over windows of the patch, on the level, and on constants. The
-    constants are computed when the class rule is made. Window sums are sums of DN >> shift, and their absolute values
-    are below 2²⁰. The OpenCL snippet defines the function
+    The value of the feature is computed from integer sums over windows of the patch, the level, and constants. The constants
+    are computed together with the class rule. Window sums are sums of DN >> shift, and their absolute values are below 2²⁰.
+    The OpenCL snippet defines the function
 
         INLINE uints NAME_of(const ints *sum, uints level, __global const int *constants)
 
@@ -63,9 +63,10 @@ class FeatureModule(DescribedFeature, Protocol):
     """
 
     def fits(self, camera: CameraModel, patch: int) -> bool:
-        """Return whether patches of this size are large enough for the feature on the CFA of the camera.
+        """Return whether patches with the side `patch`, in pixels, are large enough for the feature on the CFA of the
+        camera.
 
-        If they are too small, the class rule does not contain the feature. `patch` is the side of the patches in pixels.
+        If they are too small, the class rule does not contain the feature, although the recipe enables it.
         """
 
     def make_feature(
@@ -76,7 +77,7 @@ class FeatureModule(DescribedFeature, Protocol):
         Parameters
         ----------
         keys
-            Keys of the feature in the recipe.
+            Keys of the feature in the class recipe.
         camera : CameraModel
             The camera.
         rule : ClassRule
@@ -84,21 +85,21 @@ class FeatureModule(DescribedFeature, Protocol):
         dark : float
             Dark signal, in DN, that was subtracted from the frames.
         observed : ndarray, (patch, …), or None
-            Statistics of the pilot patches, or None if there are no pilot patches yet.
+            Statistics of the pilot patches from `observe`, or None if there are no pilot patches yet.
 
         Raises
         ------
         RecipeError
-            If the keys are impossible.
+            If a key has an impossible value.
         """
 
     def check(self, feature: Feature, rule: ClassRule) -> None:
-        """Raise ValueError if the number or the range of the stored constants does not fit the formula of the feature."""
+        """Raise ValueError if the stored constants have a wrong number or are out of range."""
 
     def observe(self, feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:
-        """Return the statistics of the pilot patches that `make_feature` needs, with one row per patch.
+        """Return the statistics of pilot patches from which `make_feature` computes the constants, with one row per patch.
 
-        If the feature needs no statistics, the result has no columns.
+        The parameters are the same as in `values`. If the feature needs no statistics, the result has no columns.
         """
 
     def values(self, feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> Integers:
@@ -117,31 +118,28 @@ class FeatureModule(DescribedFeature, Protocol):
         """
 
     def with_less_noise(self, feature: Feature, noise_fraction: float | NDArray[np.float64]) -> Feature:
-        """Adapt the feature to frames with less noise than the camera.
+        """Return the feature for frames with less noise than single frames of the camera.
 
-        `noise_fraction` is the remaining fraction of the noise variance. It is a single number or one number per level.
+        `noise_fraction` is the fraction of the noise variance that remains: one number, or one number per level.
         """
 
     def turned(self, feature: Feature, transposed: bool, turns: int) -> Integers:
-        """Return what each value of the feature becomes if the patch is turned.
-
-        The turned patch is rot90(patch.T if transposed else patch, turns).
-        """
+        """Return, for each value of a patch, the value of rot90(patch.T if transposed else patch, turns)."""
 
     def macros(self, feature: Feature, rule: ClassRule) -> dict[str, int]:
-        """Return the macros for compiling the OpenCL snippet of the feature."""
+        """Return the macros with which the OpenCL snippet of the feature is compiled."""
 
 
-# Snippets are joined, and arrays are passed to kernels, in this order.
+# Kernels include the snippets, and receive the arrays, in this order.
 BASIC: tuple[BasicFeatureModule, ...] = (level, contrast, saturation, chroma)
-# The module of each additional feature, by the name of the recipe table that enables the feature.
+# Name of the recipe table that enables each additional feature, and the module of the feature.
 FEATURES: Mapping[str, FeatureModule] = {
     "direction": direction,
 }
 
 
 class ClassRecipe(BasicKeys):
-    """The section [classes] of a class recipe. Each table below it enables the additional feature of the same name."""
+    """Section [classes] of a class recipe. Each table [classes.NAME] enables the additional feature NAME."""
 
     direction: DirectionKeys | None = None
 
@@ -157,17 +155,17 @@ def module_of(feature: Feature, rule: ClassRule) -> FeatureModule:
     module = FEATURES.get(feature.name)
     if module is None:
         raise InputFileError(
-            f'the class rule contains the feature "{feature.name}", which this version of l3 does not support; upgrade l3cli'
+            f'the table uses the feature "{feature.name}", which this version of l3 does not support; upgrade l3cli'
         )
     try:
         module.check(feature, rule)
     except ValueError as error:
         raise InputFileError(
-            f'the feature "{feature.name}" of the class rule is damaged ({error}); train the table again'
+            f'the stored feature "{feature.name}" is invalid, because {error}; train the table again'
         ) from error
     return module
 
 
 def features_of(rule: ClassRule) -> tuple[tuple[FeatureModule, Feature], ...]:
-    """Return the additional features of a class rule with their modules. Raises InputFileError like `module_of`."""
+    """Return the module and the stored definition of each additional feature. Raises InputFileError as `module_of`."""
     return tuple((module_of(feature, rule), feature) for feature in rule.feature_list)

@@ -2,7 +2,7 @@
 
     level = number of level edges ≤ Σ (S · round(65536 / n) >> 8)
 
-S is the sum of the values of a channel in the patch, and n the number of its pixels. Σ is the sum over the channels.
+S is the sum of the values of a channel in the patch, and n is the number of these values. Σ is the sum over the channels.
 """
 
 from typing import Any
@@ -28,14 +28,14 @@ def edge_shares(recipe: BasicKeys, reach: float = 1.0) -> NDArray[np.float64]:
     Parameters
     ----------
     recipe : BasicKeys
-        Keys of the class recipe.
+        The class recipe.
     reach : float
-        Signal of a grey that clips all channels, as a fraction of the full scale of the most sensitive channel.
+        Signal of the darkest grey that clips all channels, as a fraction of the full scale of the most sensitive channel.
 
     Returns
     -------
     ndarray, (level edge,)
-        Signals of greys in increasing order, as fractions of the full scale of the most sensitive channel.
+        Signals of greys, in increasing order, as fractions of the full scale of the most sensitive channel.
 
     Raises
     ------
@@ -57,20 +57,20 @@ def edge_shares(recipe: BasicKeys, reach: float = 1.0) -> NDArray[np.float64]:
 
 
 def centres(shares: NDArray[np.float64], reach: float = 1.0) -> NDArray[np.float64]:
-    """Return the signal in the middle of each level as a fraction of full scale.
+    """Return the signal in the middle of each level, as a fraction of the full scale of the most sensitive channel.
 
-    `edge_shares` describes `shares` and `reach`.
+    `shares` is the result of `edge_shares`, and `reach` is its parameter.
     """
     return np.concatenate([[shares[0] / 2], np.sqrt(shares[1:] * shares[:-1]), [(reach + shares[-1]) / 2]])
 
 
 def clipped_mean(share: NDArray[np.floating], sensitivity: NDArray[np.float64]) -> NDArray[np.floating]:
-    """Return the mean of a grey over the channels if every channel clips at 1 (docs/method.md#exposures).
+    """Return the mean signal of a grey over all channels, each of which clips at 1 (docs/method.md#exposures).
 
     Parameters
     ----------
     share : ndarray, (…)
-        Signal in the most sensitive channel, as a fraction of full scale.
+        Signal in the most sensitive channel without clipping, as a fraction of full scale.
     sensitivity : ndarray, (channel,)
         Sensitivities relative to the most sensitive channel.
     """
@@ -80,10 +80,10 @@ def clipped_mean(share: NDArray[np.floating], sensitivity: NDArray[np.float64]) 
 
 
 def unclipped_level(mean: NDArray[np.floating], sensitivity: NDArray[np.float64]) -> NDArray[np.floating]:
-    """Return the mean of a grey over the channels if no channel clipped.
+    """Return the mean signal that a grey would have over all channels if no channel clipped.
 
-    If the more sensitive channels clip, the result is computed from the other channels. If all channels are equally
-    sensitive, the result equals `mean`.
+    It is the inverse of `clipped_mean`, multiplied by the mean sensitivity. If all channels are equally sensitive, the
+    result equals `mean`.
 
     Parameters
     ----------
@@ -94,16 +94,13 @@ def unclipped_level(mean: NDArray[np.floating], sensitivity: NDArray[np.float64]
     """
     if (sensitivity == 1).all():
         return mean
-    knots = np.append(0.0, np.unique(1 / sensitivity))  # signals at which a channel clips; the mean is linear in between
+    knots = np.append(0.0, np.unique(1 / sensitivity))  # signals at which a channel begins to clip; linear in between
     shares = np.interp(mean, clipped_mean(knots, sensitivity), knots)
     return np.where(mean < 0, mean, shares * sensitivity.mean())
 
 
 def stored_edges(shares: NDArray[np.float64], camera: CameraModel, shift: int) -> NDArray[np.uint32]:
-    """Convert level edges to the integers that a class rule stores.
-
-    `shares` contains signals of greys in the most sensitive channel, as fractions of full scale.
-    """
+    """Convert level edges to the integers that a class rule stores. `shares` is the result of `edge_shares`."""
     span = camera.white_level - camera.black_level
     means = clipped_mean(shares, camera.sensitivity)
     in_values = (camera.black_level + means * span - truncation(shift)) / 2**shift
@@ -117,23 +114,20 @@ def levels(rule: ClassRule, statistics: Statistics) -> Integers:
 
 
 def level_of_mean(rule: ClassRule, total: float) -> int:
-    """Return the level of a uniform area. `total` is the sum of its channel means in DN, which need not be an integer."""
+    """Return the level of a uniform area. `total` is the sum of its channel means in DN."""
     return int(np.searchsorted(rule.level_edges, total * 2**LEVEL_FRACTION / 2**rule.shift))
 
 
 def inner_bounds(rule: ClassRule, black_level: float, white_level: float) -> NDArray[np.float64]:
-    """Return the lower bound of every level except the darkest level, as a fraction of full scale.
-
-    `black_level` and `white_level` are in DN.
-    """
+    """Return the lower bound of every level except the darkest, as a fraction of full scale. The levels are in DN."""
     in_dn = rule.level_edges * 2.0**rule.shift / (2**LEVEL_FRACTION * rule.channels)
     return (in_dn - black_level) / (white_level - black_level)
 
 
 def bounds(table: TransformTable) -> NDArray[np.float64]:
-    """Return the bounds of the levels in increasing order, as fractions of full scale.
+    """Return the bounds of all levels in increasing order, as fractions of full scale: (level + 1,).
 
-    The first bound is 0 and the last is 1.
+    The first bound is 0, and the last bound is 1.
     """
     inner = inner_bounds(table.first.rule, table.black_level, table.white_level)
     return np.concatenate([[0.0], np.clip(inner, 0.0, 1.0), [1.0]])
@@ -159,13 +153,13 @@ def name(table: TransformTable, level: int) -> str:
 
 
 def macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros for compiling level.cl."""
+    """Return the macros with which level.cl is compiled."""
     return {"LEVELS": rule.levels, "LEVEL_FRACTION": LEVEL_FRACTION}
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.int32]:
-    """Return, for each level edge, the largest channel sum that is still below the edge.
+    """Return, for each level edge, the largest integer below the edge, which level.cl reads.
 
-    Kernels compare sums with these integers, which are limited to 2³¹ − 1 because no sum reaches 2³¹.
+    The integers are limited to 2³¹ − 1, because no sum reaches 2³¹.
     """
     return np.minimum(rule.level_edges.astype(np.int64) - 1, 2**31 - 1).astype(np.int32)

@@ -8,7 +8,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes import chroma, contrast, level, saturation, structure
 from l3cli.classes.features import FEATURES, DescribedFeature, features_of
 
-# module of each feature, by the name of the feature in reports and JSON
+# name of each feature in reports and JSON, and the module of the feature
 EVERY_FEATURE: dict[str, DescribedFeature] = {
     "level": level,
     "contrast": contrast,
@@ -19,17 +19,23 @@ EVERY_FEATURE: dict[str, DescribedFeature] = {
 
 
 def heading(feature: str, entry: dict[str, Any]) -> str:
-    """Return the label of a feature value in the first column of a table. `entry` describes the value."""
+    """Return the label of a feature value for the first column of a report.
+
+    `feature` is the name of the feature. `entry` describes the value, as the function `entry` of its module.
+    """
     return EVERY_FEATURE[feature].heading(entry)
 
 
 def feature_headings(entry: dict[str, Any]) -> list[str]:
-    """Return a phrase such as "direction 3: along 90°" for each additional feature in the description of a class."""
+    """Return a text such as "direction 3: along 90°" for each additional feature in `entry`, the description of a class."""
     return [f"{name} {module.heading(entry)}" for name, module in FEATURES.items() if name in entry]
 
 
 def class_name(table: TransformTable, index: int) -> str:
-    """Return the name of a class, such as "site (1, 2) g, level 3 (0.002–0.003 of full scale), contrast 0, chroma 5"."""
+    """Return the name of a class of the first layer.
+
+    An example is "site (1, 2) g, level 3 (0.002–0.003 of full scale), contrast 0, chroma 5".
+    """
     place = table.first.rule.split(index)
     row, col = divmod(place.site, table.cfa.shape[1])
     channel = table.channels[table.cfa[row, col]]
@@ -38,7 +44,7 @@ def class_name(table: TransformTable, index: int) -> str:
 
 
 def class_words(table: TransformTable, index: int) -> dict[str, str]:
-    """Describe a class of the first layer in words: the value of each feature, by the name of the feature."""
+    """Describe a class of the first layer in words. The keys are the names of the features, the values their values."""
     rule = table.first.rule
     place = rule.split(index)
     case = int(rule.case(place.kind))
@@ -57,7 +63,7 @@ def class_words(table: TransformTable, index: int) -> dict[str, str]:
 
 
 def plane_class_words(table: TransformTable, layer: PlaneLayer, index: int) -> dict[str, str]:
-    """Describe a class of a refinement layer in words: the value of each feature, by the name of the feature."""
+    """Describe a class of a refinement layer in words. The keys are the names of the features, the values their values."""
     rule, place = layer.rule, layer.rule.split(index)
     case = int(rule.case(place.kind))
     words = {}
@@ -77,7 +83,7 @@ def plane_class_words(table: TransformTable, layer: PlaneLayer, index: int) -> d
 
 
 def _of(index: int, count: int, ends: tuple[str, str]) -> str:
-    """Return "2 of 0…9". For the first and the last number, the corresponding one of the words `ends` is added."""
+    """Return a text such as "2 of 0…9". For the first or last number, the first or last text in `ends` is appended."""
     if count == 1:
         return "not distinguished"
     words = {0: f", the {ends[0]}", count - 1: f", the {ends[1]}"}.get(index, "")
@@ -85,12 +91,12 @@ def _of(index: int, count: int, ends: tuple[str, str]) -> str:
 
 
 def feature_names(table: TransformTable, combination: int) -> list[str]:
-    """Return the name of the value of each additional feature, given the number of their combination."""
+    """Return the name of the value of each additional feature. `combination` is the index of their combination."""
     values = table.first.rule.split_features(combination)
     return [module.name(table, value) for (module, _), value in zip(features_of(table.first.rule), values, strict=True)]
 
 
 def kind_name(table: TransformTable, kind: int) -> str:
-    """Return the name of a kind, such as "chroma 5" or "saturated r+g"."""
+    """Return the name of the chroma or saturation case with the index `kind`, such as "chroma 5" or "saturated r+g"."""
     case = int(table.first.rule.case(kind))
     return saturation.name(table, case) if case else chroma.name(table, kind)

@@ -1,4 +1,4 @@
-"""Converts class rules to the source files, macros and arrays that the OpenCL kernels need."""
+"""Converts class rules to the OpenCL source files, the macros and the arrays that the kernels need."""
 
 import bisect
 
@@ -12,18 +12,18 @@ from l3cli.classes import contrast, tree
 from l3cli.classes.features import BASIC, features_of
 from l3cli.classes.structure import NOISE_TRACE
 
-PART_LEAVES = 16  # largest number of leaves in a subtree whose tests are all evaluated together
-UNREACHABLE_THRESHOLD = np.finfo(np.float32).max  # threshold of leaves, which no value exceeds
+PART_LEAVES = 16  # largest number of leaves in a part of a tree, a subtree whose tests are all evaluated together
+UNREACHABLE_THRESHOLD = np.finfo(np.float32).max  # threshold that no value exceeds, for the leaves in the node array
 
 
 def rule_snippets(rule: PlaneRule) -> tuple[str, dict[str, str]]:
-    """Return the OpenCL files of a refinement layer's class rule.
+    """Return the OpenCL files for the class rule of a refinement layer.
 
     Returns
     -------
     formula : str
         File with the formula of the class rule.
-    kernels : dict
+    kernels : dict of str to str
         File with the kernel `structures` for each variant ("processor" and "graphics").
     """
     if isinstance(rule, StructureRule):
@@ -32,7 +32,7 @@ def rule_snippets(rule: PlaneRule) -> tuple[str, dict[str, str]]:
 
 
 def rule_macros(rule: PlaneRule) -> dict[str, int]:
-    """Return the macros for compiling the OpenCL files that `rule_snippets` lists."""
+    """Return the macros with which the files from `rule_snippets` are compiled."""
     if isinstance(rule, StructureRule):
         return {"STRENGTHS": rule.strengths, "DIRECTIONS": DIRECTIONS, "COHERENCE": rule.coherence, "GRADIENT_TOP": GRADIENT}
     return {
@@ -48,7 +48,7 @@ def rule_macros(rule: PlaneRule) -> dict[str, int]:
 
 
 def rule_constants(rule: PlaneRule, variant: str) -> tuple[NDArray[np.uint32], ...]:
-    """Return the constants that the kernels of a variant need, in the order of the kernel arguments."""
+    """Return the arrays that the kernel `structures` of a variant reads, in the order of its arguments."""
     if isinstance(rule, StructureRule):
         return (rule.strength_edges,)
     return (_tests(rule),) if variant == "processor" else (_nodes(rule), rule.leaf.astype(np.uint32))
@@ -62,9 +62,9 @@ def _tests(rule: TreeRule) -> NDArray[np.uint32]:
     leaf, asked = rule.leaf.tolist(), _asked(rule, 8).tolist()
     for node in np.flatnonzero(rule.branch).tolist():
         part, next_leaf = bisect.bisect_right(first, leaf[node]) - 1, leaf[rule.branch[node] + 1]
-        if end[node] <= [*first, rule.structures][part + 1]:  # the test is inside a part and excludes leaves
+        if end[node] <= [*first, rule.structures][part + 1]:  # the node is in a part, and its test excludes leaves
             chosen = {words + part: range(leaf[node] - first[part], next_leaf - first[part])}
-        else:  # the test is above the parts and excludes parts
+        else:  # the node is above the parts, and its test excludes parts
             parts = range(part, bisect.bisect_left(first, next_leaf))
             chosen = {
                 word: range(max(parts.start - 32 * word, 0), min(parts.stop - 32 * word, 32))
@@ -78,7 +78,7 @@ def _tests(rule: TreeRule) -> NDArray[np.uint32]:
 
 
 def _parts(rule: TreeRule) -> list[int]:
-    """Return the first leaf of each part of a tree, from left to right.
+    """Return the number of the first leaf of each part of a tree, in increasing order.
 
     Parts are the largest subtrees with at most PART_LEAVES leaves.
     """
@@ -94,15 +94,15 @@ def _parts(rule: TreeRule) -> list[int]:
 
 
 def _leaf_ends(rule: TreeRule) -> NDArray[np.int64]:
-    """Return, for each node, the number of the first leaf to the right of its subtree."""
+    """Return, for each node, 1 + the number of the last leaf below the node."""
     end = rule.leaf + 1
-    for node in np.flatnonzero(rule.branch)[::-1].tolist():  # in reverse, because children have higher numbers than parents
+    for node in np.flatnonzero(rule.branch)[::-1].tolist():  # the branches of a node have higher numbers than the node
         end[node] = end[rule.branch[node] + 1]
     return end
 
 
 def _nodes(rule: TreeRule) -> NDArray[np.uint32]:
-    """Return the nodes of a tree, with two words per node, in the layout that gpu/trees.cl describes."""
+    """Return the nodes of a tree in the layout that gpu/trees.cl describes: (node, 2)."""
     leaf = rule.branch == 0
     threshold = np.where(leaf, UNREACHABLE_THRESHOLD, rule.threshold).astype(np.float32)
     node = np.where(leaf, np.arange(len(leaf)), rule.branch).astype(np.uint32)
@@ -110,25 +110,22 @@ def _nodes(rule: TreeRule) -> NDArray[np.uint32]:
 
 
 def _asked(rule: TreeRule, place: int) -> NDArray[np.uint32]:
-    """Return the numerator of each node's test. The index of the denominator is stored from bit `place` on."""
+    """Return, for each node, the index of its test's numerator, and from bit `place` the index of its denominator."""
     denominator = np.array([test.denominator for test in tree.EVERY], np.uint32)
     return np.asarray(rule.test | denominator[rule.test] << np.uint32(place), np.uint32)
 
 
 def snippets(rule: ClassRule) -> tuple[str, ...]:
-    """Return the OpenCL files with the formulas of a class rule's features.
-
-    The source files include them before rule.cl.
-    """
+    """Return the OpenCL files with the formulas of the features of a class rule. They are included before rule.cl."""
     return tuple(module.SNIPPET for module in (*BASIC, *(module for module, _ in features_of(rule))))
 
 
 def joined(rule: ClassRule) -> str:
-    """Return OpenCL source that combines the values of the additional features. rule.cl includes this source.
+    """Return OpenCL source that combines the values of the additional features. It is included in rule.cl.
 
-    The source defines the number of combinations (COMBINATIONS), the number of window sums (WINDOW_SUMS), the list of
-    windows (EACH_WINDOW) and the function `combination_of`. If all windows have the same size, BOX_ROWS and BOX_COLUMNS
-    are defined, too.
+    The source defines the macros COMBINATIONS (number of combinations) and WINDOW_SUMS (number of window sums, at least 1).
+    If all windows have the same size, it also defines BOX_ROWS and BOX_COLUMNS. If there are additional features, it also
+    defines EACH_WINDOW (the list of windows) and the function `combination_of`.
     """
     windows = [f"add({w.sum}, {w.top}, {w.left}, {w.rows}, {w.columns}, {'+' if w.sign > 0 else '-'})" for w in rule.windows]
     lines = [f"#define COMBINATIONS {rule.combinations}", f"#define WINDOW_SUMS {max(1, rule.window_sums)}"]
@@ -141,10 +138,10 @@ def joined(rule: ClassRule) -> str:
 
 
 def combination_function(rule: ClassRule) -> str:
-    """Return the source of the OpenCL function `combination_of`.
+    """Return the source of the OpenCL function `combination_of`, which computes the index of a combination.
 
-    This function calls the functions in the snippets of the features. If the value of a feature is too large, the last
-    value of the feature is used.
+    It calls the functions in the snippets of the features. A value that is too large is replaced by the last value of the
+    feature.
     """
     lines = [
         "INLINE uints combination_of(const ints *sum, uints level, __global const int *constants) {",
@@ -162,17 +159,17 @@ def combination_function(rule: ClassRule) -> str:
 
 
 def kernel_macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros for rule.cl and for the snippets of the features."""
+    """Return the macros with which rule.cl and the snippets of the features are compiled."""
     basic = {key: value for module in BASIC for key, value in module.macros(rule).items()}
     added = {key: value for module, feature in features_of(rule) for key, value in module.macros(feature, rule).items()}
     return basic | added | {"KINDS": rule.kinds}
 
 
 def kernel_arrays(rule: ClassRule, *others: ClassRule) -> tuple[NDArray, ...]:
-    """Return the constants of the features, in the order of the kernel arguments.
+    """Return the arrays with the constants of the features, in the order of the kernel arguments.
 
-    `others` are class rules that differ only in constants that depend on the noise. These are the contrast edges and the
-    constants of the additional features. They follow the constants of `rule`.
+    `others` are class rules for different noise. They differ from `rule` only in the contrast edges and in the constants of
+    the additional features. These constants are appended to the constants of `rule`.
     """
     basic = [
         np.concatenate([contrast.kernel_array(each) for each in (rule, *others)])

@@ -1,9 +1,9 @@
-"""Layers in fixed-point arithmetic. Their output planes are integers and are the same on every device
+"""Conversion of layers to fixed-point arithmetic, so that their output planes are equal on every device
 (docs/method.md#planes).
 
-The weights of each channel are rounded so that their sum is rounded to the nearest integer. If each weight were rounded
-on its own, uniform areas would be tinted differently at every CFA site. Weights fit into 16 bits, because processors
-multiply 16-bit integers twice as fast as floats.
+The weights of each channel are rounded up or down such that their sum is rounded to the nearest integer. If each weight were
+rounded to the nearest integer, uniform areas would have a different tint at every CFA site. Weights have 16 bits, because
+processors multiply 16-bit integers twice as fast as floats.
 """
 
 import functools
@@ -21,29 +21,34 @@ from l3cli.errors import InputFileError
 
 MAX_FRACTION = 16
 MAX_WEIGHT, MAX_SUM = 2.0**15 - 2, 2.0**31 - 2**MAX_FRACTION  # limits before rounding, which adds less than 1 to a weight
-# Intermediate layers read planes from which COARSE bits have been dropped and which are clamped to ±COARSE_TOP.
+# The input planes of intermediate layers are shifted right by COARSE bits and clamped to ±COARSE_TOP.
 COARSE, COARSE_TOP = 5, 2**15 - 1
-CLASSES_AT_ONCE = 256  # number of classes that are converted together, so that they fit into the processor cache
+CLASSES_AT_ONCE = 256  # number of classes that are converted together; their weights fit into the processor cache
 LUMINANCE, CHROMA = 1, [0, 2]  # index of the luminance plane Y, and indices of the chroma planes
 
 
 @dataclass(frozen=True)
 class FixedPoint:
-    """The transforms from the input of a layer to its output planes, as integers."""
+    """The transforms of a layer as integers. They convert the input of the layer to its output planes."""
 
-    weights: NDArray[np.int16]  # (class, plane, tap) W
-    intercept: NDArray[np.int64]  # (class, plane) B
-    fraction: NDArray[np.int32]  # (class) number F of fractional bits
+    weights: NDArray[np.int16]  # (class, plane, tap): W
+    intercept: NDArray[np.int64]  # (class, plane): B
+    fraction: NDArray[np.int32]  # (class,): number of fractional bits of W and B
 
     def planes(self, sums: Integers, label: Integers) -> NDArray[np.int32]:
-        """Return the output planes of pixels.
+        """Convert weighted sums to output planes: remove the fractional bits with rounding, and clamp the result.
 
         Parameters
         ----------
         sums : ndarray, (plane, …)
-            Σ W · DN + B. Refinement layers use coarse planes instead of raw values.
+            Σ W · input + B. The input is raw values in the first layer, and coarse planes in refinement layers.
         label : ndarray, (…)
             Class of each pixel.
+
+        Returns
+        -------
+        ndarray, (plane, …)
+            Planes in units of PLANE_STEP.
         """
         fraction = self.fraction.astype(np.int64)[label]
         rounded = (sums + (1 << fraction >> 1)) >> fraction
@@ -51,9 +56,9 @@ class FixedPoint:
 
 
 def opponent_basis(white_point: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the matrix that converts X, Y, Z to the opponent planes X − aY, Y, Z − bY, which are (0, Y, 0) for greys.
+    """Return the matrix (output, plane) that converts X, Y, Z to opponent planes: planes = outputs @ matrix.
 
-    The matrix has the shape (output, plane): planes = outputs @ matrix.
+    The opponent planes are X − aY, Y and Z − bY. For greys with the white point `white_point`, they are (0, Y, 0).
     """
     basis = np.eye(3)
     basis[LUMINANCE, 0], basis[LUMINANCE, 2] = -white_point[0] / white_point[1], -white_point[2] / white_point[1]
@@ -61,12 +66,12 @@ def opponent_basis(white_point: NDArray[np.floating]) -> NDArray[np.float64]:
 
 
 def planes_basis(table: TransformTable) -> NDArray[np.float64]:
-    """Return the matrix, with the shape (output, plane), that converts the outputs of a table's first layer to planes."""
+    """Return the matrix (output, plane) that converts the outputs of a table's first layer to planes."""
     return opponent_basis(table.white_point) if table.components is None else table.components.basis
 
 
 def fixed_point(table: TransformTable) -> FixedPoint:
-    """Convert the first layer of a table to integers. Raises InputFileError if its transforms are too large."""
+    """Convert the first layer of a table to fixed-point numbers. Raises InputFileError if its transforms are too large."""
     first, read = table.first, _raw(table.bits, table.black_level, table.white_level)
     channels, basis = window_channels(table.cfa, first.rule.patch), planes_basis(table)
     sites = [(first.rule.of_site(site), channel) for site, channel in enumerate(channels)]
@@ -74,35 +79,39 @@ def fixed_point(table: TransformTable) -> FixedPoint:
 
 
 def refined_fixed_point(layer: PlaneLayer, basis: NDArray[np.float64]) -> FixedPoint:
-    """Convert an intermediate refinement layer to integers. Raises InputFileError if its transforms are too large."""
+    """Convert a refinement layer that is not the last layer to fixed-point numbers.
+
+    `basis` is the matrix (output, plane) that converts outputs to planes. Raises InputFileError if the transforms are too
+    large.
+    """
     plane = np.repeat(np.arange(len(basis)), layer.side**2)
     return _fixed_point(layer.weights, layer.intercept, basis, BETWEEN, [(slice(0, len(layer.weights)), plane)])
 
 
 def coarse(planes: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Reduce the number of bits of planes and clamp them.
+    """Convert planes to coarse planes: remove the lowest COARSE bits with rounding, and clamp to ±COARSE_TOP.
 
-    All layers between the first and the last layer read such planes.
+    Coarse planes are the input of all layers between the first and the last layer.
     """
     return np.clip(planes + (1 << COARSE >> 1) >> COARSE, -COARSE_TOP, COARSE_TOP)
 
 
 def raw_middle(bits: int) -> int:
-    """Return the offset that is subtracted from raw values so that they fit into signed 16-bit integers."""
+    """Return the offset that kernels subtract from raw values, so that they fit into signed 16-bit integers."""
     return 2**15 if bits == 16 else 0
 
 
 @dataclass(frozen=True)
 class _Read:
-    """The number format of the values that a layer reads."""
+    """The number format of the input of a layer."""
 
-    step: float  # input at a signal of 1, multiplied by PLANE_STEP
-    zero: float  # input without signal
-    largest: float  # largest absolute value that kernels read
-    farthest: float  # absolute value that kernels read where there is no signal
+    step: float  # input for a signal of 1 (full scale or one output unit), multiplied by PLANE_STEP
+    zero: float  # input for a signal of 0
+    largest: float  # largest absolute value of the input in kernels, after subtraction of `raw_middle`
+    farthest: float  # absolute value of the input in kernels for a signal of 0
 
 
-BETWEEN = _Read(step=2.0**-COARSE, zero=0.0, largest=COARSE_TOP, farthest=0.0)  # planes that intermediate layers read
+BETWEEN = _Read(step=2.0**-COARSE, zero=0.0, largest=COARSE_TOP, farthest=0.0)  # coarse planes
 
 
 def _raw(bits: int, black_level: float, white_level: float) -> _Read:
@@ -118,32 +127,30 @@ def _raw(bits: int, black_level: float, white_level: float) -> _Read:
 def room_for(
     weights: NDArray[np.float64], intercept: NDArray[np.float64], bits: int, black_level: float, white_level: float
 ) -> NDArray[np.float64]:
-    """Return the largest factor by which the transforms of each class could be multiplied without integer overflow.
-
-    If the factor is below 1, the transforms are too large.
+    """Return the largest factor by which the transforms of the first layer could be multiplied without integer overflow.
 
     Parameters
     ----------
     weights : ndarray, (class, plane, tap)
         Weights for signals as fractions of full scale.
     intercept : ndarray, (class, plane)
-        Intercepts.
+        Intercepts in output units.
     bits : int
-        Bits of the raw values.
+        Bit depth of the raw values.
     black_level, white_level : float
         Levels of the raw values in DN.
 
     Returns
     -------
     ndarray, (class,)
-        Largest factor of each class.
+        Largest factor for each class. If it is below 1, the transforms of the class are too large.
     """
     read = _raw(bits, black_level, white_level)
     return _room(weights.transpose(2, 1, 0) / read.step, intercept.T / PLANE_STEP, read)
 
 
 def room_between(weights: NDArray[np.float64], intercept: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the same factors as `room_for`, for the transforms of an intermediate refinement layer."""
+    """Return the same factors as `room_for`, for the transforms of a refinement layer that is not the last layer."""
     return _room(weights.transpose(2, 1, 0) / BETWEEN.step, intercept.T / PLANE_STEP, BETWEEN)
 
 
@@ -151,11 +158,11 @@ def _fixed_point(
     weights: NDArray[np.float32], intercept: NDArray[np.float32], basis: NDArray[np.float64], read: _Read,
     layouts: Iterable[tuple[slice, Integers]],
 ) -> FixedPoint:  # fmt: skip
-    """Convert the transforms of all classes to integers.
+    """Convert the transforms of all classes to fixed-point numbers.
 
-    The transforms are first converted to planes with `basis`. Each class has the largest number of fractional bits with
-    which its weights and sums fit the integer formats. `layouts` contains ranges of classes, with the channel of each of
-    their taps.
+    The outputs of the transforms are first converted to planes with `basis`. Each class then uses the largest number of
+    fractional bits with which its weights and sums fit into the integer formats. `layouts` contains ranges of classes, and
+    the channel (or plane) of each tap of these classes.
     """
     offset = _to_planes(intercept.T, basis) / PLANE_STEP
     shape = len(weights), basis.shape[1]
@@ -168,7 +175,7 @@ def _fixed_point(
         distinct, like = _distinct(weights[classes], intercept[classes])
         for start in range(0, len(distinct), CLASSES_AT_ONCE):
             block = distinct[start : start + CLASSES_AT_ONCE] + classes.start
-            # Classes are the last axis, because numpy sums over the first axis several times faster than over the last.
+            # Classes become the last axis, because numpy sums over the first axis several times faster than over the last.
             exact = np.moveaxis(_to_planes(weights[block].transpose(1, 2, 0)[:, order], basis), 0, 1) / read.step
             fraction = _fraction(_room(exact, offset[:, block], read))
             scale = 2.0**fraction
@@ -183,17 +190,17 @@ def _fixed_point(
 
 
 def _distinct(weights: NDArray[np.float32], intercept: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Group classes with equal transforms, which then need to be converted only once.
+    """Group classes with equal transforms, so that each transform is converted only once.
 
-    Classes without training patches use the transform of a neighbouring class. With many channels, half of all classes
-    do so.
+    Classes without training patches use the transform of a similar class. With many channels, this applies to half of all
+    classes.
 
     Returns
     -------
     first : ndarray, (group,)
-        First class of each group.
+        Index of the first class of each group.
     like : ndarray, (class,)
-        Group of each class.
+        Index of the group of each class.
     """
     rows = np.concatenate([weights.reshape(len(weights), -1), intercept], axis=1)
     _, first, like = np.unique(
@@ -205,12 +212,12 @@ def _distinct(weights: NDArray[np.float32], intercept: NDArray[np.float32]) -> t
 def _room(weights: NDArray[np.float64], offset: NDArray[np.float64], read: _Read) -> NDArray[np.float64]:
     """Return, for each class, the largest factor by which weights and offsets could be multiplied without overflow.
 
-    Weights have the shape (tap, plane, class), and offsets have the shape (plane, class).
+    `weights` has the shape (tap, plane, class), and `offset` has the shape (plane, class).
     """
     size = np.abs(weights)
     offset = np.abs(offset) + read.farthest * np.abs(weights.sum(axis=0))
     sums = (size.sum(axis=0) * read.largest + offset).max(axis=0)
-    rounding = 2 * len(weights) * read.largest  # largest error of the sum and the offset due to rounding
+    rounding = 2 * len(weights) * read.largest  # largest error of the sum and the offset because of rounding
     return np.minimum(MAX_WEIGHT / (size.max(axis=(0, 1)) + 1e-30), (MAX_SUM - rounding) / (sums + 1e-30))
 
 
@@ -226,10 +233,10 @@ def _fraction(room: NDArray[np.float64]) -> NDArray[np.int32]:
 
 
 def _rounded(weights: NDArray[np.float64], ends: list[int]) -> NDArray[np.float64]:
-    """Round weights up or down so that the sum over the taps of each channel is rounded to the nearest integer.
+    """Round weights up or down such that the sum over the taps of each channel is rounded to the nearest integer.
 
-    The weights with the largest fractional parts are rounded up. If fractional parts are equal, the weights that come
-    first are rounded up. `ends` contains the index at which the taps of each channel end.
+    The weights with the largest fractional parts are rounded up. Among equal fractional parts, the first weights are rounded
+    up. The taps are sorted by channel, and the taps of channel c have the indices ends[c] to ends[c + 1] − 1.
     """
     whole = np.floor(weights)
     loss = whole - weights
@@ -252,7 +259,7 @@ def _rounded(weights: NDArray[np.float64], ends: list[int]) -> NDArray[np.float6
 def _to_planes(values: NDArray[np.float32], basis: NDArray[np.float64]) -> NDArray[np.float64]:
     """Convert outputs to planes along the first axis.
 
-    The products are added in a fixed order, so that every machine gets the same rounding errors.
+    The products are added in a fixed order, so that the rounding errors are the same on every machine.
     """
     exact = values.astype(np.float64)
 

@@ -1,7 +1,4 @@
-"""Classes of refinement layers, computed for whole frames from the planes and the first layer's classes.
-
-docs/method.md#structure contains the formulas.
-"""
+"""Classes and additional taps of refinement layers, computed for whole frames (docs/method.md#structure)."""
 
 import functools
 from dataclasses import replace
@@ -19,8 +16,8 @@ from l3cli.classes.structure import BORDER_PIXELS, structures
 from l3cli.classes.windows import Integers
 from l3cli.frames.frame import mirrored_indices
 
-RATIO_DARKEST = 2**9  # smallest mean luminance by which chroma is divided, in integer units of a plane
-ROWS_AT_ONCE = 64  # number of rows that are processed together, so that their values fit into the processor cache
+RATIO_DARKEST = 2**9  # smallest mean luminance by which chroma is divided, in units of PLANE_STEP
+ROWS_AT_ONCE = 64  # number of rows that are processed together; their values fit into the processor cache
 
 
 def label_planes(
@@ -31,16 +28,16 @@ def label_planes(
     Parameters
     ----------
     planes : ndarray, (plane, row, col)
-        Planes that the previous layer has rendered.
+        Opponent planes of the previous layer's outputs.
     first : ndarray, (row, col)
-        Classes of the first layer.
+        Class of each pixel in the first layer.
     rule : PlaneRule
         Class rule of the refinement layer.
     first_rule : ClassRule
         Class rule of the first layer.
     *others : PlaneRule
-        Class rules of additional sets of transforms, which differ only in the scale of the gradients. The classes of all
-        sets are numbered consecutively, as if each set had its own CFA sites.
+        Class rules for different noise, which differ only in the scale of the gradients. The classes of all rules are
+        numbered consecutively, as if each rule had its own CFA sites.
 
     Returns
     -------
@@ -54,14 +51,14 @@ def label_planes(
 
 
 def _of_all_sets(rule: PlaneRule, others: tuple[PlaneRule, ...]) -> PlaneRule:
-    """Return a class rule with the site orientations and the scales of gradients of all sets of transforms."""
+    """Return a class rule with the site orientations and the scales of gradients of `rule` and `others`, concatenated."""
     names = ("turns", "gradient_factor", "gradient_shift") if others else ()
     arrays: dict[str, Any] = {name: np.concatenate([getattr(each, name) for each in (rule, *others)]) for name in names}
     return replace(rule, **arrays)
 
 
 def _structure(planes: NDArray[np.int32], level: Integers, site: Integers, rule: PlaneRule) -> Integers:
-    """Return the structure or the leaf of each pixel. Saturation is not considered."""
+    """Return the structure of each pixel or, for a tree, its leaf. Saturation is ignored."""
     if isinstance(rule, StructureRule):
         luminance = mirrored(planes[LUMINANCE].astype(np.int32), BORDER_PIXELS)
         return structures(luminance, mirrored(level, BORDER_PIXELS - 1), site, rule)
@@ -76,11 +73,11 @@ def plane_evidence(
     Parameters
     ----------
     planes : ndarray, (plane, row, col)
-        Planes of the previous layer.
+        Opponent planes of the previous layer's outputs.
     level : ndarray, (row, col)
-        Levels in the first layer.
+        Level of each pixel in the first layer.
     factor, shift : ndarray, (level,)
-        Gradients are multiplied by `factor` and shifted right by `shift`.
+        Gradients are multiplied by `factor` and then shifted right by `shift` bits.
     """
     place = mirrored(level, tree.BORDER_PIXELS - 1)
     return tree.evidence(
@@ -89,16 +86,16 @@ def plane_evidence(
 
 
 def mirrored(planes: NDArray, margin: int) -> NDArray:
-    """Add a margin of mirrored pixels to the last two axes of an array. The outermost pixels are not repeated."""
+    """Add a margin of mirrored pixels to the last two axes of an array. The outermost rows and columns are not repeated."""
     rows, cols = (mirrored_indices(length, margin, 1) for length in planes.shape[-2:])
     return planes[..., rows[:, None], cols]
 
 
 def window_means(planes: NDArray, side: int) -> NDArray:
-    """Return the means over side × side windows of planes that have a margin of side // 2 pixels.
+    """Return the means of planes over side × side windows. The planes must have a margin of side // 2 pixels.
 
-    Shifted copies of the planes are added, first along rows and then along columns. This takes a tenth of the time of a
-    sum over a strided view.
+    Shifted copies of the planes are added, first along rows and then along columns. This is ten times as fast as a sum over
+    a strided view.
     """
     rows, cols = (length - side + 1 for length in planes.shape[-2:])
     across = functools.reduce(np.add, [planes[..., first : first + cols] for first in range(side)])
@@ -108,10 +105,10 @@ def window_means(planes: NDArray, side: int) -> NDArray:
 def first_label_words(rule: PlaneRule, first: ClassRule, *others: PlaneRule) -> NDArray[np.uint64]:
     """Return a 64-bit word for each class of the first layer, in the layout of opencl/common/gradient.cl.
 
-    The lower half contains the factor of the gradients, their shift (from bit 8) and the orientation of the site (from
-    bit 14). The upper half contains the first class of the site and level in the refinement layer. If the class depends
-    on saturation, the upper half contains that class instead, and its highest bit is set. `label_planes` describes
-    `others`.
+    The lower half contains the factor of the gradients, their shift (from bit 8) and the orientation of the site (from bit
+    14). The upper half contains the first class of the site and level in the refinement layer. If a filter is lost because
+    of saturation, the upper half instead contains the class of the saturation case, and its highest bit is set. The
+    parameters are the same as in `label_planes`.
     """
     every = _of_all_sets(rule, others)
     place = first.split(np.arange(len(every.turns) * first.classes_per_site))
@@ -130,15 +127,14 @@ def first_label_words(rule: PlaneRule, first: ClassRule, *others: PlaneRule) -> 
 
 
 def shaded_chroma(planes: NDArray, side: int) -> NDArray[np.float64]:
-    """Return the deviation of the chroma of a pixel from its surroundings that a change of brightness alone would cause.
+    """Return the deviation of each pixel's chroma from the mean chroma of its window that shading alone would cause.
 
-    If a side × side window shows a surface of one colour, the chroma planes are proportional to the luminance Y. A
-    chroma plane C of the pixel then differs from its mean in the window by
+    If a side × side window contains a surface of one colour, the chroma planes are proportional to the luminance Y. A chroma
+    plane C of the central pixel then differs from its mean in the window by
 
         C̄ · ρ        ρ = clamp((Y − Ȳ) / max(Ȳ, RATIO_DARKEST), ±1)
 
-    where a bar denotes a mean over the window. The result has the shape (chroma plane, row, col) and is in the units of
-    `planes`.
+    where a bar denotes a mean over the window. The result has the shape (chroma plane, row, col) and the unit of `planes`.
     """
     exact = planes.astype(np.float64)
     first, luminance, second = window_means(mirrored(exact, side // 2), side)
@@ -147,17 +143,16 @@ def shaded_chroma(planes: NDArray, side: int) -> NDArray[np.float64]:
 
 
 def bilateral_change(planes: NDArray, side: int) -> NDArray[np.floating]:
-    """Return the mean chroma of similar pixels in a side × side window, minus the chroma of the pixel itself.
+    """Return the mean chroma of similar pixels in a side × side window, minus the chroma of the central pixel.
 
-    Pixels q of the window are weighted by their similarity to the central pixel in all planes p. The change of a chroma
+    Each pixel q of the window is weighted by its similarity to the central pixel in all planes p. The result for a chroma
     plane C is
 
         Σ w_q (C_q − C) / Σ w_q        w_q = max(0, d̄ + RATIO_DARKEST² − d_q)²        d_q = Σ_p (p_q − p)²
 
-    where d̄ is the mean of d_q over the window. The result has the shape (chroma plane, row, col) and is in the units of
-    `planes`.
+    where d̄ is the mean of d_q over the window. The result has the shape (chroma plane, row, col) and the unit of `planes`.
     """
-    planes = planes.astype(np.result_type(planes, np.float32))  # float32 stays float32, as in training
+    planes = planes.astype(np.result_type(planes, np.float32))  # float32 stays float32, because training uses it
     padded, (_, rows, cols) = mirrored(planes, side // 2), planes.shape
     change = np.empty((2, rows, cols), planes.dtype)
     for first in range(0, rows, ROWS_AT_ONCE):
@@ -172,12 +167,12 @@ def bilateral_change(planes: NDArray, side: int) -> NDArray[np.floating]:
 
 
 def taps_behind(planes: NDArray, side: int, count: int) -> NDArray[np.floating]:
-    """Return the additional taps of a last layer, which follow the taps of its windows.
+    """Return the values of the additional taps of a last layer, for colour ratios and bilateral chroma.
 
     Parameters
     ----------
     planes : ndarray, (plane, row, col)
-        Planes of the previous layer.
+        Opponent planes of the previous layer's outputs.
     side : int
         Side of the windows in pixels.
     count : int
@@ -186,7 +181,7 @@ def taps_behind(planes: NDArray, side: int, count: int) -> NDArray[np.floating]:
     Returns
     -------
     ndarray, (tap, row, col)
-        Values of the taps, in the units of `planes`.
+        Values of the taps, in the unit of `planes`.
     """
     kinds = (shaded_chroma, bilateral_change)[: RATIO_TAPS.index(count)]
     return np.concatenate([np.empty((0, *planes.shape[1:])), *(kind(planes, side) for kind in kinds)])

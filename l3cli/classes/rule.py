@@ -1,4 +1,4 @@
-"""Makes the class rule of a camera from a class recipe. Each combination of feature values is a class."""
+"""Computes the class rule of a camera from a class recipe. Each combination of feature values is a class."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -16,12 +16,12 @@ from l3cli.errors import RecipeError
 
 
 def switched_on(recipe: ClassRecipe) -> dict[str, Any]:
-    """Return the keys of the additional features that a class recipe enables, by the name of the feature."""
+    """Return the name of each additional feature that a class recipe enables, with its keys in the recipe."""
     return {name: keys for name in FEATURES if (keys := getattr(recipe, name)) is not None}
 
 
 def left_out(recipe: ClassRecipe, camera: CameraModel) -> list[str]:
-    """Return the names of the enabled features that need larger patches on the CFA of this camera."""
+    """Return the names of the enabled features that are left out, because they need larger patches on this camera's CFA."""
     return [name for name in switched_on(recipe) if not FEATURES[name].fits(camera, recipe.patch)]
 
 
@@ -34,7 +34,7 @@ def make_rule(
     observed: Mapping[str, NDArray[np.float64]] | None = None,
     spared_cases: int = 0,
 ) -> ClassRule:
-    """Make the class rule of a camera (docs/method.md#classes).
+    """Compute the class rule of a camera from a class recipe (docs/method.md#classes).
 
     Parameters
     ----------
@@ -45,18 +45,18 @@ def make_rule(
     case_of_code : ndarray, (code,)
         Saturation case of each saturation code. Bit c of a code is set if channel c clips.
     chroma_centres : ndarray, (chroma, channel), optional
-        Channel means of each chroma centre, divided by their sum. Without centres, the rule has a single chroma.
+        Channel means of each chroma centre, divided by their sum. Without this argument, the rule has only one chroma.
     dark : float
         Dark signal, in DN, that was subtracted from the frames.
-    observed : mapping, optional
-        Statistics of the pilot patches for each additional feature. None if there are no pilot patches yet.
+    observed : mapping of str to ndarray, optional
+        Statistics of the pilot patches from `decide.observe_patches`. None if there are no pilot patches yet.
     spared_cases : int
         Number of cases after case 0 in which every colour filter has a channel that does not clip.
 
     Raises
     ------
     RecipeError
-        If the recipe is impossible for this camera, for example because it has more levels than there are raw values.
+        If the recipe does not suit this camera, for example because it has more levels than there are raw values.
     """
     if recipe.patch % 2 == 0 or not 1 <= recipe.patch <= MAX_PATCH:
         raise RecipeError(f"classes.patch is {recipe.patch}; write an odd number from 1 to {MAX_PATCH}")
@@ -95,11 +95,11 @@ def make_rule(
 
 
 def _saturation_radius(recipe: ClassRecipe, camera: CameraModel) -> int:
-    """Return the saturation radius of the recipe, increased until every site includes every channel.
+    """Return the saturation radius of the recipe, increased until the neighbourhood of every site contains every channel.
 
-    The radius is limited to the radius of the patch. If the radius were smaller, different sites of a clipped area could
-    get different saturation cases, and most of these cases would never be trained on clipped greys
-    (docs/method.md#saturation-cases).
+    With a smaller radius, the sites of a clipped area would have different saturation cases, and most of these cases would
+    never be trained on clipped greys (docs/method.md#saturation-cases). The result never exceeds the radius of the patch. A
+    radius of 0 stays 0.
     """
     most, least = recipe.patch // 2, min(recipe.saturation_radius, recipe.patch // 2)
     for radius in range(least, most if least else 0):

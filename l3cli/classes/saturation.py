@@ -3,8 +3,7 @@
     case = case_of_code[code]
 
 The code is a bit pattern. Bit c is set if a pixel of channel c within the saturation radius has a raw value of at least
-`saturation` DN. Several codes can share a case, because most combinations of clipped channels are too rare to train
-transforms for them.
+`saturation` DN. Several codes can share a case, because most combinations of clipped channels are too rare for training.
 """
 
 from collections.abc import Sequence
@@ -19,21 +18,21 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes.keys import BasicKeys
 from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, tap_order
 
-MIN_FRACTION = 2e-4  # saturation codes that occur in a smaller fraction of the training patches get no case of their own
+MIN_FRACTION = 2e-4  # saturation codes that occur in a smaller fraction of the training patches have no case of their own
 SNIPPET = "features/saturation.cl"
 
 
 def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[int] | None = None) -> NDArray[np.uint16]:
-    """Choose the saturation cases of a class rule and assign each saturation code to a case.
+    """Choose the saturation cases of a class rule, and assign each saturation code to a case.
 
-    Code 0, in which no channel clips, is case 0. The most frequent other codes become cases. Every remaining code joins
-    the nearest case. These criteria decide which case is nearest, in this order:
+    Code 0, in which no channel clips, is case 0. The most frequent of the remaining codes become cases. All further codes
+    are assigned to the nearest case. The nearest case is determined by these criteria, in this order:
 
-    1. The case and the code agree on whether all channels of some colour filter clip.
+    1. The case agrees with the code on whether all channels of some colour filter clip.
     2. The case differs from the code in as few channels as possible.
     3. The case contains all clipped channels of the code.
 
-    If no code except code 0 is frequent, all codes join case 0.
+    If only code 0 is frequent, all codes are assigned to case 0.
 
     Parameters
     ----------
@@ -66,9 +65,10 @@ def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[in
 
 
 def spared_cases(case_of_code: NDArray[np.uint16], filters: Sequence[int]) -> int:
-    """Count the cases after case 0 in which every colour filter still has a channel that does not clip.
+    """Count the cases, without case 0, in which every colour filter still has a channel that does not clip.
 
-    `choose_cases` numbers these cases first, from 1. `filters` contains the index of the colour filter of each channel.
+    `choose_cases` assigns the numbers 1, 2, 3… to these cases. `filters` contains the index of the colour filter of each
+    channel.
     """
     lost = lost_filters(np.arange(len(case_of_code)), filters) > 0
     return int(case_of_code[lost].min(initial=case_of_code.max() + 1)) - 1 if case_of_code.any() else 0
@@ -84,7 +84,7 @@ def lost_filters(codes: Integers, filters: Sequence[int]) -> Integers:
 
 
 def stored_threshold(recipe: BasicKeys, camera: CameraModel) -> int:
-    """Return the lowest raw value, in DN, that counts as saturated."""
+    """Return the lowest raw value of a saturated pixel in DN."""
     return int(np.ceil(camera.black_level + recipe.saturation * (camera.white_level - camera.black_level)))
 
 
@@ -100,7 +100,7 @@ def saturation_codes(
     rule : ClassRule
         The class rule.
     neighbours : Neighbourhoods
-        Windows of the CFA.
+        Result of `neighbourhoods` for the CFA.
     site : int
         CFA site at the centre of the patches.
     """
@@ -111,7 +111,7 @@ def saturation_codes(
 def codes(values: NDArray[np.unsignedinteger], rule: ClassRule, order: TapOrder) -> Integers:
     """Return the saturation code of each patch.
 
-    `values` contains raw values in DN, with the shape (tap, patch). Its taps are sorted as in `order`.
+    `values`, (tap, patch), contains raw values in DN, whose taps are sorted as in `order`.
     """
     code = np.zeros(values.shape[1], np.int64)
     for bit, taps in enumerate(order.inner):
@@ -121,10 +121,7 @@ def codes(values: NDArray[np.unsignedinteger], rule: ClassRule, order: TapOrder)
 
 
 def code_of(saturated: NDArray[np.bool_]) -> Integers:
-    """Convert booleans, which state for every channel whether the channel clips, to saturation codes.
-
-    The channels are the last axis.
-    """
+    """Convert booleans (…, channel), which state whether each channel clips, to saturation codes (…)."""
     return (saturated.astype(np.int64) << np.arange(saturated.shape[-1])).sum(axis=-1)
 
 
@@ -148,8 +145,8 @@ def heading(entry: dict[str, Any]) -> str:
 def name(table: TransformTable, case: int) -> str:
     """Return the name of a saturation case, such as "saturated r+g".
 
-    If several codes share the case, the name lists the clipped channels of the code that differs least from the other
-    codes.
+    If several codes share the case, the name lists the clipped channels of the code that differs least from the remaining
+    codes of the case. If no code has this case, the name is "no pattern".
     """
     codes = np.flatnonzero(table.first.rule.case_of_code == case)
     if not codes.size:
@@ -163,11 +160,11 @@ def _channels(table: TransformTable, code: int) -> list[str]:
 
 
 def _distances(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
-    """Return the sum of the distances from each saturation code to all other codes, as in `choose_cases`.
+    """Return, for each saturation code, the sum of its distances to all given codes. Distances are as in `choose_cases`.
 
-    The distance is the number of channels that differ. It is larger by one half if the other code contains a clipped
-    channel that this code does not contain. The sums are computed without comparing pairs, because there may be 2¹⁶
-    codes.
+    The distance is the number of channels that differ. If the second code contains a clipped channel that the first code
+    does not contain, the distance is larger by one half. The sums are computed without comparing pairs, because there may be
+    2¹⁶ codes.
     """
     clips = codes[:, None] >> np.arange(channels) & 1
     frequency = clips.sum(axis=0)
@@ -180,10 +177,10 @@ def _distances(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
 
 
 def macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros for compiling saturation.cl and the kernel of the window statistics."""
+    """Return the macros with which saturation.cl and the kernel of the window statistics are compiled."""
     return {"SATURATION": min(rule.saturation, 1 << 16), "SATURATION_RADIUS": rule.saturation_radius}
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.uint16]:
-    """Return the saturation case of each code, which saturation.cl reads."""
+    """Return the saturation case of each code, which saturation.cl reads: (code,)."""
     return rule.case_of_code

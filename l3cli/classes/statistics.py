@@ -1,4 +1,4 @@
-"""The statistics from which features are computed: sums and sums of squares of the channels, and saturation codes."""
+"""The statistics from which features are computed: sums of values and squares, saturation codes and window sums."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,32 +16,32 @@ from l3cli.physics.mosaic import shifted_cfa, tiled
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics of the patches around pixels. The symbol … is the shape of the array of pixels."""
+    """Statistics of the patches around pixels. In the shapes below, … stands for the axes of the array of pixels."""
 
     neighbours: Neighbourhoods
-    site: Integers  # (…), or (1,) if all pixels have the same site
-    sums: Integers  # (…, channel) sums of v = DN >> shift
-    squares: Integers | None  # (…, channel) sums of v²; None if the rule has a single contrast
-    code: Integers  # (…) bit c is set if a pixel of channel c near the centre is saturated
-    windows: Integers  # (…, sum) sums of v over the windows of all additional features
+    site: Integers  # (…), or (1,) if all pixels have the same site: CFA site
+    sums: Integers  # (…, channel): sums of v = DN >> shift
+    squares: Integers | None  # (…, channel): sums of v²; None if the rule has only one contrast
+    code: Integers  # (…): saturation code; bit c is set if a pixel of channel c near the centre is saturated
+    windows: Integers  # (…, sum): sums of v over the windows of all additional features
 
     @cached_property
     def scaled(self) -> Integers:
-        """Channel means times 65536, computed as S · round(65536 / n), which is below 2³²."""
+        """Channel means × 65536: (…, channel). They are computed as S · round(65536 / n), which is below 2³²."""
         return self.sums * self.neighbours.mean_reciprocal[self.site]
 
 
 class PatchSums(NamedTuple):
-    """Sums over training patches that are centred on the same CFA site."""
+    """Sums over training patches, all of which are centred on the same CFA site."""
 
-    sums: NDArray[np.uint32]  # (channel, patch) sums of v = DN >> shift
-    squares: NDArray[np.uint32] | None  # (channel, patch) sums of v²; None if the rule has a single contrast
-    code: Integers  # (patch) saturation codes
-    windows: NDArray[np.float32]  # (sum, patch) sums of v over windows of additional features, as integers below 2²⁴
+    sums: NDArray[np.uint32]  # (channel, patch): sums of v = DN >> shift
+    squares: NDArray[np.uint32] | None  # (channel, patch): sums of v²; None if the rule has only one contrast
+    code: Integers  # (patch,): saturation codes
+    windows: NDArray[np.float32]  # (sum, patch): sums of v over windows of additional features; integers below 2²⁴
 
 
 def window_sums(rule: ClassRule, statistics: Statistics) -> tuple[Integers, ...]:
-    """Return the window sums of each additional feature, with the shape (…, sum)."""
+    """Return the window sums of each additional feature: (…, sum)."""
     ends = np.cumsum([feature.sums for feature in rule.feature_list], dtype=int)
     return tuple(
         statistics.windows[..., end - feature.sums : end]
@@ -50,12 +50,12 @@ def window_sums(rule: ClassRule, statistics: Statistics) -> tuple[Integers, ...]
 
 
 def truncation(shift: int) -> float:
-    """Return the amount in DN by which a right shift decreases values on average."""
+    """Return the mean amount, in DN, by which shifting values right by `shift` bits decreases them."""
     return (2**shift - 1) / 2
 
 
 def patch_statistics(values: NDArray[np.uint32], rule: ClassRule, order: TapOrder) -> PatchSums:
-    """Compute the sums of each patch. The array `values` is overwritten.
+    """Compute the sums of each patch. This overwrites the array `values`.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def mosaic_statistics(
     rule : ClassRule
         The class rule.
     neighbours : Neighbourhoods
-        Windows of the CFA.
+        Result of `neighbourhoods` for the CFA.
     cfa : ndarray, (cfa_row, cfa_col)
         Channel of each site.
     phase : tuple of int
@@ -122,7 +122,7 @@ def mosaic_statistics(
 
 
 def _mosaic_windows(padded: Integers, rule: ClassRule, rows: int, cols: int) -> Integers:
-    """Return the window sums of every pixel, with the shape (row, col, sum)."""
+    """Return the window sums of every pixel: (row, col, sum)."""
     total = np.pad(padded.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     sums = np.zeros((rule.window_sums, rows, cols), np.int64)
     for window in rule.windows:
@@ -133,13 +133,13 @@ def _mosaic_windows(padded: Integers, rule: ClassRule, rows: int, cols: int) -> 
 
 
 def _inner(padded: NDArray, rule: ClassRule) -> NDArray:
-    """Crop the margin of a padded array from the radius of the patch to the saturation radius."""
+    """Crop an array whose margin is the radius of the patch, so that its margin is the saturation radius."""
     cut = rule.radius - rule.saturation_radius
     return padded[cut : padded.shape[0] - cut, cut : padded.shape[1] - cut]
 
 
 def _box(padded: Integers, size: int) -> Integers:
-    """Return the sum over every size × size window."""
+    """Return the sum over every size × size window of a padded array."""
     total = np.cumsum(np.pad(padded, ((1, 0), (0, 0))), axis=0)
     total = total[size:] - total[:-size]
     total = np.cumsum(np.pad(total, ((0, 0), (1, 0))), axis=1)

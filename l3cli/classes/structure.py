@@ -1,7 +1,7 @@
-"""Structure: strength and direction of the edge at a pixel, computed from the luminance of the previous layer.
+"""Structure: strength and direction of the edge at a pixel, computed from the luminance of the previous layer's output.
 
-docs/method.md#structure contains the formulas. The vector (a, b) points at twice the angle of the gradient. All integers
-are below 2³¹, so the results are the same on every device.
+docs/method.md#structure contains the formulas. The angle of the vector (a, b) is twice the angle of the gradient. All
+integers are below 2³¹, so the results are the same on every device.
 """
 
 import functools
@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from l3cli.artifacts.plane_rules import DIRECTIONS, GRADIENT, StructureRule
 from l3cli.classes.windows import Integers
 
-WIDE, NEAR = 3, 2  # with these lengths, triangle_sums uses the weights 1 2 3 2 1 and 1 2 1
+WIDE, NEAR = 3, 2  # lengths for `triangle_sums`, with the weights 1 2 3 2 1 and 1 2 1
 SIGMA = 16  # standard deviation of the noise of a scaled gradient
 NOISE_TRACE = 2 * 81 * SIGMA**2  # mean trace of the structure tensor of pure noise
-BORDER_PIXELS = 3  # pixels; width of the margin around a frame that the structure of its outermost pixels needs
+BORDER_PIXELS = 3  # width of the margin that is needed around a frame for the structure of its outermost pixels
 
 
 def structures(luminance: Integers, level: Integers, site: Integers, rule: StructureRule) -> Integers:
-    """Return the structure of every pixel, with the shape (row, col).
+    """Return the structure of every pixel: (row, col).
 
     Parameters
     ----------
@@ -44,10 +44,10 @@ def structures(luminance: Integers, level: Integers, site: Integers, rule: Struc
 def tensor(
     luminance: NDArray[np.integer], factor: NDArray[np.int32], shift: NDArray[np.int32]
 ) -> tuple[Integers, Integers, Integers]:
-    """Compute the elements xx, yy and xy of the structure tensor: weighted sums of products of gradients.
+    """Compute the elements xx, yy and xy of the structure tensor, which are weighted sums of products of gradients.
 
-    The gradients are multiplied by `factor`, shifted right by `shift` bits and clipped. Both arrays have the shape of
-    the gradients, which have 4 more rows and columns than the tensor.
+    Before the products are computed, gradients are multiplied by `factor`, shifted right by `shift` bits, and clipped. Both
+    arrays have the shape of the gradients: 2 rows and columns less than `luminance`, and 4 more than the tensor.
     """
     across = np.clip((luminance[1:-1, 2:] - luminance[1:-1, :-2]) * factor >> shift, -GRADIENT, GRADIENT)
     down = np.clip((luminance[2:, 1:-1] - luminance[:-2, 1:-1]) * factor >> shift, -GRADIENT, GRADIENT)
@@ -56,10 +56,11 @@ def tensor(
 
 
 def triangle_sums(values: NDArray[np.integer], length: int) -> NDArray[np.integer]:
-    """Return weighted sums of values over square windows.
+    """Return weighted sums of values over square windows with the side 2 `length` − 1.
 
-    Along each axis, the weights rise from 1 to `length` and then fall to 1. The sums are computed as sums of sums of
-    `length` values. With 32-bit integers, this takes a third of the time of weighted sums with 64-bit integers.
+    Along each axis, the weights increase from 1 to `length` and then decrease to 1. The sums are computed by adding `length`
+    neighbouring values twice along each axis. With 32-bit integers, this is three times as fast as weighted sums with 64-bit
+    integers.
     """
     for _ in range(2):
         for axis in (0, 1):
@@ -77,9 +78,9 @@ def directions(a: Integers, b: Integers) -> tuple[Integers, Integers]:
     Returns
     -------
     direction : ndarray
-        Multiple of 45°, as a number from 0 to 7.
+        Angle divided by 45°, from 0 to 7.
     along : ndarray
-        Length of the component of (a, b) in this direction.
+        Component of (a, b) in this direction.
     """
     width, height = np.abs(a), np.abs(b)
     flat, steep = 12 * height < 5 * width, 12 * width < 5 * height  # the boundary is at 22.6°
@@ -90,13 +91,14 @@ def directions(a: Integers, b: Integers) -> tuple[Integers, Integers]:
 
 
 def turn_signs(turn: NDArray[np.int64]) -> tuple[int, int]:
-    """Return the signs by which a and b are multiplied if the taps of a 3 × 3 window are reordered by `turn`.
+    """Return the signs by which a and b are multiplied if the 3 × 3 window is turned.
 
-    A rotation by 90° changes both signs. Mirroring changes the sign of b, and transposition changes the sign of a.
+    `turn` contains the old index of each tap of the turned window. A rotation by 90° changes both signs. Mirroring changes
+    the sign of b, and transposition changes the sign of a.
     """
     row, col = np.divmod(turn.reshape(3, 3), 3)
     down, right = (row[2, 1] - row[1, 1], col[2, 1] - col[1, 1]), (row[1, 2] - row[1, 1], col[1, 2] - col[1, 1])
-    swapped = down[0] == 0  # the tap below the centre moves to its right or left
+    swapped = down[0] == 0  # the tap below the centre moves to the right or left of the centre
     product = (down[1] if swapped else down[0]) * (right[0] if swapped else right[1])
     return (-1 if swapped else 1), int(product)
 
@@ -113,6 +115,6 @@ def name(rule: StructureRule, number: int, site: int) -> str:
     if within == 0:
         return f"{stem}, no direction"
     across, down = rule.turns[site].tolist()
-    angle = 2 * np.pi * (within - 1) / DIRECTIONS  # angle of (a, b), twice that of the gradient, in the site's orientation
+    angle = 2 * np.pi * (within - 1) / DIRECTIONS  # angle of (a, b) in the orientation in which the site was trained
     gradient = np.degrees(np.arctan2(np.sin(angle) * down, np.cos(angle) * across)) / 2  # angle below the horizontal
     return f"{stem}, edge at {np.round(90 - gradient, 1) % 180:g}°"

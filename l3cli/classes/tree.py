@@ -1,8 +1,8 @@
 """Decision trees that classify pixels in a refinement layer (docs/method.md#trees).
 
-A tree tests quantities of the planes around a pixel. Each test compares a numerator with a threshold times a
-denominator. The numerator and the denominator are integers below 2³¹. They are converted to float32 and only one
-multiplication follows, which IEEE 754 defines exactly. The result is therefore the same on every device.
+Each test of a tree compares a numerator with the product of a threshold and a denominator. Numerator and denominator are
+computed from the planes around a pixel, and are integers below 2³¹. They are converted to float32. The only floating-point
+operation is then one multiplication, which IEEE 754 defines exactly. The result is therefore the same on every device.
 """
 
 from dataclasses import dataclass
@@ -17,21 +17,21 @@ from l3cli.classes.structure import NEAR, NOISE_TRACE, WIDE
 from l3cli.classes.structure import triangle_sums as sums
 from l3cli.classes.windows import Integers
 
-# Gradients of luminance and chroma are clipped to these values, so that sums of 81 squares fit into 31 bits.
+# Gradients of luminance (TOP) and of chroma are clipped to these values, so that sums of 81 squares fit into 31 bits.
 TOP, CHROMA_TOP = 2895, 2047
-# Smallest denominator, in integer units of a plane, by which chroma is divided (weighted sum of the luminance, total weight
-# 16).
+# Smallest denominator for chroma. The denominator is a weighted sum of the luminance, with a total weight of 16, in units of
+# PLANE_STEP.
 DARK = 512
-BORDER_PIXELS = 3  # pixels; width of the margin around a frame that the tests of its outermost pixels need
+BORDER_PIXELS = 3  # width of the margin that is needed around a frame for the tests at its outermost pixels
 
 ONE, TRACE, CHROMA, LUMA = range(4)  # indices of the denominators
 
 
 class Test(NamedTuple):
-    """A test of a decision tree: the name of its numerator, and the index of its denominator."""
+    """A test of a decision tree."""
 
-    name: str
-    denominator: int
+    name: str  # name of the numerator
+    denominator: int  # index of the denominator
 
 
 EVERY = (
@@ -64,7 +64,10 @@ assert len(EVERY) == TESTS
 
 @dataclass(frozen=True)
 class Evidence:
-    """The numerators and denominators of all tests at every pixel."""
+    """The numerators and denominators of all tests at every pixel.
+
+    In the arrays, the first axis is followed by the axes of the array of pixels.
+    """
 
     numerators: NDArray[np.float32]  # (test, …)
     denominators: NDArray[np.float32]  # (denominator, …)
@@ -76,9 +79,9 @@ def evidence(planes: Integers, factor: Integers, shift: Integers) -> Evidence:
     Parameters
     ----------
     planes : ndarray, (plane, row + 6, col + 6)
-        Planes with a margin of 3 mirrored pixels.
+        Opponent planes of the previous layer's outputs, with a margin of 3 mirrored pixels.
     factor, shift : ndarray, (row + 4, col + 4)
-        Gradients are multiplied by `factor` and shifted right by `shift`. Both arrays have a margin of 2 mirrored
+        Gradients are multiplied by `factor` and then shifted right by `shift` bits. Both arrays have a margin of 2 mirrored
         pixels.
     """
     luminance = planes[LUMINANCE]
@@ -119,15 +122,15 @@ def evidence(planes: Integers, factor: Integers, shift: Integers) -> Evidence:
 
 
 def leaves(seen: Evidence, site: Integers, rule: TreeRule) -> Integers:
-    """Return the leaf that each pixel reaches in the decision tree, from the root to a leaf.
+    """Return the leaf that each pixel reaches in the decision tree.
 
-    `site` contains the CFA sites of the pixels, which determine the orientation in which the windows are read.
+    `site` contains the CFA site of each pixel. It determines the orientation to which the window of the pixel is turned.
     """
     turned, sign = (np.array(each) for each in zip(*(turned_tests(turn) for turn in range(8)), strict=True))
     turn = rule.turns.astype(np.int64)[np.broadcast_to(site, seen.numerators.shape[1:]).ravel()]
     numerators, denominators = seen.numerators.reshape(-1), seen.denominators.reshape(-1)
     test, nodes = rule.test.astype(np.int64), len(rule.test)
-    # Offsets of the numerators for each orientation and node, and of the denominators for each node.
+    # Offsets of the numerators for each orientation and node, and offsets of the denominators for each node.
     numerator, signs = turned[:, test].reshape(-1) * turn.size, sign[:, test].reshape(-1)
     denominator = np.array([each.denominator for each in EVERY])[test] * turn.size
     node, pixel = np.zeros(turn.size, np.int64), np.arange(turn.size)
@@ -144,7 +147,11 @@ def leaves(seen: Evidence, site: Integers, rule: TreeRule) -> Integers:
 
 
 def turned_tests(turn: int) -> tuple[list[int], list[np.float32]]:
-    """Map each tree test to a numerator and a sign for windows that are turned to orientation `turn`."""
+    """Return, for each test, the index of a numerator and a sign.
+
+    In a window that is turned to the orientation `turn`, the test has this numerator of the unturned window, multiplied by
+    the sign.
+    """
     transposed, across, down = turned_axes(turn)
     straight, diagonal = (-1 if transposed else 1), across * down
     total = [straight * each for each in ((3, 4) if straight == diagonal else (4, 3))]  # straight ± diagonal
@@ -155,14 +162,19 @@ def turned_tests(turn: int) -> tuple[list[int], list[np.float32]]:
 
 
 def turned_axes(turn: int) -> tuple[bool, int, int]:
-    """Describe the axes of a window in one of the 8 orientations.
+    """Return how an orientation changes the axes of a window.
+
+    Parameters
+    ----------
+    turn : int
+        Orientation, from 0 to 7. From 4 on, the window is first transposed. It is then rotated by turn % 4 quarter turns.
 
     Returns
     -------
     transposed : bool
         Whether rows and columns are exchanged.
     across, down : int
-        Directions of the columns and the rows, 1 or −1.
+        −1 if the order of the columns or of the rows is reversed, otherwise 1.
     """
     taps = np.arange(9).reshape(3, 3)
     row, col = np.divmod(np.rot90(taps.T if turn >= 4 else taps, turn % 4), 3)
@@ -173,7 +185,7 @@ def turned_axes(turn: int) -> tuple[bool, int, int]:
 
 
 def _local(values: Integers) -> NDArray[np.integer]:
-    """Return the weighted sums over 3 × 3 values. The margin of `values` is one pixel wider than these sums need."""
+    """Return the weighted sums over 3 × 3 values. `values` has a margin that is one pixel wider than needed."""
     return sums(_inner(values, 1), NEAR)
 
 

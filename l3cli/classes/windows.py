@@ -14,16 +14,16 @@ VARIANCE_FRACTION = 9  # number of fractional bits of a channel variance
 
 @dataclass(frozen=True)
 class Neighbourhoods:
-    """The p × p window of each CFA site, and the reciprocals in the formulas of the features."""
+    """The channels in the p × p window around each CFA site, and the reciprocals for the formulas of the features."""
 
-    channel: Integers  # (site, tap) channel of each tap
-    count: Integers  # (site, channel) number of taps of each channel
-    mean_reciprocal: Integers  # (site, channel) round(65536 / count)
-    variance_reciprocal: Integers  # (site, channel) round(512 / count)
+    channel: Integers  # (site, tap): channel of each tap
+    count: Integers  # (site, channel): number of taps of each channel
+    mean_reciprocal: Integers  # (site, channel): round(65536 / count)
+    variance_reciprocal: Integers  # (site, channel): round(512 / count)
 
 
 def neighbourhoods(cfa: NDArray[np.uint8], patch: int, channels: int) -> Neighbourhoods:
-    """Return the windows around all sites of a CFA.
+    """Return the channels in the windows around all sites of a CFA, and the reciprocals of their numbers.
 
     Parameters
     ----------
@@ -77,20 +77,20 @@ def _divided(numerator: int, count: Integers) -> Integers:
 
 @dataclass(frozen=True)
 class TapOrder:
-    """The taps of the window around a site, sorted by channel. Within a channel, the taps near the centre come first.
+    """An order of the taps in the window around a site: by channel, and within a channel with the taps near the centre
+    first.
 
-    The sum of a channel is then a sum over adjacent rows of an array with the shape (tap, patch), which numpy computes
-    fastest.
+    With this order, the sum of a channel is a sum over adjacent rows of an array (tap, patch), which is fastest in numpy.
     """
 
-    taps: Integers  # (tap) index of each tap in the window
+    taps: Integers  # (tap,): index in the window of each tap in this order
     channels: tuple[slice, ...]  # the taps of each channel
     inner: tuple[slice, ...]  # the taps of each channel within the saturation radius
-    windows: NDArray[np.float32]  # (sum, tap) factor of each tap in the window sums of all features
+    windows: NDArray[np.float32]  # (sum, tap): factor of each tap in the window sums of all features
 
 
 def tap_order(rule: ClassRule, neighbours: Neighbourhoods, site: int) -> TapOrder:
-    """Return the order of the taps in the window around a CFA site."""
+    """Return the order of the taps in the window around the CFA site with the index `site`."""
     channel, channels = neighbours.channel[site], neighbours.count.shape[1]
     reach = np.abs(np.arange(rule.patch) - rule.radius)
     outer = np.maximum(reach[:, None], reach[None]).ravel() > rule.saturation_radius
@@ -106,7 +106,7 @@ def tap_order(rule: ClassRule, neighbours: Neighbourhoods, site: int) -> TapOrde
 
 
 def _tap_counts(rule: ClassRule) -> NDArray[np.float32]:
-    """Return the factor of each tap in the window sums of all features, with the shape (sum, tap)."""
+    """Return the factor of each tap in the window sums of all features: (sum, tap)."""
     counts = np.zeros((rule.window_sums, rule.patch, rule.patch), np.float32)
     for window in rule.windows:
         down, across = slice(window.top, window.top + window.rows), slice(window.left, window.left + window.columns)
@@ -115,7 +115,10 @@ def _tap_counts(rule: ClassRule) -> NDArray[np.float32]:
 
 
 def sites(rows: int, cols: int, cfa_shape: tuple[int, ...], phase: tuple[int, int]) -> Integers:
-    """Return the index of the CFA site of every pixel of a frame. `phase` is the site of the first pixel."""
+    """Return the index of the CFA site of every pixel of a frame: (row, col).
+
+    `phase` is the CFA row and CFA column of the first pixel.
+    """
     row = (np.arange(rows) + phase[0]) % cfa_shape[0]
     col = (np.arange(cols) + phase[1]) % cfa_shape[1]
     return row[:, None] * cfa_shape[1] + col

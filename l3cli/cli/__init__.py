@@ -1,4 +1,4 @@
-"""The command line. A command is imported when it is called, and all errors are reported in one place."""
+"""The command line of l3. A command is imported only when it is called. All errors are reported here."""
 
 import errno
 import importlib
@@ -40,18 +40,15 @@ COMMANDS = {
 
 ADVICE = {
     errno.ENOSPC: "; free some space and run the command again",
-    errno.EACCES: "; change its permissions, or specify another file",
-    errno.EROFS: "; specify an output on another file system",
-    errno.ENOTDIR: "; a part of the path is a file, not a folder",
+    errno.EACCES: "; change the permissions, or specify a different file",
+    errno.EROFS: "; specify an output on a different file system",
+    errno.ENOTDIR: "; a part of the path is a file; correct the path",
 }
-NO_THREAD = "can't start new thread"  # message of the RuntimeError that Python raises
+NO_THREAD = "can't start new thread"  # message of Python's RuntimeError if no thread can be started
 
 
 class Pipeline(click.Group):
-    """The group of all commands, which are listed in the order of the pipeline.
-
-    Each command is a module that is imported when the command is called.
-    """
+    """The group of all commands, in the order of the pipeline. Each command is a module, imported when it is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -70,10 +67,10 @@ class Pipeline(click.Group):
         try:
             return super().invoke(ctx)
         except Terminated as stop:
-            raise click.Abort from stop  # click begins a new line after Ctrl-C, which is shown as ^C, but not after this
+            raise click.Abort from stop  # click prints a line break after KeyboardInterrupt (^C), but not after Abort
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list["CompletionItem"]:
-        """Complete the names of commands without importing the commands."""
+        """Return the commands whose names begin with `incomplete`. This does not import any command."""
         from click.shell_completion import CompletionItem
 
         commands = [CompletionItem(name, help=what) for name, what in COMMANDS.items() if name.startswith(incomplete)]
@@ -99,7 +96,7 @@ def l3(context: click.Context) -> None:
     transforms (train) and render raw frames with the table (render). Each stage writes one HDF5 file for the next.
     """
     require_address_space()
-    if context.invoked_subcommand is None:  # an error, because in a script it usually means that a variable was empty
+    if context.invoked_subcommand is None:  # this is an error, because in a script it usually means an empty variable
         for line in context.get_help().splitlines():
             to_stderr(line)
         context.exit(2)
@@ -107,9 +104,7 @@ def l3(context: click.Context) -> None:
 
 
 def main() -> None:
-    """Run the command line. Each failure prints one line on stderr and sets an exit code
-    (docs/guarantees.md#exit-codes).
-    """
+    """Run the command line. A failure prints one line on stderr and sets the exit code (docs/guarantees.md#exit-codes)."""
     prepare()
     heed()
     one_blas_thread()
@@ -120,19 +115,19 @@ def main() -> None:
 
 
 def run(arguments: list[str]) -> int:
-    """Run `l3 ARGUMENTS` and return its exit code."""
+    """Run `l3 ARGUMENTS`, and return its exit code."""
     record, results = begin(arguments), list[Result]()
     code = _guarded(lambda: _called(arguments, record, results), record)
-    if not record.as_json or not (results or record.error):  # for example, the command only printed its help
+    if not record.as_json or not (results or record.error):  # without result or error, the command only printed its help
         return code
     shown = _guarded(lambda: record.show(next(iter(results), None), code), record)
     return code or shown
 
 
 def _called(arguments: list[str], record: Record, results: list[Result]) -> int:
-    """Run the command and return its exit code.
+    """Run the command, and return its exit code.
 
-    The result is appended to `results`. It is printed unless it will be part of the JSON record.
+    The result of the command is appended to `results`. It is printed as text, unless --json is set.
     """
     try:
         result: Any = l3.main(arguments, prog_name="l3", standalone_mode=False, obj=record)
@@ -152,7 +147,7 @@ def _called(arguments: list[str], record: Record, results: list[Result]) -> int:
 
 
 def _guarded(work: Callable[[], int | None], record: Record) -> int:
-    """Run `work` and return its exit code. Errors are reported on stderr and in the record."""
+    """Run `work`, and return its exit code. Errors are printed on stderr and added to the record."""
 
     def fail(message: str, code: int) -> int:
         line = " ".join(message.split())
@@ -171,7 +166,7 @@ def _guarded(work: Callable[[], int | None], record: Record) -> int:
     except L3Error as error:
         return fail(str(error), error.exit_code)
     except BrokenPipeError:
-        drop(sys.stdout)  # the program at the other end of the pipe has closed it
+        drop(sys.stdout)  # the program that reads from the pipe has ended
         return 1
     except Terminated:
         signals.ignore()
@@ -182,7 +177,7 @@ def _guarded(work: Callable[[], int | None], record: Record) -> int:
     except MemoryError:
         return fail("out of memory; use fewer --jobs or smaller frames", 1)
     except ImportError as error:
-        return fail(f"cannot load a library: {error}; free some memory, or reinstall l3cli", 1)
+        return fail(f"l3 cannot load a library: {error}; free some memory, or reinstall l3cli", 1)
     except RuntimeError as error:
         if str(error) != NO_THREAD:
             raise
@@ -195,7 +190,7 @@ def _guarded(work: Callable[[], int | None], record: Record) -> int:
 
 
 def _usage(error: click.ClickException) -> str:
-    """Return the message of a usage error. It ends with the --help call that explains the command."""
+    """Return the message of a usage error. It ends with the call of --help that explains the command."""
     message = error.format_message().rstrip(".")
     if isinstance(error, click.NoSuchOption):
         similar = [name for name in error.possibilities or () if name.startswith("--")]

@@ -1,4 +1,4 @@
-"""l3 bench: lists OpenCL devices, and measures the time per frame for each stage of rendering."""
+"""l3 bench: lists OpenCL devices, and measures the time that each stage of rendering takes per frame."""
 
 from typing import Any
 
@@ -13,9 +13,9 @@ from l3cli.options.commands import BenchOptions
 @click.command()
 @declared.of(BenchOptions)
 def bench(options: BenchOptions) -> Result:
-    """Measure how long an OpenCL device takes to render synthetic frames from uint16 raw values to sRGB. Raw values and
-    sRGB are in host memory. The result is the median over 40 frames for each stage of rendering. Tiny frames are also timed
-    with the numpy reference.
+    """Measure how long an OpenCL device takes to render synthetic frames from uint16 raw values to sRGB. The times include
+    the transfers from and to host memory. Each time is the median over 40 frames. The numpy reference is also measured, on
+    tiny frames.
 
     \b
     Example: l3 bench --device 0 --json
@@ -38,7 +38,7 @@ def _text(document: dict[str, Any]) -> None:
     for number, result in enumerate(document["results"], 1):
         times = [f"{result['stages_ms'][stage]:.2f}" if stage in result["stages_ms"] else "" for stage in stages]
         what = [
-            str(number),  # identifies the row if the table is split because the terminal is too narrow
+            str(number),  # identifies the row if a narrow terminal splits the table
             f"{result['width']}×{result['height']}",
             *(str(result[key]) for key in ("channels", "patch", "classes", "outputs", "variant")),
         ]

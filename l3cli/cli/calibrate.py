@@ -1,4 +1,4 @@
-"""l3 calibrate: estimates a camera model from lab measurements, or from photos of a chart."""
+"""l3 calibrate: estimates a camera model from lab measurements or from photos of a chart."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from l3cli.options.commands import DraftOptions
 @declared.output("Camera model to write, or measurement file to write with --draft")
 @declared.of(DraftOptions, declared.trust)
 def calibrate(measurements: Path | None, output: Path, options: DraftOptions) -> Result:
-    """Estimate the spectral responsivities, gain and noise of a camera from lab measurements, or from photos of a
+    """Estimate the spectral responsivities, the gain and the noise of a camera from lab measurements or from photos of a
     ColorChecker.
 
     \b
@@ -28,7 +28,7 @@ def calibrate(measurements: Path | None, output: Path, options: DraftOptions) ->
         return _draft(options.draft, measurements, output, options)
     if options.camera is not None:
         raise click.UsageError(
-            "--camera is only for --draft, because a measurement file describes its camera; leave --camera out"
+            "--camera works only with --draft, because a measurement file describes its camera; leave --camera out"
         )
     from l3cli.calibration import figures
     from l3cli.io.raw.files import is_photo
@@ -44,15 +44,15 @@ def calibrate(measurements: Path | None, output: Path, options: DraftOptions) ->
 
 
 def _draft(folder: Path, measurements: Path | None, output: Path, options: DraftOptions) -> Result:
-    """Write a draft measurement file.
+    """Write the draft of a measurement file.
 
-    Raises UsageError if a measurement file or an option that is only for calibration was also specified.
+    Raises UsageError if the user also specified a measurement file, or an option that is only for calibration.
     """
     from l3cli.stages.calibration import draft
 
     given = [name for name in ("photos", "light", "truth", "accept") if getattr(options, name)]
     if measurements is not None or given:
         name = "MEASUREMENTS.toml" if measurements is not None else f"--{given[0].removesuffix('s')}"
-        raise click.UsageError(f"--draft writes a measurement file and does not calibrate; leave {name} out")
+        raise click.UsageError(f"--draft only writes a measurement file and does not calibrate; leave {name} out")
     files = draft(folder, output, options)
     return Result({"measurements": str(output)}, files=files)

@@ -14,9 +14,9 @@ from l3cli.system.files import files_to_read
 
 
 class AnyRecipe(declared.RecipeFile):
-    """A recipe of any kind, or a folder of recipes.
+    """Parameter type for a recipe of any type, or for a folder of recipes.
 
-    Names are resolved by the stage, because recipes of several kinds may have the same name.
+    The stage resolves the names of recipes, because recipes of different types may have the same name.
     """
 
     def __init__(self) -> None:
@@ -36,10 +36,10 @@ class AnyRecipe(declared.RecipeFile):
 @declared.of(CheckOptions)
 def check(recipes: tuple[str, ...], options: CheckOptions) -> Result:
     """Check recipes (camera, lab, scenes, classes) and measurement files, including all files to which they refer. Print
-    every error as FILE:LINE: MESSAGE (exit code 3). For a recipe without errors, explain what it means.
+    every error as FILE:LINE: MESSAGE (exit code 3). If a recipe has no errors, explain what it means.
 
-    RECIPE is a file, the name of a recipe that comes with l3, or a folder of recipes. If one recipe is a camera recipe,
-    the other recipes are checked for this camera.
+    RECIPE is a file, the name of a recipe that comes with l3, or a folder of recipes. If one of the recipes is a camera
+    recipe, the remaining recipes are checked for this camera.
 
     \b
     Example: l3 check camera.toml scenes.toml

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @declared.output("HTML page with the curves", required=False)
 @declared.of(CompareOptions)
 def compare(evaluations: tuple[Path, ...], output: Path | None, options: CompareOptions) -> Result:
-    """Compare the evaluations of several cameras at each luminance. Show which camera is better, and at which luminance
+    """Compare the evaluations of several cameras at each luminance. Print which camera is better, and at which luminance
     each camera clips.
 
     \b

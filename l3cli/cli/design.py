@@ -1,5 +1,5 @@
-"""l3 design: ranks colour filter arrays by their predicted error. l3 design moments: computes the statistics of scenes
-for this.
+"""The commands `l3 design`, which ranks colour filter arrays by their predicted error, and `l3 design moments`, which
+computes the statistics of scenes that the prediction needs.
 """
 
 from pathlib import Path
@@ -30,8 +30,8 @@ SHOWN = 20  # largest number of arrays that are printed
 @declared.output("Scene moments to write")
 @declared.of(MomentsOptions, declared.trust)
 def moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -> Result:
-    """Compute the second moments of scene spectra behind a lens and a pixel, from which "l3 design" predicts the error
-    of any colour filter array.
+    """Compute statistics of scenes (second moments of the spectra behind a lens and a pixel). "l3 design" predicts the error
+    of any colour filter array from these statistics.
 
     \b
     Example: l3 design moments default --camera bayer -o scenes.h5
@@ -45,7 +45,7 @@ def moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -
 
 
 class _WithMoments(click.Command):
-    """A command whose first argument may be the subcommand `moments`."""
+    """A command that runs the command `moments` instead if its first argument is "moments"."""
 
     def make_context(
         self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
@@ -60,11 +60,11 @@ class _WithMoments(click.Command):
 @declared.output("Design to write")
 @declared.of(DesignOptions)
 def design(recipe: Path, output: Path, options: DesignOptions) -> Result:
-    """Rank colour filter arrays by their predicted error, without training them. DESIGN.toml is a recipe, or the name of
-    a recipe that comes with l3. It describes the pixel, the filters, the arrays and the illuminants.
+    """Rank colour filter arrays by their predicted error, without training. DESIGN.toml is a recipe, or the name of a recipe
+    that comes with l3. It describes the pixel, the filters, the arrays and the illuminants.
 
-    First run "l3 design moments SCENES.toml --camera CAMERA -o SCENES.h5" once to compute the moments of scenes behind
-    this lens and this pixel.
+    First compute the statistics of scenes behind this lens and this pixel, once for all designs:
+    "l3 design moments SCENES.toml --camera CAMERA -o SCENES.h5".
 
     \b
     Example: l3 design dyes --moments scenes.h5 -o design.h5

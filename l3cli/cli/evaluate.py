@@ -23,28 +23,26 @@ if TYPE_CHECKING:
 @click.argument("frames", type=declared.FILE, required=False, metavar="TRAINING.h5")
 @declared.of(SequenceOptions)
 def evaluate(table: Path | None, frames: Path | None, options: SequenceOptions) -> Result:
-    """Render the raw frames of a training set on which TABLE was not trained, and compare the pictures with their
-    targets.
+    """Render the raw frames of a training set that was not used to train TABLE, and compare the pictures with the targets.
 
-    Pictures are compared as displayed, adapted to D65, with the 99th percentile of the target's luminance shown as
-    white. The baselines are a basic pipeline without training (interpolation, white balance, colour matrix) and, for
-    Bayer arrays if colour-demosaicing is installed, Malvar's and Menon's demosaicking with the same matrix.
+    Pictures are compared as displayed: adapted to D65, with the 99th percentile of the target's luminance as white. The
+    baselines are a basic pipeline without training (interpolation, white balance, colour matrix) and, for Bayer arrays if
+    colour-demosaicing is installed, Malvar's and Menon's methods with the same matrix.
 
-    If the outputs are the bands of the camera, they are compared as spectra (angle), as linear values, and as 8-bit
-    codes with white at 255. The baselines are bilinear interpolation, Malvar and Menon for Bayer arrays, and spectral
-    differences (sd) and pseudo-panchromatic image difference (ppid) for arrays in which every band occurs once per
-    period.
+    If the outputs are the bands of the camera, they are compared as spectra (angle), as linear values, and as 8-bit values
+    with white at 255. The baselines are bilinear interpolation, Malvar and Menon for Bayer arrays, and spectral differences
+    (sd) and pseudo-panchromatic image difference (ppid) for arrays in which every band occurs once per period.
 
-    Reflectances and radiances are also compared as spectra, and reflectances also as colours (mean ΔE00) under A, D65
-    and F11. The baselines are two linear estimates from the demosaicked bands of each pixel (wiener, pinv), which are
-    computed from synthetic scenes under the illuminant of the frame.
+    If the outputs are reflectances or radiances, they are also compared as spectra. Reflectances are also compared as
+    colours (mean ΔE00) under A, D65 and F11. The baselines are two linear estimates from the demosaicked bands of each pixel
+    (wiener, pinv). They are computed from synthetic scenes under the illuminant of the frame.
 
-    With --rival, pictures of another pipeline are also evaluated, under the name of their folder. Their brightness does
-    not matter, because one factor per picture is fitted.
+    With --rival, pictures from a different pipeline are also evaluated, under the name of their folder. Their brightness
+    does not matter, because l3 fits one factor per picture.
 
-    With --sequence, rendered pictures are evaluated over time: noise and flicker of CIE L* on patches without motion,
-    and the largest jump of the mean of a frame. With --ideal, PSNR, ΔE00 and the change of the error along the known
-    motion are also evaluated.
+    With --sequence, l3 evaluates rendered pictures over time: the noise and flicker of CIE L* on patches without motion, and
+    the largest jump of the mean of a frame. With --ideal, it also evaluates PSNR, ΔE00 and the change of the error along the
+    known motion.
 
     \b
     Example: l3 evaluate table.h5 unseen.h5 --json
@@ -71,16 +69,17 @@ def _sequence(sequence: Path, table: Path | None, options: SequenceOptions) -> R
     return Result(figures.document(), lambda: print_sequence(figures), files=files)
 
 
-WIDE = 110  # characters; tables on narrower terminals do not contain the metrics LESS_NEEDED
+WIDE = 110  # characters; on narrower terminals, the metrics LESS_NEEDED are not printed
 LESS_NEEDED = ("median_delta_e", "output_psnr", "ssim")
-NOT_SHOWN = ("visual_noise", "gfc", "delta_e_a", "delta_e_f11")  # metrics that only the JSON and the report contain
+NOT_SHOWN = ("visual_noise", "gfc", "delta_e_a", "delta_e_f11")  # metrics that are only in the JSON and in the report
 
 
 def print_tables(document: dict[str, Any]) -> None:
-    """Print the metrics by frame, brightness and illuminant, their means, and the metrics from standards.
+    """Print the metrics of each frame, their means, the metrics by brightness and by illuminant, and the metrics of
+    standards.
 
-    Baselines are printed with their main metrics only. Only the JSON and the report contain classes, patches, bands and
-    gains.
+    For baselines, only the main metrics are printed. Results for classes, patches, bands and gains are only in the JSON and
+    in the report.
     """
     width = terminal.width()
     wide = width is None or width >= WIDE
@@ -112,7 +111,7 @@ def print_tables(document: dict[str, Any]) -> None:
 
 
 def _print_standards(figures: dict[str, dict[str, float | None]]) -> None:
-    """Print the sharpness (cycles/pixel) and the lowest usable luminance of each pipeline (docs/measurement.md)."""
+    """Print the sharpness in cycles/pixel and the lowest usable luminance of each pipeline (docs/measurement.md)."""
     names = list(next(iter(figures.values())))
     rows = [[owner, *(figure_text(name, of[name]) for name in names)] for owner, of in figures.items()]
     show_table(["", "by standards"], ["pipeline", *(FIGURES[name].short for name in names)], rows)

@@ -18,14 +18,14 @@ from l3cli.options.option import declarations
 @declared.output("Folder to write to", metavar="DIR")
 @declared.of(ExportOptions)
 def export(artifact: Path, output: Path, options: ExportOptions) -> Result:
-    """Write files for other software.
+    """Convert a camera or a transform table to files for other software.
 
-    CAMERA is a camera.h5 or a camera recipe. l3 writes curves (CSV, rawtoaces JSON), a data sheet (CSV), DCP matrices
-    (JSON) and, for Bayer arrays, tuning files of libcamera. It prints the colour error of the matrices on measured
-    surfaces for each illuminant.
+    For CAMERA, a camera model or a camera recipe, l3 writes curves (CSV, rawtoaces JSON), a data sheet (CSV), DCP matrices
+    (JSON) and, for Bayer arrays, tuning files for libcamera. It prints the colour error of the matrices on measured surfaces
+    under each illuminant.
 
-    TABLE.h5 is a transform table. l3 writes C99 source that renders to sRGB without l3, or little-endian arrays for
-    other hardware. In the folder of the C source, "make test" compares the source with l3's reference on a test mosaic.
+    For TABLE.h5, a transform table, l3 writes C99 source that renders to sRGB without l3, or little-endian arrays for other
+    hardware. In the folder of the C source, "make test" compares its output with l3's reference on a test mosaic.
 
     \b
     Example: l3 export table.h5 -o source --to c
@@ -39,7 +39,7 @@ def export(artifact: Path, output: Path, options: ExportOptions) -> Result:
         return Result({"files": names}, files=files)
     if of_tables := options.chosen():
         flag = declarations(ExportOptions)[next(iter(of_tables))].flag or next(iter(of_tables))
-        raise RecipeError(f"‹{flag}› is only for transform tables, but {artifact} is a camera; leave ‹{flag}› out")
+        raise RecipeError(f"‹{flag}› works only for transform tables, but {artifact} is a camera; leave ‹{flag}› out")
     matrices, files = export_camera(artifact, output, options)
     text = (lambda: show(*matrix_lines(matrices, terminal.width()))) if matrices else None
     return Result({"matrices": matrices}, text, files=files)

@@ -1,4 +1,4 @@
-"""l3 info: shows the content of an artifact, or the versions of this installation."""
+"""l3 info: prints the content of an artifact, or the versions of this installation."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 @click.argument("inputs", type=declared.FILE, nargs=-1, metavar="[INPUT…]")
 @declared.of(InfoOptions)
 def info(file: Path | None, inputs: tuple[Path, ...], options: InfoOptions) -> Result:
-    """Show the kind, version, history and data sets (axes, type, unit, meaning) of FILE. For a transform table, also
-    show its classes, patches, noise gain, gain of flat areas and noisiest classes.
+    """Print the type, the version, the history and the data sets (axes, type, unit, meaning) of the artifact FILE. For a
+    transform table, also print its classes, patches, noise gain, gain of flat areas and noisiest classes.
 
-    With --verify, compare every byte of FILE with its digest, read all data, and compare the input files in its history
-    (artifacts, recipes, frames, spectra) with the given INPUTs. If an INPUT is not in the history, it is another file or
-    has changed (exit code 3).
+    With --verify, verify the digest of FILE, read all its data, and compare the INPUTs with the input files in its history
+    (artifacts, recipes, frames, spectra). If an INPUT is not in the history, it is the wrong file or has changed (exit code
+    3).
 
     \b
     Example: l3 info camera.h5
@@ -38,7 +38,7 @@ def info(file: Path | None, inputs: tuple[Path, ...], options: InfoOptions) -> R
     if options.verify and file is not None:
         return _verify(file, inputs)
     if options.verify or inputs:
-        raise click.UsageError("specify one file; INPUTs, from which the file was made, can only be used with --verify")
+        raise click.UsageError('specify only one file; to compare FILE with its input files, use "l3 info --verify"')
     from l3cli.stages.information import content, versions
 
     files = files_to_read({"artifact": [file]} if file else {})
@@ -53,7 +53,7 @@ def _show(lines: list[str]) -> None:
 
 
 def _verify(file: Path, inputs: tuple[Path, ...]) -> Result:
-    """Verify an artifact. If an input does not match, the result contains an InputFileError."""
+    """Verify an artifact and compare its inputs. If an input does not match, the result contains an InputFileError."""
     from l3cli.stages.information import verification
 
     files = files_to_read({"artifact": [file], "inputs": inputs})
@@ -61,7 +61,9 @@ def _verify(file: Path, inputs: tuple[Path, ...]) -> Result:
     fault = None
     if result.strangers:
         named = ", ".join(str(path) for path in result.strangers)
-        fault = InputFileError(f"{file} was not made from {named}; specify the original input files, or create {file} again")
+        fault = InputFileError(
+            f"the history of {file} does not contain {named}; specify the original input files, or create {file} again"
+        )
     return Result(result.document(), lambda: show(*_verified(file, result)), fault, files=files)
 
 
@@ -87,7 +89,7 @@ def _lines(content: dict[str, Any]) -> list[str]:
 
 
 def _verified(file: Path, verification: "Verification") -> list[str]:
-    """Return lines about the verified data, and about the number of input files that were not specified."""
+    """Return one line about the data of an artifact, and one line per role of its input files."""
     intact = verification.intact
     whole = f"all bytes agree with the digest; {intact.datasets} datasets can be read"
     lines = [f"{file}: {intact.kind}, format version {intact.version}: {whole}"]
@@ -107,7 +109,7 @@ def _line(item: dict[str, Any]) -> str:
 
 
 def _short(value: Any) -> str:
-    """Return a number with six digits, or text unchanged. The JSON contains all digits."""
+    """Return a value as text, with six significant digits for numbers. The JSON contains all digits."""
     if isinstance(value, list):
         return f"[{', '.join(map(_short, value))}]"
     return figure(value, ".6g") if isinstance(value, float) else str(value)

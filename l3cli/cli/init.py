@@ -1,4 +1,4 @@
-"""l3 init: creates a folder with the recipes and the pipeline of a camera, or with a benchmark."""
+"""l3 init: creates a folder with recipes and a Makefile, for a camera or for a benchmark."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from l3cli.options.commands import InitOptions
 
 
 def _completed(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
-    """Complete the names of recipes and cameras."""
+    """Return the names of recipes and cameras that begin with `incomplete`, for shell completion."""
     from l3cli.recipes.builtin import cameras_by_name, starters
 
     return [name for name in (*starters(), *cameras_by_name()) if name.startswith(incomplete)]
@@ -25,15 +25,15 @@ def _completed(context: click.Context, parameter: click.Parameter, incomplete: s
 @click.argument("more", nargs=-1, metavar="")
 @declared.of(InitOptions)
 def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options: InitOptions) -> Result:
-    """Create the folder DIR with recipes for a camera and a Makefile that makes a picture and a report from them. DIR
-    also contains the same pipeline for Snakemake and for Slurm job arrays.
+    """Create the folder DIR with recipes for a camera, and with a Makefile that runs the pipeline and renders a picture and
+    a report. DIR also contains this pipeline for Snakemake and for Slurm job arrays.
 
     RECIPE is the name of a type of camera or of a benchmark, the name of a camera whose measured curves come with l3
-    (--list), or your own camera recipe (.toml), which is copied together with its curves. The Makefile of a benchmark
-    trains on one folder of your pictures and evaluates on another.
+    (--list), or your own camera recipe (.toml), which is copied together with its curves. The Makefile of a benchmark trains
+    on one folder of your pictures, and evaluates on a second folder.
 
-    With --from, l3 derives the camera recipe from raw files. If the files are from several cameras, DIR gets a folder
-    for each camera. If --from specifies a design ("l3 design"), the recipe describes the best array of the design.
+    With --from, l3 derives the camera recipe from raw files. If the files come from several cameras, l3 creates a folder in
+    DIR for each camera. If --from specifies a design ("l3 design"), the recipe describes the best array of the design.
 
     Without arguments, list the recipes.
 
@@ -48,26 +48,26 @@ def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options
 
     for_photos = "light", "phase", "pattern", "black_level", "white_level", "opcodes"
     of_photos = [name for name in for_photos if getattr(options, name) is not None]
-    if options.photos:  # the shell may have expanded a pattern to several files
+    if options.photos:  # if the shell has expanded a pattern to several files, all but the first are arguments
         named = [Path(each) for each in (recipe, folder, *more) if each is not None]
         if not named:
             raise click.UsageError('specify a new folder, for example "l3 init --from photo.dng mine"')
         if single := next((each for each in options.photos if each.suffix in (".h5", ".toml")), None):
             what, make = ("design", start_designed) if single.suffix == ".h5" else ("recipe", start_recipe)
             if len(options.photos) + len(named) != 2:
-                raise click.UsageError(f"--from needs exactly one {what} and one folder; leave the other arguments out")
+                raise click.UsageError(f"--from needs exactly one {what} and one folder; leave all further arguments out")
             if of_photos:
                 option = f"--{of_photos[0].replace('_', '-')}"
-                raise click.UsageError(f"{option} is only for raw files, not for a {what}; leave {option} out")
+                raise click.UsageError(f"{option} works only with raw files, not with a {what}; leave {option} out")
             return Result({"folders": [str(named[0])]}, files=make(single, named[0], options))
         made, files = start_from([*options.photos, *named[:-1]], named[-1], options)
         return Result({"folders": [str(each) for each in made]}, files=files)
     if of_photos:
         raise click.UsageError(
-            f"--{of_photos[0].replace('_', '-')} is only for raw files; specify the raw files with --from"
+            f"--{of_photos[0].replace('_', '-')} works only with raw files; specify the raw files with --from"
         )
     if more:
-        raise click.UsageError(f'"{more[0]}" is one argument too many; specify raw files with --from')
+        raise click.UsageError(f'the argument "{more[0]}" is not expected; if it is a raw file, specify it with --from')
     if options.named:
         words = " ".join(str(each) for each in (recipe, folder) if each is not None)
         cameras = {name: ", ".join(names) for name, names in cameras_by_name(words).items()}

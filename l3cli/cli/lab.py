@@ -14,8 +14,8 @@ from l3cli.options.commands import LabOptions
 @declared.output("Folder to write to", metavar="DIR")
 @declared.of(LabOptions)
 def lab(camera: Path, output: Path, options: LabOptions) -> Result:
-    """Simulate lab measurements of CAMERA, as input for "l3 calibrate". CAMERA is a camera recipe, the name of a recipe
-    ("l3 init" lists the names) or a camera.h5.
+    """Simulate lab measurements of CAMERA, and write a measurement file for "l3 calibrate". CAMERA is a camera recipe, the
+    name of a recipe ("l3 init" lists the names) or a camera model.
 
     \b
     Example: l3 lab camera.toml -o lab

@@ -1,4 +1,4 @@
-"""Creates click options from the declarations in l3cli/options, and defines the options that all commands have."""
+"""Creates click options from the declarations in l3cli/options, and defines the options of all commands."""
 
 import functools
 import os
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-FILE = click.Path(path_type=Path, readable=False)  # click does not check files, because l3 reports errors better
+FILE = click.Path(path_type=Path, readable=False)  # click does not check files, because the messages of l3 are clearer
 
 
 class RecipeFile(click.Path):
-    """Parameter type for a recipe: a path, or the name of a recipe in the folder `kind` of configs/."""
+    """Parameter type for a recipe: a path, or the name of a recipe in the folder configs/`kind`."""
 
     def __init__(self, kind: str) -> None:
         super().__init__(path_type=Path, readable=False)
@@ -33,7 +33,7 @@ class RecipeFile(click.Path):
         return Recipe(self.kind).read(value)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list["CompletionItem"]:
-        """Return recipe names and file names. bash offers no file names of its own if a program returns completions."""
+        """Return recipe names and file names. If a program returns any completions, bash does not add file names."""
         from click.shell_completion import CompletionItem
 
         from l3cli.recipes.builtin import known_recipes
@@ -50,7 +50,7 @@ CAMERA = RecipeFile("cameras")
 
 
 class Value(click.ParamType):
-    """Parameter type for a value that the reader of the option parses."""
+    """Parameter type for a value that a reader of l3cli/options parses."""
 
     name = "value"
 
@@ -65,7 +65,7 @@ class Value(click.ParamType):
 
 
 class Word(click.Choice):
-    """Parameter type for one of the values of a Choice."""
+    """Parameter type for one of the values of a `Choice`, whose `read` converts the text."""
 
     def __init__(self, reader: Choice) -> None:
         super().__init__(list(map(str, reader.values)))
@@ -102,10 +102,15 @@ def _option(name: str, declared: Declaration) -> Callable[[F], F]:
 
 
 def of(options: type[Options], *modes: Callable[[Any], Any]) -> Callable[[F], F]:
-    """Return a decorator that adds the options declared in `options`, and --quiet, --log FILE and --json, to a command.
+    """Return a decorator that adds options to a command: the declared options, --quiet, --log FILE and --json.
 
-    The command receives the values of the declared options, and the console, as one object in the parameter `options`.
-    `modes` are further click decorators. Their values are passed to the command as separate keyword arguments.
+    Parameters
+    ----------
+    options : type
+        Class that declares the options. The command receives an instance in its parameter `options`, with the values and
+        with the console.
+    *modes : callable
+        Further click decorators. The command receives their values as separate keyword arguments.
     """
     declared = declarations(options)
 
@@ -122,11 +127,11 @@ def of(options: type[Options], *modes: Callable[[Any], Any]) -> Callable[[F], F]
 
 
 def output(what: str, required: bool = True, metavar: str = "FILE") -> Callable[[F], F]:
-    """Return a decorator that adds the option -o/--output with the help text `what`."""
+    """Return a decorator that adds the option -o/--output to a command. `what` is its help text, without full stop."""
     return click.option("-o", "--output", type=FILE, required=required, metavar=metavar, help=f"{what}.")
 
 
-LOG = "l3cli.log"  # key in `click.Context.meta` under which the path of --log is stored
+LOG = "l3cli.log"  # key of the path of --log in `click.Context.meta`
 
 
 def _log(context: click.Context, parameter: click.Parameter, path: Path | None) -> None:
@@ -148,7 +153,7 @@ _LOG = click.option(
     "--log", type=FILE, metavar="FILE", is_eager=True, expose_value=False, callback=_log,
     help="Also append all messages, with time, level and command, to FILE.",
 )  # fmt: skip
-_JSON = click.option(  # the value is not used, because results.begin has already searched the arguments for --json
+_JSON = click.option(  # the value is not used, because `results.begin` has already searched the arguments for --json
     JSON, "as_json", is_flag=True, expose_value=False,
     help="Print results, warnings, times and file digests as one JSON object on stdout.",
 )  # fmt: skip

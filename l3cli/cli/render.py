@@ -32,12 +32,12 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
     headerless file with many frames, SER, a grey video (FFV1 in MKV, y4m, uncompressed AVI), or - (headerless frames on
     stdin).
 
-    If you specify several INPUTs and one of them is a sequence, each INPUT is a clip. If an INPUT folder contains
-    videos, stacks or folders, each of these is a clip. Every clip becomes a folder or file with the same name in the
-    output folder. If a clip fails, the other clips are still rendered (exit code 1). With --resume, the same command
-    renders the files that were added or changed since.
+    If you specify several INPUTs and one of them is a sequence, each INPUT is a clip. If an INPUT folder contains videos,
+    stacks or folders, each of them is a clip. l3 renders every clip to a folder or file with the same name in the output
+    folder. If a clip fails, l3 still renders the remaining clips (exit code 1). To render only files that were added or
+    changed since, run the same command with --resume.
 
-    With --exposure auto, the 99th percentile of Y is shown as white. In a sequence, the exposure changes smoothly over
+    With --exposure auto, the 99th percentile of Y is rendered as white. In a sequence, the exposure changes smoothly over
     time.
 
     \b
@@ -55,14 +55,16 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
     if not inputs:
         raise click.UsageError("Missing argument 'INPUT...'.")
     if any(needs_isolation(path) for path in inputs):
-        start()  # the isolated process needs a third of a second to start, about as long as the following imports
+        start()  # the isolated process starts while the following imports run; both take about a third of a second
     from l3cli.stages.rendering.clips import Summary, are_clips, clips_of, render_clips, render_one
 
     clips = clips_of(inputs, table, options, output)
     if clips == inputs and not are_clips(inputs, table, options, output):
         return clips_result(render_one(table, inputs, output, options))
     if options.shard is not None:
-        raise click.UsageError("--shard works only for one sequence, but the inputs are several clips; render one clip")
+        raise click.UsageError(
+            "--shard works only for one sequence, but the inputs are several clips; render the clips one by one"
+        )
     summary = Summary()
     try:
         render_clips(table, clips, output, options, summary)
@@ -74,9 +76,10 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
 
 
 def clips_result(summary: "Summary", fault: BaseException | None = None, show_text: bool = False) -> Result:
-    """Return the result of l3 render.
+    """Return the result of `l3 render`.
 
-    A table is printed if `show_text` is set, or if the error `fault` ended a run over many clips.
+    `fault` is the error that ended a command with several clips early. If it is set, or if `show_text` is true, a table of
+    the clips is printed.
     """
     document = _worded(summary.document())
     text = (lambda: _table(document)) if show_text or fault else None
@@ -84,7 +87,7 @@ def clips_result(summary: "Summary", fault: BaseException | None = None, show_te
 
 
 def _worded(value: Any) -> Any:
-    """Return a document in whose messages parameters are replaced by options."""
+    """Return a document in which parameters in messages, such as ‹skip_bad›, are replaced by options."""
     if isinstance(value, dict):
         return {key: _worded(each) for key, each in value.items()}
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""l3 report: shows artifacts on one page with plots and pictures."""
+"""l3 report: writes a page with plots and pictures of artifacts."""
 
 from pathlib import Path
 
@@ -16,9 +16,9 @@ from l3cli.options.commands import ReportOptions
 def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) -> Result:
     """Show camera models, training sets and transform tables on one HTML page that needs no network.
 
-    Every table is evaluated on every training set of the same colour filter array on which it was not trained. Several
-    evaluations are shown side by side. If you specify no camera model, the page shows the camera models in the training
-    sets. JSON files from "l3 evaluate --sequence" are shown in a common plot over time.
+    Every table is evaluated on every training set with the same colour filter array, except for training sets that were used
+    to train the table. Several evaluations are shown side by side. If you specify no camera model, the page shows the camera
+    models in the training sets. JSON files from "l3 evaluate --sequence" share one plot over time.
 
     \b
     Example: l3 report camera.h5 training.h5 table.h5 unseen.h5 -o report.html

@@ -1,6 +1,4 @@
-"""The result of a command: a JSON document, and a function that prints it as text. --json also prints a record of the
-run.
-"""
+"""The result of a command, and the record of its run that --json adds to the result."""
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -16,8 +14,8 @@ from l3cli.system.files import Dated, FilesUsed, dated, require_regular, sha256
 
 T = TypeVar("T")
 RUN_FORMAT = 1  # version of the keys in "run"
-ERROR_KINDS = {2: "call", 3: "input", 4: "device", 130: "interrupted", 143: "terminated"}  # by exit code
-MOST_MESSAGES = 1000  # largest number of recorded messages, and of recorded warnings, because many frames can cause many
+ERROR_KINDS = {2: "call", 3: "input", 4: "device", 130: "interrupted", 143: "terminated"}  # type of error per exit code
+MOST_MESSAGES = 1000  # largest number of messages, and of warnings, in the record; a long sequence can cause very many
 JSON = "--json"
 
 
@@ -25,31 +23,31 @@ JSON = "--json"
 class Result:
     """Result of a command."""
 
-    document: Mapping[str, Any] = field(default_factory=dict)  # ready for JSON
-    text: Callable[[], object] | None = None  # prints the document as text; None if messages already contain the results
-    fault: BaseException | None = None  # error that the result reports, or that ended the command early
-    code: int = 0  # exit code without a fault
-    files: FilesUsed = field(default_factory=FilesUsed)
+    document: Mapping[str, Any] = field(default_factory=dict)  # the result, ready for JSON
+    text: Callable[[], object] | None = None  # prints the result as text; None if there is nothing to print
+    fault: BaseException | None = None  # error that is raised after the result has been printed
+    code: int = 0  # exit code if there is no fault
+    files: FilesUsed = field(default_factory=FilesUsed)  # files that the command has read and written
 
 
 @dataclass
 class Record:
-    """The course of a command: its log, and the messages and times that --json prints.
+    """The record of a run: the messages, the times and the error that --json prints, and the log of --log.
 
-    Click passes the record to the commands as the `obj` of its contexts.
+    Click passes the record to the commands as the attribute `obj` of its contexts.
     """
 
     command: str = ""
-    as_json: bool = False
-    log: Logged | None = None  # also receives the final error
+    as_json: bool = False  # whether --json is set
+    log: Logged | None = None  # console that writes the log; None without --log
     warnings: list[str] = field(default_factory=list)
     messages: list[str] = field(default_factory=list)
     left_out: int = 0  # number of warnings and messages that were not recorded
-    steps: dict[str, tuple[int, float]] = field(default_factory=dict)  # number of items and duration in s, by step
-    error: dict[str, str] | None = None
+    steps: dict[str, tuple[int, float]] = field(default_factory=dict)  # name of a step: number of items, duration in s
+    error: dict[str, str] | None = None  # type and message of the error that ended the command
     console: Console = field(default_factory=Terminal)  # console to which the command sends its messages
-    begun: float = field(default_factory=time.time)  # s since 1970
-    start: float = field(default_factory=time.monotonic)
+    begun: float = field(default_factory=time.time)  # time of the start, in s since 1970
+    start: float = field(default_factory=time.monotonic)  # time of the start on a monotonic clock, in s
 
     def add(self, messages: list[str], message: str) -> None:
         if len(messages) < MOST_MESSAGES:
@@ -58,20 +56,20 @@ class Record:
             self.left_out += 1
 
     def fail(self, message: str, code: int) -> None:
-        """Record the error that ended the command, and write it to the log."""
+        """Record the error that ended the command, and write it to the log. `code` is the exit code."""
         if self.log is not None:
             self.log.heard("error", message)
         self.error = {"kind": ERROR_KINDS.get(code, "failure"), "message": with_options(message)}
 
     def show(self, result: Result | None, code: int) -> None:
-        """Print the document as JSON, with the record of the command under "run".
+        """Print the result as JSON, with the record of the run under the key "run".
 
-        The record contains the SHA-256 of all inputs and outputs. It lists no files if the command was interrupted or has no
-        result.
+        The record contains the SHA-256 of all inputs and outputs. If the command was interrupted or has no result, the
+        record lists no files.
         """
         seconds, console = time.monotonic() - self.start, Recorded(self.console, self)
         is_whole = result is not None and (result.fault is None or isinstance(result.fault, L3Error))
-        files = result.files if result is not None and is_whole else FilesUsed()  # digests would delay Ctrl-C
+        files = result.files if result is not None and is_whole else FilesUsed()  # computing digests would delay Ctrl-C
         inputs = {role: [_file(path, at, console) for path, at in read.items()] for role, read in files.read.items()}
         outputs = [_file(path, dated(path), console) for path in dict.fromkeys(map(Path.absolute, files.written))]
         document = finite(result.document if result else {}, console)
@@ -94,39 +92,40 @@ class Record:
 
 
 def _file(path: Path, at: Dated | None, console: Console) -> dict[str, Any]:
-    """Return path, size and SHA-256 of a file.
+    """Return the path, the size and the SHA-256 of a file.
 
-    The size and the digest are None if the path is not a regular file, or if the file has changed since `at`. A change is
-    also reported as a warning.
+    If the path is not a regular file, the size and the digest are None. If the file has changed since `at`, they are also
+    None, and a warning is printed.
     """
     size, digest = None, None
     try:
         require_regular(path)
         if dated(path) != at:
-            console.warn(f"{path} changed during the run, so the JSON does not contain its digest")
+            console.warn(f"{path} changed while l3 ran, so the JSON does not contain its digest")
         else:
             size, digest = at[0] if at else None, sha256(path)
     except InputFileError:
-        pass  # the path is a folder or a stream, or the file was removed
+        pass  # the path is a folder or a stream, or the file has been removed
     return {"path": str(path), "bytes": size, "sha256": digest}
 
 
 def begin(arguments: list[str]) -> Record:
-    """Return the record of a call. It is created before click parses the arguments, because parsing may fail."""
+    """Create the record of a run. This happens before click parses the arguments, because parsing may fail."""
     before = arguments[: arguments.index("--")] if "--" in arguments else arguments
     return Record(next(iter(arguments), ""), as_json=JSON in before)
 
 
 class Recorded(Passing):
-    """A console that passes all messages to another console and adds them to the record."""
+    """A console that adds all messages to the record, and passes them to a second console."""
 
     def __init__(self, console: Console, record: Record) -> None:
         super().__init__(console)
         self._record = record
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """Show progress on the inner console and record the duration. The durations of steps with the same name are
-        added.
+        """Display progress on the second console, and record the number of items and the duration.
+
+        The durations of steps with the same name are added.
         """
         start = time.monotonic()
         done, before = self._record.steps.get(what, (0, 0.0))

@@ -14,10 +14,10 @@ KINDS = ("camera", "lab", "scenes", "classes", "design", "measurements")
 @click.argument("kind", type=click.Choice(KINDS), metavar="KIND")
 @declared.of(Options)
 def schema(kind: str, options: Options) -> Result:
-    """Print the JSON schema of a KIND of recipe: camera, lab, scenes, classes, design or measurements.
+    """Print the JSON schema of a type of recipe. KIND is camera, lab, scenes, classes, design or measurements.
 
-    Editors (taplo, Even Better TOML) check a recipe against the schema if the first line of the recipe refers to the
-    file of the schema, for example "#:schema camera.schema.json".
+    Editors with TOML support (taplo, Even Better TOML) check a recipe against the schema if the first line of the recipe
+    contains the file name of the schema, for example "#:schema camera.schema.json".
 
     \b
     Example: l3 schema camera

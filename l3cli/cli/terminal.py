@@ -1,7 +1,6 @@
-"""All functions that print something.
+"""All functions that print to stdout or stderr.
 
-Control characters are escaped, because names and texts from untrusted files must not move the cursor, hide text or add
-lines.
+Control characters are escaped, so that names and texts from untrusted files cannot move the cursor, hide text or add lines.
 """
 
 import contextlib
@@ -23,8 +22,8 @@ if TYPE_CHECKING:
     from l3cli.system.console import Console
 
 T = TypeVar("T")
-SIZE = re.compile("0*[1-9][0-9]{0,5}")  # valid values of COLUMNS and LINES
-PARAMETER = re.compile("‹([a-z_]+)›")  # the form in which messages of other packages contain the names of parameters
+SIZE = re.compile("0*[1-9][0-9]{0,5}")  # valid values of the environment variables COLUMNS and LINES
+PARAMETER = re.compile("‹([a-z_]+)›")  # name of a parameter in a message of a package below cli/
 
 
 def show(*lines: str) -> None:
@@ -33,25 +32,22 @@ def show(*lines: str) -> None:
 
 
 def show_table(title: Sequence[str], headings: Sequence[str], rows: Sequence[Sequence[str]], *notes: str) -> None:
-    """Print a table to stdout, fitted to the width of the terminal, with a title above and notes below."""
+    """Print a title, a table and notes to stdout. The table is fitted to the width of the terminal."""
     show(*title, *columns(headings, rows, width()), *notes)
 
 
 def show_json(document: Any) -> None:
-    """Print a document as JSON to stdout.
-
-    The output is ASCII, so that file names can be printed in every encoding.
-    """
+    """Print a document as JSON to stdout. The output is ASCII, so that it can be printed in every encoding."""
     click.echo(json.dumps(document, indent=2, allow_nan=False))
 
 
 def finite(document: Any, console: "Console") -> Any:
-    """Replace NaN and infinity by null, because JSON has neither. A warning lists the replaced values."""
+    """Replace NaN and infinity by None, because JSON supports neither, and print a warning that lists these values."""
     missing: list[str] = []
     known = _finite(document, "", missing)
     if missing:
         named = ", ".join(missing[:4]) + (f" and {len(missing) - 4} more" if len(missing) > 4 else "")
-        console.warn(f"values that cannot be computed are null in the JSON: {named}")
+        console.warn(f"some values cannot be computed and are null in the JSON: {named}")
     return known
 
 
@@ -81,7 +77,7 @@ def to_stderr(message: str) -> None:
 
 
 def prepare() -> None:
-    """Make stdout and stderr print "?" for characters that they cannot encode, and ignore invalid COLUMNS and LINES."""
+    """Make stdout and stderr print "?" for characters that they cannot encode, and remove invalid COLUMNS and LINES."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
@@ -99,11 +95,14 @@ def drop(stream: IO[str]) -> None:
             os.dup2(nowhere.fileno(), stream.fileno())
 
 
-LONGEST_SILENCE, SHORTEST_SILENCE = 600.0, 10.0  # s; longest and shortest time between two progress lines if not a terminal
+LONGEST_SILENCE, SHORTEST_SILENCE = 600.0, 10.0  # s; limits of the time between two progress lines in a pipe or file
 
 
 def width() -> int | None:
-    """Return the width of stdout in characters, from the terminal or COLUMNS, or None for a pipe or a file."""
+    """Return the width of stdout in characters, from the terminal or COLUMNS. It is at least 40.
+
+    The result is None if stdout is a pipe or a file, unless COLUMNS is set.
+    """
     import shutil
 
     if not sys.stdout.isatty() and "COLUMNS" not in os.environ:
@@ -112,7 +111,7 @@ def width() -> int | None:
 
 
 def folded(line: str, deeper: int) -> list[str]:
-    """Wrap a line to the width of the terminal. Continuation lines are indented by `deeper` more characters."""
+    """Wrap a line to the width of the terminal. Continuation lines are indented by `deeper` characters."""
     import textwrap
 
     wide = width()
@@ -126,7 +125,11 @@ class Terminal:
     """Console of a command. All messages go to stderr."""
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """Show a progress bar if stderr is a terminal. Otherwise print a line after each tenth of the work."""
+        """Iterate over `items` and display the progress.
+
+        If stderr is a terminal, this is a progress bar. Otherwise it is a line after each tenth of the work, but not more
+        often than every SHORTEST_SILENCE and at least every LONGEST_SILENCE.
+        """
         interactive = sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
         return (_with_bar if interactive else _with_lines)(items, total, what)
 
@@ -141,7 +144,7 @@ class Terminal:
 
 
 class ErrorsOnly(Silent):
-    """Console of a command with --quiet. Only reports about omitted data go to stderr."""
+    """Console of a command with --quiet. Only reports about data that were left out go to stderr."""
 
     def report(self, message: str) -> None:
         to_stderr(message)
@@ -174,14 +177,17 @@ def _with_lines(items: Iterable[T], total: int | None, what: str) -> Iterator[T]
 
 
 def _pace(done: int, total: int | None, seconds: float) -> str:
-    """Return the percentage that is done, the rate and the remaining time."""
+    """Return a text with the percentage of the work that is done, the rate and the remaining time.
+
+    If `total` is unknown (None), the text contains only the rate.
+    """
     each = max(seconds, 1e-9) / done
     rate = f"{1 / each:.3g} per second" if each < 2 else f"{_span(each)} each"
     return f"{100 * done // total} %, {rate}, {_span(max(total - done, 0) * each)} left" if total else rate
 
 
 def _span(seconds: float) -> str:
-    """Return a duration in its two largest units."""
+    """Return a duration as text in its two largest units, such as "2 h 5 min"."""
     seconds = round(seconds)
     for unit, name, part, smaller in ((86400, "d", 3600, "h"), (3600, "h", 60, "min"), (60, "min", 1, "s")):
         if seconds >= unit:

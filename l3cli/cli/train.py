@@ -1,4 +1,4 @@
-"""l3 train: trains a transform table on training sets, in one run or in shards."""
+"""l3 train: trains a transform table on training sets, on one machine or in shards on several machines."""
 
 from pathlib import Path
 
@@ -14,17 +14,17 @@ from l3cli.options.commands import ShardOptions
 @declared.output("Transform table to write, or partial sums to write with --shard")
 @declared.of(ShardOptions)
 def train(files: tuple[Path, ...], output: Path, options: ShardOptions) -> Result:
-    """Train a table of local linear transforms on one or more training sets.
+    """Train a transform table on one or more training sets.
 
     \b
     Example: l3 train training.h5 --classes classes.toml -o table.h5
 
-    Training patches are distributed evenly over all frames. With --shares 1,0.7,0.4, three training sets get patches in
+    Training patches are drawn evenly from all frames. With --shares 1,0.7,0.4, patches are drawn from three training sets in
     these proportions, regardless of how many frames each set contains.
 
-    To train on several machines, divide the work into shards, with the same training sets, shares, recipe and seed.
-    Training takes two passes, because the errors of the first pass determine the weights in the second pass. Four steps
-    are therefore needed. The final table has the same bytes as a table that is trained without shards:
+    To train on several machines, divide the work into shards. All shards need the same training sets, shares, recipe and
+    seed. Training consists of two passes, because the errors of the first pass determine the weights in the second pass.
+    Four steps are therefore needed. The final table is identical to a table that is trained without shards:
 
     \b
       l3 train training.h5 --shard 1/4 -o a1.h5                    … 4/4
@@ -32,9 +32,9 @@ def train(files: tuple[Path, ...], output: Path, options: ShardOptions) -> Resul
       l3 train training.h5 --shard 1/4 --first first.h5 -o b1.h5   … 4/4
       l3 train --merge b1.h5 b2.h5 b3.h5 b4.h5 -o table.h5
 
-    If the recipe contains first_draws = 0, or if the outputs are neither XYZ nor a spectrum, there is only one pass.
-    Training then takes two steps, without --first. Every [[layer]] of the recipe adds a pass, with --first and the table
-    from the previous pass. --merge prints the next step.
+    If the recipe contains first_draws = 0, or if the outputs are neither XYZ nor a spectrum, there is only one pass, and
+    only the first two steps are needed. Every [[layer]] of the recipe adds a pass, with --first and the table from the
+    previous pass. --merge prints the next step.
     """
     from l3cli.stages.training.train import filling, merge_shards, train_shard
     from l3cli.stages.training.train import train as train_whole

@@ -1,9 +1,10 @@
-"""Prediction of the error of any CFA from moments of spectral patches (docs/method.md#designs).
+"""Prediction of the error of a colour filter array from moments of spectral patches (docs/method.md#designs).
 
-The moments are computed once for a lens, a pixel and an illuminant. The error of a CFA then follows in closed form,
-without training. For the error in CIELAB, a patch with luminance Y has the weight (Y + 0.02)^(-2/3), which is the slope of
-CIELAB at a grey, so that an error of 1 is about one ΔE00. For linear errors, all weights are 1. If a filter clips on average
-in a group of patches, it contributes no information in this group.
+The moments are computed once for each lens, pixel and illuminant. The error of any array then follows in closed form,
+without training. Patches are divided into groups, and the error is predicted for each group. For errors in CIELAB, a patch
+with the luminance Y has the weight (Y + 0.02)^(-2/3), which is proportional to the slope of CIELAB at a grey. An error of 1
+is then about one ΔE00. For linear errors, all weights are 1. If the mean signal of a filter clips in a group of patches, the
+filter contributes no information in this group.
 """
 
 from dataclasses import dataclass, replace
@@ -18,19 +19,19 @@ from l3cli.artifacts.design import GROUPS, KINDS, SHARP, SIDE, SOFT, WEIGHTINGS,
 Array = NDArray[np.floating]
 Sums = dict[str, NDArray[np.float64]]  # "patches", "weight", "mean" and "moment", as in LightMoments
 
-EDGE_CONTRAST = 0.25  # contrast above which a patch belongs to a group of edges
-LEVEL_LIMITS = (0.06, 0.25)  # limits between groups of luminance, as fractions of white
-NEUTRAL = 5.0  # largest ratio of chroma to luminance of a patch without hue
+EDGE_CONTRAST = 0.25  # patches with a higher contrast belong to the groups of edges
+LEVEL_LIMITS = (0.06, 0.25)  # limits between the dark, middle and bright groups, as fractions of white
+NEUTRAL = 5.0  # patches with a smaller ratio of chroma to luminance belong to the neutral groups
 CHROMA = np.array([[250, -250, 0], [0, 150, -150]]) / 3.0  # half of the derivative of (a*, b*) with respect to XYZ / white
-LUMINANCE_OFFSET = 0.02  # offset of the luminance, as a fraction of white, that limits the weights of dark patches
-POWER = 2 / 3  # errors of a patch are weighted by luminance**-POWER, because the slope of L* is proportional to Y**(-2/3)
+LUMINANCE_OFFSET = 0.02  # added to the luminance, as a fraction of white; it limits the weights of dark patches
+POWER = 2 / 3  # errors are weighted by luminance^(−POWER), because the slope of L* is proportional to Y^(−2/3)
 KEPT_POWER = 0.9999  # fraction of the spectral power that the principal spectra represent
-SOFTNESS = 2.0  # standard deviation in pixels of the blur of chroma, as in S-CIELAB at about 50 pixels per degree
-WINDOW = 2  # half of the side, in pixels, of the square around the centre of a patch that determines the group of the patch
+SOFTNESS = 2.0  # pixels; standard deviation of the blur of chroma, as in S-CIELAB at about 50 pixels per degree
+WINDOW = 2  # the square that determines the group of a patch extends from its centre by this number of pixels
 
 
 def empty_sums(terms: int) -> Sums:
-    """Return sums that contain no patches yet, for `terms` principal spectra."""
+    """Return sums of zeros, to which `gather` adds patches. `terms` is the number of principal spectra."""
     kinds, taps = (len(WEIGHTINGS), len(GROUPS)), SIDE**2 * terms
     shapes = {"patches": kinds[1:], "weight": kinds, "mean": (*kinds, taps)}
     shapes["moment"] = (*kinds, taps + SOFT.stop + terms, taps + SOFT.stop + terms)
@@ -38,14 +39,14 @@ def empty_sums(terms: int) -> Sums:
 
 
 def spectral_power(reflectance: NDArray[np.floating], rate: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the second moment of the photon spectra of a scene, divided by the mean square of the reflectance.
+    """Return the second moment of the photon spectra of a scene, divided by the square of the mean reflectance.
 
     Parameters
     ----------
     reflectance : ndarray, (row, col, band)
         The scene.
     rate : ndarray, (wavelength, band)
-        Photons at each wavelength for a reflectance of 1 in each band.
+        Photons at each wavelength that a reflectance of 1 in each band causes.
 
     Returns
     -------
@@ -58,14 +59,16 @@ def spectral_power(reflectance: NDArray[np.floating], rate: NDArray[np.floating]
 
 
 def principal_spectra(power: Array, white: Array) -> NDArray[np.float64]:
-    """Return the principal spectra of scenes: a basis that represents the fraction KEPT_POWER of the spectral power.
+    """Return the principal spectra of scenes, which represent the fraction KEPT_POWER of the spectral power.
+
+    At least three spectra are returned.
 
     Parameters
     ----------
     power : ndarray, (wavelength, wavelength)
         Second moment of the photon spectra.
     white : ndarray, (wavelength,)
-        Photons from a white. The basis is multiplied by the mean of these values.
+        Photons from a white. The spectra are scaled by the mean of these values.
 
     Returns
     -------
@@ -88,14 +91,14 @@ def gather(
     patches: int,
     rng: np.random.Generator,
 ) -> None:
-    """Add patches at random positions in a scene to the sums.
+    """Add patches at random positions of a scene to the sums.
 
     Parameters
     ----------
     sums : dict
         Sums, which are changed in place.
     planes : ndarray, (term, row, col)
-        Coefficients of the principal spectra in the image behind the lens.
+        Coefficients of the principal spectra in the image on the sensor.
     target : ndarray, (3, row, col)
         XYZ relative to white.
     sharp : ndarray, (term, row, col)
@@ -103,7 +106,7 @@ def gather(
     patches : int
         Number of patches.
     rng : numpy.random.Generator
-        Source of the positions.
+        Random generator for the positions.
     """
     half, window = np.arange(-(SIDE // 2), SIDE // 2 + 1), np.arange(-WINDOW, WINDOW + 1)
     soft = np.stack([gaussian_filter(plane, SOFTNESS, mode="reflect") for plane in target])
@@ -123,14 +126,15 @@ def gather(
 
 
 def groups_of(around: NDArray[np.float32]) -> NDArray[np.intp]:
-    """Return the index of the group of each patch.
+    """Return the index of the group of each patch in GROUPS.
 
-    Groups, like classes, are defined by contrast, luminance and hue. All patches without visible colour have the same hue.
+    Groups are defined by the contrast, the luminance and the hue of the area around the centre. Patches with little chroma
+    are neutral.
 
     Parameters
     ----------
     around : ndarray, (3, patch, row, col)
-        XYZ relative to white, around the centre of each patch.
+        XYZ relative to white in a square around the centre of each patch.
     """
     mean = around.mean(axis=(2, 3))
     contrast = around[1].std(axis=(1, 2)) / (mean[1] + 1e-4)
@@ -141,7 +145,7 @@ def groups_of(around: NDArray[np.float32]) -> NDArray[np.intp]:
 
 
 def in_all_orientations(sums: Sums, terms: int) -> Sums:
-    """Average the sums over the eight orientations of a patch, so that a CFA and its mirror image have equal errors."""
+    """Average the sums over the eight orientations of a patch, so that an array and its mirror image have equal errors."""
     taps = np.arange(SIDE**2 * terms).reshape(SIDE, SIDE, terms)
     behind = np.arange(taps.size, taps.size + SOFT.stop + terms)
     moment, mean = np.zeros_like(sums["moment"]), np.zeros_like(sums["mean"])
@@ -152,28 +156,31 @@ def in_all_orientations(sums: Sums, terms: int) -> Sums:
     return sums | {"mean": mean, "moment": moment}
 
 
-Cfa = NDArray[np.integer]  # (row, col), index of the filter at each site
+Cfa = NDArray[np.integer]  # (row, col): index of the filter at each site
 
 OPPONENT = np.vstack([[[0, 116 / 3, 0]], CHROMA])  # derivative of (L*, a* / 2, b* / 2) with respect to XYZ / white
-TAP_RIDGE = 1e-6  # regularisation, as a fraction of the mean power of a tap
-EMPTY_NOISE = 1.0  # noise variance added in groups without patches, so that the equations have a solution
-CLIPPED_NOISE = 1e6  # noise variance of a clipped tap relative to its power; the tap then contributes no information
+TAP_RIDGE = 1e-6  # regularisation of the equations, as a fraction of the mean power of the taps
+EMPTY_NOISE = 1.0  # noise variance that is added in groups without patches, so that the equations have a solution
+CLIPPED_NOISE = 1e6  # noise variance of a clipped tap, relative to its power; the tap then contributes no information
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise parameters and full scale of a pixel, referred to electrons."""
+    """Noise parameters and full scale of a pixel in electrons."""
 
-    floor: float  # e-², variance of read noise, offsets and quantisation
-    dark: float  # e-/s, dark current
-    full: float  # e-, full scale
-    prnu: float  # relative standard deviation of the response
-    rows: float = 0.0  # e-², part of `floor` that the pixels of a row share
-    columns: float = 0.0  # e-², part of `floor` that the pixels of a column share
+    floor: float  # (e-)²; variance of read noise, fixed offsets and quantisation
+    dark: float  # e-/s; dark current
+    full: float  # e-; full scale
+    prnu: float  # relative standard deviation of the response between pixels
+    rows: float = 0.0  # (e-)²; part of `floor` that all pixels of a row have in common
+    columns: float = 0.0  # (e-)²; part of `floor` that all pixels of a column have in common
 
 
 def noise_of(camera: CameraModel) -> Noise:
-    """Return the noise parameters of a camera's pixels, assuming that all channels have the same exposure and gain."""
+    """Return the noise parameters of the pixels of a camera.
+
+    Differences in exposure or gain between channels are ignored.
+    """
     noise = camera.noise
     floor = noise.temporal + noise.fixed + QUANTISATION / camera.gain**2
     rows, columns = (each / camera.gain**2 for each in camera.line_variances())
@@ -182,31 +189,31 @@ def noise_of(camera: CameraModel) -> Noise:
 
 @dataclass(frozen=True)
 class Level:
-    """An illuminant and an exposure."""
+    """A light level: an illuminant and an automatic or fixed exposure."""
 
     name: str
-    light: int  # index of the illuminant in the moments
-    share: float | None  # signal of white in the brightest filter, as a fraction of full scale; None for a fixed exposure
-    luminance: float = 1.0  # cd/m², luminance of a perfect white
-    seconds: float = 0.0  # s, fixed exposure time
+    light: int  # index of the illuminant in `Problem.seen`
+    share: float | None  # automatic exposure: signal of white in the brightest filter, as a fraction of full scale; or None
+    luminance: float = 1.0  # cd/m²; luminance of a perfect white
+    seconds: float = 0.0  # s; exposure time if `share` is None
 
 
 def exposure(level: Level, noise: Noise, white: float) -> tuple[float, float]:
-    """Return the exposure and the exposure time at a level.
+    """Return the exposure and the exposure time of an array at a light level.
 
     Parameters
     ----------
     level : Level
-        Illuminant and exposure.
+        The light level.
     noise : Noise
         Noise parameters and full scale of a pixel.
     white : float
-        Signal of the brightest filter in the CFA, in e-/s, for a white of 1 cd/m².
+        Signal of the brightest filter in the array, in e-/s, for a white of 1 cd/m².
 
     Returns
     -------
     exposure : float
-        Luminance of white times the exposure time, in cd s/m².
+        Luminance of white × exposure time, in cd s/m².
     seconds : float
         Exposure time in s.
     """
@@ -218,20 +225,20 @@ def exposure(level: Level, noise: Noise, white: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Seen:
-    """Moments of filter signals and outputs, for each group of patches under one illuminant.
+    """Moments of filter signals and outputs under one illuminant, for each group of patches.
 
-    The moments contain all filters of a library, so that the moments for a CFA are a selection of rows and columns. This
-    class also stores moments of the coefficients of principal spectra, which do not depend on any filters. The axis "filter"
-    is then the principal spectrum, and `white` is empty.
+    The moments contain the signals of all filters in a library at all taps. The moments for a given array are a selection of
+    these values. The same class is used for the moments of the coefficients of principal spectra, before any filter is
+    applied. The axis "filter" is then the principal spectrum, and `white` is empty.
     """
 
-    signal: Array  # (filter, filter, group, tap, tap)
-    cross: Array  # (group, output, tap, filter)
-    mean: Array  # (group, tap, filter)
-    target: Array  # (group,), trace of the second moments of the outputs, because an error is a root sum of squares
-    weight: Array  # (group,), mean square of the weights of the patches
-    patches: Array  # (group,), number of patches
-    white: Array  # (filter,), signal of a perfect white of 1 cd/m², in e-/s
+    signal: Array  # (filter, filter, group, tap, tap): second moments of the signals
+    cross: Array  # (group, output, tap, filter): moments of outputs and signals
+    mean: Array  # (group, tap, filter): mean signals
+    target: Array  # (group,): sum of the mean squares of all outputs
+    weight: Array  # (group,): mean square of the weights of the patches
+    patches: Array  # (group,): number of patches
+    white: Array  # (filter,): signal of a perfect white of 1 cd/m², in e-/s
 
     @property
     def share(self) -> Array:
@@ -240,16 +247,16 @@ class Seen:
 
 
 def spectra_of(moments: LightMoments, output: str, counts: str, curves: Array) -> Seen:
-    """Return the moments of the principal spectra and of the outputs of a design recipe.
+    """Return the moments of the principal spectra and of the outputs that a design recipe requests.
 
     Parameters
     ----------
     moments : LightMoments
-        Moments under one illuminant.
+        Scene moments under one illuminant.
     output, counts : str
         Values of the keys `output` and `counts` in the design recipe.
     curves : ndarray, (filter, wavelength)
-        Quantum efficiencies, which define the outputs if `output` is "bands".
+        Quantum efficiencies of the filters. They define the outputs if `output` is "bands", and are not used otherwise.
     """
     rows, weighting = wanted_outputs(moments, output, counts, curves)
     terms, number, place = moments.terms, np.maximum(moments.patches, 1.0), WEIGHTINGS.index(weighting)
@@ -269,12 +276,13 @@ def spectra_of(moments: LightMoments, output: str, counts: str, curves: Array) -
 def wanted_outputs(moments: LightMoments, output: str, counts: str, curves: Array) -> tuple[Array, str]:
     """Return the matrix that converts the targets of a patch to outputs, and the weighting of the patches.
 
-    The outputs are colour differences for XYZ, unless `counts` is "linear", and otherwise percent of white.
+    The parameters are the same as in `spectra_of`. If `output` is "XYZ" and `counts` is not "linear", errors of the outputs
+    are colour differences. Otherwise they are in percent of white.
 
     Returns
     -------
     ndarray, (output, target)
-        Matrix.
+        The matrix.
     str
         Name of the weighting, one of WEIGHTINGS.
     """
@@ -299,11 +307,11 @@ def seen_by(curves: Array, moments: LightMoments, spectra: Seen) -> Seen:
     Parameters
     ----------
     curves : ndarray, (filter, wavelength)
-        Quantum efficiencies.
+        Quantum efficiencies of the filters.
     moments : LightMoments
-        Moments under one illuminant.
+        Scene moments under one illuminant.
     spectra : Seen
-        Moments of the principal spectra.
+        Moments of the principal spectra, from `spectra_of`.
     """
     to = curves @ moments.basis
     signal = np.einsum("fi,gj,ijKpq->fgKpq", to, to, spectra.signal, optimize=True)
@@ -312,14 +320,14 @@ def seen_by(curves: Array, moments: LightMoments, spectra: Seen) -> Seen:
 
 
 def site_filters(cfa: Cfa) -> NDArray[np.intp]:
-    """Return the index of the filter at each tap of the patch around each site of a CFA, as an array (site, tap)."""
+    """Return the index of the filter at each tap of the patch around each site of an array: (site, tap)."""
     off = np.arange(SIDE) - SIDE // 2
     around = [np.ix_((row + off) % cfa.shape[0], (col + off) % cfa.shape[1]) for row, col in np.ndindex(*cfa.shape)]
     return np.array([cfa[each].ravel() for each in around])
 
 
 def array_errors(seen: Seen, cfa: Cfa, noise: Noise, level: Level) -> NDArray[np.float64]:
-    """Return the predicted error of a CFA for each group of patches, averaged over the sites of the CFA."""
+    """Return the predicted error of an array in each group of patches, averaged over the sites of the array: (group,)."""
     filters, tap, weight = site_filters(cfa), np.arange(SIDE**2), seen.weight[:, None]
     matrix = seen.signal[filters[:, :, None], filters[:, None, :], :, tap[:, None], tap].transpose(0, 3, 1, 2)
     cross = seen.cross[:, :, tap, filters].transpose(2, 0, 3, 1)  # (site, group, tap, output)
@@ -340,9 +348,9 @@ def array_errors(seen: Seen, cfa: Cfa, noise: Noise, level: Level) -> NDArray[np
 
 
 def clips_everything(seen: Seen, level: Level, noise: Noise) -> bool:
-    """Whether each filter clips, on average, in each group of patches.
+    """Return whether the mean signal of every filter clips in every group of patches at a light level.
 
-    If the exposure is automatic, the exposure of each filter is chosen as if the CFA consisted of this filter only.
+    If the exposure is automatic, it is computed for each filter as if the array consisted only of this filter.
     """
     doses, filled = np.array([exposure(level, noise, white)[0] for white in seen.white]), seen.patches > 0
     signals = seen.mean[filled].mean(axis=1) / seen.weight[filled, None] * doses  # (group, filter)

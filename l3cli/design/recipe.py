@@ -1,4 +1,4 @@
-"""The design recipe: pixel, filters, candidate arrays, illuminants and exposures, and the error to minimise."""
+"""The design recipe: the pixel, the filters, the candidate arrays, the light levels, and the error to minimise."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping
@@ -43,27 +43,27 @@ from l3cli.system.text import printable
 MAX_FILTERS = 16  # largest number of filters in a recipe
 MAX_SIDE = 8  # largest number of rows or columns of an array
 Side = Annotated[int, msgspec.Meta(ge=1, le=MAX_SIDE)]
-OPAQUE_EFFICIENCY = 1e-3  # a filter with a lower peak quantum efficiency is opaque
-Curves = NDArray[np.float64]  # (filter, wavelength)
+OPAQUE_EFFICIENCY = 1e-3  # filters with a lower peak quantum efficiency are not accepted
+Curves = NDArray[np.float64]  # (filter, wavelength) or (wavelength,)
 
 
 class PixelRecipe(Recipe):
-    """The pixel, which is the same under all filters."""
+    """Section [pixel]: the pixel, which is the same under all filters."""
 
-    camera: str = "bayer"  # camera recipe (name or file) or camera model with the sensor, the noise and the lens
-    # Quantum efficiency of the pixel without a filter but with the lens, as a number or as the name of a CSV file. It is
+    camera: str = "bayer"  # camera model or camera recipe (file or name) with the sensor, the noise and the lens
+    # Quantum efficiency of the pixel with the lens but without a filter: a number, or the name of a CSV file. It is
     # multiplied by the transmittance of each filter.
     bare: float | str = 0.6
-    pitch_um: Positive | None = None
-    well_e: Positive | None = None  # full-well capacity; the gain changes so that full scale is reached at a full well
+    pitch_um: Positive | None = None  # this key and the keys below replace values of the camera
+    well_e: Positive | None = None  # full-well capacity; the gain changes such that a full well is at full scale
     read_noise_e: NotNegative | None = None
     f_number: Positive | None = None
 
 
 class FilterRecipe(Recipe):
-    """A colour filter.
+    """Section [filters.NAME]: a colour filter.
 
-    It is a Gaussian curve (`centre_nm`), a measured curve (`file`), two stacked filters (`stack`) or a channel of a camera
+    It is one of: a Gaussian (`centre_nm`), a measured curve (`file`), two stacked filters (`stack`) or a channel of a camera
     (`channel`). A filter without any of these keys is clear.
     """
 
@@ -72,43 +72,43 @@ class FilterRecipe(Recipe):
     peak: Share = 0.9  # transmittance at the centre
     floor: Share = 0.04  # transmittance far from the centre
     file: str | None = None  # CSV file with wavelengths in nm and transmittances
-    column: str | int = 1  # name of a column in the file, or its number, counted from 1
+    column: str | int = 1  # name of the column in the file, or its number, counted from 1
     stack: tuple[str, str] | None = None  # names of two filters of the recipe
-    channel: str | None = None  # channel of pixel.camera, whose quantum efficiency is used without the factor `bare`
+    channel: str | None = None  # channel of pixel.camera; its quantum efficiency already includes the pixel and the lens
 
 
 class PatternRecipe(Recipe):
-    """Candidate arrays: either all arrays of a shape, or a list of arrays."""
+    """Entry [[pattern]]: candidate arrays, either all arrays of a shape or a list of arrays."""
 
     shape: tuple[Side, Side] | None = None  # rows and columns
     filters: list[str] = msgspec.field(default_factory=list)  # filters that the arrays may contain; default: all filters
     counts: dict[str, Count] | None = None  # number of sites of each filter; default: any number
-    arrays: list[list[str]] = msgspec.field(default_factory=list)  # arrays as lists of rows; a row is "r g", for example
+    arrays: list[list[str]] = msgspec.field(default_factory=list)  # each array is a list of rows, such as ["r g", "g b"]
 
 
 class LevelRecipe(Recipe):
-    """An illuminant and an exposure.
+    """Entry [[level]]: a light level, which consists of an illuminant and an exposure.
 
-    The exposure is automatic (`share`) or fixed (`exposure_s` with a luminance or an illuminance).
+    The exposure is automatic (`share`) or fixed (`exposure_s`, with `luminance_cd_m2` or `lux`).
     """
 
     name: str | None = None
-    illuminant: str = "D65"  # one of the illuminants of the moments
-    share: Positive | None = None  # fraction of full scale that white reaches in the brightest filter of each array
+    illuminant: str = "D65"  # an illuminant for which the scene moments were computed
+    share: Positive | None = None  # signal of white in the brightest filter of each array, as a fraction of full scale
     luminance_cd_m2: Positive | None = None  # luminance of a perfect white
     lux: Positive | None = None  # illuminance, as an alternative to luminance_cd_m2
     exposure_s: Positive | None = None
 
 
 class OptimiseRecipe(Recipe):
-    """An array whose Gaussian filters are optimised."""
+    """Section [optimise]: an array whose Gaussian filters are optimised."""
 
     pattern: list[str]  # rows of filter names
-    peaks: bool = False  # whether the peaks are optimised, in addition to the centres and the widths
+    peaks: bool = False  # whether the peaks are optimised too, not only the centres and the widths
 
 
 class DesignRecipe(Recipe):
-    """A search for the best array that can be made from a library of filters, for a pixel and for several illuminants."""
+    """A complete design recipe: a search for the best array with filters from a library, for a pixel and light levels."""
 
     title: ClassVar[str] = "a design recipe"
 
@@ -118,22 +118,22 @@ class DesignRecipe(Recipe):
     level: Annotated[list[LevelRecipe], msgspec.Meta(min_length=1)]
     pixel: PixelRecipe = msgspec.field(default_factory=PixelRecipe)
     output: Literal["XYZ", "bands", "reflectance"] = "XYZ"
-    # Error metric for XYZ: "lab" approximates ΔE00. "scielab" first blurs the chroma like the eye. "luminance" ignores the
-    # chroma. "linear" is a difference in percent of white.
+    # Error metric for XYZ. "lab" approximates ΔE00. "scielab" does too, but first blurs the chroma as the eye does.
+    # "luminance" ignores the chroma. "linear" is a difference in percent of white.
     counts: Literal["lab", "scielab", "luminance", "linear"] = "lab"
     optimise: OptimiseRecipe | None = None
-    rivals: list[list[str]] = msgspec.field(default_factory=list)  # further CFAs to train with --truth, as lists of rows
+    rivals: list[list[str]] = msgspec.field(default_factory=list)  # further arrays that --truth trains, as lists of rows
 
     @property
     def needed(self) -> int:
-        """Minimum number of linearly independent outputs that a CFA must provide."""
+        """Minimum number of independent outputs that the filters of an array must have."""
         if self.output != "XYZ":
             return min(2, len(self.filters))
         return 1 if self.counts == "luminance" else 3
 
     @property
     def tuned(self) -> list[str]:
-        """Names of the filters that are optimised."""
+        """Names of the filters that are optimised: the Gaussian filters in the array of [optimise]."""
         used = {name for row in (self.optimise.pattern if self.optimise else []) for name in row.split()}
         return [name for name, one in self.filters.items() if name in used and one.centre_nm is not None]
 
@@ -142,7 +142,7 @@ class DesignRecipe(Recipe):
 
 
 def design_faults(recipe: DesignRecipe) -> Iterator[Fault]:
-    """Yield all faults of a design recipe, except faults in its files of curves."""
+    """Yield all faults of a design recipe. The files with its curves are not checked."""
     for name, one in recipe.filters.items():
         yield from inside(_filter_faults(name, one, recipe.filters), "filters", name)
     arrays: list[tuple[str, KeyPath, list[str]]] = []
@@ -164,7 +164,7 @@ def design_faults(recipe: DesignRecipe) -> Iterator[Fault]:
         yield from inside(_array_faults(where, rows, recipe.filters), *key)
 
 
-WHOLE: KeyPath = ()  # the TOML table, if a fault does not concern one of its keys
+WHOLE: KeyPath = ()  # path of the TOML table itself, for faults that do not concern one of its keys
 
 
 def _filter_faults(name: str, one: FilterRecipe, known: Mapping[str, FilterRecipe]) -> Iterator[Fault]:
@@ -176,14 +176,16 @@ def _filter_faults(name: str, one: FilterRecipe, known: Mapping[str, FilterRecip
     if (one.centre_nm is None) != (one.sigma_nm is None):
         yield fault(f"filter {name}: a Gaussian needs two keys; set both centre_nm and sigma_nm", WHOLE)
     if one.floor > one.peak:
-        yield fault(f"filter {name}: floor {one.floor:g} is above peak {one.peak:g}; set a lower floor", "floor")
+        yield fault(f"filter {name}: floor is {one.floor:g}, but must not exceed peak, which is {one.peak:g}", "floor")
     for other in one.stack or ():
         if other not in known:
-            yield fault(f'filter {name}: "{other}" in stack is not a filter; {suggestion(other, known)}', "stack")
+            yield fault(
+                f'filter {name}: stack contains "{other}", which is not a filter; {suggestion(other, known)}', "stack"
+            )
         elif known[other].stack is not None or known[other].channel is not None:
             yield fault(
-                f"filter {name}: stack contains {other}, which is a stack or a channel; stack only Gaussian filters and "
-                "filters from files",
+                f"filter {name}: stack contains {other}, which is itself a stack or a channel; use only Gaussian filters "
+                "and filters from files in stack",
                 "stack",
             )
 
@@ -200,7 +202,7 @@ def _pattern_faults(where: str, pattern: PatternRecipe, known: Mapping[str, Filt
         (rows, cols), total = pattern.shape, sum(counts.values())
         if counts and total != rows * cols:
             yield fault(
-                f"{where}: the sum of counts is {total}, but the shape has {rows * cols} sites; change counts or shape",
+                f"{where}: the counts add up to {total}, but the shape has {rows * cols} sites; change counts or shape",
                 "counts",
                 WHOLE,
             )
@@ -209,9 +211,9 @@ def _pattern_faults(where: str, pattern: PatternRecipe, known: Mapping[str, Filt
 def _array_faults(where: str, rows: list[str], known: Mapping[str, FilterRecipe]) -> Iterator[Fault]:
     lengths = {len(row.split()) for row in rows}
     if len(lengths) != 1 or 0 in lengths:
-        yield fault(f"{where}: the rows differ in length; write the same number of filter names in each row", WHOLE)
+        yield fault(f"{where}: the rows have different lengths; write the same number of filter names in each row", WHOLE)
     elif max(len(rows), *lengths) > MAX_SIDE:
-        yield fault(f"{where} is larger than {MAX_SIDE}×{MAX_SIDE} sites; use a smaller array", WHOLE)
+        yield fault(f"{where} has more than {MAX_SIDE}×{MAX_SIDE} sites; use a smaller array", WHOLE)
     for name in sorted({name for row in rows for name in row.split()} - {*known}):
         yield fault(f'{where}: "{name}" is not a filter; {suggestion(name, known)}', WHOLE)
 
@@ -226,7 +228,7 @@ def _level_faults(where: str, level: LevelRecipe) -> Iterator[Fault]:
 
 
 def level_name(level: LevelRecipe) -> str:
-    """Return the name of a level or, if it has no name, a description."""
+    """Return the name of a light level or, if it has no name, a description such as "white at 0.5 A"."""
     light = "" if level.illuminant == "D65" else f" {level.illuminant}"
     if level.name is not None:
         return level.name
@@ -240,7 +242,7 @@ def level_name(level: LevelRecipe) -> str:
 
 
 def curve_files(recipe: DesignRecipe, folder: Path) -> list[Path]:
-    """Return the paths of the curve files in a recipe. Paths in the recipe are relative to `folder`."""
+    """Return the paths of all files with curves in a recipe. File names in the recipe are relative to `folder`."""
     names = (*(one.file for one in recipe.filters.values()), recipe.pixel.bare)
     return [folder / name for name in names if isinstance(name, str)]
 
@@ -251,13 +253,13 @@ def filter_curves(recipe: DesignRecipe, camera: CameraModel, wavelength: Curves,
     Parameters
     ----------
     recipe : DesignRecipe
-        Filters and pixel.
+        Design recipe with the filters and the pixel.
     camera : CameraModel
         The camera of the pixel. A filter may be a channel of this camera.
     wavelength : ndarray, (wavelength,)
         Wavelengths in nm.
     folder : Path
-        Folder to which file names are relative.
+        Folder of the recipe. File names in the recipe are relative to this folder.
 
     Returns
     -------
@@ -267,7 +269,7 @@ def filter_curves(recipe: DesignRecipe, camera: CameraModel, wavelength: Curves,
     Raises
     ------
     RecipeError, InputFileError
-        If a filter is opaque or has a transmittance outside 0…1.
+        If a filter is opaque, if a channel is unknown, or if a file with curves is unusable.
     """
     bare, curves = bare_efficiency(recipe.pixel.bare, wavelength, folder), []
     for name, one in recipe.filters.items():
@@ -281,21 +283,24 @@ def filter_curves(recipe: DesignRecipe, camera: CameraModel, wavelength: Curves,
             parts = [_transmittance(recipe.filters[part], wavelength, folder) for part in one.stack or (name,)]
             curves.append(np.prod([bare, *parts], axis=0))
         if (peak := curves[-1].max()) < OPAQUE_EFFICIENCY:
-            span = f"{wavelength[0]:g}…{wavelength[-1]:g} nm"
             raise RecipeError(
-                f"filter {name} is opaque, because its highest quantum efficiency in {span} is {peak:.2g}; change or remove "
-                "the filter"
+                f"filter {name} is opaque, because its highest quantum efficiency between {wavelength[0]:g} and "
+                f"{wavelength[-1]:g} nm is {peak:.2g}; change or remove the filter"
             )
     return np.array(curves)
 
 
 def bare_efficiency(bare: float | str, wavelength: Curves, folder: Path) -> Curves:
-    """Return the quantum efficiency of a pixel without a filter, at each wavelength.
+    """Return the quantum efficiency of a pixel without a filter, at each wavelength in nm.
+
+    `bare` is a number, or the name of a CSV file relative to `folder`.
 
     Raises
     ------
     RecipeError
-        If a value is not within 0…1.
+        If a value is not between 0 and 1.
+    InputFileError
+        If the file is unusable.
     """
     if isinstance(bare, str):
         table = read_table(folder / bare).counted(1)
@@ -319,23 +324,23 @@ def _transmittance(one: FilterRecipe, wavelength: Curves, folder: Path) -> Curve
 
 
 def gaussian(wavelength: Curves, centre: float, sigma: float, peak: float, floor: float) -> Curves:
-    """Return the transmittance of a Gaussian filter at each wavelength."""
+    """Return the transmittance of a Gaussian filter at each wavelength. Wavelengths, `centre` and `sigma` are in nm."""
     return np.asarray(floor + (peak - floor) * np.exp(-0.5 * ((wavelength - centre) / sigma) ** 2))
 
 
 def is_design(path: Path) -> bool:
-    """Whether a file is a TOML file with a top-level key that only design recipes have."""
+    """Return whether a file is a design recipe: a TOML file with a top-level key that only design recipes contain."""
     keys = KIND_KEYS[DesignRecipe.title]
     return path.suffix == ".toml" and any(key in parse_toml(read_text(path), str(path)) for key in keys)
 
 
 def pixel_camera(path: Path) -> tuple[CameraModel, list[Path]]:
-    """Read a camera, or a camera with the pixel of a design recipe.
+    """Read the lens and the pixel from a camera model, a camera recipe or a design recipe.
 
     Returns
     -------
     CameraModel
-        A camera with the lens and the pixel. For a design recipe, the CFA and the responsivities have no meaning.
+        A camera with this lens and this pixel. If `path` is a design recipe, its CFA and its responsivities are meaningless.
     list of Path
         The files that were read.
     """
@@ -346,13 +351,13 @@ def pixel_camera(path: Path) -> tuple[CameraModel, list[Path]]:
 
 
 def base_camera(pixel: PixelRecipe, folder: Path) -> Path:
-    """Return the camera file on which a pixel is based: a file relative to `folder`, or a recipe that comes with l3."""
+    """Return the path of `pixel.camera`: a file relative to `folder` or, if there is none, a recipe that comes with l3."""
     own = folder / pixel.camera
     return own if own.is_file() else find_recipe(pixel.camera, "cameras")
 
 
 def pixel_of(pixel: PixelRecipe, folder: Path) -> CameraModel:
-    """Return a camera with the pixel of a recipe. The CFA and the responsivities of this camera have no meaning.
+    """Return a camera with the pixel of a design recipe. Its CFA and its responsivities are meaningless.
 
     Raises
     ------
@@ -362,8 +367,8 @@ def pixel_of(pixel: PixelRecipe, folder: Path) -> CameraModel:
     base = load_camera(base_camera(pixel, folder))
     if not base.absolute:
         raise RecipeError(
-            f"pixel.camera is {base.name}, which has only relative responsivities; choose a camera with known quantum "
-            "efficiency"
+            f"pixel.camera is {base.name}, which has only relative responsivities; use a camera with known quantum "
+            "efficiencies"
         )
     noise, optics, gain = base.noise, base.optics, base.gain
     if pixel.read_noise_e is not None:
@@ -379,7 +384,7 @@ def pixel_of(pixel: PixelRecipe, folder: Path) -> CameraModel:
 
 
 def camera_texts(camera: CameraModel, origin: str) -> dict[str, str]:
-    """Return the texts of a camera recipe and of its curve file, by file name.
+    """Write a camera recipe and a CSV file with its curves as texts.
 
     Parameters
     ----------
@@ -387,6 +392,11 @@ def camera_texts(camera: CameraModel, origin: str) -> dict[str, str]:
         A camera whose channels all have the same exposure and gain.
     origin : str
         Comment for the first line of the recipe.
+
+    Returns
+    -------
+    dict of str to str
+        Name of each file, and its text.
     """
     pitch = round(camera.pixel_pitch * 1e6, 6)
     tables: dict[str, Recipe | dict[str, float]] = {

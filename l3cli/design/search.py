@@ -1,6 +1,7 @@
 """Search for the best array of filters: enumeration of all distinct arrays or, if there are too many, simulated annealing.
 
-Arrays are equivalent if they differ only by a shift, rotation or reflection. Of equivalent arrays, only one is evaluated.
+Two arrays are equivalent if they differ only by a shift, a rotation or a reflection. Only one of several equivalent arrays
+is evaluated.
 """
 
 import functools
@@ -17,46 +18,46 @@ from l3cli.design.error import Cfa, Level, Noise, Seen, array_errors
 
 MAX_ENUMERATED = 4_000_000  # largest number of arrays, including equivalent arrays, that are enumerated
 MAX_EVALUATED = 100_000  # largest number of distinct arrays that are evaluated
-INDEPENDENT = 1e-3  # a singular value above this fraction of the largest singular value is an independent output
+INDEPENDENT = 1e-3  # singular values above this fraction of the largest singular value count as independent outputs
 START_TEMPERATURE, END_TEMPERATURE = 0.03, 0.0005  # temperatures of simulated annealing, relative to the error
-Arrays = NDArray[np.integer]  # (array, site), index of the filter
-Allowed = Callable[[Sequence[int]], bool]  # returns whether an array may consist of the given filters
+Arrays = NDArray[np.integer]  # (array, site): index of the filter at each site
+Allowed = Callable[[Sequence[int]], bool]  # returns whether an array may consist of a given set of filters
 
 
 @dataclass(frozen=True)
 class Problem:
-    """The illuminants, exposures and noise for which arrays of filters are evaluated."""
+    """Everything that determines the error of an array: the scenes, the light levels and the noise of the pixel."""
 
     seen: tuple[Seen, ...]  # moments under each illuminant
     levels: tuple[Level, ...]
     noise: Noise
 
     def errors(self, cfa: Cfa) -> NDArray[np.float64]:
-        """Return the predicted error of an array at each level (rows) and in each group of patches (columns)."""
+        """Return the predicted error of an array at each light level and in each group of patches: (level, group)."""
         return np.array([array_errors(self.seen[level.light], cfa, self.noise, level) for level in self.levels])
 
     @functools.cached_property
     def share(self) -> NDArray[np.float64]:
-        """Fraction of the patches in each group (columns), under the illuminant of each level (rows)."""
+        """Fraction of the patches that belong to each group, under the illuminant of each light level: (level, group)."""
         return np.array([self.seen[level.light].share for level in self.levels])
 
     def means(self, cfa: Cfa) -> NDArray[np.float64]:
-        """Return the predicted error of an array at each level, averaged over groups."""
+        """Return the predicted error of an array at each light level, averaged over all patches: (level,)."""
         return np.asarray((self.errors(cfa) * self.share).sum(axis=1))
 
     def score(self, cfa: Cfa) -> float:
-        """Return the geometric mean of the errors of an array over all levels."""
+        """Return the predicted error of an array as the geometric mean over all light levels."""
         return float(overall(self.means(cfa)))
 
 
 @functools.cache
 def symmetries(shape: tuple[int, int]) -> NDArray[np.intp]:
-    """Return the permutations of sites that turn an array into an equivalent array.
+    """Return the permutations of the sites that convert an array to an equivalent array of the same shape.
 
     Returns
     -------
     ndarray, (symmetry, site)
-        All shifts, rotations and reflections that preserve the shape of the array.
+        For each shift, rotation and reflection, the old index of each site.
     """
     sites = np.arange(math.prod(shape)).reshape(shape)
     turned = [np.rot90(each, turn) for each in (sites, sites.T) for turn in range(4)]
@@ -65,13 +66,16 @@ def symmetries(shape: tuple[int, int]) -> NDArray[np.intp]:
 
 
 def canonical(cfa: Cfa) -> bytes:
-    """Return a key of an array. Equivalent arrays of the same shape have the same key."""
+    """Return a key that identifies an array. Equivalent arrays of the same shape have the same key."""
     orders = symmetries((cfa.shape[0], cfa.shape[1]))
     return min(row.tobytes() for row in cfa.astype(np.uint8).ravel()[orders])
 
 
 def distinct(arrays: Arrays, shape: tuple[int, int], filters: int) -> Arrays:
-    """Return `arrays` without the arrays that are equivalent to an earlier array."""
+    """Return `arrays` without those arrays that are equivalent to an earlier array.
+
+    `shape` is the shape of each array, and `filters` is the number of filters.
+    """
     digits = np.int64(filters) ** np.arange(arrays.shape[1])[::-1]
     least = functools.reduce(np.minimum, (arrays[:, order] @ digits for order in symmetries(shape)))
     _, first = np.unique(least, return_index=True)
@@ -79,7 +83,7 @@ def distinct(arrays: Arrays, shape: tuple[int, int], filters: int) -> Arrays:
 
 
 def arrangements(counts: Sequence[int]) -> Iterator[list[int]]:
-    """Yield all distinct arrangements of a multiset in which element i occurs `counts[i]` times."""
+    """Yield all distinct sequences in which the number i occurs `counts[i]` times."""
     if len(counts) == 1:
         yield [0] * counts[0]
         return
@@ -93,7 +97,7 @@ def arrangements(counts: Sequence[int]) -> Iterator[list[int]]:
 def every_array(
     shape: tuple[int, int], filters: Sequence[int], counts: Sequence[int] | None, allowed: Allowed
 ) -> list[Cfa] | None:
-    """Return all distinct arrays of a shape that consist of allowed filters, or None if there are too many arrays.
+    """Return all distinct arrays of a shape.
 
     Parameters
     ----------
@@ -101,10 +105,15 @@ def every_array(
         Rows and columns.
     filters : sequence of int
         Filters that the arrays may contain.
-    counts : sequence of int, optional
-        Number of sites of each filter. [default: any number]
+    counts : sequence of int or None
+        Number of sites of each filter, or None for any number.
     allowed : callable
         Function that returns whether an array may consist of a set of filters.
+
+    Returns
+    -------
+    list of ndarray, (row, col), or None
+        The arrays, or None if there are more than MAX_ENUMERATED arrays, or more than MAX_EVALUATED distinct arrays.
     """
     sites, base = math.prod(shape), len(filters)
     size = math.factorial(sites) // math.prod(map(math.factorial, counts)) if counts else base**sites
@@ -118,7 +127,7 @@ def every_array(
 
 
 def independent_outputs(responses: NDArray[np.floating]) -> int:
-    """Return the number of independent outputs of a set of filters.
+    """Return the number of linearly independent outputs that a set of filters has for the spectra of scenes.
 
     Parameters
     ----------
@@ -139,32 +148,32 @@ def anneal(
     rng: np.random.Generator,
     steps: int,
 ) -> Cfa:
-    """Search for the array with the smallest error with simulated annealing.
+    """Search for the array with the smallest error by simulated annealing.
 
-    A step either changes the filter at one site or swaps the filters of two sites. Arrays that are not allowed have an
+    In each step, the filter at one site changes, or two sites swap their filters. Arrays that are not allowed have an
     infinite error.
 
     Parameters
     ----------
     problem : Problem
-        The illuminants, exposures and noise.
+        The scenes, the light levels and the noise.
     start : ndarray, (row, col)
         The first array.
     filters : sequence of int
         Filters that the array may contain.
     swapped : bool
-        Whether steps only swap filters, so that the number of sites of each filter stays the same.
+        Whether all steps are swaps, so that the number of sites of each filter does not change.
     allowed : callable
         Function that returns whether an array may consist of a set of filters.
     rng : numpy.random.Generator
-        Source of random numbers.
+        Random generator.
     steps : int
         Number of steps.
 
     Returns
     -------
     ndarray, (row, col)
-        The best array that the search has reached.
+        The best array that occurred during the search.
     """
     known: dict[bytes, float] = {}
 

@@ -1,7 +1,7 @@
-"""Computation of a design recipe.
+"""Execution of a design recipe.
 
-`Task` loads the illuminants, levels, filters and arrays, predicts the errors of arrays, and optimises filters. `designed`
-ranks the arrays and collects the results.
+`Task` reads the recipe and its files, predicts the errors of arrays, and optimises filters. `designed` ranks the arrays and
+collects the results.
 """
 
 import dataclasses
@@ -35,33 +35,33 @@ from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.load import load_recipe
 
 ANNEALING_STEPS = 1000  # number of steps of simulated annealing
-MAX_REPEATED_FILTERS = 8  # with at most this many filters, annealing starts from repetitions of the best 2×2 array
-PIXEL_TOLERANCE = 1e-6  # relative difference up to which two pixel pitches or two f-numbers are equal
+MAX_REPEATED_FILTERS = 8  # if there are more filters, no run of annealing starts from repetitions of the best 2×2 array
+PIXEL_TOLERANCE = 1e-6  # pixel pitches and f-numbers are equal if their relative difference is at most this
 BOUNDS = np.array([[400.0, 700.0], [10.0, 150.0], [0.1, 1.0]])  # range of centre (nm), sigma (nm) and peak
 VARIABLE_UNITS = np.array([10.0, 10.0, 0.1])  # units of the optimiser's variables: centre (nm), sigma (nm) and peak
 START_DEVIATIONS = np.array([25.0, 15.0, 0.0])  # standard deviation of random starts in centre (nm), sigma (nm) and peak
-DESCENT = {"maxiter": 60, "eps": 1e-4}  # options of the optimiser
+DESCENT = {"maxiter": 60, "eps": 1e-4}  # options for `scipy.optimize.minimize`
 
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """A design recipe, together with the scene moments and the files that the recipe needs.
+    """A design recipe, with the scene moments and all files to which the recipe refers.
 
-    Only the two paths are pickled. Each worker process reads the files once.
+    If a task is sent to a worker process, only its two paths are sent. Each process reads the files once.
 
     Parameters
     ----------
     recipe : Path
         File of the design recipe.
     moments : Path
-        File of scene moments that `l3 design moments` has written.
+        File with scene moments, which `l3 design moments` has written.
     """
 
     recipe: Path
     moments: Path
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _task, (self.recipe, self.moments)  # _task has a cache, so that each process reads the files only once
+        return _task, (self.recipe, self.moments)  # the cache of _task ensures that each process reads the files only once
 
     @functools.cached_property
     def wanted(self) -> DesignRecipe:
@@ -84,25 +84,25 @@ class Task:
 
     @functools.cached_property
     def curves(self) -> NDArray[np.float64]:
-        """Quantum efficiency of each filter (rows) at each wavelength (columns)."""
+        """Quantum efficiency of the pixel behind each filter: (filter, wavelength)."""
         return filter_curves(self.wanted, self.pixel, self.scenes.wavelength, self.recipe.parent)
 
     @functools.cached_property
     def lights(self) -> list[LightMoments]:
-        """Moments under each illuminant of the levels.
+        """Scene moments under each illuminant that occurs in the light levels.
 
         Raises
         ------
         RecipeError
-            If the file of moments lacks an illuminant.
+            If the scene moments were not computed for one of these illuminants.
         """
         known = {light.illuminant: light for light in self.scenes.light}
         for level in self.wanted.level:
             if level.illuminant not in known:
                 raise RecipeError(
-                    f'level "{level_name(level)}" needs moments under {level.illuminant}, but {self.moments} contains only '
-                    f'moments under {", ".join(known)}; add "{level.illuminant}" to illuminants of the scene recipe, and '
-                    'run "l3 design moments" again'
+                    f'level "{level_name(level)}" needs scene moments for the illuminant {level.illuminant}, but '
+                    f'{self.moments} contains only {", ".join(known)}; add "{level.illuminant}" to the key illuminants of '
+                    'the scene recipe, and run "l3 design moments" again'
                 )
         return [known[name] for name in dict.fromkeys(level.illuminant for level in self.wanted.level)]
 
@@ -117,7 +117,7 @@ class Task:
 
     @functools.cached_property
     def spectra(self) -> list[Seen]:
-        """Moments of the principal spectra and of the outputs, for each illuminant."""
+        """Moments of the principal spectra and of the outputs, under each illuminant."""
         return [spectra_of(light, self.wanted.output, self.wanted.counts, self.curves) for light in self.lights]
 
     @functools.cached_property
@@ -125,35 +125,40 @@ class Task:
         return self.problem_of(self.curves)
 
     def problem_of(self, curves: NDArray[np.float64]) -> Problem:
-        """Return the problem for filters with the quantum efficiencies `curves` (one row per filter)."""
+        """Return the problem for filters with the quantum efficiencies `curves`, (filter, wavelength)."""
         seen = tuple(seen_by(curves, *each) for each in zip(self.lights, self.spectra, strict=True))
         return Problem(seen, self.levels, noise_of(self.pixel))
 
     # ------------------------------------------------------------------------------------------------- arrays
 
     def allowed(self, filters: Sequence[int]) -> bool:
-        """Whether an array of these filters has enough independent outputs."""
+        """Return whether an array that consists of these filters has enough independent outputs."""
         responses = self.curves[list(filters)] @ self.lights[0].basis
         return len(filters) >= self.wanted.needed and independent_outputs(responses) >= self.wanted.needed
 
     def numbered(self, rows: list[str]) -> Cfa:
-        """Convert an array, written as rows of filter names, to filter indices."""
+        """Convert an array from rows of filter names, such as "r g", to filter indices: (row, col)."""
         return sites("/".join(rows), self.names)
 
     def choice(self, pattern: PatternRecipe) -> tuple[list[int], list[int] | None]:
-        """Return the filters that the arrays of a pattern may contain and, if the recipe specifies it, their site counts."""
+        """Return the indices of the filters that the arrays of a pattern may contain, and the number of sites per filter.
+
+        The numbers of sites are None if the recipe does not specify them.
+        """
         filters = [self.names.index(name) for name in (pattern.counts or pattern.filters or self.names)]
         return filters, list(pattern.counts.values()) if pattern.counts else None
 
     def arrays_of(self, pattern: PatternRecipe, number: int) -> list[Cfa] | None:
-        """Return the arrays of a pattern, or None if a pattern has too many arrays and simulated annealing is needed.
+        """Return the arrays of a pattern, or None if there are so many arrays that simulated annealing is needed.
+
+        `number` is the index of the pattern, for error messages.
 
         Raises
         ------
         RecipeError
-            If an array in the recipe has too few independent outputs, or if no array of a shape has enough.
+            If an array in the recipe has too few independent outputs, or if all arrays of the shape have too few.
         """
-        shortage = f"fewer than {self.wanted.needed} independent outputs; add a filter"
+        shortage = f"fewer than {self.wanted.needed} independent outputs; add filters"
         where = f"{self.recipe}: pattern {number + 1}"
         if pattern.shape is None:
             given = [self.numbered(rows) for rows in pattern.arrays]
@@ -163,48 +168,48 @@ class Task:
         filters, counts = self.choice(pattern)
         every = every_array(pattern.shape, filters, counts, self.allowed) if self.allowed(filters) else []
         if every == []:
-            raise RecipeError(f"{where}: every array of this shape has {shortage}, or set a larger shape")
+            raise RecipeError(f"{where}: every array of this shape has {shortage}, or increase the shape")
         return every
 
     def bayer(self, filters: Sequence[int]) -> list[Cfa]:
-        """Return the Bayer array of each combination of three filters.
+        """Return the Bayer array for each combination of three filters with enough independent outputs.
 
-        The filter with the second-longest wavelength is at the green sites, and the two other filters are at the red and the
-        blue sites.
+        The filter with the middle wavelength is at the two green sites. The remaining two filters are at the red and the
+        blue site.
         """
         centres = self.curves @ self.scenes.wavelength / self.curves.sum(axis=1)
         threes = (sorted(three, key=lambda each: float(centres[each])) for three in itertools.combinations(filters, 3))
         return [np.array([[green, red], [blue, green]]) for blue, green, red in threes if self.allowed([blue, green, red])]
 
     def require_same_pixel(self) -> None:
-        """Raise InputFileError if the moments were computed for another lens or another pixel pitch."""
+        """Raise InputFileError if the scene moments were computed for a different f-number or pixel pitch."""
         wanted, given = (self.pixel.pixel_pitch, self.pixel.optics.f_number), (self.scenes.pixel_pitch, self.scenes.f_number)
         if not np.allclose(wanted, given, rtol=PIXEL_TOLERANCE, atol=0):
             theirs, ours = (f"pixels of {1e6 * pitch:g} µm at f/{f_number:g}" for pitch, f_number in (given, wanted))
             raise InputFileError(
-                f"{self.moments} contains moments for {theirs}, but the design is for {ours}; run l3 design moments with "
-                f"‹camera› {self.recipe}"
+                f'{self.moments} contains scene moments for {theirs}, but the design is for {ours}; run "l3 design moments" '
+                f"with ‹camera› {self.recipe}"
             )
 
     def judged(self, arrays: Sequence[Cfa]) -> dict[str, NDArray]:
-        """Return a dictionary with the predicted errors of the arrays, "errors", with the axes array, level and group."""
+        """Return the predicted errors of arrays as {"errors": ndarray, (array, level, group)}."""
         return {"errors": np.array([self.problem.errors(cfa) for cfa in arrays])}
 
     def annealed(self, seed: int, which: tuple[int, int]) -> dict[str, NDArray]:
-        """Search for an array with one run of simulated annealing.
+        """Search for the best array of a pattern with one run of simulated annealing.
 
         Parameters
         ----------
         seed : int
             Seed of the random numbers.
         which : tuple of int
-            Number of the pattern, and number of the run. If possible, run 0 starts from repetitions of the best 2×2 array.
-            All other runs start from a random array.
+            Index of the pattern, and index of the run. If possible, run 0 starts from repetitions of the best 2×2 array. All
+            further runs start from a random array.
 
         Returns
         -------
         dict
-            "cfa" is the array.
+            Key "cfa": the array, (row, col).
         """
         (number, run), rng = which, np.random.default_rng([seed, *which])
         pattern = self.wanted.pattern[number]
@@ -220,12 +225,12 @@ class Task:
     # ------------------------------------------------------------------------------------------------- tuning
 
     def tuned_curves(self, parameters: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the quantum efficiencies of all filters for parameters of the optimised filters.
+        """Return the quantum efficiencies of all filters if the optimised filters have the given parameters.
 
         Parameters
         ----------
         parameters : ndarray, (optimised filter, 3)
-            Centre in nm, sigma in nm, and peak.
+            Centre in nm, sigma in nm, and peak of each optimised filter.
 
         Returns
         -------
@@ -242,20 +247,21 @@ class Task:
     def descended(self, seed: int, number: int) -> dict[str, NDArray]:
         """Optimise the filters by gradient descent from one starting point.
 
-        The gradient is computed by finite differences, which take no longer than an analytic gradient.
+        The gradient is computed by finite differences, which are as fast as an analytic gradient.
 
         Parameters
         ----------
         seed : int
             Seed of the random numbers.
         number : int
-            Number of the starting point. Starting point 0 is the set of filters in the recipe. All others are random.
+            Index of the starting point. Starting point 0 is the filters in the recipe. All further starting points are
+            random variations of these filters.
 
         Returns
         -------
         dict
-            "score" is the logarithm of the smallest error. "parameters", (optimised filter, 3), are the centres, sigmas and
-            peaks.
+            Key "score": logarithm of the smallest error. Key "parameters": ndarray, (optimised filter, 3), with the centre
+            in nm, sigma in nm and peak of each filter.
         """
         asked, tuned = self.wanted.optimise, [self.wanted.filters[name] for name in self.wanted.tuned]
         assert asked is not None
@@ -283,32 +289,32 @@ class Task:
 
 @functools.lru_cache(maxsize=1)
 def _task(recipe: Path, moments: Path) -> Task:
-    """Return a task, which is cached, so that a process reads its files only once."""
+    """Return a task. The cache ensures that a process reads the files of the task only once."""
     return Task(recipe, moments)
 
 
 UNITS = {"lab": "ΔE00", "scielab": "ΔE of soft chroma", "luminance": "L*", "linear": "% of white"}
-LISTED_ARRAYS = 100  # number of best arrays that a design lists, in addition to the best Bayer array and each level's best
+LISTED_ARRAYS = 100  # number of arrays in a design, besides the best Bayer array and the best array at each light level
 SHIFT = 5.0  # nm; shift of a filter in the sensitivity analysis
 DOSES = 10.0 ** np.arange(-2.0, 1.26, 0.25)  # cd s/m²; exposures in the plot of error against exposure
 
 
 def designed(task: Task, arrays: Sequence[Cfa], errors: NDArray[np.float64]) -> Design:
-    """Rank arrays by their errors and assemble the design.
+    """Rank arrays by their errors, and collect the results in a design.
 
     Parameters
     ----------
     task : Task
         The task.
     arrays : sequence of ndarray, (row, col)
-        The arrays.
+        All arrays that were evaluated.
     errors : ndarray, (array, level, group)
-        Errors of the arrays.
+        Predicted errors of the arrays.
 
     Returns
     -------
     Design
-        The best arrays overall, the best Bayer array, and the best array at each level.
+        The best LISTED_ARRAYS arrays, the best Bayer array, and the best array at each light level.
     """
     problem, names = task.problem, task.names
     levels = (errors * problem.share).sum(axis=2)
@@ -349,14 +355,14 @@ def designed(task: Task, arrays: Sequence[Cfa], errors: NDArray[np.float64]) -> 
 
 
 def sensitivity(task: Task, cfa: Cfa) -> NDArray[np.float64]:
-    """Return how much the error of an array changes if the curve of one filter is shifted by SHIFT nm.
+    """Return the relative change of an array's error if the curve of a filter is shifted by SHIFT nm.
 
-    Each filter is shifted in both directions. The larger change counts.
+    Each filter is shifted in both directions, and the larger change is used.
 
     Returns
     -------
     ndarray, (filter,)
-        Relative changes of the error.
+        Relative change of the error, or 0 for filters that the array does not contain.
     """
     changes, given, grid = np.zeros(len(task.curves)), task.problem.score(cfa), task.scenes.wavelength
     for place in np.unique(cfa):

@@ -2,9 +2,9 @@
 
 Its steps are white balance, demosaicking and a colour matrix.
 
-Each channel clips at its own full scale, so highlights can be coloured. If all channels were clipped at the signal at which
-the first channel clips, highlights would be neutral, but the colour error of faces would increase by 0.6 ΔE00 (at three
-light levels). The more accurate variant is used, because a baseline should be as good as possible.
+Each channel clips at its own full scale, so clipped highlights can be coloured. If all channels were clipped together at the
+signal at which the first channel clips, highlights would be neutral, but the colour error of faces would increase by 0.6
+ΔE00 (mean over three light levels). The more accurate method is used, because a baseline should be as good as possible.
 """
 
 from collections.abc import Callable
@@ -20,30 +20,30 @@ from l3cli.evaluation.demosaic import Demosaic, interpolate
 from l3cli.physics import spectra
 
 Array = NDArray[np.floating]
-# Function that merges the exposures of each colour filter. The first argument and the result are white-balanced planes
-# (channel, row, col), and the last argument contains one white-balance factor per channel.
+# Function that merges several exposures of the same colour filter. The first argument and the result are white-balanced
+# planes (channel, row, col). The last argument contains one white-balance factor per channel.
 Merge = Callable[[Array, TrainingPair, CameraModel, Array], Array]
-CLIPPED = 0.985  # fraction of full scale from which a sample counts as clipped
-TOUCHED = 0.02  # an interpolated value counts as clipped if clipped samples contribute more than this fraction
+CLIPPED = 0.985  # raw values at or above this fraction of full scale are clipped
+TOUCHED = 0.02  # an interpolated value is clipped if clipped raw values contribute more than this fraction
 # Ridge parameter, relative to the mean square of the channel differences. A larger value reduces noise but increases colour
 # errors. This value increases the colour error of a chart by 1.7 ΔE.
 RIDGE = 0.05
-BLIND = 1e-6  # a channel counts as blind if its response to white is less than this fraction of the largest response
-# Wavelength range of the CIE observers in nm. Each entry: the function that combines this end with the ends of the cameras'
-# ranges, the wavelength, and the index of the end in a list of wavelengths.
+BLIND = 1e-6  # channels whose response to white is less than this fraction of the largest response are ignored
+# Ends of the wavelength range of the CIE observers. Each entry contains the function that extends the range to the
+# wavelengths of cameras, the wavelength in nm, and the index of this end in an array of wavelengths.
 ENDS = ((min, 360.0, 0), (max, 830.0, -1))
 UNNAMED = ("A", "D50", "D55", "D65", "D75", "E", "FL2", "FL11")  # candidates if only the white point of a frame is known
 
 
 @dataclass(frozen=True)
 class Colour:
-    """White balance and colour matrix of a camera for one illuminant. A perfect white of 1 cd/m² becomes 1 in all outputs.
+    """White balance and colour matrix of a camera for one illuminant.
 
-    The factors and the matrix apply to photo-electrons per second.
+    They convert photo-electrons per second to outputs relative to a perfect white of 1 cd/m², which is 1 in all outputs.
     """
 
-    balance: Array  # (channel) white-balance factors; 0 for channels that do not respond to white
-    matrix: Array  # (output, channel); each row sums to 1
+    balance: Array  # (channel,): white-balance factors; 0 for channels that do not respond to white
+    matrix: Array  # (output, channel): each row sums to 1
 
 
 def fit_colour(
@@ -51,7 +51,7 @@ def fit_colour(
 ) -> Colour:
     """Fit a white balance and a colour matrix of a camera for an illuminant.
 
-    The matrix is fitted by ridge regression over measured reflectances. A perfect white is reproduced exactly.
+    The matrix is fitted by ridge regression over measured reflectances. It reproduces a perfect white exactly.
 
     Parameters
     ----------
@@ -62,8 +62,9 @@ def fit_colour(
     wanted : LightSpectrum, optional
         Illuminant of the target XYZ. [default: `light`]
     channel_noise : float
-        Standard deviation of the noise of each channel, relative to white, that the matrix should not amplify. It keeps the
-        matrix small if several channels respond almost equally, as behind polarisers of different angles.
+        Standard deviation of the noise of each channel, relative to white. The regression takes this noise into account, so
+        that the matrix does not amplify it. This matters if several channels respond almost equally, for example behind
+        polarisers with different angles.
 
     Raises
     ------
@@ -76,43 +77,45 @@ def fit_colour(
     if not seen.any():
         raise InputFileError(
             f"camera {camera.name} does not respond to the illuminant of a frame; "
-            "simulate the frame under another illuminant"
+            "simulate the frame under a different illuminant"
         )
     library, falling = lit_library(wanted or light)
     xyz = library * falling @ spectra.xyz_weights((wanted or light).wavelength).T
     balance, matrix = np.zeros(len(seen)), np.zeros((3, len(seen)))
     balance[seen] = 1.0 / electrons[0, seen]
-    white = np.where(xyz[0] > 0, xyz[0], 1.0)  # Z of white is 0 under deep red light
+    white = np.where(xyz[0] > 0, xyz[0], 1.0)  # under deep red light, Z of white is 0
     matrix[:, seen] = white_preserving_ridge(electrons[1:, seen] * balance[seen], xyz[1:] / white, channel_noise)
     return Colour(balance, matrix)
 
 
 def electrons_of(camera: CameraModel, light: LightSpectrum, radiances: Array) -> Array:
-    """Return the photo-electrons per second (sample, channel) that radiance spectra generate in a pixel.
+    """Return the photo-electrons per second that radiance spectra cause in a pixel: (sample, channel).
 
-    The spectra `radiances` (sample, wavelength) are sampled at the wavelengths of `light`.
+    `radiances`, (sample, wavelength), is sampled at the wavelengths of `light`.
     """
     return radiances @ (camera.electron_weights @ spectra.sampling_matrix(light.wavelength, camera.wavelength)).T
 
 
 def lit_library(light: LightSpectrum) -> tuple[Array, Array]:
-    """Return the library of measured reflectances and the scaled illuminant.
+    """Return measured reflectances at the wavelengths of an illuminant, and the radiance of a perfect white.
 
     Returns
     -------
     reflectances : ndarray, (sample, wavelength)
         A perfect white, followed by the measured surfaces.
-    radiance : ndarray, (wavelength)
+    radiance : ndarray, (wavelength,)
         Radiance of the perfect white, scaled to a luminance of 1 cd/m².
 
     Raises
     ------
     InputFileError
-        If the illuminant emits no visible light.
+        If the illuminant contains no visible light.
     """
     radiance = light.radiance.astype(np.float64)
     if not spectra.xyz_weights(light.wavelength)[1] @ radiance > 0:
-        raise InputFileError("the illuminant of a frame emits no visible light; simulate the frame under another illuminant")
+        raise InputFileError(
+            "the illuminant of a frame contains no visible light; simulate the frame under a different illuminant"
+        )
     library = np.vstack([np.ones(light.wavelength.size), spectra.reflectance_library(light.wavelength)])
     return library, spectra.at_luminance(radiance, light.wavelength, 1.0)
 
@@ -120,8 +123,8 @@ def lit_library(light: LightSpectrum) -> tuple[Array, Array]:
 def white_preserving_ridge(channels: Array, outputs: Array, channel_noise: float = 0.0) -> Array:
     """Fit a matrix that converts white-balanced channels to outputs and preserves white.
 
-    For each sample, the mean of its channels is subtracted from its channels and from its outputs. Ridge regression then
-    finds the matrix that converts the channel differences to the output differences.
+    For each sample, the mean over the channels is subtracted from the channels and from the outputs. The matrix for these
+    differences is then fitted by ridge regression.
 
     Parameters
     ----------
@@ -141,7 +144,7 @@ def white_preserving_ridge(channels: Array, outputs: Array, channel_noise: float
     differences = channels - mean
     gram = differences.T @ differences
     ridge = (RIDGE * np.trace(gram) / len(gram) + channel_noise**2 * len(channels)) * np.eye(len(gram))
-    # lstsq instead of solve: with a single channel, the equation is 0 = 0.
+    # lstsq instead of solve, because the equation is 0 = 0 if there is only one channel.
     matrix = np.linalg.lstsq(gram + ridge, differences.T @ (outputs - mean))[0].T
     return matrix - matrix.mean(axis=1, keepdims=True) + 1.0 / len(gram)
 
@@ -156,13 +159,13 @@ def develop(
     frame : TrainingPair
         Raw frame, with the white of its target.
     camera : CameraModel
-        Camera that took the frame.
+        Camera of the frame.
     colour : Colour
         White balance and colour matrix for the illuminant of the frame.
     demosaic : callable
         Demosaicking method.
     merge : callable, optional
-        Function that merges the exposures, for cameras whose channels have different exposures or gains.
+        Function that merges exposures, if the channels of the camera have different exposures or gains.
 
     Returns
     -------
@@ -182,15 +185,15 @@ def develop(
 def develop_bands(frame: TrainingPair, camera: CameraModel, relit: bool, demosaic: Demosaic) -> Array:
     """Demosaick a raw frame to the bands of its camera (docs/method.md#baselines-for-bands).
 
-    The black level and the dark signal are subtracted, the white balance is applied, the mosaic is demosaicked, and the
-    bands are multiplied by the white of the target.
+    The steps are: subtraction of the black level and the dark signal, white balance, demosaicking, and multiplication by the
+    white of the target.
 
     Parameters
     ----------
     frame : TrainingPair
         Raw frame, with the white of its target.
     camera : CameraModel
-        Camera that took the frame.
+        Camera of the frame.
     relit : bool
         Whether the illuminant of the target differs from the illuminant of the frame.
     demosaic : callable
@@ -214,15 +217,15 @@ def develop_bands(frame: TrainingPair, camera: CameraModel, relit: bool, demosai
 def develop_stokes(frame: TrainingPair, camera: CameraModel, demosaic: Demosaic) -> Array:
     """Demosaick a raw frame of a monochrome polarisation camera, and compute S1, S0 and S2 of each pixel.
 
-    Each channel is demosaicked as for `develop_bands`. The Stokes parameters are the least-squares solution for the angles
-    and the extinction ratios of all channels.
+    The channels are demosaicked as in `develop_bands`. The Stokes parameters are the least-squares solution, given the
+    angles and the extinction ratios of the polarisers.
 
     Parameters
     ----------
     frame : TrainingPair
-        Raw frame, with the white of its target, whose second output is S0.
+        Raw frame, with the white of its target. The second output of the target must be S0.
     camera : CameraModel
-        Camera that took the frame.
+        Camera of the frame.
     demosaic : callable
         Demosaicking method.
 
@@ -233,7 +236,7 @@ def develop_stokes(frame: TrainingPair, camera: CameraModel, demosaic: Demosaic)
     """
     light = light_of(frame, camera)
     radiance = spectra.sampling_matrix(light.wavelength, camera.wavelength) @ light.radiance
-    response = (camera.stokes_weights @ radiance).T  # (channel, stokes)
+    response = (camera.stokes_weights @ radiance).T  # shape: (channel, stokes)
     response = response / response[:, :1]
     bands = balanced_bands(frame, camera, white_electrons(frame, camera), demosaic)
     stokes = np.einsum("sc,crk->srk", np.linalg.pinv(response), bands)
@@ -241,38 +244,51 @@ def develop_stokes(frame: TrainingPair, camera: CameraModel, demosaic: Demosaic)
 
 
 def white_electrons(frame: TrainingPair, camera: CameraModel) -> Array:
-    """Return the photo-electrons per second that a perfect white generates in each channel under the frame's illuminant."""
+    """Return the photo-electrons per second that a perfect white causes in each channel under the frame's illuminant."""
     light = light_of(frame, camera)
     falling = spectra.at_luminance(light.radiance.astype(np.float64), light.wavelength, frame.luminance)
     return electrons_of(camera, light, falling[None])[0]
 
 
 def balance_of(white: Array, exposure: float, camera: CameraModel) -> Array:
-    """Return the white-balance factor of each channel. The factor of a channel that does not respond to white is 0.
+    """Return the white-balance factor of each channel, by which photo-electrons are multiplied so that a perfect white is 1.
 
-    The factors scale photo-electrons so that a perfect white becomes 1. `white` is the signal of a perfect white, in
-    electrons per second for each channel. Raises InputFileError if no channel responds to white.
+    The factor is 0 for channels that do not respond to white.
+
+    Parameters
+    ----------
+    white : ndarray, (channel,)
+        Signal of a perfect white in electrons per second.
+    exposure : float
+        Exposure time in s.
+    camera : CameraModel
+        The camera, for the error message.
+
+    Raises
+    ------
+    InputFileError
+        If no channel responds to white.
     """
     if not white.max() > 0:
         raise InputFileError(
             f"camera {camera.name} does not respond to the illuminant of a frame; "
-            "simulate the frame under another illuminant"
+            "simulate the frame under a different illuminant"
         )
     seen = white > BLIND * white.max()
     return np.where(seen, 1.0 / np.where(seen, white, 1.0), 0.0) / exposure
 
 
 def balanced_bands(frame: TrainingPair, camera: CameraModel, white: Array, demosaic: Demosaic) -> Array:
-    """Demosaick a raw frame to bands (channel, row, col) in which a perfect white is 1.
+    """Demosaick a raw frame to bands in which a perfect white is 1: (channel, row, col).
 
-    `white` is the signal of a perfect white, in electrons per second for each channel.
+    `white`, (channel,), is the signal of a perfect white in electrons per second.
     """
     balance = balance_of(white, frame.exposure, camera)
     return demosaic(_electrons(frame, camera) * balance[camera.channel_map(frame.raw.shape)], camera.cfa)
 
 
 def _electrons(frame: TrainingPair, camera: CameraModel) -> Array:
-    """Convert raw values to photo-electrons (row, col)."""
+    """Convert raw values to photo-electrons, without dark signal: (row, col)."""
     signal = (frame.raw - camera.black_level) / camera.gain
     dark = camera.noise.dark_current * frame.dark_time
     if camera.readout is None:
@@ -282,11 +298,11 @@ def _electrons(frame: TrainingPair, camera: CameraModel) -> Array:
 
 
 def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:
-    """Return the spectrum of a frame's illuminant, from the first available source.
+    """Return the spectrum of a frame's illuminant. It is the first available of:
 
-    1. The spectrum that is stored with the frame.
-    2. The standard illuminant with the name that is stored with the frame.
-    3. The illuminant in UNNAMED whose white point is nearest to the white of the frame.
+    1. the spectrum that is stored with the frame;
+    2. the standard illuminant with the name that is stored with the frame;
+    3. the illuminant in UNNAMED whose white point is nearest to the white of the frame.
     """
 
     def distance(white: Array) -> float:
@@ -303,7 +319,7 @@ def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:
 
 
 def named_light(name: str, *cameras: CameraModel) -> LightSpectrum:
-    """Return a standard illuminant in steps of 1 nm, over the wavelengths of the CIE observers and of the cameras."""
+    """Return a standard illuminant in steps of 1 nm, over all wavelengths of the CIE observers and of the cameras."""
     first, last = (bound(end, *(camera.wavelength[at] for camera in cameras)) for bound, end, at in ENDS)
     grid = np.arange(np.floor(first), last + 1.0)
     light = spectra.at_luminance(spectra.illuminant(name, grid), grid, 1.0)
@@ -314,10 +330,10 @@ def named_light(name: str, *cameras: CameraModel) -> LightSpectrum:
 
 
 def merges(camera: CameraModel) -> dict[str, Merge | None]:
-    """Return the functions that merge the exposures of a camera, by name of the pipeline that uses the function.
+    """Return the names of the basic pipelines for a camera, with the function that merges exposures in each pipeline.
 
-    "basic" averages the exposures. The other pipelines use only one of the exposures. If all channels have the same
-    sensitivity, nothing has to be merged, and the only entry is "basic" with the value None.
+    The pipeline "basic" averages the exposures. Two further pipelines use only one of the exposures. If all channels have
+    the same sensitivity, there is only the pipeline "basic", with the value None.
     """
     if camera.readout is None or np.ptp(camera.sensitivity) == 0:
         return {"basic": None}
@@ -326,10 +342,10 @@ def merges(camera: CameraModel) -> dict[str, Merge | None]:
 
 
 def merged(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
-    """Average the exposures of each colour filter, weighted by inverse noise variance.
+    """Average the exposures of each colour filter, weighted by the inverse of their noise variances.
 
-    An exposure does not contribute to a pixel near which it clips. If all exposures of a filter clip there, the result is
-    the least sensitive exposure.
+    An exposure is not used at pixels near which it clips. If all exposures of a filter clip near a pixel, the least
+    sensitive exposure is used.
     """
     span, channels = camera.white_level - camera.black_level, np.arange(len(camera.channels))
     clipped = interpolate((frame.raw >= camera.black_level + CLIPPED * span).astype(np.float64), camera.cfa) > TOUCHED
@@ -346,12 +362,12 @@ def merged(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Arr
 
 
 def most_sensitive(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
-    """Use only the longest exposure or highest gain of each colour filter."""
+    """Return, for each colour filter, only the planes of its most sensitive channel (longest exposure or highest gain)."""
     return _chosen(planes, camera, np.argmax)
 
 
 def least_sensitive(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
-    """Use only the shortest exposure or lowest gain of each colour filter."""
+    """Return, for each colour filter, only the planes of its least sensitive channel (shortest exposure or lowest gain)."""
     return _chosen(planes, camera, np.argmin)
 
 
@@ -363,7 +379,7 @@ def _chosen(planes: Array, camera: CameraModel, which: Callable[[Array], np.intp
 
 
 def _groups(camera: CameraModel) -> list[NDArray[np.intp]]:
-    """Return the channels of each colour filter."""
+    """Return the indices of the channels with each colour filter."""
     assert camera.readout is not None
     first = camera.readout.same_filter
     return [np.flatnonzero(first == one) for one in np.unique(first)]

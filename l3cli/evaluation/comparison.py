@@ -15,14 +15,14 @@ from l3cli.frames.scene import shown_alike
 from l3cli.physics.figures import in_words, sign
 from l3cli.system.text import short_names
 
-MAX_METRIC = 1e12  # largest plausible metric, luminance in cd/m² and exposure time in s
-CLIPPING = 0.05  # a camera clips if at least this fraction of pixels is at full scale; highlights usually cover less
+MAX_METRIC = 1e12  # largest plausible metric, luminance (cd/m²) or exposure time (s)
+CLIPPING = 0.05  # a camera clips if at least this fraction of its pixels is at full scale; highlights usually cover less
 OTHER_SCENES = (
     "the evaluations show different scenes or illuminants and cannot be compared; "
     "simulate all training sets with the same scene recipe and seed"
 )
 UNKNOWN_SCENES = (
-    "some frames do not record which scene and illuminant they show, so the cameras may not be comparable; "
+    "the scene or the illuminant of some frames is unknown, so the cameras may not be comparable; "
     "simulate the training sets again"
 )
 
@@ -31,18 +31,18 @@ UNKNOWN_SCENES = (
 class Curve:
     """A metric of one camera as a function of luminance."""
 
-    name: str
-    luminance: tuple[float, ...]  # cd/m² of a perfect white, increasing
-    value: tuple[float, ...]
+    name: str  # name of the camera
+    luminance: tuple[float, ...]  # luminance of a perfect white in cd/m², in increasing order
+    value: tuple[float, ...]  # metric at each luminance
     clipped: tuple[float, ...]  # fraction of pixels at full scale at each luminance
-    exposure: tuple[float, ...]  # s, longest exposure time at each luminance
+    exposure: tuple[float, ...]  # longest exposure time at each luminance in s
 
 
 @dataclass(frozen=True)
 class Comparison:
     """All metrics of several cameras as functions of luminance."""
 
-    curves: dict[str, list[Curve]]  # for each metric, one curve per camera in the order of the evaluations
+    curves: dict[str, list[Curve]]  # key of each metric, and one curve per camera, in the order of the evaluations
     alike: bool | None  # whether all cameras were evaluated on the same scenes; None if unknown
 
     @property
@@ -51,16 +51,16 @@ class Comparison:
         return next(iter(self.curves.values()))
 
     def sentences(self, figure: str) -> list[str]:
-        """Describe for each pair of cameras at which luminances each camera is better.
+        """Describe, for each pair of cameras, at which luminances each camera is better in the metric `figure`.
 
-        Return an empty list if the scenes differ.
+        The result is empty if the scenes differ.
         """
         pairs = [] if self.alike is False else itertools.combinations(self.curves[figure], 2)
         return [verdict(one, other, figure) for one, other in pairs]
 
     @property
     def doubt(self) -> str | None:
-        """Warning that the cameras cannot, or may not, be compared. None if they can."""
+        """Warning that the cameras cannot be compared, or may not be comparable. None if they can be compared."""
         return {False: OTHER_SCENES, None: UNKNOWN_SCENES}.get(self.alike) if len(self.cameras) > 1 else None
 
     @property
@@ -69,7 +69,7 @@ class Comparison:
         return list(filter(None, map(clipping, self.cameras)))
 
     def document(self) -> dict[str, Any]:
-        """Return the comparison as a dictionary that can be written as JSON."""
+        """Return the comparison as a dictionary, ready for JSON."""
         cameras = [
             {"camera": camera.name, "luminance": list(camera.luminance)}
             | {figure: list(curves[index].value) for figure, curves in self.curves.items()}
@@ -85,7 +85,7 @@ class Comparison:
 
 
 def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
-    """Average a metric of an evaluation over all frames with the same luminance.
+    """Return a metric of an evaluation as a function of luminance. Frames with the same luminance are averaged.
 
     Parameters
     ----------
@@ -94,12 +94,12 @@ def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
     figure : str
         Key of the metric in the document.
     file : Path
-        File that contained the document, for error messages.
+        File of the document, for error messages.
 
     Raises
     ------
     InputFileError
-        If the document is not an evaluation of single frames, or contains implausible numbers.
+        If the document is not an evaluation of single frames, or if it contains implausible numbers.
     RecipeError
         If the evaluation does not contain the metric.
     """
@@ -129,7 +129,7 @@ def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
 
 
 def named_by_files(curves: list[Curve], files: tuple[Path, ...]) -> list[Curve]:
-    """Return the curves with unique names. If several curves have the same camera name, the file names are appended."""
+    """Make the names of curves unique. If several cameras have the same name, the names of their files are appended."""
     names = [curve.name for curve in curves]
     return [
         curve if names.count(curve.name) == 1 else replace(curve, name=f"{curve.name} ({file.removesuffix('.json')})")
@@ -138,9 +138,10 @@ def named_by_files(curves: list[Curve], files: tuple[Path, ...]) -> list[Curve]:
 
 
 def same_scenes(documents: Sequence[Mapping[str, Any]]) -> bool | None:
-    """Whether all evaluations have frames of the same scenes and illuminants. None if a frame does not record them.
+    """Return whether all evaluations contain frames of the same scenes under the same illuminants.
 
-    Raises InputFileError if a document is not from `l3 evaluate --json`.
+    The result is None if the scene or the illuminant of a frame is unknown. Raises InputFileError if a document is not from
+    `l3 evaluate --json`.
     """
     try:
         first, *others = map(_shown, documents)
@@ -157,9 +158,9 @@ def same_scenes(documents: Sequence[Mapping[str, Any]]) -> bool | None:
 
 
 def _shown(document: Mapping[str, Any]) -> dict[tuple[str, str, str], Any]:
-    """Return the fingerprint of the scene and illuminant of each frame (None if it has no fingerprint).
+    """Return the fingerprint of each frame's scene and illuminant, or None if the frame has no fingerprint.
 
-    The keys are scene name, illuminant name and luminance.
+    The keys are the name of the scene, the name of the illuminant, and the luminance.
     """
     return {
         (str(frame.get("scene")), str(frame.get("illuminant")), f"{float(frame['luminance']):.6g}"): frame.get("shown")
@@ -178,7 +179,10 @@ def require_comparable(curves: list[Curve]) -> None:
 
 
 def crossings(one: Curve, other: Curve, figure: str) -> list[float]:
-    """Return the luminances in cd/m² at which two curves cross, interpolated on a logarithmic scale of luminance."""
+    """Return the luminances in cd/m² at which two curves of the metric `figure` cross.
+
+    Between the luminances of the curves, the difference is interpolated over the logarithm of the luminance.
+    """
     lead = sign(figure) * (np.array(one.value) - np.array(other.value))
     luminances = []
     for at, to in pairwise(np.flatnonzero(lead)):
@@ -191,7 +195,7 @@ def crossings(one: Curve, other: Curve, figure: str) -> list[float]:
 
 
 def verdict(one: Curve, other: Curve, figure: str) -> str:
-    """Describe in which luminance ranges each of two cameras is better, with the largest difference in each range."""
+    """Describe in which ranges of luminance each of two cameras is better, and the largest difference in each range."""
     lead = sign(figure) * (np.array(one.value) - np.array(other.value))
     if not lead.any():
         return f"{figure}: {one.name} and {other.name} are equal at every luminance."
@@ -213,7 +217,7 @@ def _range(low: float, high: float) -> str:
 
 
 def clipping(curve: Curve) -> str | None:
-    """Describe above which luminance a camera clips. None if the camera does not clip at the highest luminance."""
+    """Describe from which luminance a camera clips. The result is None if it does not clip at the highest luminance."""
     some = [share >= CLIPPING for share in curve.clipped]
     if not some[-1]:
         return None
@@ -225,6 +229,6 @@ def clipping(curve: Curve) -> str | None:
 
 
 def _time(seconds: float) -> str:
-    """Format an exposure time as a fraction of a second if possible, for example 1/60 s."""
+    """Format an exposure time, if possible as a fraction of a second such as 1/60 s."""
     parts = round(1.0 / seconds)
     return f"1/{parts} s" if parts > 1 and abs(parts * seconds - 1.0) < 0.01 else f"{seconds:.3g} s"

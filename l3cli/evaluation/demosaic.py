@@ -1,8 +1,8 @@
-"""Untrained demosaicking methods, which are the baselines for tables.
+"""Untrained demosaicking methods, which are baselines for tables.
 
-A method is a function of a mosaic (row, col) and a CFA. The mosaic must begin at CFA phase (0, 0). The result contains an
-image of each channel (channel, row, col) with the size of the mosaic. Methods for bands need a mosaic in which a perfect
-white is 1 in every band (docs/method.md#baselines-for-bands). At the borders, the mosaic is mirrored so that the CFA pattern
+A method is a function of a mosaic (row, col) and a CFA. The mosaic must begin at CFA site (0, 0). The result is one plane
+per channel, (channel, row, col), with the size of the mosaic. Methods for bands need a mosaic in which a perfect white is 1
+in every band (docs/method.md#baselines-for-bands). At the borders, the mosaic is mirrored such that the CFA pattern
 continues.
 """
 
@@ -29,21 +29,21 @@ CFA = NDArray[np.uint8]
 Demosaic = Callable[[Array, CFA], Array]
 Direction = tuple[int, int]  # row offset and column offset
 DIRECTIONS: tuple[Direction, ...] = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right)
-# Width of the mirrored margin for band methods, in CFA periods. Band methods wrap around at the border, and the margin is
-# wider
-# than their support.
+# Width of the mirrored margin for band methods, in CFA periods. It is wider than the support of these methods, because they
+# wrap around at the border.
 BAND_MARGIN_PERIODS = 4
-CODES = 255.0  # value of a perfect white in PPID; the constant 1 in the weights of PPID was chosen for 8-bit values
-# σ of the Gaussian, in mean distances between samples of a channel. This value is best for dead leaves with a five-band CFA.
+CODES = 255.0  # value of a perfect white in PPID, whose weights contain a constant for 8-bit values
+# σ of the Gaussian, as a multiple of the mean distance between samples of a channel. This value is best for dead leaves with
+# a five-band CFA.
 SIGMA_SAMPLES = 0.55
-BAYER_MARGIN_PIXELS = 8  # width of the mirrored margin for Bayer methods; must be even and wider than their support
+BAYER_MARGIN_PIXELS = 8  # width of the mirrored margin for Bayer methods; it is even, and wider than their support
 
 
 def interpolate(mosaic: Array, cfa: CFA) -> Array:
-    """Interpolate each channel independently by normalised convolution, for any CFA.
+    """Interpolate each channel of any CFA independently by normalised convolution (Knutsson and Westin 1993).
 
-    Each value of the result (channel, row, col) is the Gaussian-weighted mean of the samples of the channel around the pixel
-    (Knutsson and Westin 1993). Uniform areas are reproduced exactly. Borders are mirrored.
+    The result at a pixel is the Gaussian-weighted mean of the samples of the channel around the pixel. Uniform areas are
+    reproduced exactly. The borders are mirrored.
     """
     channel = tiled(cfa, mosaic.shape)
     planes = []
@@ -59,25 +59,29 @@ def interpolate(mosaic: Array, cfa: CFA) -> Array:
 
 
 def malvar(mosaic: Array, cfa: CFA) -> Array:
-    """Demosaick a Bayer mosaic with the method of Malvar, He and Cutler (2004), implemented in colour-demosaicing."""
+    """Demosaick a Bayer mosaic with the method of Malvar, He and Cutler (2004), as implemented in colour-demosaicing."""
     return _by_colour_demosaicing("demosaicing_CFA_Bayer_Malvar2004", mosaic, cfa)
 
 
 def menon(mosaic: Array, cfa: CFA) -> Array:
-    """Demosaick a Bayer mosaic with the method of Menon, Andriani and Calvagno (2007), implemented in colour-demosaicing."""
+    """Demosaick a Bayer mosaic with the method of Menon, Andriani and Calvagno (2007), as in colour-demosaicing."""
     return _by_colour_demosaicing("demosaicing_CFA_Bayer_Menon2007", mosaic, cfa)
 
 
 def baselines(cfa: CFA) -> dict[str, Demosaic]:
-    """Return all installed demosaicking methods for XYZ pictures that support a CFA, by name. "basic" is always included."""
+    """Return the name and the function of each installed demosaicking method that supports a CFA, for XYZ pictures.
+
+    "basic" is always included.
+    """
     return _with_plugins({"basic": interpolate} | _bayer_baselines(cfa), cfa)
 
 
 def band_baselines(cfa: CFA) -> dict[str, Demosaic]:
-    """Return the demosaicking methods for a camera's own bands, by name. Methods of installed plugins are added.
+    """Return the name and the function of each demosaicking method for a camera's own bands.
 
-    If every band occurs once per CFA period, the methods are "bilinear", "sd" and "ppid". For a Bayer CFA, the methods are
-    "bilinear", and "malvar" and "menon" if colour-demosaicing is installed. For other CFAs, the only method is "basic".
+    If every band occurs once per CFA period, the methods are "bilinear", "sd" and "ppid". For a Bayer CFA, they are
+    "bilinear" and, if colour-demosaicing is installed, "malvar" and "menon". For any other CFA, the only method is "basic".
+    Methods of installed plugins are added.
     """
     if occurs_once(cfa):
         return _with_plugins({"bilinear": bilinear, "sd": spectral_difference, "ppid": ppi_difference}, cfa)
@@ -87,15 +91,15 @@ def band_baselines(cfa: CFA) -> dict[str, Demosaic]:
 
 
 def stokes_baselines(cfa: CFA) -> dict[str, Demosaic]:
-    """Return the demosaicking method for the channels of a monochrome polarisation camera, by name."""
+    """Return the name and the function of the demosaicking method for the channels of a monochrome polarisation camera."""
     return {"bilinear": bilinear} if occurs_once(cfa) else {"basic": interpolate}
 
 
 def best_of_bands(cfa: CFA) -> Demosaic:
-    """Return the best demosaicking method for the bands of a CFA, plugins excluded.
+    """Return the best demosaicking method for the bands of a CFA. Plugins are not considered.
 
-    The method is PPID if every band occurs once per CFA period. For a Bayer CFA it is Menon's method if colour-demosaicing
-    is installed. Otherwise it is normalised convolution.
+    If every band occurs once per CFA period, it is PPID. For a Bayer CFA, it is Menon's method if colour-demosaicing is
+    installed. Otherwise it is normalised convolution.
     """
     if occurs_once(cfa):
         return ppi_difference
@@ -103,7 +107,7 @@ def best_of_bands(cfa: CFA) -> Demosaic:
 
 
 def bayer_roles(cfa: CFA) -> tuple[int, int, int] | None:
-    """Return which channels of a Bayer CFA a Bayer method treats as red, green and blue. None for other CFAs.
+    """Return the indices of the channels that a Bayer method treats as red, green and blue, or None for any other CFA.
 
     The green channel is the channel that occurs twice, on a diagonal.
     """
@@ -130,7 +134,7 @@ def _with_plugins(known: dict[str, Demosaic], cfa: CFA) -> dict[str, Demosaic]:
     methods = dict(known)
     for name, entry in plugins(BASELINES).items():
         if name in known:
-            raise L3Error(f"{described(entry)} has the same name as a built-in baseline of l3; rename the plugin")
+            raise L3Error(f"{described(entry)} has the same name as a built-in baseline; rename the plugin")
         with blamed(entry):
             method = entry.load()(cfa)
         if method is not None:
@@ -139,12 +143,14 @@ def _with_plugins(known: dict[str, Demosaic], cfa: CFA) -> dict[str, Demosaic]:
 
 
 def _interpolated_by(entry: EntryPoint, method: Callable[[Array], Array], mosaic: Array, cfa: CFA) -> Array:
-    """Demosaick a mosaic (row, col) with the method of a plugin. Raises L3Error if the result is invalid."""
+    """Demosaick a mosaic (row, col) with the method of a plugin. Raises L3Error if the method fails or its result is
+    invalid.
+    """
     with blamed(entry):
         planes = np.asarray(method(mosaic), np.float64)
         shape = (int(cfa.max()) + 1, *mosaic.shape)
         if planes.shape != shape or not np.isfinite(planes).all():
-            raise ValueError(f"the result must be finite and have the shape {shape}; its shape is {planes.shape}")
+            raise ValueError(f"the result has the shape {planes.shape}, but must be finite and have the shape {shape}")
     return planes
 
 
@@ -157,7 +163,8 @@ def _by_colour_demosaicing(name: str, mosaic: Array, cfa: CFA) -> Array:
         assert roles is not None
         letter = dict(zip(roles, "RGB", strict=True))
         pattern = "".join(letter[int(channel)] for channel in cfa.ravel())
-        padded = pad_mosaic(mosaic, BAYER_MARGIN_PIXELS, cfa.shape)  # padding in colour-demosaicing breaks the CFA pattern
+        # The padding in colour-demosaicing would interrupt the CFA pattern.
+        padded = pad_mosaic(mosaic, BAYER_MARGIN_PIXELS, cfa.shape)
         planes = cropped(np.moveaxis(getattr(colour_demosaicing, name)(padded, pattern), -1, 0), BAYER_MARGIN_PIXELS)
     return planes[[roles.index(channel) for channel in range(3)]]
 
@@ -166,14 +173,14 @@ def _by_colour_demosaicing(name: str, mosaic: Array, cfa: CFA) -> Array:
 
 
 def occurs_once(cfa: CFA) -> bool:
-    """Whether a CFA has at least 2×2 sites and every band occurs exactly once per period."""
+    """Return whether a CFA has at least 2×2 sites and every band occurs exactly once per period."""
     return min(cfa.shape) > 1 and int(cfa.max()) + 1 == cfa.size == np.unique(cfa).size
 
 
 def bilinear(mosaic: Array, cfa: CFA) -> Array:
     """Interpolate every band independently by weighted bilinear interpolation (Brauers and Aach 2006).
 
-    The weights are triangular and reach zero at a distance of one period. For a Bayer CFA the method is ordinary bilinear
+    The weights decrease linearly with the distance, to zero at one period. For a Bayer CFA, this is ordinary bilinear
     interpolation.
     """
     return _by_site(mosaic, cfa, lambda padded: lambda site: _interpolated(padded, cfa, site))
@@ -182,8 +189,8 @@ def bilinear(mosaic: Array, cfa: CFA) -> Array:
 def spectral_difference(mosaic: Array, cfa: CFA) -> Array:
     """Interpolate differences between bands (Brauers and Aach, "A color filter array based multispectral camera", 2006).
 
-    For the pixels of band l, the bilinear interpolation of band l is subtracted from all samples. The differences are
-    interpolated at these pixels, and the sample of band l is added.
+    At the pixels of band l, the method first interpolates band l bilinearly at all pixels, and subtracts the result from all
+    samples. It then interpolates these differences at the pixels of band l, and adds the samples of band l.
     """
 
     def method(padded: Array) -> Callable[[Direction], Array]:
@@ -198,11 +205,11 @@ def spectral_difference(mosaic: Array, cfa: CFA) -> Array:
 
 
 def ppi_difference(mosaic: Array, cfa: CFA) -> Array:
-    """Demosaick with PPID for a CFA that `occurs_once`.
+    """Demosaick with PPID, for a CFA in which every band occurs once per period (`occurs_once`).
 
-    The pseudo-panchromatic image is the mean of all bands. The method subtracts it from all samples, interpolates the
-    differences along edges, and adds it again (Mihoubi, Losson, Mathon and Macaire, "Multispectral demosaicing using
-    pseudo-panchromatic image", IEEE Trans. Computational Imaging 3, 2017, equations 21 to 34).
+    The pseudo-panchromatic image is the mean of all bands. The method subtracts this image from all samples, interpolates
+    the differences along edges, and adds the image again (Mihoubi, Losson, Mathon and Macaire, "Multispectral demosaicing
+    using pseudo-panchromatic image", IEEE Trans. Computational Imaging 3, 2017, equations 21 to 34).
     """
 
     def method(padded: Array) -> Callable[[Direction], Array]:
@@ -222,8 +229,8 @@ def ppi_difference(mosaic: Array, cfa: CFA) -> Array:
 def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direction, Array]) -> Array:
     """Return the pseudo-panchromatic image (row, col) of a mosaic (equations 23 to 28).
 
-    The mosaic is averaged over one period. Each pixel is then its own sample plus a weighted mean of the differences between
-    average and sample at the neighbours of the same band, which are one period away.
+    The mosaic is first averaged over one period around each pixel. The result at a pixel is the sample of the pixel plus a
+    weighted mean, over the neighbours at a distance of one period, of the difference between average and sample.
     """
     smooth = values
     for axis, length in enumerate(period):
@@ -238,9 +245,10 @@ def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direc
 
 
 def _edge_weights(values: Array, period: tuple[int, ...]) -> dict[Direction, Array]:
-    """Return the weight (row, col) of the neighbour in each direction (equations 25 to 27).
+    """Return the weights (row, col) of the neighbours in each direction (equations 25 to 27).
 
-    The weight is small if samples of one band change over one period in this direction. The weight of the pixel itself is 1.
+    The more the samples of a band change over one period in a direction, the smaller is the weight. For the direction (0,
+    0), all weights are 1.
     """
     weights: dict[Direction, Array] = {(0, 0): np.ones(values.shape)}
     for down, right in DIRECTIONS:
@@ -260,10 +268,11 @@ def _edge_weights(values: Array, period: tuple[int, ...]) -> dict[Direction, Arr
 
 
 def _interpolated(plane: Array, cfa: CFA, site: Direction, weights: Mapping[Direction, Array] | None = None) -> Array:
-    """Interpolate all bands (band, row, col) at the pixels of a CFA site, from samples of `plane` less than a period away.
+    """Interpolate all bands at the pixels of a CFA site: (band, row, col).
 
-    The weight of a sample falls linearly with its row distance and with its column distance. `weights` contains an
-    additional factor for each direction. In the band of the site itself, the result is the sample.
+    Samples of `plane` at a distance of less than one period are used. Their weight decreases linearly with the distance in
+    rows and with the distance in columns. `weights` contains an additional factor for each direction. In the band of the
+    site itself, the result is the sample.
     """
     total = np.zeros((int(cfa.max()) + 1, *_samples(plane, cfa, site).shape))
     norm = np.zeros_like(total)
@@ -280,7 +289,10 @@ def _interpolated(plane: Array, cfa: CFA, site: Direction, weights: Mapping[Dire
 
 
 def _by_site(mosaic: Array, cfa: CFA, method: Callable[[Array], Callable[[Direction], Array]]) -> Array:
-    """Pad a mosaic, apply a method to the pixels of each CFA site, and remove the margin."""
+    """Pad a mosaic, demosaick the pixels of each CFA site with a method, and remove the margin.
+
+    `method` is a function of the padded mosaic. It returns a function that computes all bands at the pixels of a site.
+    """
     margin = BAND_MARGIN_PERIODS * math.lcm(*cfa.shape)
     return cropped(_all_sites(padded := pad_mosaic(mosaic, margin, cfa.shape), cfa, method(padded)), margin)
 
@@ -293,7 +305,10 @@ def _all_sites(padded: Array, cfa: CFA, at: Callable[[Direction], Array]) -> Arr
 
 
 def _samples(plane: Array, cfa: CFA, site: Direction, offset: Direction = (0, 0)) -> Array:
-    """Return the values of a plane at `offset` from the pixels of a CFA site. The plane wraps around at its borders."""
+    """Return the values of a plane at the pixels of a CFA site, shifted by `offset`.
+
+    The plane wraps around at its borders.
+    """
     rows, cols = (
         (np.arange(first, length, step) + by) % length
         for first, length, step, by in zip(site, plane.shape, cfa.shape, offset, strict=True)
@@ -302,10 +317,10 @@ def _samples(plane: Array, cfa: CFA, site: Direction, offset: Direction = (0, 0)
 
 
 def _moved(plane: Array, by: tuple[int, ...]) -> Array:
-    """Shift a plane so that each pixel contains the value at offset `by`. The plane wraps around."""
+    """Shift a plane such that each pixel contains the value at the offset `by`. The plane wraps around at its borders."""
     return np.roll(plane, tuple(-each for each in by), (0, 1))
 
 
 def _step(direction: Direction, period: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the offset, in pixels, of one CFA period in a direction."""
+    """Return the offset, in pixels, by one CFA period in a direction."""
     return tuple(sign * length for sign, length in zip(direction, period, strict=True))

@@ -1,6 +1,6 @@
-"""Compares a table with other pipelines frame by frame, and collects all metrics in one JSON document.
+"""Compares a table with baselines frame by frame, and collects all metrics in one document for JSON.
 
-The document also contains mean errors by class, which show the classes with the largest errors.
+The document also contains the mean error in each class, so that users can find the classes with the largest errors.
 """
 
 import dataclasses
@@ -41,16 +41,15 @@ from l3cli.physics.spectra import RADIANCES, REFLECTANCES
 from l3cli.physics.stokes import STOKES, has_stokes
 
 Array = NDArray[np.floating]
-MIN_PIXEL_FRACTION = 1e-3  # fraction of all pixels; smaller classes are not listed among the worst classes
+MIN_PIXEL_FRACTION = 1e-3  # classes with a smaller fraction of all pixels are not listed among the worst classes
 LISTED_CLASSES = 10  # number of worst classes in the document
 
 
 class ClassErrors:
     """Sums of the pixel errors of each pipeline, for each combination of class features.
 
-    The pixels of all CFA sites are added up.
-
-    The features are level, contrast, kind (chroma or saturation case) and optional features such as direction.
+    The features are level, contrast, kind (chroma or saturation case) and additional features such as direction. CFA sites
+    are not distinguished.
     """
 
     def __init__(self, table: TransformTable, pipelines: tuple[str, ...]) -> None:
@@ -64,9 +63,9 @@ class ClassErrors:
         Parameters
         ----------
         labels : ndarray, (…)
-            Class of each pixel.
+            Class of each pixel in the first layer.
         errors : dict of str to ndarray, (…)
-            Error of each pixel, for each pipeline.
+            Name of each pipeline, and its error at each pixel.
         """
         rule = self._rule
         within, classes = rule.within_site(labels.ravel()), rule.classes_per_site
@@ -75,9 +74,18 @@ class ClassErrors:
             self._sums[name] += rule.by_feature(np.bincount(within, weights=error.ravel(), minlength=classes))[0]
 
     def by_feature(self, figure: str) -> dict[str, list[dict[str, Any]]]:
-        """Return the mean error of each pipeline for each value of each class feature, with the number of pixels.
+        """Return the mean error of each pipeline, for each value of each class feature.
 
-        The key of the mean error is `figure`. Values of a feature that occur in no pixel are left out.
+        Parameters
+        ----------
+        figure : str
+            Key of the mean error in the result.
+
+        Returns
+        -------
+        dict of str to list of dict
+            Name of each feature, and one entry per value of the feature. The entry contains a description of the value, the
+            number of pixels and the mean error of each pipeline. Values that do not occur are left out.
         """
         table, rule = self._table, self._rule
         entries_of: dict[str, list[tuple[dict[str, Any], Any]]] = {
@@ -97,9 +105,10 @@ class ClassErrors:
         return {name: [entry for entry in entries if entry["pixels"]] for name, entries in every.items()}
 
     def worst(self, figure: str, pipeline: str) -> list[dict[str, Any]]:
-        """Return the LISTED_CLASSES classes in which a pipeline has the largest mean errors, the worst class first.
+        """Return the LISTED_CLASSES classes in which a pipeline has the largest mean errors, beginning with the worst.
 
-        Classes that contain less than the fraction MIN_PIXEL_FRACTION of all pixels are left out.
+        Classes that contain less than the fraction MIN_PIXEL_FRACTION of all pixels are left out. `figure` is the key of the
+        mean error in the entries.
         """
         pixels = np.maximum(self._pixels, 1)
         seen = self._pixels >= max(MIN_PIXEL_FRACTION * self._pixels.sum(), 1)
@@ -122,19 +131,19 @@ class ClassErrors:
         return {**about, "pixels": pixels, **means}
 
 
-FORMAT = 3  # version of the document, increased when its keys change
-OURS = "ours"  # name of the table in lists of pipelines
+FORMAT = 3  # version of the document; it increases when keys change
+OURS = "ours"  # name of the table in the list of pipelines
 RESERVED_NAMES = {
     "scene", "illuminant", "luminance", "frames", "pixels", "from", "to", "band", "case", "varies", "ideal", "error",
     *EVERY_FEATURE,
-}  # fmt: skip # keys of the document and names of picture files, which must not be names of pipelines
+}  # fmt: skip # names of pipelines must differ from these keys of the document and names of picture files
 MAX_OUTPUT_CD_PER_M2 = 1e24  # cd/m²; largest accepted output of a table, so that sums of squares stay finite
 
 
 class Evaluation:
-    """Metrics of a table and of other pipelines on the frames of a training set.
+    """Metrics of a table, baselines and rivals on the frames of a training set.
 
-    Frames are added one by one. Their pictures are not kept in memory.
+    Frames are added one after the other. Their pictures are not kept in memory.
 
     Parameters
     ----------
@@ -145,20 +154,19 @@ class Evaluation:
     viewing : float
         Picture samples per degree of visual angle, for S-CIELAB.
     border : int, optional
-        Width in pixels of the margin of each frame that is not evaluated. [default: radius of a patch, so that every
-        evaluated pixel has its whole patch inside the frame]
+        Width in pixels of the margin of each frame that is not evaluated. [default: radius of a patch, so that the whole
+        patch of every evaluated pixel is inside the frame]
     rivals : sequence of str
-        Names of pipelines whose pictures the user supplies. The pictures are passed to `planes`.
+        Names of rivals: pipelines whose pictures the user provides. Pass these pictures to `planes`.
     drawn : callable, optional
-        Simulates training frames for the spectral estimators. If it is None, no spectra are estimated.
+        Function that simulates training frames for the spectral estimators. [default: no spectral estimators]
 
     Raises
     ------
     InputFileError
-        If table and frames have different CFAs or different outputs.
+        If the table and the frames have different CFAs or different outputs.
     RecipeError
-        If `rivals` is not empty but the outputs are not XYZ, or if a rival has a reserved name or the name of another
-        pipeline.
+        If `rivals` is not empty but the outputs are not XYZ, or if the name of a rival is reserved or not unique.
     """
 
     def __init__(
@@ -175,7 +183,8 @@ class Evaluation:
         if head.outputs != table.outputs:
             names = f"table: {', '.join(table.outputs)}; training set: {', '.join(head.outputs)}"
             raise InputFileError(
-                f"table and training set have different outputs ({names}); use a training set with the table's outputs"
+                f"the table and the training set have different outputs ({names}); use a training set with the outputs of "
+                "the table"
             )
         self._table, self._camera, self._wanted, self._viewing = table, camera, head.target_light, viewing
         self._pictures = table.outputs == XYZ
@@ -192,27 +201,31 @@ class Evaluation:
             self._estimates = Estimates(camera, drawn)
         if rivals and not self._pictures:
             raise RecipeError(
-                f"‹rival› needs a table with outputs X, Y, Z, but this table has {', '.join(table.outputs)}; omit ‹rival›"
+                "‹rival› needs a table with the outputs X, Y, Z, but this table has the outputs "
+                f"{', '.join(table.outputs)}; "
+                "leave ‹rival› out"
             )
         self._rivals = tuple(rivals)
         for name in self.pipelines:
             if self.pipelines.count(name) > 1 or name in RESERVED_NAMES:
-                raise RecipeError(f'the pipeline name "{name}" is already in use; choose another name')
+                raise RecipeError(
+                    f'the name "{name}" is reserved, or is the name of a second pipeline; choose a different name'
+                )
         single = "mean_error" if len(table.outputs) == 1 else "mean_angle"
         single = "mean_dolp_error" if has_stokes(table.outputs) else single
         self._figure = "mean_delta_e" if self._pictures else single
         self._colours: dict[bytes, Colour] = {}  # white balance and colour matrix for each illuminant
         self._frames: list[dict[str, Any]] = []
-        # for each frame: range of its level, kind of each uniform patch, colour variance of each patch by pipeline
+        # For each frame: the range of its level, the type of each uniform patch, and each pipeline's colour variances.
         self._patches: list[tuple[tuple[float, float], list[str], dict[str, Array]]] = []
-        self._bands: list[dict[str, list[dict[str, float]]]] = []  # for each frame and pipeline, the metrics of each output
+        self._bands: list[dict[str, list[dict[str, float]]]] = []  # for each frame and pipeline: metrics of each output
         self._classes = ClassErrors(table, self.pipelines)
 
     @property
     def pipelines(self) -> tuple[str, ...]:
-        """Names of the pipelines: "ours" (the table), then the baselines, the spectral estimators and the rivals.
+        """Names of the pipelines: "ours" (the table), the baselines, the spectral estimators, and the rivals.
 
-        Baselines exist only if the outputs are XYZ or the camera's bands.
+        There are baselines only if the outputs are XYZ, the bands of the camera or Stokes parameters.
         """
         return (OURS, *self._baselines, *(ESTIMATES if self._estimates else ()), *self._rivals)
 
@@ -224,14 +237,14 @@ class Evaluation:
         frame : TrainingPair
             Raw frame with its target.
         outputs : ndarray, (output, row, col)
-            The frame rendered with the table.
+            The frame, rendered with the table, in output units.
         rivals : mapping of str to ndarray, (3, row, col), optional
-            XYZ planes of each rival, in the unit of the target.
+            Name of each rival, and its XYZ planes in the unit of the target.
 
         Returns
         -------
         dict of str to ndarray, (output, row, col)
-            Planes of each pipeline, in the unit of the target.
+            Name of each pipeline, and its planes in the unit of the target.
 
         Raises
         ------
@@ -243,16 +256,18 @@ class Evaluation:
         if min(frame.raw.shape) <= 2 * border:
             size = "×".join(map(str, frame.raw.shape))
             raise InputFileError(
-                f"frame {frame.scene} has {size} pixels and is too small for a border of {border} pixels; use larger frames"
+                f"frame {frame.scene} has {size} pixels, which is too small for a border of {border} pixels; use larger "
+                "frames"
             )
         estimated = self._estimates.planes(frame) if self._estimates else {}
         shown = {name: self._as_shown(of, frame) for name, of in (rivals or {}).items()}
         return self.developed(frame, outputs) | estimated | shown
 
     def developed(self, frame: TrainingPair, outputs: Array) -> dict[str, Array]:
-        """Return the planes of the table and of the baselines for a frame of any size, in the unit of the target.
+        """Return the results of the table and of the baselines for a frame of any size.
 
-        The frame is demosaicked with each baseline here. Estimators and rivals are not included.
+        The parameters and the result are the same as in `planes`, but the spectral estimators and the rivals are not
+        included.
 
         Raises
         ------
@@ -264,7 +279,9 @@ class Evaluation:
         with np.errstate(over="ignore"):
             ours = outputs * (self._table.output_unit / frame.exposure)
         if not np.abs(ours).max() <= MAX_OUTPUT_CD_PER_M2:
-            raise InputFileError(f"the table computes impossibly large values in frame {frame.scene}; train the table again")
+            raise InputFileError(
+                f"the table renders frame {frame.scene} to implausibly large or infinite values; train the table again"
+            )
         planes: dict[str, Array] = {OURS: ours}
         for name, demosaic in self._baselines.items():
             if self._pictures:
@@ -276,28 +293,28 @@ class Evaluation:
         return {name: self._as_shown(of, frame) for name, of in planes.items()}
 
     def wanted(self, frame: TrainingPair) -> TrainingPair:
-        """Return the frame with the target for the comparison.
+        """Return the frame with the target that is used for the comparison.
 
-        This is the target of the frame, unless the table makes grey pictures. A camera with one channel cannot distinguish
-        colours, so its pictures are compared with a grey of the same luminance.
+        If the pictures of the table are grey, the target is replaced by a grey of the same luminance, because a camera with
+        one channel cannot distinguish colours. Otherwise the frame is returned unchanged.
         """
         return dataclasses.replace(frame, target=self._as_shown(frame.target, frame))
 
     def _as_shown(self, planes: Array, frame: TrainingPair) -> Array:
-        """Replace XYZ planes (3, row, col) with a grey of the same luminance if the pictures of the table are grey."""
+        """Replace XYZ planes (3, row, col) by greys of the same luminance if the pictures of the table are grey."""
         if not (self._pictures and self._table.shows_grey and frame.white[1] > 0):
             return planes
         return np.asarray(planes[1] * (frame.white / frame.white[1])[:, None, None], planes.dtype)
 
     def add(self, frame: TrainingPair, planes: dict[str, Array], labels: NDArray[np.integer]) -> None:
-        """Compute and add the metrics of a frame.
+        """Compute the metrics of a frame, and add them to the evaluation.
 
         Parameters
         ----------
         frame : TrainingPair
-            Frame that `wanted` returned.
+            Frame from the method `wanted`.
         planes : dict of str to ndarray, (output, row, col)
-            Planes of each pipeline, as returned by the method `planes`.
+            Result of the method `planes`.
         labels : ndarray of int, (row, col)
             Class of each pixel in the first layer of the table.
         """
@@ -327,49 +344,57 @@ class Evaluation:
         self._frames.append({**about, **{name: dataclasses.asdict(figures) for name, (figures, _) in judged.items()}})
         if not (self._pictures or has_stokes(self._table.outputs)):
             self._bands.append({name: band_figures(of, **wanted) for name, of in planes.items()})
-        known = np.isfinite(judged[OURS][1])  # the target alone decides which errors are finite, so one mask is enough
+        known = np.isfinite(judged[OURS][1])  # only the target determines which errors are finite, so one mask is sufficient
         self._classes.add(cropped(labels, border)[known], {name: errors[known] for name, (_, errors) in judged.items()})
 
     def document(self, by_gain: Sequence[dict[str, Any]] = ()) -> dict[str, Any]:
         """Return all metrics as a dictionary with the keys of `l3 evaluate --json`.
 
+        Parameters
+        ----------
+        by_gain : sequence of dict
+            Mean metrics of each pipeline at each analog gain, for the key by_gain.
+
         Returns
         -------
         dict
-            Dictionary with these keys:
+            Metrics are listed for each pipeline, under the name of the pipeline. The keys are:
 
             * format: version of the document, 3. It increases when keys change.
-            * camera, outputs; viewing: samples per degree for S-CIELAB; border: pixels at each edge that are not evaluated.
-            * pipelines: names, with "ours" first and rivals last.
-            * frames: for each frame its scene, illuminant, luminance (cd/m²), level (mean signal above dark as a fraction
-              of full scale), exposure (s), clipped (fraction of pixels at full scale) and shown (fingerprints of scene and
-              illuminant, or null). Each pipeline has a key with the fields of Quality for XYZ, ReflectanceQuality for
-              reflectances, StokesQuality for Stokes parameters, SingleQuality for a single output, and BandQuality for other
-              outputs.
-            * mean: the mean of every metric over the frames, by pipeline.
-            * better: number of frames in which the table is better, by other pipeline and metric.
-            * by_level: mean metrics by pipeline for each range (from, to) of frame levels, with the number of frames.
-              A range spans a factor of two.
-            * by_illuminant: mean metrics by pipeline for each illuminant, with the number of frames.
-            * by_gain: mean metrics by pipeline for each analog gain, relative to the gain of the camera model. Only tables
-              for several gains have this list. A few frames are simulated at each gain.
-            * by_patch: mottle by pipeline in uniform patches, for each kind of patch and each range (from, to) of frame
-              levels, with the number of patches.
-            * by_band: mean psnr, output_psnr and ssim by pipeline for each output, unless the outputs are XYZ or contain
+            * camera and outputs: name of the camera, and names of the outputs.
+            * viewing: picture samples per degree of visual angle for S-CIELAB.
+            * border: number of pixels at each edge that are not evaluated.
+            * pipelines: names of the pipelines. "ours" is first, and rivals are last.
+            * frames: for each frame, its scene, illuminant, luminance (cd/m²), level (mean signal above dark as a fraction
+              of full scale), exposure (s), clipped (fraction of pixels at full scale), shown (fingerprints of the scene and
+              the illuminant, or null), and the metrics of each pipeline. The metrics are the attributes of Quality for XYZ,
+              ReflectanceQuality for reflectances, StokesQuality for Stokes parameters, SingleQuality for a single output,
+              and BandQuality for all other outputs.
+            * mean: mean of every metric over the frames.
+            * better: for each pipeline except the table, and for each metric, the number of frames in which the table is
+              better.
+            * by_level: mean metrics for each range (from, to) of frame levels, and the number of frames. A range spans a
+              factor of two.
+            * by_illuminant: mean metrics for each illuminant, and the number of frames.
+            * by_gain: mean metrics for each analog gain, relative to the gain of the camera model. The list is empty unless
+              the table has transforms for several gains. A few frames are simulated at each gain.
+            * by_patch: mottle in uniform patches, for each type of patch and each range (from, to) of frame levels, and the
+              number of patches.
+            * by_band: mean psnr, output_psnr and ssim of each output. The list is empty if the outputs are XYZ or contain
               Stokes parameters.
-            * by_class: mean error by pipeline for each value of each class feature, with the number of pixels. Pixels
-              without a spectral angle are not counted.
-            * worst_classes: mean error by pipeline in the classes in which the table has the largest errors, with level,
-              from, to, contrast, chroma (null if saturated), case and the number of pixels.
+            * by_class: mean error for each value of each class feature, and the number of pixels. Pixels without a spectral
+              angle are not counted.
+            * worst_classes: mean error in the classes in which the table has the largest errors, with level, from, to,
+              contrast, chroma (null if saturated), case and the number of pixels.
 
-            The caller adds the key standards (see `standards.edge_document` and `standards.grey_document`):
+            The caller adds the key standards (see `standards.edge_document` and `standards.grey_document`), with the keys:
 
             * edge: for edges across rows and across columns, the frequencies in cycles/pixel, and mtf and mtf50 of the
               ideal lens and pixel and of each pipeline.
-            * grey: SNR of a grey at each illuminance, in closed form, in raw frames and by pipeline, and the illuminance at
-              which the SNR is 10. Null if the curves are not absolute.
-            * chart: mean ΔE00 over random cameras, by pipeline. Null if the curves have no uncertainty band.
-            * figures: mtf50_rows, mtf50_columns, snr10 and camera_delta_e, by pipeline.
+            * grey: SNR of a grey at each illuminance (in closed form, in raw frames and for each pipeline), and the
+              illuminance at which the SNR is 10. Null if the responsivities are not absolute.
+            * chart: mean ΔE00 of each pipeline over random cameras. Null if the responsivities have no confidence band.
+            * figures: mtf50_rows, mtf50_columns, snr10 and camera_delta_e of each pipeline.
         """
         first = self._frames[0]
         return {
@@ -406,7 +431,7 @@ class Evaluation:
         }
 
     def _by_patch(self) -> list[dict[str, Any]]:
-        """Return the mottle by pipeline, for each kind of uniform patch and each range of frame levels."""
+        """Return the mottle of each pipeline, for each type of uniform patch and each range of frame levels."""
         entries = []
         for bounds, kind in itertools.product(sorted({each for each, _, _ in self._patches}), PATCH_KINDS):
             members = [
@@ -422,7 +447,7 @@ class Evaluation:
         return entries
 
     def _by_band(self) -> list[dict[str, Any]]:
-        """Return the mean metrics of each output."""
+        """Return the mean metrics of each pipeline for each output."""
         bands = []
         for index, band in enumerate(self._table.outputs if self._bands else ()):
             of_band = [{name: bands[index] for name, bands in frame.items()} for frame in self._bands]
@@ -430,7 +455,7 @@ class Evaluation:
         return bands
 
     def _better(self, baseline: str, figures: tuple[str, ...]) -> dict[str, int]:
-        """Count the frames in which the table is better than `baseline`, for each metric that no frame lacks."""
+        """Count the frames in which the table is better than a pipeline, for each metric that is known in all frames."""
         values = {of: [(frame[OURS][of], frame[baseline][of]) for frame in self._frames] for of in figures}
         whole = {figure: pairs for figure, pairs in values.items() if (None, None) not in pairs}
         return {figure: sum(sign(figure) * (a - b) > 0 for a, b in pairs) for figure, pairs in whole.items()}
@@ -444,7 +469,7 @@ class Evaluation:
 
 
 def _counted(frame: TrainingPair, border: int) -> NDArray[np.bool_] | None:
-    """Return the mask (row, col) of pixels at which the scene has data. None if the scene has data everywhere.
+    """Return a mask (row, col) of the pixels at which the scene has data, or None if it has data at all pixels.
 
     Raises InputFileError if the scene has no data inside the border.
     """
@@ -459,25 +484,25 @@ def _counted(frame: TrainingPair, border: int) -> NDArray[np.bool_] | None:
 
 
 def _octave(level: float) -> tuple[float, float]:
-    """Return the bounds of the octave that contains a level. Octaves are centred on powers of two.
+    """Return the bounds of the range of frame levels that contains a level.
 
-    All levels below 2^-12 are in the same octave.
+    Each range spans a factor of two, and is centred on a power of two. Levels below 2^-12 all belong to the lowest range.
     """
     power = np.rint(np.log2(max(level, 2.0**-12)))
     return float(2.0 ** (power - 0.5)), float(2.0 ** (power + 0.5))
 
 
 def require_cfa(table: TransformTable, camera: CameraModel) -> None:
-    """Raise InputFileError unless the camera of a training set has the CFA for which the table was trained."""
+    """Raise InputFileError unless a camera has the channels and the CFA for which a table was trained."""
     if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
         raise InputFileError("the training set and the table have different CFAs; use a training set of the table's camera")
 
 
 def raw_of(frame: TrainingPair, index: int, camera: CameraModel) -> RawFrame:
-    """Convert frame number `index` of a training set to a raw frame of the camera, including the dark signal to
-    subtract.
+    """Convert a frame of a training set to a raw frame, with the dark signal that rendering subtracts.
 
-    Raises InputFileError if the raw values or levels are invalid.
+    `index` is the number of the frame, for the error message. Raises InputFileError if the raw values or the levels are
+    invalid.
     """
     try:
         return RawFrame(
@@ -490,7 +515,7 @@ def raw_of(frame: TrainingPair, index: int, camera: CameraModel) -> RawFrame:
 def white_of(frame: TrainingPair) -> NDArray[np.floating]:
     """Return X, Y, Z of a perfect white under the illuminant of a frame.
 
-    If the frame contains no spectrum of the illuminant, return the white of the target.
+    If the spectrum of the illuminant is unknown, the result is the white of the target.
     """
     if frame.light is None:
         return frame.white[:3]

@@ -1,14 +1,12 @@
-"""Checks whether frames were taken by the camera of a table.
+"""Checks whether two camera models describe the same camera, for example the camera of a table and the camera of frames.
 
-It compares the signals of the cameras, not their names or digests.
+The comparison uses the properties that matter for a table, not names or digests. These properties are the colours of
+measured surfaces, the exposure that saturates a pixel (sensitivity), and the noise. The limits are so wide that two
+calibrations of the same camera agree.
 
-A table converts fractions of full scale to colours. Two cameras are therefore compared by three properties: the colours of
-measured surfaces, the exposure that saturates a pixel (sensitivity), and the noise. The limits are wide enough for two
-calibrations of the same camera.
-
-The limit for colours comes from 28 published cameras. Pairs with the same sensor (Nikon D3 and D700, D40 and D50, Canon 600D
-and 60D, 500D and 50D) differ by 0.9 to 1.5 ΔE00, and nearly all other pairs by 2.2 to 40. A wavelength error of 1 nm causes
-0.5 ΔE00, and an error of 3 % in the gain of one channel causes 1.2 ΔE00.
+The limit for colours is based on 28 published cameras. Pairs with the same sensor (Nikon D3 and D700, D40 and D50, Canon
+600D and 60D, 500D and 50D) differ by 0.9 to 1.5 ΔE00. Nearly all remaining pairs differ by 2.2 to 40 ΔE00. A wavelength
+error of 1 nm causes 0.5 ΔE00, and an error of 3 % in the gain of one channel causes 1.2 ΔE00.
 """
 
 from dataclasses import replace
@@ -27,8 +25,8 @@ from l3cli.physics.display import delta_e_2000, lab
 Array = NDArray[np.floating]
 LIGHTS = ("D65", "A")
 MAX_DELTA_E = 2.0  # largest mean ΔE00 over measured surfaces
-CHANNEL_NOISE = 0.003  # typical uncertainty of a calibrated channel, relative to white; the colours should not amplify it
-MAX_SENSITIVITY_RATIO = 1.1  # largest ratio of sensitivities; lamps and photodiodes of two laboratories agree within 5 %
+CHANNEL_NOISE = 0.003  # typical uncertainty of a calibrated channel, relative to white; the matrix should not amplify it
+MAX_SENSITIVITY_RATIO = 1.1  # largest ratio of sensitivities; calibrations of two laboratories agree within 5 %
 MAX_NOISE_RATIO = 1.25  # largest ratio of noise standard deviations
 NOISE_SIGNALS = (0.0, 0.01, 0.1, 0.5)  # fractions of full scale at which noise is compared
 
@@ -39,21 +37,22 @@ def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
     Parameters
     ----------
     known : TransformTable or CameraModel
-        Reference camera, or a table that was trained for it. If a table contains no camera model, only the sensitivity is
-        compared.
+        Reference camera, or a table that was trained for the reference camera. If a table contains no camera model, only
+        channels and sensitivity are compared.
     camera : CameraModel
-        Camera that took the frames.
+        Camera to compare.
 
     Returns
     -------
     str
-        Differences that exceed the limits, separated by commas. Empty if there are none. If the names of the channels
-        differ, they are the only difference.
+        Differences that exceed the limits, separated by commas. The text is empty if there are none. If the channels have
+        different names, nothing else is compared.
     """
     if known.channels != camera.channels:
         return f"channels ({', '.join(known.channels)}; {', '.join(camera.channels)})"
     learned = known.camera if isinstance(known, TransformTable) else known
-    # If the table contains no camera model, all channels are assumed to have the same exposure and gain.
+    # Without a camera model, all channels are assumed to have the same exposure and gain. The output unit of the table is
+    # then the exposure at saturation.
     exposure = known.output_unit if learned is None else learned.saturation_exposure
     if learned is not None and equal(replace(learned, fit=None), replace(camera, fit=None)):
         return ""
@@ -69,10 +68,10 @@ def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
 
 
 def colour_difference(one: CameraModel, other: CameraModel) -> float:
-    """Return the mean CIEDE2000 between the colours of measured surfaces in pictures of two cameras with the same channels.
+    """Return the mean CIEDE2000 between the colours of measured surfaces in two cameras with the same channels.
 
-    The white balance and colour matrix of `one` are applied to the signals of both cameras. A difference in overall
-    sensitivity is ignored. The result is the larger of the values under D65 and A.
+    The white balance and the colour matrix of `one` are applied to the signals of both cameras. Differences in overall
+    sensitivity are ignored. The result is the mean under D65 or the mean under A, whichever is larger.
     """
     return max(_colour_difference(one, other, named_light(name, one, other)) for name in LIGHTS)
 
@@ -92,11 +91,10 @@ def _colour_difference(one: CameraModel, other: CameraModel, light: LightSpectru
 
 
 def noise_ratio(one: CameraModel, other: CameraModel) -> float:
-    """Return the noise of `other` divided by the noise of `one`.
+    """Return the standard deviation of the noise of `other`, divided by the standard deviation of the noise of `one`.
 
-    The ratio depends on the signal. The ratio farthest from 1 is returned.
-
-    Noise and signal are fractions of full scale.
+    Noise and signal are measured as fractions of full scale. The ratio is computed at the signals NOISE_SIGNALS, and the
+    ratio that differs most from 1 is returned.
     """
     spreads = []
     for camera in (one, other):

@@ -1,4 +1,4 @@
-"""Pictures of an evaluated frame (every pipeline, the ideal and an error map), and colours of chart patches."""
+"""Pictures of an evaluated frame (of every pipeline, of the target, and an error map), and colours of chart patches."""
 
 from dataclasses import dataclass
 
@@ -12,27 +12,29 @@ from l3cli.physics.display import displayed, displayed_delta_e, scene_xyz, srgb_
 Array = NDArray[np.floating]
 Picture = NDArray[np.uint8]
 Region = tuple[slice, slice]  # rows and columns of a patch
-INNER = 0.5  # fraction of a patch's side that is evaluated, because the lens blurs the edges of a patch
+INNER = 0.5  # fraction of the height and width of a patch that is evaluated, because the lens blurs its edges
 MAX_PATCH_SIGMA = 0.01  # largest standard deviation of the target within a chart patch, as a fraction of white
 MAX_PATCH_ERROR = 0.02  # largest difference between the mean and the nominal value of a chart patch, as a fraction of white
 ERROR_WHITE = 10.0  # ΔE00 that is white in an error map; 0 is black
-RAMP = np.array([[0, 0, 0], [70, 10, 110], [190, 40, 90], [245, 140, 30], [255, 255, 255]])  # sRGB in steps of 2.5 ΔE00
+# sRGB of the error map, in steps of 2.5 ΔE00
+RAMP = np.array([[0, 0, 0], [70, 10, 110], [190, 40, 90], [245, 140, 30], [255, 255, 255]])
 
 
 def frame_pictures(frame: TrainingPair, planes: dict[str, Array]) -> dict[str, Picture]:
-    """Convert the results of all pipelines to sRGB pictures with the display exposure of the target.
+    """Convert the results of all pipelines to sRGB pictures. All pictures have the display exposure of the target.
 
     Parameters
     ----------
     frame : TrainingPair
         Frame with its target.
     planes : dict of str to ndarray, (3, row, col)
-        XYZ of each pipeline, in the unit of the target. The first pipeline is the table.
+        Name of each pipeline, and its XYZ in the unit of the target. The first pipeline must be the table.
 
     Returns
     -------
     dict of str to ndarray, (row, col, 3)
-        8-bit sRGB picture of each pipeline. "ideal" is the picture of the target, and "error" the `error_map` of the table.
+        8-bit sRGB picture of each pipeline. The key "ideal" contains the picture of the target, and the key "error" contains
+        the `error_map` of the table.
     """
     scale = white_luminance(frame.target[1])
     ideal = displayed(frame.target, frame.white, scale)
@@ -45,8 +47,8 @@ def frame_pictures(frame: TrainingPair, planes: dict[str, Array]) -> dict[str, P
 def planes_of(picture: Array, frame: TrainingPair) -> Array:
     """Convert a rival's picture of a frame to XYZ planes (3, row, col) in the unit of the target.
 
-    The picture (row, col, 3) is linear sRGB of any brightness. It is multiplied by a factor, which is fitted by least
-    squares so that the luminance of all pixels that do not clip agrees best with the luminance of the target.
+    `picture`, (row, col, 3), is linear sRGB of any brightness. It is multiplied by the factor with which its luminance
+    agrees best with the luminance of the target (least squares over all pixels that do not clip).
     """
     planes = scene_xyz(picture, frame.white, 1.0)
     shown, wanted = (of[1][picture.max(axis=2) < 1.0] for of in (planes, frame.target))
@@ -55,9 +57,9 @@ def planes_of(picture: Array, frame: TrainingPair) -> Array:
 
 
 def error_map(difference: Array) -> Picture:
-    """Convert ΔE00 (row, col) to false colours (row, col, 3).
+    """Convert ΔE00 (row, col) to a false-colour picture (row, col, 3) in 8-bit sRGB.
 
-    A difference of 0 is black, 2.5 is purple, 5 is red, 7.5 is orange, and 10 or more is white.
+    0 is black, 2.5 is purple, 5 is red, 7.5 is orange, and 10 or more is white.
     """
     place = np.clip(difference / ERROR_WHITE, 0.0, 1.0) * (len(RAMP) - 1)
     stops = np.arange(len(RAMP))
@@ -71,22 +73,22 @@ def error_map(difference: Array) -> Picture:
 class PatchColours:
     """Displayed colours of chart patches in the ideal picture and in the picture of each pipeline."""
 
-    ideal: Array  # (patch, 3) linear sRGB
-    shown: dict[str, Array]  # for each pipeline, (patch, 3) linear sRGB
-    delta_e: dict[str, Array]  # for each pipeline, (patch) ΔE00 from the ideal
+    ideal: Array  # (patch, 3): linear sRGB
+    shown: dict[str, Array]  # for each pipeline, (patch, 3): linear sRGB
+    delta_e: dict[str, Array]  # for each pipeline, (patch,): ΔE00 from the ideal
 
 
 def holds_chart(frame: TrainingPair, light: LightSpectrum | None, regions: list[Region]) -> bool:
-    """Whether the target of a frame shows a ColorChecker in the given regions.
+    """Return whether the target of a frame contains the patches of a ColorChecker in the given regions.
 
     Parameters
     ----------
     frame : TrainingPair
         Frame with its XYZ target.
     light : LightSpectrum or None
-        Illuminant of the target.
+        Illuminant of the target. If it is None, the result is False.
     regions : list of (slice, slice)
-        Rows and columns of each patch.
+        Rows and columns of each patch. If a patch has fewer than 4 rows or columns, the result is False.
     """
     if light is None or any(min(rows.stop - rows.start, cols.stop - cols.start) < 4 for rows, cols in regions):
         return False
@@ -110,7 +112,7 @@ def patch_colours(frame: TrainingPair, planes: dict[str, Array], regions: list[R
     frame : TrainingPair
         Frame with its target.
     planes : dict of str to ndarray, (3, row, col)
-        XYZ of each pipeline, in the unit of the target.
+        Name of each pipeline, and its XYZ in the unit of the target.
     regions : list of (slice, slice)
         Rows and columns of each patch.
     """
@@ -122,7 +124,7 @@ def patch_colours(frame: TrainingPair, planes: dict[str, Array], regions: list[R
 
 
 def inner(region: Region) -> Region:
-    """Return the central region of a patch, with the fraction INNER of the height and width."""
+    """Return the central region of a patch. Its height and width are the fraction INNER of the patch."""
     rows, cols = (
         slice(each.start + round(cut), each.stop - round(cut))
         for each in region
@@ -132,6 +134,6 @@ def inner(region: Region) -> Region:
 
 
 def _means(planes: Array, regions: list[Region]) -> Array:
-    """Return the mean of each patch, as an image with one row (3, 1, patch)."""
+    """Return the mean of each patch as an image with one row: (3, 1, patch)."""
     means = [planes[:, rows, cols].mean(axis=(1, 2), dtype=np.float64) for rows, cols in map(inner, regions)]
     return np.array(means).T[:, None]

@@ -1,7 +1,7 @@
 """Metrics for the difference between a rendered frame and its target (docs/method.md#quality-metrics).
 
-XYZ outputs are compared as displayed pictures, and other outputs as spectra. The noise of pictures is measured separately,
-in uniform patches, because averages over all pixels would hide it.
+XYZ outputs are compared as displayed pictures. All other outputs are compared as spectra. The noise of pictures is measured
+separately in uniform patches, because averages over all pixels would hide it.
 """
 
 from dataclasses import dataclass
@@ -17,13 +17,12 @@ from l3cli.physics.stokes import angle_difference, aolp, behind, dolp, luminance
 
 Array = NDArray[np.floating]
 BLUR = 4.0  # pixels; σ of the Gaussian that removes grain but keeps blotches
-PATCH_MARGIN_PIXELS = 6  # pixels; a patch excludes this margin, because nearby edges affect the pictures there
-MAX_UNIFORM_RANGE = 1.0  # a window is uniform if L*, a* and b* of the target each vary by no more than this
-MIN_PATCH_AREA_PIXELS = 24 * 24  # pixels; area of the smallest patch
+PATCH_MARGIN_PIXELS = 6  # patches exclude pixels this close to an edge, because edges affect the pictures there
+MAX_UNIFORM_RANGE = 1.0  # a window is uniform if L*, a* and b* of the target each vary by at most this
+MIN_PATCH_AREA_PIXELS = 24 * 24  # smallest area of a patch
 MAX_PATCHES = 64  # if a frame has more patches, only the largest are evaluated
-# A patch is dark if its L* is below DARK_LIGHTNESS, and coloured if its C*ab is at least GREY_CHROMA. A patch that is
-# neither is
-# white if its L* is at least WHITE_LIGHTNESS, otherwise grey.
+# A patch is dark if its L* is below DARK_LIGHTNESS. Otherwise it is coloured if its C*ab is at least GREY_CHROMA. Otherwise
+# it is white if its L* is at least WHITE_LIGHTNESS, and grey if not.
 DARK_LIGHTNESS, WHITE_LIGHTNESS, GREY_CHROMA = 30.0, 85.0, 10.0
 HUES = ((-30.0, "red"), (60.0, "yellow"), (120.0, "green"), (200.0, "blue"))  # hue angle in degrees at which each hue begins
 # Weights of the standard deviations of L*, a* and b*. ISO 15739:2013 defines the weights for L*, u* and v*.
@@ -39,7 +38,7 @@ class PlainPatches:
     target : ndarray, (row, col, 3)
         CIELAB of the displayed target.
     counted : ndarray of bool, (row, col), optional
-        Mask of pixels to evaluate. [default: all pixels]
+        Mask of the pixels to evaluate. [default: all pixels]
     """
 
     def __init__(self, target: Array, counted: NDArray[np.bool_] | None = None) -> None:
@@ -62,14 +61,14 @@ class PlainPatches:
 
     @property
     def kinds(self) -> list[str]:
-        """Kind of each patch: dark, white, grey or a hue."""
+        """Type of each patch, one of PATCH_KINDS."""
         return [kind_of(self._target[place][inside].mean(axis=0)) for place, inside in self._patches]
 
     def variances(self, shown: Array) -> Array:
-        """Return the colour variance of each patch after a blur: the variance of a* plus the variance of b*.
+        """Return the colour variance of a picture in each patch: the variance of a* plus the variance of b*.
 
-        `shown` (row, col, 3) is the CIELAB of a displayed picture. The target is subtracted before the blur, so that
-        variation in the target does not count.
+        `shown`, (row, col, 3), is the CIELAB of the displayed picture. The target is subtracted, so that its variation does
+        not count. The difference is then blurred.
         """
         found = []
         for place, inside in self._patches:
@@ -82,7 +81,7 @@ class PlainPatches:
     def visual_noise(self, seen: Array, wanted: Array) -> float | None:
         """Return the visual noise: the weighted sum of the standard deviations of L*, a* and b*, averaged over the patches.
 
-        `seen` and `wanted` (row, col, 3) are the CIELAB values of picture and target after a blur that imitates the eye. The
+        `seen` and `wanted`, (row, col, 3), are the CIELAB of the picture and of the target, blurred as the eye does. The
         result is None if there are no patches.
         """
         errors = [(seen[place] - wanted[place])[inside] for place, inside in self._patches]
@@ -90,12 +89,15 @@ class PlainPatches:
 
 
 def mottle(variances: Array) -> float | None:
-    """Return the mottle: the RMS deviation of colour (a*, b*) from the patch mean. None if there are no patches."""
+    """Return the mottle: the RMS distance in (a*, b*) from the mean of the patch, or None if there are no patches.
+
+    `variances` contains the colour variance of each patch, from `PlainPatches.variances`.
+    """
     return float(np.sqrt(variances.mean())) if len(variances) else None
 
 
 def kind_of(lab: Array) -> str:
-    """Classify a patch as dark, white, grey or a hue by its mean CIELAB (3)."""
+    """Return the type of a patch with the mean CIELAB `lab`, one of PATCH_KINDS."""
     chroma, hue = float(np.hypot(lab[1], lab[2])), float(np.degrees(np.arctan2(lab[2], lab[1])))
     if lab[0] < DARK_LIGHTNESS:
         return "dark"
@@ -104,10 +106,10 @@ def kind_of(lab: Array) -> str:
     return [name for start, name in HUES if start <= (hue - HUES[0][0]) % 360 + HUES[0][0]][-1]
 
 
-CODES = 255  # white, for the PSNR of 8-bit values
-MIN_SQUARE_ERROR = 1e-12  # lower limit of the mean square error, so that the PSNR of equal pictures is 120 dB
+CODES = 255  # value of a perfect white, for the PSNR of 8-bit values
+MIN_SQUARE_ERROR = 1e-12  # smallest mean square error; the PSNR of equal pictures is therefore 120 dB
 WINDOW_SIGMA, WINDOW_REACH = 1.5, 5  # pixels; σ and half width of the 11 × 11 Gaussian window of SSIM
-MIN_NORM = float(np.finfo(np.float32).eps)  # spectra with a smaller norm, as a fraction of the largest, are rounding errors
+MIN_NORM = float(np.finfo(np.float32).eps)  # spectra whose norm is a smaller fraction of the largest are rounding errors
 STABILISERS = (0.01**2, 0.03**2)  # C1 and C2 of SSIM for values from 0 to 1
 VIEWING = 50.0  # samples per degree of visual angle, for a monitor of 110 dots per inch at a distance of 66 cm
 VIEWED = 2, 1000  # samples per degree; range in which the S-CIELAB filters are valid
@@ -125,43 +127,43 @@ FILTERS = (  # Gaussians (half width at half maximum in degrees, weight) for the
 class Quality:
     """Metrics of one XYZ frame.
 
-    Picture and target are displayed with an exposure that is computed from the whole target. They are clipped to the sRGB
-    gamut.
+    For most metrics, the picture and the target are displayed with the same exposure, which is computed from the target, and
+    clipped to the sRGB gamut.
     """
 
-    mean_delta_e: float  # CIEDE2000
-    median_delta_e: float
-    p95_delta_e: float
-    scielab: float  # mean CIEDE2000 after the blur of the eye
+    mean_delta_e: float  # mean CIEDE2000
+    median_delta_e: float  # median of CIEDE2000
+    p95_delta_e: float  # 95th percentile of CIEDE2000
+    scielab: float  # mean CIEDE2000 after both pictures are blurred as the eye does
     mottle: float | None  # RMS C*ab of blotches in uniform patches; None if the target has no uniform patches
-    # Weighted sum of the σ of L*, a* and b* in uniform patches after the blur of the eye. None without uniform patches.
+    # Weighted sum of the σ of L*, a* and b* in uniform patches, blurred as the eye does. None without uniform patches.
     visual_noise: float | None
-    psnr: float  # dB; computed from non-linear sRGB in 0…1
-    output_psnr: float  # dB; computed from XYZ before clipping, where the peak of each output is its value for display white
-    ssim: float  # computed from the luma of non-linear sRGB
+    psnr: float  # dB; PSNR of the encoded sRGB values
+    output_psnr: float  # dB; PSNR of XYZ before clipping. The peak of each output is its value for display white
+    ssim: float  # SSIM of the luma of the encoded sRGB values
 
 
 @dataclass(frozen=True)
 class BandQuality:
-    """Metrics of one frame with the bands of a camera, or with several outputs other than XYZ."""
+    """Metrics of one frame with several outputs that are not XYZ, such as the bands of a camera."""
 
     mean_angle: float  # degrees; mean spectral angle of all pixels whose target is not zero
-    median_angle: float
-    p95_angle: float
-    gfc: float  # goodness-of-fit coefficient: mean absolute cosine of the spectral angles
+    median_angle: float  # degrees; median of the spectral angle
+    p95_angle: float  # degrees; 95th percentile of the spectral angle
+    gfc: float  # goodness-of-fit coefficient: mean absolute cosine of the spectral angle
     rmse: float  # root mean square error over all outputs, as a fraction of a perfect white
-    psnr: float  # dB over all outputs; computed from linear 8-bit values, where 255 is a perfect white
-    # dB over all outputs before clipping. The peak of each output is proportional to white and to the target's brightness.
+    psnr: float  # dB; PSNR over all outputs of linear 8-bit values, with a perfect white at 255
+    # dB; PSNR over all outputs before clipping. The peak of each output is its value for white at the display exposure.
     output_psnr: float
-    ssim: float  # mean SSIM over the outputs, as fractions of a perfect white clipped to 0…1
+    ssim: float  # SSIM of the outputs as fractions of a perfect white, clipped to 0…1, averaged over the outputs
 
 
 @dataclass(frozen=True)
 class SingleQuality:
-    """Metrics of one frame of a single output, such as luminance, which has no spectral angle."""
+    """Metrics of one frame with a single output, such as luminance. A single output has no spectral angle."""
 
     mean_error: float  # mean absolute error, as a fraction of a perfect white
-    rmse: float  # rmse, psnr, output_psnr and ssim are defined as in BandQuality
+    rmse: float  # this metric and the metrics below are defined as in BandQuality
     psnr: float
     output_psnr: float
     ssim: float
@@ -169,33 +171,36 @@ class SingleQuality:
 
 @dataclass(frozen=True)
 class StokesQuality:
-    """Metrics of one frame with Stokes parameters. A perfect white is 1."""
+    """Metrics of one frame with Stokes parameters. The peak of all PSNRs is 1, and S0 of a perfect white is 1.
 
-    mean_dolp_error: float  # mean absolute error of the degree of linear polarisation
-    psnr_dolp: float  # dB, of the degree of linear polarisation
-    aolp_rmse: float | None  # degrees; RMS error of the angle where the degree of the target exceeds 0.05; None if nowhere
-    dolp_bias: float | None  # mean degree minus that of the target, where the latter is below 0.005; None if nowhere
-    psnr_intensities: float  # dB, of the intensities behind ideal polarisers at 0°, 45°, 90° and 135°
-    psnr_s0: float  # dB, of S0 / 2, which is the intensity of unpolarised light behind a polariser
-    psnr_s1: float  # dB
-    psnr_s2: float  # dB
+    DoLP is the degree of linear polarisation, and AoLP is the angle of linear polarisation.
+    """
+
+    mean_dolp_error: float  # mean absolute error of the DoLP
+    psnr_dolp: float  # dB; PSNR of the DoLP
+    aolp_rmse: float | None  # degrees; RMS error of the AoLP where the target's DoLP exceeds 0.05; None if it never does
+    dolp_bias: float | None  # mean error of the DoLP where the target's DoLP is below 0.005; None if it never is
+    psnr_intensities: float  # dB; PSNR of the intensities behind ideal polarisers at 0°, 45°, 90° and 135°
+    psnr_s0: float  # dB; PSNR of S0 / 2, which is the intensity of unpolarised light behind a polariser
+    psnr_s1: float  # dB; PSNR of S1
+    psnr_s2: float  # dB; PSNR of S2
 
 
 class Target:
-    """Target of an XYZ frame, with the values that are computed once for comparisons with several pictures.
+    """Target of an XYZ frame, prepared for comparisons with several pictures.
 
     Parameters
     ----------
     target : ndarray, (3, row, col)
         XYZ planes.
-    white : ndarray, (3)
+    white : ndarray, (3,)
         XYZ of a perfect white.
     border : int
         Width in pixels of the margin that is not evaluated.
     viewing : float
         Picture samples per degree of visual angle, for S-CIELAB.
     counted : ndarray of bool, (row, col), optional
-        Mask of pixels to evaluate. [default: all pixels]
+        Mask of the pixels to evaluate. [default: all pixels]
     """
 
     def __init__(
@@ -209,7 +214,7 @@ class Target:
         self._white, self._border, self._viewing = white, border, viewing
         self._scale = white_luminance(of_counted(target[1], counted))
         self._counted = None if counted is None else cropped(counted, border)
-        # Under deep red light, Z of white is 0 and cannot be used as the peak. Y of white is then used instead.
+        # Under deep red light, Z of white is 0 and cannot be the peak. Its peak is then Y of white.
         self._peaks = self._scale * np.where(white > 0, white, white[1])[:, None, None] / white[1]
         self._target = cropped(target, border)
         linear = displayed(self._target, white, self._scale)
@@ -217,7 +222,7 @@ class Target:
         self.patches = PlainPatches(self._labs[0], self._counted)
 
     def _labs_of(self, linear: Array) -> tuple[Array, Array]:
-        """Return the CIELAB (row, col, 3) of a displayed picture, without and with the blur of the eye."""
+        """Return the CIELAB of a displayed picture, and its CIELAB after a blur as in the eye: (row, col, 3)."""
         xyz = displayed_xyz(linear)
         return lab(xyz, daylight()), _blurred_lab(xyz, daylight(), self._viewing)
 
@@ -234,8 +239,9 @@ class Target:
         quality : Quality
             Metrics of the frame.
         difference : ndarray, (row, col)
-            ΔE00 between displayed picture and displayed target, inside the border. NaN for pixels that are not evaluated.
-        variances : ndarray, (patch)
+            ΔE00 between the displayed picture and the displayed target, inside the border. NaN for pixels that are not
+            evaluated.
+        variances : ndarray, (patch,)
             Colour variance in each uniform patch.
         """
         rendered = cropped(rendered, self._border)
@@ -264,7 +270,10 @@ class Target:
 
 
 def quality(rendered: Array, target: Array, white: Array, border: int = 0, viewing: float = VIEWING) -> Quality:
-    """Return the metrics of XYZ planes (3, row, col), compared with a target. `Target` describes the other parameters."""
+    """Return the metrics of XYZ planes (3, row, col), compared with a target.
+
+    The remaining parameters are the same as in `Target`.
+    """
     return Target(target, white, border, viewing).judge(rendered)[0]
 
 
@@ -277,24 +286,25 @@ def judge_bands(
     ----------
     rendered, target : ndarray, (output, row, col)
         Rendered planes and target, both in the same unit.
-    white : ndarray, (output)
+    white : ndarray, (output,)
         Outputs of a perfect white.
     border : int
         Width in pixels of the margin that is not evaluated.
     counted : ndarray of bool, (row, col), optional
-        Mask of pixels to evaluate. [default: all pixels]
+        Mask of the pixels to evaluate. [default: all pixels]
 
     Returns
     -------
     quality : BandQuality
-        Metrics of the frame.
+        Metrics of the frame. If the whole target is black, all spectral angles are 0.
     angles : ndarray, (row, col)
-        Spectral angle in degrees, inside the border. NaN where the target is black, and for pixels that are not evaluated.
+        Spectral angle in degrees, inside the border. NaN if the target of a pixel is black, or if the pixel is not
+        evaluated.
     """
     angles = spectral_angle(cropped(rendered, border), cropped(target, border))
     whole, counted = counted, None if counted is None else cropped(counted, border)
     angles = angles if counted is None else np.where(counted, angles, np.nan)
-    angle = angles[np.isfinite(angles)] if np.isfinite(angles).any() else np.zeros(1)  # the whole target is black
+    angle = angles[np.isfinite(angles)] if np.isfinite(angles).any() else np.zeros(1)
     linear, shares = _linear_and_shares(rendered, target, white, border, whole)
     error = of_counted(cropped(rendered - target, border) / _positive(white), counted)
     return BandQuality(
@@ -312,7 +322,7 @@ def judge_bands(
 def judge_single(
     rendered: Array, target: Array, white: Array, border: int = 0, counted: NDArray[np.bool_] | None = None
 ) -> tuple[SingleQuality, Array]:
-    """Compare a single rendered output (1, row, col) with a target. The parameters are the same as for `judge_bands`.
+    """Compare a single rendered output (1, row, col) with a target. The parameters are the same as in `judge_bands`.
 
     Returns
     -------
@@ -334,7 +344,7 @@ def judge_single(
     ), error if counted is None else np.where(counted, error, np.nan)
 
 
-POLARISED, UNPOLARISED = 0.05, 0.005  # degrees of polarisation above and below which angle and bias are evaluated
+POLARISED, UNPOLARISED = 0.05, 0.005  # degrees of polarisation above which the angle, and below which the bias, is evaluated
 ANGLES = (0.0, 45.0, 90.0, 135.0)  # degrees; angles of the polarisers whose intensities are compared
 
 
@@ -352,21 +362,21 @@ def judge_stokes(
     ----------
     rendered, target : ndarray, (output, row, col)
         Rendered planes and target, both in the same unit.
-    white : ndarray, (output)
+    white : ndarray, (output,)
         Outputs of a perfect white.
     outputs : tuple of str
-        Names of the outputs, which include S1 and S2.
+        Names of the outputs, which must include S1 and S2.
     border : int
         Width in pixels of the margin that is not evaluated.
     counted : ndarray of bool, (row, col), optional
-        Mask of pixels to evaluate. [default: all pixels]
+        Mask of the pixels to evaluate. [default: all pixels]
 
     Returns
     -------
     quality : StokesQuality
         Metrics of the frame.
     errors : ndarray, (row, col)
-        Absolute error of the degree of polarisation, inside the border. NaN for pixels that are not evaluated.
+        Absolute error of the degree of linear polarisation, inside the border. NaN for pixels that are not evaluated.
     """
     unit = white[outputs.index(luminance_name(outputs))]
     inside = None if counted is None else cropped(counted, border)
@@ -391,16 +401,16 @@ def judge_stokes(
 
 
 def band_quality(rendered: Array, target: Array, white: Array, border: int = 0) -> BandQuality:
-    """Return the metrics of rendered planes other than XYZ. The parameters are the same as for `judge_bands`."""
+    """Return the metrics of rendered planes that are not XYZ. The parameters are the same as in `judge_bands`."""
     return judge_bands(rendered, target, white, border)[0]
 
 
 def band_figures(
     rendered: Array, target: Array, white: Array, border: int = 0, counted: NDArray[np.bool_] | None = None
 ) -> list[dict[str, float]]:
-    """Return psnr, output_psnr and ssim of each output separately. BandQuality defines these metrics.
+    """Return psnr, output_psnr and ssim for each output separately, as defined in BandQuality.
 
-    The parameters are the same as for `judge_bands`.
+    The parameters are the same as in `judge_bands`.
     """
     linear, shares = _linear_and_shares(rendered, target, white, border, counted)
     counted = None if counted is None else cropped(counted, border)
@@ -417,10 +427,10 @@ def band_figures(
 def _linear_and_shares(
     rendered: Array, target: Array, white: Array, border: int, counted: NDArray[np.bool_] | None
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Scale rendered planes and target for the linear metrics.
+    """Return (rendered, target) twice, without the border.
 
-    The first pair (rendered, target) is divided by the peak values of `output_psnr` and not clipped. The second pair
-    contains fractions of a perfect white, clipped to 0…1.
+    The first pair is divided by the peak values for `output_psnr` and is not clipped. The second pair contains fractions of
+    a perfect white, clipped to 0…1.
     """
     positive = _positive(white)
     peaks = white_luminance(of_counted(target.mean(axis=0), counted)) * (positive / white.mean())
@@ -438,12 +448,12 @@ def _rounded(share: Array) -> Array:
 
 
 def cropped(planes: NDArray[Any], border: int) -> NDArray[Any]:
-    """Remove a margin of `border` pixels from planes (…, row, col)."""
+    """Remove a margin of `border` pixels from planes with the shape (…, row, col)."""
     return planes[..., border : planes.shape[-2] - border, border : planes.shape[-1] - border]
 
 
 def of_counted(planes: NDArray[Any], counted: NDArray[np.bool_] | None) -> NDArray[Any]:
-    """Select the pixels to evaluate (…, pixel) from planes (…, row, col). If `counted` is None, return `planes`."""
+    """Select the pixels in the mask `counted` from planes (…, row, col): (…, pixel). If it is None, return `planes`."""
     return planes if counted is None else planes[..., counted]
 
 
@@ -451,15 +461,16 @@ def of_counted(planes: NDArray[Any], counted: NDArray[np.bool_] | None) -> NDArr
 
 
 def psnr(one: Array, other: Array) -> float:
-    """Return the peak signal-to-noise ratio of two arrays in dB. The peak is 1. Equal arrays have 120 dB."""
+    """Return the peak signal-to-noise ratio of two arrays in dB, with a peak of 1. For equal arrays, it is 120 dB."""
     return float(-10.0 * np.log10(max(float(np.mean((one - other) ** 2)), MIN_SQUARE_ERROR)))
 
 
 def ssim(one: Array, other: Array, *, counted: NDArray[np.bool_] | None = None) -> float:
-    """Return the mean structural similarity of two pictures (row, col) whose values are in 0…1 (Wang et al. 2004).
+    """Return the mean structural similarity of two pictures (Wang et al. 2004).
 
-    The window is a Gaussian of 11 × 11 pixels with σ = 1.5. Only windows inside the picture are used, unless that leaves no
-    pixel to evaluate. `counted` (row, col) is the mask of pixels to evaluate.
+    The pictures have the shape (row, col), and their values are from 0 to 1. The window is a Gaussian of 11 × 11 pixels with
+    σ = 1.5. Only windows inside the picture are used, unless no pixel would be left. `counted`, (row, col), is the mask of
+    the pixels to evaluate.
     """
 
     def mean(values: Array) -> Array:
@@ -478,15 +489,16 @@ def ssim(one: Array, other: Array, *, counted: NDArray[np.bool_] | None = None) 
 
 
 def spectral_angle(rendered: Array, target: Array) -> Array:
-    """Return the angle in degrees (row, col) between the spectra of two cubes (band, row, col).
+    """Return the angle in degrees between the spectra of each pixel (docs/method.md#quality-metrics).
 
-    The angle is NaN where the target is zero, or smaller than the float32 rounding error of the largest target spectrum. The
-    angle is 90° where only the rendered spectrum is zero (docs/method.md#quality-metrics).
+    Both cubes have the shape (band, row, col), and the result has the shape (row, col). The angle is NaN if the target
+    spectrum is zero, or so small compared with the largest target spectrum that it is a float32 rounding error. The angle is
+    90° if only the rendered spectrum is zero.
     """
     cubes = [cube.astype(np.float64) for cube in (rendered, target)]
     lengths = [np.sqrt((cube**2).sum(axis=0)) for cube in cubes]
     units = [cube / np.where(length > 0, length, 1.0) for cube, length in zip(cubes, lengths, strict=True)]
-    # The chord is 2 sin(angle / 2). At small angles, arcsin of the chord is more precise than arccos of the cosine.
+    # The chord is 2 sin(angle / 2). For small angles, arcsin of the half chord is more precise than arccos of the cosine.
     chord = np.sqrt(((units[0] - units[1]) ** 2).sum(axis=0))
     angle = np.where(lengths[0] > 0, np.degrees(2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0))), 90.0)
     return np.where(lengths[1] > MIN_NORM * lengths[1].max(), angle, np.nan)
@@ -496,16 +508,16 @@ def spectral_angle(rendered: Array, target: Array) -> Array:
 
 
 def scielab(one: Array, other: Array, white: Array, viewing: float = VIEWING) -> Array:
-    """Return the S-CIELAB colour difference (row, col) between two pictures (Zhang and Wandell 1996).
+    """Return the S-CIELAB colour difference between two pictures for each pixel (Zhang and Wandell 1996): (row, col).
 
-    Each picture is converted to opponent colours (Poirson and Wandell), and each opponent plane is blurred with a sum of
-    Gaussians. CIEDE2000 is computed from the blurred pictures.
+    Each picture is converted to opponent colours (Poirson and Wandell). Each opponent plane is blurred with a sum of
+    Gaussians. CIEDE2000 is then computed from the blurred pictures.
 
     Parameters
     ----------
     one, other : ndarray, (row, col, 3)
         XYZ of the two pictures.
-    white : ndarray, (3)
+    white : ndarray, (3,)
         XYZ of white.
     viewing : float
         Picture samples per degree of visual angle, in the range VIEWED.
@@ -517,22 +529,22 @@ def scielab(one: Array, other: Array, white: Array, viewing: float = VIEWING) ->
 
     Notes
     -----
-    The constants are the defaults of ISETCam: the opponent transform for the 10° observer and the "distribution" widths of
-    Johnson and Fairchild. In two respects the function differs from ISETCam, where pictures wrap around at their edges and
-    the colour difference map is displaced by one pixel. Here, pictures are mirrored at their edges and the map is not
-    displaced.
+    The constants are the defaults of ISETCam: the opponent transform for the 10° observer, and the "distribution" widths of
+    Johnson and Fairchild. There are two differences from ISETCam. Pictures are mirrored at their edges, whereas in ISETCam
+    they wrap around. The map of colour differences is aligned with the pictures, whereas in ISETCam it is shifted by one
+    pixel.
     """
     return delta_e_2000(*(_blurred_lab(picture, white, viewing) for picture in (one, other)))
 
 
 def _blurred_lab(xyz: Array, white: Array, viewing: float) -> Array:
     if not VIEWED[0] <= viewing <= VIEWED[1]:
-        raise RecipeError(f"‹viewing› is {viewing:g}; set a value from {VIEWED[0]} to {VIEWED[1]} samples per degree")
+        raise RecipeError(f"‹viewing› is {viewing:g}; set it to a value from {VIEWED[0]} to {VIEWED[1]} samples per degree")
     return lab(np.maximum(blurred(xyz, viewing), 0.0), white)
 
 
 def blurred(xyz: Array, viewing: float) -> Array:
-    """Blur XYZ (row, col, 3) like the eye, with one filter per opponent plane. The filters are about one degree wide."""
+    """Blur XYZ (row, col, 3) as the eye does, with one filter per opponent plane. The filters are about one degree wide."""
     opponent = np.einsum("oc,rkc->ork", OPPONENT_FROM_XYZ, xyz)
     reach = np.arange(-half_size(viewing), half_size(viewing) + 1)
     total = np.zeros_like(opponent)
@@ -548,6 +560,6 @@ def blurred(xyz: Array, viewing: float) -> Array:
 def half_size(viewing: float) -> int:
     """Return the half width of the S-CIELAB filters in samples.
 
-    The full width is one degree. As in ISETCam, it is rounded up to an integer and then, if even, reduced by 1.
+    The full width is one degree. As in ISETCam, it is rounded up to an integer. If this integer is even, it is reduced by 1.
     """
     return (int(np.ceil(viewing)) - 1) // 2

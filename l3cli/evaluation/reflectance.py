@@ -19,7 +19,7 @@ from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
 
 Array = NDArray[np.floating]
-# Function that simulates training frames with the illuminant and the exposure time of a frame.
+# Function that simulates training frames with the illuminant and the exposure time of a given frame.
 Drawn = Callable[[TrainingPair, LightSpectrum], Iterable[TrainingFrame]]
 LIGHTS = {"delta_e_a": "A", "delta_e_d65": "D65", "delta_e_f11": "F11"}  # illuminant of each colour metric
 ESTIMATES = ("wiener", "pinv")  # names of the estimators
@@ -37,9 +37,9 @@ class ReflectanceQuality(BandQuality):
 def judge_reflectances(
     rendered: Array, target: Array, white: Array, border: int = 0, counted: NDArray[np.bool_] | None = None
 ) -> tuple[ReflectanceQuality, Array]:
-    """Compare rendered reflectances with a target, for the outputs spectra.REFLECTANCES.
+    """Compare rendered reflectances with a target. The outputs must be spectra.REFLECTANCES.
 
-    The parameters and the second result, the spectral angles, are the same as for `judge_bands`.
+    The parameters and the second result, the spectral angles, are the same as in `judge_bands`.
     """
     figures, angles = judge_bands(rendered, target, white, border, counted)
     inside = None if counted is None else cropped(counted, border)
@@ -52,28 +52,28 @@ def judge_reflectances(
 
 
 def _lab(reflectance: Array, light: str) -> Array:
-    """Return the CIELAB (row, col, 3) of reflectances (output, row, col) under an illuminant."""
+    """Convert reflectances (output, row, col) to CIELAB (row, col, 3) under an illuminant."""
     weights = _xyz_weights(light)
     return lab(np.maximum(np.einsum("xo,ork->rkx", weights, reflectance), 0.0), weights.sum(axis=1))
 
 
 @functools.cache
 def _xyz_weights(light: str) -> Array:
-    """Return the weights (3, output) that convert reflectances at spectra.SAMPLED to XYZ. A perfect white has Y = 1."""
+    """Return the matrix (3, output) that converts reflectances at spectra.SAMPLED to XYZ. Y of a perfect white is 1."""
     grid = np.arange(380.0, 781.0)
     weights = spectra.xyz_weights(grid) * spectra.illuminant(light, grid)
     return np.asarray(weights @ spectra.held_interpolation(spectra.SAMPLED, grid) / weights[1].sum())
 
 
 class Estimates:
-    """Linear estimators of spectra from the demosaicked bands of each pixel.
+    """Linear estimators that compute the spectrum of each pixel from its demosaicked bands.
 
-    Bands are demosaicked with `best_of_bands`. The estimators are fitted to training frames that `drawn` simulates, once for
-    each combination of illuminant and exposure time.
+    The bands are demosaicked with `best_of_bands`. The estimators are fitted to training frames that `drawn` simulates, once
+    for each combination of illuminant and exposure time.
 
-    Let the columns of Y be the target spectra of all pixels, and the columns of P the bands without noise and without
-    mosaicking. The matrix of "pinv" is Y P⁺, where P⁺ is the pseudo-inverse. The matrix of "wiener" is Y Pᵀ (P Pᵀ + E Eᵀ)⁻¹,
-    where E is the error that noise causes in the demosaicked bands.
+    Let the columns of Y be the target spectra of all pixels, and let the columns of P be their bands without noise and
+    without mosaicking. The matrix of the estimator "pinv" is Y P⁺, where P⁺ is the pseudo-inverse. The matrix of the
+    estimator "wiener" is Y Pᵀ (P Pᵀ + E Eᵀ)⁻¹, where E is the error of the demosaicked bands because of noise.
     """
 
     def __init__(self, camera: CameraModel, drawn: Drawn) -> None:
@@ -81,7 +81,7 @@ class Estimates:
         self._fitted: dict[tuple[bytes, float], dict[str, Array]] = {}
 
     def planes(self, frame: TrainingPair) -> dict[str, Array]:
-        """Return the planes (output, row, col) that each estimator computes for a frame, in the unit of the target.
+        """Return the name of each estimator, and its planes (output, row, col) for a frame, in the unit of the target.
 
         Raises InputFileError if the camera does not respond to the illuminant of the frame.
         """
@@ -94,11 +94,11 @@ class Estimates:
         return {name: np.einsum("oc,crk->ork", matrix, bands) * unit for name, matrix in self._fitted[key].items()}
 
     def _fit(self, like: TrainingPair) -> dict[str, Array]:
-        """Fit the matrix (output, channel) of each estimator by least squares to random scenes under the illuminant of a
-        frame.
+        """Fit the matrix (output, channel) of each estimator by least squares.
 
-        The Wiener estimate takes the noise of the demosaicked bands into account, and the pseudo-inverse does not. Outputs
-        and bands are fractions of a perfect white.
+        The training frames are random scenes with the illuminant and the exposure time of `like`. The Wiener estimator takes
+        the noise of the demosaicked bands into account, and the pseudo-inverse does not. Outputs and bands are fractions of
+        a perfect white.
         """
         white = white_electrons(like, self._camera)
         balance = balance_of(white, like.exposure, self._camera)[:, None, None]

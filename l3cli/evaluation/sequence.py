@@ -1,8 +1,8 @@
 """Metrics of rendered sequences: noise over time, flicker, and differences from the ideal sequence
 (docs/method.md#quality-of-sequences).
 
-If the motion between two ideal frames is not known, it is estimated by window matching on an image pyramid. Pictures are
-linear sRGB (row, col, 3), where 1 is display white. Lightness is CIE L*, from 0 to 100.
+If the motion between two frames is not known, l3 estimates it from the ideal frames by window matching on an image pyramid.
+Pictures are linear sRGB (row, col, 3), where 1 is display white. Lightness is CIE L*, from 0 to 100.
 """
 
 import itertools
@@ -20,23 +20,23 @@ from l3cli.physics.display import displayed_delta_e, lightness, srgb_curve
 from l3cli.system.limits import read_bounded
 
 Array = NDArray[np.floating]
-PYRAMID_LEVELS = 3  # number of pyramid levels; the coarsest has a quarter of the width and height
-SEARCH_PIXELS = 5  # pixels; search range at the coarsest level
+PYRAMID_LEVELS = 3  # number of pyramid levels; the coarsest level has a quarter of the width and height of a frame
+SEARCH_PIXELS = 5  # pixels; largest displacement that is tried in each direction at the coarsest level
 WINDOW = 15  # pixels; side of the matched windows
-GRID_PIXELS = 4  # pixels; the median of the motion is computed at every GRID_PIXELS-th pixel
-PENALTY = 0.1  # L*² per pixel of displacement, added to the mismatch so that uniform areas move with their surroundings
-MISMATCH = 3.0  # L*; if the mean difference of two windows is larger, the windows show different objects
-MISMATCH_WINDOW = 5  # pixels; side of the windows for MISMATCH
+GRID_PIXELS = 4  # pixels; spacing of the pixels at which the median of the motion is computed
+PENALTY = 0.1  # L*² per pixel of displacement; added to the mismatch so that uniform areas move with their surroundings
+MISMATCH = 3.0  # L*; if the mean absolute difference between two windows is larger, they show different objects
+MISMATCH_WINDOW = 5  # pixels; side of the windows that are compared with MISMATCH
 SUBPIXEL_ITERATIONS = 4  # number of Lucas–Kanade iterations
 ROUNDING_PIXELS = 1e-6  # pixels; tolerance for rounding errors of positions
-FLAT = 0.1  # L*² per pixel²; added to the mean square gradients, so that the motion of flat windows is hardly refined
+FLAT = 0.1  # L*² per pixel²; added to the mean square gradients so that the motion of uniform windows is hardly refined
 
 
 def estimated_motion(light: Array, last: Array) -> NDArray[np.float32]:
-    """Estimate the motion between two frames to fractions of a pixel.
+    """Estimate the motion between two frames with subpixel precision.
 
-    The search at the coarsest level of the pyramid covers displacements of up to SEARCH_PIXELS · 2^(PYRAMID_LEVELS − 1)
-    pixels.
+    The search covers displacements of about SEARCH_PIXELS · 2^(PYRAMID_LEVELS − 1) pixels in each direction. For frames
+    that are too small for all levels of the pyramid, the search range is smaller.
 
     Parameters
     ----------
@@ -48,8 +48,8 @@ def estimated_motion(light: Array, last: Array) -> NDArray[np.float32]:
     Returns
     -------
     ndarray, (3, row, col)
-        Downward and rightward motion since the previous frame, in pixels, and validity. The validity is 1 where both frames
-        show the same object, otherwise 0.
+        Downward motion and rightward motion since the previous frame, in pixels, and validity. The validity is 1 if both
+        frames show the same object, otherwise 0.
     """
     pairs: list[tuple[Array, Array]] = [(np.asarray(light, np.float64), np.asarray(last, np.float64))]
     while len(pairs) < PYRAMID_LEVELS and min(pairs[-1][0].shape) >= 2 * WINDOW:
@@ -77,9 +77,10 @@ def _refined(frame: Array, before: Array, vector: NDArray[np.intp], reach: int) 
 
 
 def _mismatch(frame: Array, before: Array, vector: NDArray[np.intp]) -> Array:
-    """Return the mean square difference (row, col) between the window around each pixel and a displaced window in `before`.
+    """Compare the window around each pixel of `frame` with the window from which it came in the frame `before`.
 
-    `vector` (2, row, col) is the displacement of each pixel since the frame `before`.
+    `vector` (2, row, col) is the displacement of each pixel since the frame `before`. The result (row, col) is the mean
+    square difference between the windows.
     """
     place = [
         np.clip(at - by, 0, length - 1) for at, by, length in zip(np.indices(frame.shape), vector, frame.shape, strict=True)
@@ -88,9 +89,9 @@ def _mismatch(frame: Array, before: Array, vector: NDArray[np.intp]) -> Array:
 
 
 def _exact(frame: Array, before: Array, motion: Array) -> Array:
-    """Refine displacements (2, row, col) to fractions of a pixel.
+    """Refine displacements (2, row, col) to subpixel precision.
 
-    The method is least squares over windows (Lucas and Kanade, "An iterative image registration technique", 1981).
+    The method is the least-squares fit over windows by Lucas and Kanade ("An iterative image registration technique", 1981).
     """
     place, spline = np.indices(frame.shape), spline_filter(before)
     for _ in range(SUBPIXEL_ITERATIONS):
@@ -107,9 +108,10 @@ def _exact(frame: Array, before: Array, motion: Array) -> Array:
 
 
 def _without_outliers(plane: Array) -> Array:
-    """Replace outliers by a median over a window, and smooth the result.
+    """Apply a median filter to remove outliers, and smooth the result.
 
-    To save time, the median is computed at every GRID_PIXELS-th pixel and repeated.
+    To save time, the median is computed only from the pixels on a grid with a spacing of GRID_PIXELS. Pixels between the
+    grid points get the median of a grid point.
     """
     side = -(-WINDOW // GRID_PIXELS) | 1
     whole = (
@@ -121,7 +123,10 @@ def _without_outliers(plane: Array) -> Array:
 
 
 def _seen(light: Array, last: Array, motion: Array) -> NDArray[np.bool_]:
-    """Return a mask (row, col) of the pixels whose origin is inside the previous frame and shows the same object."""
+    """Return a mask (row, col) of the pixels that show the same object as their origins in the previous frame.
+
+    The mask is False for pixels whose origin is outside the previous frame.
+    """
     source = np.indices(light.shape) - motion
     inside = np.logical_and.reduce(
         [
@@ -139,7 +144,10 @@ def _halved(plane: Array) -> Array:
 
 
 def _doubled(vector: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.intp]:
-    """Double the size and values of a displacement field (2, row, col). For odd sizes, repeat the last row and column."""
+    """Double the size and the values of a displacement field (2, row, col).
+
+    If the new size `shape` is odd, the last row or column is repeated.
+    """
     whole = 2 * vector.repeat(2, axis=1).repeat(2, axis=2)
     return np.pad(
         whole, [(0, 0), *((0, length - have) for length, have in zip(shape, whole.shape[1:], strict=True))], mode="edge"
@@ -148,30 +156,34 @@ def _doubled(vector: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.int
 
 GIVE = 'use the output of "l3 evaluate --sequence … --json"'
 CELL = 8  # pixels; side of a patch
-STILL = 0.5  # L*; largest range of a still pixel over the ideal sequence, about one 8-bit step
-# These constants find still patches in sequences without an ideal.
-DRIFT = 1.0  # L*; largest change of the mean of a still patch between the two halves of a sequence
-UNCERTAIN = 3.0  # standard deviations; a smaller change between the halves may be noise
-# The patches that change least (a fraction QUIETEST of all patches) are assumed to show only noise. A patch is not still
-# if it
-# changes more than RESTLESS times as much as these patches.
+# A patch is still if the L* of each of its pixels varies by at most this amount over the ideal sequence, which is about the
+# difference between two adjacent 8-bit values.
+STILL = 0.5
+# The following constants define still patches if there is no ideal sequence.
+DRIFT = 1.0  # L*; maximum change in the mean of a still patch from the first to the second half of the sequence
+UNCERTAIN = 3.0  # standard deviations; changes that are smaller than this may be caused by noise
+# The fraction QUIETEST of all patches, those that change least, is assumed to show only noise. A still patch changes at most
+# RESTLESS times as much as these patches.
 QUIETEST, RESTLESS = 0.1, 3.0
-ROUNDING = 0.1  # L*; change of a pixel that rounding can cause
+ROUNDING = 0.1  # L*; maximum change of a pixel due to rounding
 
 
 class FrameFigures(msgspec.Struct, forbid_unknown_fields=True):
     """Metrics of one frame of a sequence.
 
-    Metrics that compare frames are None in the first frame. Metrics that need an ideal sequence are None without an ideal.
+    `jump`, `step_sigma` and `warped_error` are None in the first frame. `warped_error`, `psnr` and `mean_delta_e` are None
+    if there is no ideal sequence. `step_sigma` is also None if the sequence has no still patches, and `warped_error` if no
+    pixel is visible in both frames.
     """
 
     frame: int
     mean_lightness: float  # L*
-    jump: float | None  # L*; change of the mean lightness since the previous frame, minus this change in the ideal sequence
+    # L*; change in the mean lightness since the previous frame, minus the same change in the ideal sequence, if any
+    jump: float | None
     step_sigma: float | None  # L*; RMS change of the pixels of still patches since the previous frame, divided by √2
-    warped_error: float | None  # L*; RMS change of the error along the motion
+    warped_error: float | None  # L*; RMS change of the error since the previous frame, along the motion of the objects
     psnr: float | None  # dB; computed from non-linear sRGB
-    mean_delta_e: float | None  # CIEDE2000
+    mean_delta_e: float | None  # mean CIEDE2000 difference from the ideal frame
 
 
 class SequenceFigures(msgspec.Struct, forbid_unknown_fields=True, tag_field="kind", tag="sequence"):
@@ -179,13 +191,13 @@ class SequenceFigures(msgspec.Struct, forbid_unknown_fields=True, tag_field="kin
 
     rendered: str
     ideal: str | None
-    motion: Literal["known", "estimated"] | None  # origin of the motion for `warped_error`
+    motion: Literal["known", "estimated"] | None  # source of the motion for `warped_error`; None without ideal sequence
     frames: list[FrameFigures]
-    still_share: float  # fraction of still patches
-    temporal_sigma: float | None  # L*; standard deviation of a pixel over time, RMS over still patches
-    patch_sigma: float | None  # L*; standard deviation over time of the mean of a patch, RMS over still patches
+    still_share: float  # number of still patches, as a fraction of all patches
+    temporal_sigma: float | None  # L*; RMS, over the still patches, of the standard deviation of a pixel over time
+    patch_sigma: float | None  # L*; RMS, over the still patches, of the standard deviation of the patch mean over time
     largest_jump: float | None  # L*; `jump` with the largest absolute value
-    largest_jump_frame: int | None  # number of the frame with the largest jump
+    largest_jump_frame: int | None  # index of the frame with the largest jump, starting at 0
     warped_error: float | None  # L*; RMS over the frames
     psnr: float | None  # mean over the frames
     mean_delta_e: float | None  # mean over the frames
@@ -196,43 +208,45 @@ class SequenceFigures(msgspec.Struct, forbid_unknown_fields=True, tag_field="kin
 
 
 class SequenceEvaluation:
-    """Evaluates a sequence frame by frame. For each frame, only a few values per patch stay in memory.
+    """Evaluates a rendered sequence frame by frame, by itself or in comparison with an ideal sequence.
+
+    Only a few values per patch of each frame are kept in memory.
 
     Parameters
     ----------
     rendered : str
         Name of the rendered sequence.
     ideal : str or None
-        Name of the ideal sequence, if there is one.
+        Name of the ideal sequence. None if there is no ideal sequence.
     border : int
-        Width in pixels of the margin that is not evaluated.
+        Width of the margin that is not evaluated, in pixels.
     """
 
     def __init__(self, rendered: str, ideal: str | None, border: int = 0) -> None:
         self._names, self._border = (rendered, ideal), border
         self._frames: list[FrameFigures] = []
-        self._cells: list[Array] = []  # for each frame, the mean L* of every patch
-        self._steps: list[Array] = []  # for each frame after the first, the mean square change of the pixels of every patch
+        self._cells: list[Array] = []  # mean L* of every patch, for each frame
+        self._steps: list[Array] = []  # mean square change in the pixels of every patch, for each frame after the first
         self._motion: Literal["known", "estimated"] | None = None
         self._last: Array | None = None  # L* of the previous frame
-        self._ideal: tuple[Array, Array] | None = None  # previous frame: L* of the ideal, and L* error of the rendering
-        self._offset = 0.0  # mean L* of the previous frame, minus the mean L* of the ideal frame if there is one
-        self._sum: Array | float = 0.0
-        self._squares: Array | float = 0.0
-        self._range: tuple[Array, Array] | None = None  # lowest and highest L* of each pixel of the ideal sequence
+        self._ideal: tuple[Array, Array] | None = None  # previous frame: L* of the ideal picture, and error of the rendering
+        self._offset = 0.0  # mean L* of the previous frame, minus the mean L* of its ideal picture if there is one
+        self._sum: Array | float = 0.0  # sum of the frames
+        self._squares: Array | float = 0.0  # sum of the squares of the frames
+        self._range: tuple[Array, Array] | None = None  # lowest and highest L* of each pixel in the ideal sequence
 
     def add(self, rendered: Array, ideal: Array | None = None, motion: Array | None = None) -> None:
-        """Add the next frame.
+        """Add the next frame. All pictures of a sequence must have the same size.
 
         Parameters
         ----------
         rendered : ndarray, (row, col, 3)
-            Rendered picture in linear sRGB.
+            Rendered picture in linear sRGB. Values are clipped to 0…1.
         ideal : ndarray, (row, col, 3), optional
-            Ideal picture in linear sRGB.
+            Ideal picture in linear sRGB, for every frame or for none. Values are clipped to 0…1.
         motion : ndarray, (3, row, col), optional
-            Downward and rightward motion since the previous frame, in pixels, and validity (1 or 0). [default: motion
-            estimated from the ideal pictures]
+            Downward motion and rightward motion since the previous frame, in pixels, and validity (1 or 0). Not used for the
+            first frame and if there is no ideal picture. [default: motion estimated from the ideal pictures]
         """
         light = lightness(np.clip(rendered, 0.0, 1.0))
         wanted = None if ideal is None else lightness(np.clip(ideal, 0.0, 1.0))
@@ -260,7 +274,7 @@ class SequenceEvaluation:
     def _figures(
         self, rendered: Array, ideal: Array | None, step: Array | None, wanted: Array | None, warped: float | None
     ) -> FrameFigures:
-        """Return the metrics of the latest frame. `step_sigma` remains None until the still patches are known."""
+        """Return the metrics of the latest frame. `step_sigma` is None, because the still patches are not known yet."""
         assert self._last is not None
         quality, difference = None, None
         if ideal is not None:
@@ -274,10 +288,9 @@ class SequenceEvaluation:
         return FrameFigures(len(self._frames), mean, jump, None, warped, quality, difference)
 
     def figures(self) -> SequenceFigures:
-        """Return the metrics of the sequence, and complete the metrics of its frames with the temporal noise of still
-        patches.
+        """Return the metrics of all frames that have been added, including the temporal noise of still patches.
 
-        Raises ValueError if the sequence has fewer than two frames.
+        Raises ValueError if there are fewer than two frames.
         """
         count = len(self._frames)
         if count < 2:
@@ -311,8 +324,9 @@ class SequenceEvaluation:
     def _still(self) -> NDArray[np.bool_]:
         """Return the mask (patch row, patch column) of still patches.
 
-        If there is an ideal sequence, a patch is still if its pixels do not change in the ideal sequence. Otherwise a patch
-        is still if noise can explain its changes. The noise is estimated from the patches that change least.
+        If there is an ideal sequence, a patch is still if its pixels hardly change in the ideal sequence. Otherwise, a patch
+        is still if its changes are small enough to be caused by noise. The noise is estimated from the patches that change
+        least.
         """
         if self._range is not None:
             low, high = self._range
@@ -329,9 +343,9 @@ class SequenceEvaluation:
 def _warped_error(error: Array, last: Array, motion: Array, border: int) -> float | None:
     """Return the RMS change of the error (row, col) along the motion, or None if no pixel is visible in both frames.
 
-    The error of the previous frame is displaced by the motion, and subtracted from the error of this frame. Displacing the
-    errors is equivalent to displacing both pictures, because displacement is linear. Interpolation artefacts at edges, which
-    occur in both pictures, cancel in the error.
+    The error `last` of the previous frame is displaced by the motion and subtracted from the error of the current frame.
+    Because displacement is linear, this is equivalent to displacing the rendered picture and the ideal picture. The
+    advantage is that interpolation artefacts at edges cancel in the error.
     """
     row, col = np.indices(error.shape)
     seen = cropped(motion[2], border) > 0
@@ -342,7 +356,7 @@ def _warped_error(error: Array, last: Array, motion: Array, border: int) -> floa
 
 
 def _cells(plane: Array) -> Array:
-    """Reshape a plane (row, col) to patches (patch row, row, patch column, column). Incomplete patches are cut off."""
+    """Divide a plane (row, col) into patches (patch row, row, patch column, column), without incomplete patches."""
     rows, cols = (length // CELL for length in plane.shape)
     return plane[: rows * CELL, : cols * CELL].reshape(rows, CELL, cols, CELL)
 
@@ -352,7 +366,7 @@ def _cell_means(plane: Array) -> Array:
 
 
 def _deviation(series: Array) -> float:
-    """Return the RMS, over all series, of the standard deviation over time of each series (time, …)."""
+    """Compute the standard deviation over time of each series (time, …), and return the RMS over all series."""
     return float(np.sqrt(series.var(axis=0, ddof=1, dtype=np.float64).mean()))
 
 
@@ -366,13 +380,16 @@ def _mean(values: list[float | None]) -> float | None:
 
 
 def read_sequence_figures(path: Path) -> SequenceFigures:
-    """Read the output of `l3 evaluate --sequence --json`. Raises InputFileError if the file contains something else."""
+    """Read a file that contains the output of `l3 evaluate --sequence --json`.
+
+    Raises InputFileError if the file cannot be read, contains something else, or has metrics of fewer than two frames.
+    """
     try:
         printed = msgspec.json.decode(read_bounded(path, GIVE), type=dict[str, Any])
         printed.pop("run", None)  # describes how the command ran, not the sequence
         figures = msgspec.convert(printed, SequenceFigures)
     except (OSError, msgspec.MsgspecError, RecursionError) as error:
-        raise InputFileError(f"{path} is not an evaluation of a sequence; {GIVE}") from error
+        raise InputFileError(f"{path} does not contain the evaluation of a sequence; {GIVE}") from error
     if len(figures.frames) < 2:
-        raise InputFileError(f"{path} has metrics of fewer than two frames; {GIVE}")
+        raise InputFileError(f"{path} contains the metrics of fewer than two frames; {GIVE}")
     return figures

@@ -1,7 +1,8 @@
-"""Metrics from standards: the sharpness of slanted edges, and the SNR of a grey at each illuminance (docs/measurement.md).
+"""Metrics from standards: the MTF of slanted edges, and the SNR of a grey target at several illuminances
+(docs/measurement.md).
 
-The metrics are measured in pictures. Their theoretical values are computed in closed form from the lens, the pixel and the
-noise of the camera.
+The metrics are measured in pictures. For comparison, theoretical values are computed in closed form from the lens, the pixel
+aperture and the noise model of the camera.
 """
 
 import dataclasses
@@ -21,9 +22,9 @@ from l3cli.physics.stokes import luminance_name
 
 Array = NDArray[np.floating]
 BINS_PER_PIXEL = 4  # oversampling of the edge profile
-HALF_PROFILE_PIXELS = 48.0  # pixels; half length of the edge profile, long enough for the light that a lens spreads
-TAPER = 8.0  # pixels; length at each end over which the slope of the profile is tapered to zero
-SEARCHED = 6.0  # pixels; distance from the line of the previous pass within which each row is searched for the edge
+HALF_PROFILE_PIXELS = 48.0  # pixels; half the length of the edge profile, which must contain the blur of the lens
+TAPER = 8.0  # pixels; length at each end of the profile over which the slope is tapered to zero
+SEARCHED = 6.0  # pixels; each pass of the fit searches for the edge within this distance from the previously fitted line
 MAX_FREQUENCY = 1.0  # cycles/pixel; highest frequency of the MTF curves
 HALF = 0.5  # value of the MTF that defines MTF50
 PROFILE_BINS = int(2 * HALF_PROFILE_PIXELS * BINS_PER_PIXEL)  # number of bins in the edge profile
@@ -32,7 +33,7 @@ FREQUENCIES = FREQUENCIES[FREQUENCIES <= MAX_FREQUENCY]  # cycles/pixel; frequen
 
 
 class EdgeError(ValueError):
-    """Raised if a picture contains no edge that can be measured."""
+    """Raised if a picture contains no edge whose MTF can be measured."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,10 @@ class Sharpness:
 
     @property
     def mtf50(self) -> float | None:
-        """Lowest frequency in cycles/pixel at which the MTF is 0.5. None if the MTF is higher at all frequencies."""
+        """Lowest frequency at which the MTF is 0.5, in cycles/pixel.
+
+        None if the MTF is at least 0.5 at all frequencies of the curve.
+        """
         below = np.flatnonzero(self.transfer < HALF)
         if not below.size:
             return None
@@ -64,42 +68,43 @@ def edge_sharpness(plane: Array) -> Sharpness:
     Raises
     ------
     EdgeError
-        If the picture contains no such edge.
+        If the picture contains no such edge, or if it is too narrow for the edge profile.
 
     Notes
     -----
     The position of the edge in each row is the centroid of the absolute slope. A straight line is fitted to these positions.
-    Pixels are averaged in bins of a quarter pixel by their distance from the line, which gives the edge profile. The MTF is
-    the spectrum of the slope of this profile, corrected for the width of the bins and for the finite differences.
+    To obtain the edge profile, pixels are averaged in bins of a quarter pixel, according to their distance from the line.
+    The MTF is the spectrum of the slope of this profile, corrected for the width of the bins and for the finite differences.
     """
     plane = np.asarray(plane, np.float64)
     slope = np.abs(np.diff(plane, axis=1))
     rows, place = np.arange(len(plane)), np.arange(slope.shape[1]) + 0.5
     if not slope.sum(axis=1).min() > 0:
-        raise EdgeError("the picture has no edge that crosses every row")
+        raise EdgeError("the picture contains no edge that crosses every row")
     line, reach = np.array([0.0, slope.sum(axis=0) @ place / slope.sum()]), np.inf
     for _ in range(4):
         weight = np.where(np.abs(place - np.polyval(line, rows)[:, None]) < reach, slope, 0.0)
         crossed = weight.any(axis=1)
         if crossed.sum() < len(rows) / 2:
-            raise EdgeError("the picture has no straight edge that crosses its rows")
+            raise EdgeError("the picture contains no straight edge that crosses its rows")
         at = (weight[crossed] @ place) / weight[crossed].sum(axis=1)
         line, reach = np.polyfit(rows[crossed], at, 1), SEARCHED
     angle = np.arctan(line[0])
     if not 2.0 <= abs(np.degrees(angle)) <= 15.0:
         raise EdgeError(
-            f"the edge is {abs(np.degrees(angle)):.2g}° from the vertical, but must be 2° to 15° from the vertical"
+            f"the edge is slanted by {abs(np.degrees(angle)):.2g}° from the vertical, but the slant must be 2° to 15°"
         )
-    turns = int(len(rows) * abs(line[0]))  # number of whole columns that the edge crosses
-    rows = rows[: round(turns / abs(line[0]))]  # with whole columns, all subpixel positions of the edge are equally frequent
+    turns = int(len(rows) * abs(line[0]))  # number of columns that the edge crosses completely
+    # Use only the rows in which the edge crosses these columns, so that all subpixel positions are equally frequent.
+    rows = rows[: round(turns / abs(line[0]))]
     distance = (np.arange(plane.shape[1]) - np.polyval(line, rows)[:, None]) * np.cos(angle)
     inside = np.abs(distance) < HALF_PROFILE_PIXELS
     number = np.floor((distance[inside] + HALF_PROFILE_PIXELS) * BINS_PER_PIXEL).astype(int)
     count = np.bincount(number, minlength=PROFILE_BINS)
     if not count.min():
         raise EdgeError(
-            f"the picture has no pixels at some distances from the edge; it must extend at least {HALF_PROFILE_PIXELS:g} "
-            "pixels to both sides of the edge"
+            f"the picture is too narrow for the edge profile; it must extend at least {HALF_PROFILE_PIXELS:g} "
+            "pixels on both sides of the edge"
         )
     profile = np.bincount(number, plane[: len(rows)][inside], PROFILE_BINS) / count
     ends = np.minimum(np.arange(1, PROFILE_BINS), np.arange(1, PROFILE_BINS)[::-1]) / (TAPER * BINS_PER_PIXEL)
@@ -110,40 +115,40 @@ def edge_sharpness(plane: Array) -> Sharpness:
     )
 
 
-DARK_SIDE, BRIGHT_SIDE = 0.1, 0.4  # reflectances on the two sides of an edge, 4:1 as in ISO 12233
-ANGLE, SIDE = 5.0, 192  # slant of the edge in degrees; side of a frame in pixels
+DARK_SIDE, BRIGHT_SIDE = 0.1, 0.4  # reflectances on the two sides of an edge, with the ratio 4:1 of ISO 12233
+ANGLE, SIDE = 5.0, 192  # slant of the edge in degrees, and side of the frames in pixels
 EDGE_FRAME_WHITE = 0.8  # signal of a perfect white in frames with an edge, as a fraction of full scale
-GREY, EXPOSURE = 0.18, 1 / 15  # reflectance of the grey, and exposure time of its frames in s
+GREY, EXPOSURE = 0.18, 1 / 15  # reflectance of the grey target, and exposure time of its frames in s
 LIGHT = "D65"
-SNR = 10.0  # signal-to-noise ratio that defines SNR10
-OCTAVES = np.arange(-6.0, 3.0)  # illuminances of the grey, in octaves from the illuminance SNR10 of the camera
-RAW_SIDE, GREY_SIDE = 400, 160  # pixels; side of a raw frame of the grey, and side of the part that is rendered
+SNR = 10.0  # SNR10 is the illuminance at which the signal-to-noise ratio reaches this value
+OCTAVES = np.arange(-6.0, 3.0)  # illuminances of the grey target, in octaves relative to the SNR10 of the camera
+RAW_SIDE, GREY_SIDE = 400, 160  # pixels; side of the raw frames of the grey target, and side of the area that is rendered
 KNOWN = "lens and pixel"  # name of the MTF curve that is computed for a diffraction-limited lens and the pixel aperture
 DRAWN = 8  # number of random cameras
-CORRELATED = 30.0  # correlation length of the errors of their responsivity curves, in nm
+CORRELATED = 30.0  # nm; correlation length of the errors in the responsivity curves of the random cameras
 SIGMAS_95 = 1.96  # half width of a 95 % band, in standard deviations
 PATCHES = 4, 6  # rows and columns of the chart that the random cameras photograph
-MARGIN_PIXELS = 24  # pixels; width of the margin of a frame that is not evaluated
+MARGIN_PIXELS = 24  # width of the margin of a frame that is not evaluated
 
 
 @dataclass(frozen=True)
 class GreyNoise:
-    """Signal-to-noise ratio of a grey in each channel of a camera, in closed form.
+    """Signal-to-noise ratio of a grey target in each channel of a camera, in closed form.
 
     At a signal of S DN, the noise variance is constant + linear · S + quadratic · S².
     """
 
-    per_lux: Array  # (channel) signal in DN per lux
+    per_lux: Array  # (channel) signal in DN/lux
     constant: Array  # (channel) DN²
     linear: Array  # (channel) DN
     quadratic: float
-    top: float  # DN, full scale
+    top: float  # DN; full scale
 
     @classmethod
     def of(cls, camera: CameraModel, frame: TrainingFrame) -> "GreyNoise":
-        """Compute the noise of a grey with the reflectance GREY, for the illuminant and exposure time of a frame.
+        """Compute the noise of a target with the reflectance GREY, for the illuminant and the exposure time of `frame`.
 
-        Raises ValueError if the dark current alone saturates a pixel.
+        The frame must have an illuminant. Raises ValueError if the dark current alone saturates a pixel.
         """
         assert frame.light is not None
         white, falling = lit_library(frame.light)
@@ -156,15 +161,16 @@ class GreyNoise:
         return cls(signal, constant * ones, linear * ones, quadratic, span)
 
     def snr(self, lux: Array) -> Array:
-        """Return the signal-to-noise ratio of each channel (columns) at each illuminance (rows)."""
+        """Return the signal-to-noise ratios (lux, channel) at the illuminances `lux`."""
         signal = np.asarray(lux)[:, None] * self.per_lux
         return np.asarray(signal / np.sqrt(self.constant + (self.linear + self.quadratic * signal) * signal))
 
     def lux(self) -> list[float | None]:
         """Return the illuminance in lux at which each channel reaches the signal-to-noise ratio SNR.
 
-        The signal S is the solution of S² = SNR² (constant + linear · S + quadratic · S²). The illuminance is None if PRNU
-        makes the ratio unreachable, or if the channel saturates first.
+        The signal S is the solution of S² = SNR² · (constant + linear · S + quadratic · S²). The illuminance is None if
+        photo-response nonuniformity limits the ratio to lower values, if the channel saturates first, or if the channel does
+        not respond to the illuminant.
         """
         found: list[float | None] = []
         for per_lux, constant, linear in zip(self.per_lux, self.constant, self.linear, strict=True):
@@ -176,7 +182,7 @@ class GreyNoise:
 
 
 def measured_snr(plane: Array) -> float:
-    """Return the signal-to-noise ratio of a picture of a uniform grey, which is its mean divided by its standard deviation.
+    """Return the mean of a picture of a uniform target, divided by the standard deviation.
 
     If the mean is negative, the result is 0.
     """
@@ -184,9 +190,10 @@ def measured_snr(plane: Array) -> float:
 
 
 def crossing(lux: Array, snr: Array) -> float | None:
-    """Return the illuminance in lux above which a measured signal-to-noise ratio stays at SNR or higher.
+    """Return the illuminance in lux above which measured signal-to-noise ratios are at least SNR.
 
-    The illuminance is interpolated logarithmically. The result is None if the illuminance is outside the measured range.
+    The illuminance is interpolated on a logarithmic scale. The result is None if it is outside the measured range, or if no
+    interpolation is possible because the last ratio below SNR is 0.
     """
     below = np.flatnonzero(snr < SNR)
     if not below.size or below[-1] == len(lux) - 1 or not snr[below[-1]] > 0:
@@ -196,10 +203,10 @@ def crossing(lux: Array, snr: Array) -> float | None:
 
 
 def known_sharpness(camera: CameraModel, wavelength: Array, weights: Array) -> Sharpness:
-    """Compute the MTF of diffraction and pixel aperture across an edge with the slant ANGLE.
+    """Compute the MTF across an edge with the slant ANGLE, for a diffraction-limited lens and the pixel aperture.
 
-    The lens is free of aberrations. The MTF of the lens is a weighted mean over wavelengths in nm. `weights` contains one
-    weight per wavelength.
+    The MTF of the lens is the weighted mean over the wavelengths `wavelength` (nm). `weights` contains one weight per
+    wavelength.
     """
     lens = diffraction_transfer(FREQUENCIES / camera.pixel_pitch, wavelength, camera.optics.f_number)
     pixel = np.sinc(FREQUENCIES * np.cos(np.radians(ANGLE))) * np.sinc(FREQUENCIES * np.sin(np.radians(ANGLE)))
@@ -207,21 +214,24 @@ def known_sharpness(camera: CameraModel, wavelength: Array, weights: Array) -> S
 
 
 def brightness(planes: Array, outputs: tuple[str, ...]) -> Array:
-    """Return the luminance (Y or S0), or else the mean of the outputs, of a picture without its margin (row, col)."""
+    """Return the luminance (row, col) of the outputs `planes` (output, row, col), without the margin of the frame.
+
+    The luminance is the output Y or S0. If the outputs contain neither, the result is the mean of all outputs.
+    """
     name = luminance_name(outputs)
     plane = planes[outputs.index(name)] if name in outputs else planes.mean(axis=0)
     return np.asarray(plane[MARGIN_PIXELS:-MARGIN_PIXELS, MARGIN_PIXELS:-MARGIN_PIXELS], np.float64)
 
 
 def edge_document(planes: dict[str, Array], known: tuple[CameraModel, Array, Array], across: str) -> dict[str, Any]:
-    """Measure the MTF of each pipeline, and compute the MTF of lens and pixel.
+    """Measure the MTF of each pipeline, and compute the theoretical MTF of the lens and the pixel aperture.
 
     Parameters
     ----------
     planes : dict of str to ndarray, (row, col)
         Brightness of a picture of an edge, for each pipeline.
     known : tuple
-        Arguments of `known_sharpness`.
+        Arguments of `known_sharpness`: camera, wavelengths and weights.
     across : str
         "rows" if the edge is nearly vertical, "columns" if it is nearly horizontal.
 
@@ -229,7 +239,8 @@ def edge_document(planes: dict[str, Array], known: tuple[CameraModel, Array, Arr
     -------
     dict
         Keys "frequency" (cycles/pixel), "mtf" and "mtf50" (cycles/pixel). "mtf" and "mtf50" have an entry for each pipeline
-        and for "lens and pixel". The entry is None if no edge can be measured.
+        and for "lens and pixel". An "mtf" entry is None if no edge can be measured. An "mtf50" entry is None in this case,
+        or if the MTF is at least 0.5 at all frequencies.
     """
     curves: dict[str, Sharpness | None] = {KNOWN: known_sharpness(*known)}
     for name, plane in planes.items():
@@ -245,12 +256,12 @@ def edge_document(planes: dict[str, Array], known: tuple[CameraModel, Array, Arr
 
 
 def grey_document(camera: CameraModel, noise: GreyNoise, lux: Array, raw: Array, snr: dict[str, Array]) -> dict[str, Any]:
-    """Collect the signal-to-noise ratios of a grey and, for each of them, the illuminance at which the ratio reaches SNR.
+    """Collect the signal-to-noise ratios of a grey target and the illuminances at which they reach the value SNR.
 
     Parameters
     ----------
     camera : CameraModel
-        Camera that photographs the grey.
+        Camera that photographs the target.
     noise : GreyNoise
         Noise of the camera in closed form.
     lux : ndarray, (lux)
@@ -276,10 +287,10 @@ def grey_document(camera: CameraModel, noise: GreyNoise, lux: Array, raw: Array,
 
 
 def drawn_cameras(camera: CameraModel, rng: np.random.Generator) -> list[CameraModel]:
-    """Draw random cameras whose responsivity curves vary within the 95 % band of the curves of `camera`.
+    """Draw random cameras whose responsivity curves deviate from the curves of `camera` according to their 95 % band.
 
-    The errors of different channels are independent. The errors at two wavelengths with a distance of CORRELATED nm have a
-    correlation of exp(−1/2).
+    The deviations are normally distributed, and independent between channels. The correlation of the deviations at two
+    wavelengths that differ by CORRELATED is exp(−1/2).
     """
     distance = np.subtract.outer(camera.wavelength, camera.wavelength) / CORRELATED
     values, vectors = np.linalg.eigh(np.exp(-0.5 * distance**2))
@@ -290,7 +301,7 @@ def drawn_cameras(camera: CameraModel, rng: np.random.Generator) -> list[CameraM
 
 
 def patch_means(planes: Array) -> Array:
-    """Return the mean of the centre of each chart patch, (output, patch). The chart fills `planes` (output, row, col)."""
+    """Return the mean (output, patch) over the centre of each patch of a chart that fills `planes` (output, row, col)."""
     rows, cols = PATCHES
     tall, wide = planes.shape[1] // rows, planes.shape[2] // cols
     cells = planes.reshape(len(planes), rows, tall, cols, wide)[:, :, tall // 4 : -(tall // 4), :, wide // 4 : -(wide // 4)]
@@ -298,16 +309,20 @@ def patch_means(planes: Array) -> Array:
 
 
 def colour_differences(xyz: Array, of_camera: Array, white: Array) -> Array:
-    """Return ΔE00 between two cameras for each patch, after scaling to equal mean luminance. `xyz` has shape (3, patch)."""
+    """Return the CIEDE2000 difference between two cameras for each patch.
+
+    `xyz` and `of_camera` (3, patch) are the XYZ values of the two cameras, which are scaled to equal mean luminance. `white`
+    is the XYZ of a perfect white.
+    """
     same = xyz * (of_camera[1].sum() / xyz[1].sum())
     return delta_e_2000(*(lab(each.T / white[1], white / white[1]) for each in (same, of_camera)))
 
 
 def figures_of(document: dict[str, Any]) -> dict[str, dict[str, float | None]]:
-    """Return MTF50 along rows, MTF50 along columns, SNR10 and the camera ΔE00 of each pipeline.
+    """Return MTF50 along rows, MTF50 along columns, SNR10 and `camera_delta_e` of each pipeline.
 
-    The camera ΔE00 is the colour error that the uncertainty of the responsivity curves causes. It is None if the curves have
-    no uncertainty band. SNR10 is None if the curves are not absolute.
+    `camera_delta_e` is the CIEDE2000 difference that the uncertainty of the responsivity curves causes. It is None if the
+    curves have no uncertainty band. SNR10 is None if the curves are not absolute, or if SNR10 cannot be measured.
     """
     edge, grey, chart = document["edge"], document["grey"], document["chart"]
     return {

@@ -1,8 +1,9 @@
 """Find a colour chart in a mosaic and measure its patches (docs/method.md#charts-in-photographs).
 
-A chart is recognised as a grid of uniform regions whose values are consistent with the reflectances of the patches. The
-responsivities of the camera need not be known: l3 tests whether the values of each channel are a linear combination of a
-constant and the principal components of the reflectances. This test also determines the orientation of the chart.
+A chart is recognised as a grid of uniform regions whose values are consistent with the reflectances of the patches. For this
+test, the responsivities of the camera need not be known. l3 tests whether the values of each channel are a linear
+combination of a constant and the principal components of the reflectances. The test also determines the orientation of the
+chart.
 """
 
 import itertools
@@ -15,31 +16,35 @@ from numpy.typing import NDArray
 
 from l3cli.physics.mosaic import tiled
 
-CORE = 0.25  # half the side, in cells, of the measured core of a patch; the core excludes borders and blurred edges
-OUTLIER = 5.0  # distance from the median, in robust standard deviations, beyond which a pixel is an outlier, such as dust
+# A cell is a square of the grid that contains one patch. x and y are measured in cells from the corner of the first patch.
+CORE = 0.25  # half the side of the measured area of a patch, in cells; this area excludes borders and blurred edges
+OUTLIER = 5.0  # pixels, such as dust, that differ from the median by more robust standard deviations are outliers
 DUSTY = 0.2  # maximum fraction of outliers in a usable patch
 CLIPPED = 1e-3  # maximum fraction of saturated pixels in a usable patch
 MIN_PIXELS = 12  # minimum number of pixels of one channel in a patch
-PRECISION = 0.002  # relative error of patch means due to texture and gloss; averaging more pixels does not reduce this error
-MIN_POINTS = 6  # minimum number of points (patches × channels) for fitting a photon transfer line
-MAD = 1.4826  # ratio of the standard deviation of a Gaussian to its median absolute deviation
+PRECISION = 0.002  # relative error of patch means due to texture and gloss, which averaging over more pixels does not reduce
+MIN_POINTS = 6  # minimum number of points for fitting a photon transfer line; each patch has one point per channel
+MAD = 1.4826  # ratio of the standard deviation to the median absolute deviation of a normal distribution
 Array = NDArray[np.floating]
 SEARCHED = 480  # maximum side, in pixels, of the reduced picture in which l3 searches for a chart
-SLOPES = (0.02, 0.04, 0.08, 0.15)  # maximum relative gradients per pixel of a uniform region; l3 tries all limits
-# Fraction of the 99th percentile. This value is added to the divisor of relative gradients against noise in dark areas.
+SLOPES = (0.02, 0.04, 0.08, 0.15)  # limits for the relative gradient (per pixel) of uniform regions; l3 tries all limits
+# To reduce the effect of noise in dark areas, this fraction of the 99th percentile is added to the signal before the
+# gradient is divided by the signal.
 DARK_FRACTION = 0.02
-MIN_AREA, MAX_SHARE = 9, 0.03  # minimum area of a patch in pixels, and maximum as a fraction of the picture
-LONG, FILLED = 2.2, (0.75, 1.25)  # patches: maximum aspect ratio; range of area relative to a parallelogram
-# Number of nearest regions that may define the steps of a grid, and number of regions at which l3 starts grids.
+MIN_AREA, MAX_SHARE = 9, 0.03  # minimum area of a patch in pixels, and maximum area as a fraction of the picture
+# Maximum aspect ratio of a patch, and range of the area of a patch relative to a parallelogram with the same moments
+LONG, FILLED = 2.2, (0.75, 1.25)
+# Number of nearest regions that may define the basis vectors of a grid, and number of regions at which l3 starts a grid
 NEIGHBOURS, SEEDS = 8, 160
 PAIRS = np.array(list(itertools.permutations(range(NEIGHBOURS), 2)))
-ASKEW, UNEQUAL = 0.5, 1.8  # maximum cosine of the angle between the two steps of a grid, and maximum ratio of their lengths
-OFF = 0.22  # maximum distance between a region and a grid point, in grid steps
+# basis vectors of a grid: maximum cosine of the angle between them, maximum ratio of their lengths
+ASKEW, UNEQUAL = 0.5, 1.8
+OFF = 0.22  # maximum distance between a region and a grid point, in units of the grid spacing
 REFINED = (0.25, 0.15, 0.1, 0.1)  # maximum distance between a region and the centre of a patch in each refinement, in cells
-MIN_SHARE, MIN_REGIONS = 0.4, 5  # minimum fraction and minimum number of patches that must be found as regions
+MIN_SHARE, MIN_REGIONS = 0.4, 5  # at least this fraction and this number of patches must be found as uniform regions
 GROWN, TRIED = 200, 20  # number of grids that are extended, and number of extended grids that are fitted to the reflectances
-COMPONENTS = 6  # number of principal components of the reflectances; enough to describe any channel to a few percent
-MIN_FIT = 0.9  # minimum R² of the fit of the components to the values of a chart
+COMPONENTS = 6  # number of principal components of the reflectances, which describe any channel to a few percent
+MIN_FIT = 0.9  # minimum R² when the principal components are fitted to the values of a chart
 
 
 def homography(cells: Array, pixels: Array) -> Array:
@@ -55,12 +60,12 @@ def homography(cells: Array, pixels: Array) -> Array:
     Returns
     -------
     ndarray, (3, 3)
-        Homography. The product with (x, y, 1) is proportional to (column, row, 1).
+        Homography, whose product with (x, y, 1) is proportional to (column, row, 1).
 
     Raises
     ------
     LinAlgError
-        If there are exactly four points and three points lie on a line, so that there is no unique homography.
+        If there are exactly four points and three of these points are on a line, so that the homography is not unique.
     """
     scale, shift = float(np.ptp(pixels, axis=0).max()) or 1.0, pixels.mean(axis=0)
     right = (pixels - shift) / scale
@@ -72,9 +77,10 @@ def homography(cells: Array, pixels: Array) -> Array:
 
 
 def _equations(cells: Array, pixels: Array) -> Array:
-    """Return the matrix (…, 2 · point, 8) of the linear equations for a homography whose last element is 1.
+    """Return the matrix (…, 2 · point, 8) of the linear equations for the elements of a homography.
 
-    The unknowns are the first eight elements of the homography. The right-hand sides are the columns and rows of the pixels.
+    The unknowns are the first eight elements. The ninth element is 1. The right-hand side contains the column and the row of
+    each pixel.
     """
     place = np.concatenate([cells, np.ones_like(cells[..., :1])], axis=-1)
     along = [np.concatenate(parts, axis=-1) for parts in ((place, 0 * place), (0 * place, place))]
@@ -83,15 +89,18 @@ def _equations(cells: Array, pixels: Array) -> Array:
 
 
 def corner_cells(rows: int, cols: int) -> Array:
-    """Return x and y (4, 2) of the outer corners of a grid of patches, in cells and clockwise from the first patch."""
+    """Return x and y (4, 2) of the outer corners of a grid of patches, in cells.
+
+    The order is clockwise, from the corner of the first patch.
+    """
     return np.array([[0, 0], [cols, 0], [cols, rows], [0, rows]], dtype=np.float64)
 
 
 def through(matrix: Array, points: Array) -> Array:
-    """Transform points (…, 2) by one homography (3, 3) or by several homographies (grid, 3, 3).
+    """Transform points (…, 2) by one homography (3, 3), or points (point, 2) by several homographies (grid, 3, 3).
 
-    If there are several homographies, each transforms all points, and the result is an array (grid, point, 2). Points at
-    infinity become infinite or NaN.
+    Each of several homographies transforms all points, and the result has the shape (grid, point, 2). If a point is mapped
+    to infinity, its coordinates are infinite or NaN.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         moved = points @ matrix[..., :2].swapaxes(-1, -2) + matrix[..., None, :, 2]
@@ -99,9 +108,9 @@ def through(matrix: Array, points: Array) -> Array:
 
 
 def patch_map(to_pixels: Array, grid: tuple[int, int], shape: tuple[int, int], core: float) -> NDArray[np.int64]:
-    """Return a map (row, col) that contains, for each pixel, the index of the patch in whose core the pixel is.
+    """Return an array (row, col) with the index of the patch whose core contains the pixel.
 
-    Pixels outside all cores have an index equal to the number of patches.
+    The core is a square at the centre of a patch. For pixels outside all cores, the index is the number of patches.
 
     Parameters
     ----------
@@ -110,7 +119,7 @@ def patch_map(to_pixels: Array, grid: tuple[int, int], shape: tuple[int, int], c
     grid : tuple of int
         Rows and columns of patches.
     shape : tuple of int
-        Shape of the map.
+        Rows and columns of the result.
     core : float
         Half the side of a core, in cells.
     """
@@ -129,11 +138,11 @@ def patch_map(to_pixels: Array, grid: tuple[int, int], shape: tuple[int, int], c
 class PatchValues:
     """Measured values of the patches of a chart."""
 
-    mean: Array  # (patch, channel) mean in DN above black
-    deviation: Array  # (patch, channel) standard deviation of the mean, in DN
-    variance: Array  # (patch, channel) noise variance of a pixel in DN², without texture and gradients
-    used: NDArray[np.bool_]  # (patch, channel) whether the mean can be used
-    left_out: tuple[tuple[int, int, str], ...]  # patch, channel and reason, for each mean that cannot be used
+    mean: Array  # (patch, channel) DN above black
+    deviation: Array  # (patch, channel) DN; standard deviation of the mean
+    variance: Array  # (patch, channel) DN²; noise variance of a pixel, without texture and gradients
+    used: NDArray[np.bool_]  # (patch, channel) whether the mean is usable
+    left_out: tuple[tuple[int, int, str], ...]  # patch index, channel and reason, for each mean that is not usable
 
 
 def patch_values(
@@ -144,7 +153,7 @@ def patch_values(
     Parameters
     ----------
     frames : sequence of ndarray, (row, col)
-        Frames of one scene, in DN above black. The first pixel is at CFA site (0, 0).
+        One or more frames of the same scene, in DN above black. The first pixel is at CFA site (0, 0).
     cfa : ndarray, (cfa_row, cfa_col)
         Channel of each site.
     to_pixels : ndarray, (3, 3)
@@ -185,7 +194,10 @@ def patch_values(
 
 
 def _pixels(patch: NDArray[np.int64], patches: int, cfa: NDArray[np.uint8]) -> Iterator[tuple[tuple[int, int], NDArray]]:
-    """Yield (patch, channel) and the flat indices of the pixels of this channel in the patch, from a `patch_map`."""
+    """Yield (patch, channel) and the flat indices of the pixels of each channel in each patch.
+
+    `patch` is the result of `patch_map`, and `patches` is the number of patches.
+    """
     channels = int(cfa.max()) + 1
     label = np.where(patch < patches, patch * channels + tiled(cfa, patch.shape), patches * channels).ravel()
     order = np.argsort(label, kind="stable")
@@ -196,20 +208,20 @@ def _pixels(patch: NDArray[np.int64], patches: int, cfa: NDArray[np.uint8]) -> I
 
 
 def _typical(values: Array, least: float) -> NDArray[np.bool_]:
-    """Return a mask that is false for outliers, such as dust or hot pixels.
+    """Return a mask that is False for outliers, such as dust or hot pixels.
 
-    `least` is the smallest standard deviation that is assumed for the values without outliers.
+    If the standard deviation of the values without outliers is smaller than `least`, `least` is used instead.
     """
     off = np.abs(values - np.median(values))
     return np.asarray(off <= OUTLIER * max(MAD * float(np.median(off)), least))
 
 
 def _differences(frames: Sequence[Array], cfa: NDArray[np.uint8]) -> Array:
-    """Return differences (row, col) whose variance equals the noise variance of a pixel.
+    """Return differences (row, col) between pixels, scaled so that their variance is the noise variance of a pixel.
 
-    For several frames, the differences between the first two frames are divided by √2. For a single frame, mixed second
-    differences between neighbouring pixels of the same CFA site are divided by 2. Linear gradients cancel in mixed second
-    differences. At the lower and right edges of a single frame, the result is NaN.
+    If there are several frames, the result is the difference between the first two frames, divided by √2. For a single
+    frame, the result is the mixed second difference of four neighbouring pixels with the same CFA site, divided by 2,
+    because linear gradients cancel in this difference. The result is NaN at the lower and right edges of a single frame.
     """
     if len(frames) > 1:
         return np.asarray((frames[0].astype(np.float64) - frames[1]) / np.sqrt(2.0))
@@ -229,11 +241,11 @@ def _robust_variance(values: Array) -> float:
 
 
 def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None:
-    """Estimate the conversion gain (DN/e-) and the dark noise (DN) with a photon transfer line.
+    """Estimate the conversion gain (DN/e-) and the dark noise (DN) by fitting a photon transfer line.
 
-    The line is fitted to all patches and channels in `values`. The dark noise does not include the quantisation noise.
-    Return None if the line has too few points, or if the slope is not positive, for example because the files were processed
-    or contain almost no noise.
+    The line is fitted to the usable patches and channels in `values`. The dark noise does not include the quantisation
+    noise. The result is None if there are too few points, or if the slope is not positive, for example because the files
+    were processed or contain almost no noise.
     """
     mean = np.concatenate([each.mean[each.used] for each in values])
     variance = np.concatenate([each.variance[each.used] for each in values])
@@ -242,7 +254,7 @@ def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None
         return None
     mean, variance = mean[real], variance[real]
     weight = 1.0 / variance
-    for _ in range(3):  # reweight the points, because the error of a variance is proportional to the variance
+    for _ in range(3):  # The weight of a point is the inverse of the variance on the line, so the fit must be repeated.
         slope, constant = np.polyfit(mean, variance, 1, w=weight)
         weight = 1.0 / np.maximum(slope * mean + constant, 0.1 * np.median(variance))
     if slope <= 0:
@@ -255,11 +267,14 @@ class Located:
     """The position of a chart in a picture."""
 
     to_pixels: Array  # (3, 3) homography from cells (x, y) to pixels (column, row) of the mosaic
-    fit: float  # R² of the fit of the reflectances to the values, averaged over the channels
+    fit: float  # R² when the reflectances are fitted to the values, averaged over the channels
 
 
 def superpixels(mosaic: Array, cfa: NDArray[np.uint8]) -> Array:
-    """Average each channel over each complete CFA period, as (row, col, channel). The mosaic begins at CFA site (0, 0)."""
+    """Return the mean of each channel in each complete CFA period, as an array (row, col, channel).
+
+    The first pixel of the mosaic must be at CFA site (0, 0).
+    """
     rows, cols = cfa.shape
     height, width = mosaic.shape[0] // rows, mosaic.shape[1] // cols
     blocks = mosaic[: height * rows, : width * cols].reshape(height, rows, width, cols).astype(np.float64)
@@ -309,7 +324,10 @@ def locate(mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array, grid: tupl
 
 
 def components(reflectance: Array) -> Array:
-    """Return an orthonormal basis (patch, component) for the patch values of any channel, with a constant for glare."""
+    """Return an orthonormal basis (patch, component) for the values of the patches in any channel.
+
+    The basis consists of a constant, which represents glare, and the principal components of the reflectances.
+    """
     left, _, _ = np.linalg.svd(reflectance, full_matrices=False)
     basis, _ = np.linalg.qr(np.column_stack([np.ones(len(reflectance)), left[:, :COMPONENTS]]))
     return np.asarray(basis)
@@ -319,23 +337,24 @@ def components(reflectance: Array) -> Array:
 
 
 def _steepest(picture: Array) -> Array:
-    """Return the relative gradient (row, col) of a picture, from the channel with the steepest gradient."""
+    """Return the relative gradient (row, col) of a picture (row, col, channel), which is the maximum over the channels."""
     from scipy import ndimage
 
     steepest = np.zeros(picture.shape[:2])
     for channel in range(picture.shape[2]):
         plane = picture[..., channel]
-        floor = max(DARK_FRACTION * float(np.percentile(plane, 99)), 1e-9)  # must be positive, even for a black frame
+        floor = max(DARK_FRACTION * float(np.percentile(plane, 99)), 1e-9)  # positive even if the frame is black
         change = ndimage.gaussian_gradient_magnitude(plane, 1.0)
         steepest = np.maximum(steepest, change / (np.maximum(ndimage.gaussian_filter(plane, 1.0), 0.0) + floor))
     return steepest
 
 
 def _plain_regions(steepest: Array, slope: float) -> tuple[Array, Array]:
-    """Return the centres (region, 2) and the areas of uniform regions that may be patches. A centre is (column, row).
+    """Find uniform regions that may be patches, and return their centres (region, 2) and areas in pixels.
 
-    A region consists of connected pixels whose relative gradient is below `slope`. It may be a patch if it is neither too
-    small nor too large, is not elongated, and fills its parallelogram.
+    A centre is (column, row). A region consists of connected pixels whose relative gradient is below `slope`. A region may
+    be a patch if it is neither too small nor too large, is not elongated, and has about the area of a parallelogram with the
+    same moments.
     """
     from scipy import ndimage
 
@@ -362,9 +381,10 @@ def _plain_regions(steepest: Array, slope: float) -> tuple[Array, Array]:
 
 
 def _grids(centres: Array, areas: Array, grid: tuple[int, int]) -> list[Array]:
-    """Return the homographies, from grid points to pixels, of the grids that contain the most regions.
+    """Find the grids that contain the most regions, and return their homographies from grid points to pixels.
 
-    Each grid starts at a region, which is grid point (0, 0).
+    The search for a grid starts at a region, which becomes grid point (0, 0). The list is empty if there are too few
+    regions.
     """
     least = max(MIN_REGIONS, round(MIN_SHARE * grid[0] * grid[1]))
     if len(centres) < least:
@@ -389,23 +409,23 @@ def _grids(centres: Array, areas: Array, grid: tuple[int, int]) -> list[Array]:
 
 
 def _may_be_steps(steps: Array) -> NDArray[np.bool_]:
-    """Return a mask of the pairs of offsets (pair, 2, 2) that may be the two steps of a chart's grid.
+    """Return a mask (pair) of the pairs of offsets `steps` (pair, 2, 2) that may be the basis vectors of a chart's grid.
 
-    The two offsets must have similar lengths, be roughly perpendicular, and not be mirrored, because the camera sees the
-    front of the chart.
+    The two offsets must have similar lengths and must be roughly perpendicular. They must not form a mirrored grid, because
+    the camera photographs the front of the chart.
     """
     one, other = np.hypot(*steps.T)
-    turn = np.linalg.det(steps)  # positive if the grid is not mirrored
+    turn = np.linalg.det(steps)  # positive unless the grid is mirrored
     aslant = np.abs((steps[:, 0] * steps[:, 1]).sum(axis=1))
     equal = np.maximum(one, other) <= UNEQUAL * np.minimum(one, other)
     return np.asarray(equal & (turn > 0) & (aslant < ASKEW * one * other))
 
 
 def _on_grid(coordinates: Array, reach: int) -> NDArray[np.int64]:
-    """Return the index of the region at each grid point (grid, y, x), or -1 if no region is close to the grid point.
+    """Return an array (grid, y, x) with the index of the region at each grid point, or -1 if no region is near the point.
 
     The grid points extend from −`reach` to `reach` in x and y. `coordinates` (grid, region, 2) contains x and y of every
-    region in each grid. If several regions are close to a grid point, the nearest region is used.
+    region in each grid. If several regions are near a grid point, the result contains the nearest region.
     """
     places = np.rint(coordinates)
     off = np.abs(coordinates - places).max(axis=-1)
@@ -414,12 +434,12 @@ def _on_grid(coordinates: Array, reach: int) -> NDArray[np.int64]:
     grids, regions = (index[order] for index in np.nonzero(close))
     x, y = places[close][order].astype(np.int64).T + reach
     on = np.full((len(coordinates), 2 * reach + 1, 2 * reach + 1), -1)
-    on[grids, y, x] = regions  # in order of decreasing distance, so the nearest region is assigned last and remains
+    on[grids, y, x] = regions  # sorted by decreasing distance, so that the nearest region overwrites the other regions
     return on
 
 
 def _grown(centres: Array, matrices: Array, reach: int) -> tuple[NDArray[np.int64], Array]:
-    """Extend grids outwards step by step. Return the number of regions in each grid, and the fitted homographies."""
+    """Extend grids outwards in several steps. Return the number of regions in each grid, and the fitted homographies."""
     counts, growing = np.zeros(len(matrices), dtype=np.int64), np.arange(len(matrices))
     for radius in (2, 3, 5, reach, reach):
         growing = growing[np.linalg.det(matrices[growing]) != 0]
@@ -434,9 +454,9 @@ def _grown(centres: Array, matrices: Array, reach: int) -> tuple[NDArray[np.int6
 
 
 def _fitted(centres: Array, on: NDArray[np.int64]) -> Array:
-    """Fit the homography from grid points to pixels for each grid, and return an array (grid, 3, 3).
+    """Fit a homography from grid points to pixels for each grid, and return the homographies (grid, 3, 3).
 
-    `on` (grid, y, x) contains the index of the region at each grid point, or -1 (see `_on_grid`).
+    `on` is the result of `_on_grid`.
     """
     used = (on >= 0).reshape(len(on), -1, 1)
     pixels = centres[on.reshape(len(on), -1)]
@@ -456,7 +476,7 @@ def _fitted(centres: Array, on: NDArray[np.int64]) -> Array:
 
 
 def _refined(located: Located, centres: Array, grid: tuple[int, int]) -> Located:
-    """Fit the position of a chart again, to all regions that are close to the centre of a patch."""
+    """Improve the position of a chart by fitting it to all regions that are close to the centre of a patch."""
     matrix = located.to_pixels
     for tolerance in REFINED:
         cells = through(np.linalg.inv(matrix), centres)
@@ -474,7 +494,10 @@ def _refined(located: Located, centres: Array, grid: tuple[int, int]) -> Located
 
 
 def _placed(matrix: Array, smooth: Array, basis: Array, grid: tuple[int, int]) -> Located | None:
-    """Try all shifts and rotations of the chart on a grid, and return the position that fits the reflectances best."""
+    """Try all positions and orientations of the chart on a grid, and return the result that fits the reflectances best.
+
+    The result is None if no position is completely inside the picture.
+    """
     rows, cols = grid
     places = np.arange(-max(grid), max(grid) + 1.0)
     index = np.stack(np.meshgrid(places, places), axis=-1)  # (y, x, 2)
@@ -493,9 +516,9 @@ def _placed(matrix: Array, smooth: Array, basis: Array, grid: tuple[int, int]) -
 
 
 def _sampled(picture: Array, points: Array) -> Array:
-    """Return the values (…, channel) of the pixels nearest to points (…, 2).
+    """Return the values (…, channel) of the pixels that are nearest to the points (…, 2).
 
-    Each point is (column, row). Values at points outside the picture are NaN.
+    Each point is (column, row). The values of points outside the picture are NaN.
     """
     inside: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1))
     index = np.rint(np.where(inside[..., None], points, -1)).astype(np.int64)
@@ -506,7 +529,7 @@ def _sampled(picture: Array, points: Array) -> Array:
 
 
 def fit(patches: Array, basis: Array) -> Array:
-    """Fit the basis from `components` to patch values (…, patch, channel), and return R² averaged over the channels."""
+    """Fit the basis from `components` to patch values (…, patch, channel), and return the mean R² of the channels."""
     centred = patches - patches.mean(axis=-2, keepdims=True)
     left = patches - basis @ (basis.T @ patches)
     return np.asarray(np.mean(1.0 - (left**2).sum(axis=-2) / np.maximum((centred**2).sum(axis=-2), 1e-12), axis=-1))

@@ -1,6 +1,6 @@
 """Corrections of raw frames: bad and hot pixels, shading, dark frames (docs/method.md#corrections).
 
-This module also reads corrections from the file of a camera model and checks that they fit a table.
+This module also reads corrections from the file of a camera model, and checks that they are suitable for a transform table.
 """
 
 import functools
@@ -26,31 +26,32 @@ from l3cli.system.files import require_same
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
 
-NEIGHBOURS = 4  # number of neighbours that replace a bad pixel, by the mean of the two middle values
+NEIGHBOURS = 4  # number of neighbours from which the value of a bad pixel is computed
 SEARCH_PIXELS = 16  # maximum distance between a bad pixel and its neighbours, in rows and in columns
-MAX_BAD = 0.1  # maximum fraction of bad pixels; a map with more is probably not a defect map
-MIN_EXCESS = 8.0  # standard deviations of noise by which a hot pixel exceeds its brightest neighbour
-RANGE = 2.0  # a hot pixel also exceeds its brightest neighbour by this multiple of the range of its neighbours
-# Maximum brightness of the pixels next to a hot pixel, in standard deviations, and as a fraction of the excess
+MAX_BAD = 0.1  # maximum fraction of bad pixels; if more pixels are marked, the mask is probably not a defect map
+MIN_EXCESS = 8.0  # a hot pixel exceeds its brightest neighbour by at least this number of noise standard deviations
+RANGE = 2.0  # a hot pixel also exceeds its brightest neighbour by at least this multiple of the range of its neighbours
+# The adjacent pixels of a hot pixel may be brighter than usual by at most this number of standard deviations, or by at most
+# this fraction of the excess of the hot pixel.
 NEXT_SIGMAS, NEXT_SHARE = 2.0, 0.1
 AROUND = [(row, col) for row in (-1, 0, 1) for col in (-1, 0, 1) if (row, col) != (0, 0)]
 Array = NDArray[np.float64]
-HOT = 5.0  # standard deviations; pixels of a dark frame that deviate more are excluded from its mean level
-MAD = 1.4826  # ratio of standard deviation to median absolute deviation of a normal distribution
+HOT = 5.0  # pixels of a dark frame that deviate by more standard deviations are excluded from its mean level
+MAD = 1.4826  # ratio of the standard deviation to the median absolute deviation of a normal distribution
 
 
 @dataclass(frozen=True, eq=False)
 class BadPixelCorrection:
-    """The bad pixels of a sensor, and the pixels by which they are replaced."""
+    """The bad pixels of a sensor, and for each bad pixel the good pixels from which its value is computed."""
 
     target: NDArray[np.int64]  # (defect) flat index in a frame
     source: NDArray[np.int64]  # (defect, NEIGHBOURS) flat indices of good pixels
 
     def corrected(self, values: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Return values (row, col) in which each bad pixel is replaced by the mean of the two middle values of its four
-        neighbours.
+        """Return a copy of a frame (row, col) in which the bad pixels are replaced.
 
-        The mean is rounded up.
+        Of the four neighbours of a bad pixel, the brightest and the darkest are left out. The new value is the mean of the
+        remaining two, rounded up.
         """
         result = values.copy()
         neighbours = values.ravel()[self.source].astype(np.int32)
@@ -59,7 +60,7 @@ class BadPixelCorrection:
 
 
 def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixelCorrection:
-    """Find the pixels that replace each bad pixel: the nearest good pixels of the same channel.
+    """Find the neighbours that replace each bad pixel: the nearest good pixels of the same channel.
 
     Parameters
     ----------
@@ -71,10 +72,10 @@ def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixe
     Raises
     ------
     InputFileError
-        If a pixel has no good neighbour within SEARCH_PIXELS, or if too many pixels are bad.
+        If a bad pixel has no good neighbour within SEARCH_PIXELS, or if too many pixels are bad.
     """
     if bad.mean() > MAX_BAD:
-        raise InputFileError(f"{bad.mean():.0%} of the pixels are marked as defective, which is too many; mark fewer pixels")
+        raise InputFileError(f"{bad.mean():.0%} of the pixels are marked as defective; mark at most {MAX_BAD:.0%}")
     shape, period = bad.shape, cfa.shape
     targets, sources = [], []
     places = np.argwhere(bad)
@@ -98,9 +99,11 @@ def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixe
         if not count.all():
             row, col = defects[int(count.argmin())]
             raise InputFileError(
-                f"pixel ({row}, {col}) has no good neighbour within {SEARCH_PIXELS} pixels; mark fewer pixels as defective"
+                f"the defective pixel in row {row}, column {col} has no good neighbour of the same channel within "
+                f"{SEARCH_PIXELS} pixels; mark fewer pixels as defective"
             )
-        again = np.arange(NEIGHBOURS) % count[:, None]  # repeats neighbours if there are fewer than NEIGHBOURS
+        # If there are fewer than NEIGHBOURS good pixels, use some repeatedly.
+        again = np.arange(NEIGHBOURS) % count[:, None]
         targets.append(defects[:, 0] * shape[1] + defects[:, 1])
         sources.append(np.take_along_axis(nearest, again, axis=1))
     if not targets:
@@ -109,9 +112,9 @@ def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixe
 
 
 def _offsets(cfa: NDArray[np.integer], site: tuple[int, ...]) -> NDArray[np.int64]:
-    """Return the offsets (offset, 2) from a CFA site to other pixels of its channel, sorted by distance.
+    """Return the offsets (offset, 2) from a CFA site to other pixels of the same channel, sorted by distance.
 
-    Among pixels at the same distance, opposite pixels follow each other.
+    Among the offsets with the same distance, each offset is followed by the opposite offset.
     """
     down, across = np.mgrid[-SEARCH_PIXELS : SEARCH_PIXELS + 1, -SEARCH_PIXELS : SEARCH_PIXELS + 1].reshape(2, -1)
     same = cfa[(site[0] + down) % cfa.shape[0], (site[1] + across) % cfa.shape[1]] == cfa[site]
@@ -135,32 +138,37 @@ class Correction:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of everything in the correction that affects pictures."""
+        """SHA-256 of all data in the correction that affect pictures."""
         parts = (self.bad_pixels.target, self.bad_pixels.source) if self.bad_pixels else ()
         gains = (self.shading.gain, self.shading.colour) if self.shading else ()
         content = [each.tobytes() for each in (*parts, *gains) if each is not None]
         return hashlib.sha256(repr(self.shape).encode() + b"".join(content)).hexdigest()
 
     def corrected(self, frame: RawFrame) -> RawFrame:
-        """Replace the bad pixels of a frame. If the camera has a flat field, its shading replaces the gains in the file.
+        """Return the frame with its bad pixels replaced.
 
-        Raises InputFileError if the frame is not a full frame of the camera.
+        If the camera has a flat field, the shading correction of the flat field replaces the correction that the raw file
+        states. Raises InputFileError if the frame is not a full frame of the camera.
         """
         if frame.values.shape != self.shape or frame.phase != (0, 0):
             raise InputFileError(
-                f"{frame.name} has {_size(frame.values.shape)} pixels and begins at site "
+                f"{frame.name} has {_size(frame.values.shape)} pixels and its first pixel is at CFA site "
                 f"{frame.phase[0]},{frame.phase[1]}, but a full frame of camera {self.camera} has {_size(self.shape)} "
-                "and begins at site 0,0; set ‹camera› to the camera of the frame"
+                "pixels and starts at CFA site 0,0; set ‹camera› to the camera of the frame"
             )
         values = frame.values if self.bad_pixels is None else self.bad_pixels.corrected(frame.values)
         return replace(frame, values=values, shading=self.shading or frame.shading)
 
 
 def correction_of(camera: CameraModel) -> Correction:
-    """Return the corrections for the frames of a camera. Raises InputFileError if there are none or they are unusable."""
+    """Return the corrections for the frames of a camera.
+
+    Raises InputFileError if the camera has neither a defect map nor a flat field, or if too many pixels are defective.
+    """
     if camera.defects is None and camera.flat_field is None:
         raise InputFileError(
-            f"camera {camera.name} has neither a defect map nor a flat field; calibrate it with dark and white frames"
+            f"camera {camera.name} has neither a defect map nor a flat field; calibrate the camera with dark and white "
+            "frames"
         )
     shape, bad_pixels = (camera.rows, camera.cols), None
     if camera.defects is not None and camera.defects.position.size:
@@ -177,7 +185,7 @@ def _size(shape: tuple[int, ...]) -> str:
 
 @dataclass(frozen=True)
 class HotTest:
-    """Finds hot pixels in a frame, based on the noise of its camera.
+    """Finds hot pixels in a frame, based on the noise model of the camera.
 
     The noise variance is constant + (linear + quadratic · signal) · signal, with the signal in DN above black.
     """
@@ -190,20 +198,28 @@ class HotTest:
 
     @classmethod
     def of(cls, camera: CameraModel) -> "HotTest":
-        """Return the test for a camera, based on its noise model."""
+        """Return the test for a camera. The noise of its noisiest channel is used for all channels."""
         rows, cols = camera.cfa.shape
         constant, linear, quadratic = camera.noise_terms(channel=np.arange(len(camera.channels)))
-        noisiest = float(np.max(constant)), float(np.max(linear))  # the gains of the channels may differ
+        noisiest = float(np.max(constant)), float(np.max(linear))  # The noise depends on the channel if their gains differ.
         return cls(*noisiest, quadratic, camera.white_level - camera.black_level, (rows, cols))
 
     def without_hot(self, frame: RawFrame, cfa: NDArray[np.uint8]) -> RawFrame:
-        """Return the frame with hot pixels replaced. `cfa` begins with the site of the first pixel of the frame.
+        """Return the frame with hot pixels replaced.
 
         A hot pixel is far brighter than the eight nearest pixels of its CFA site, but its adjacent pixels are not brighter
-        than usual. A star, or any other detail imaged by the lens, also brightens the adjacent pixels.
+        than usual. In contrast, a star or any other small detail that the lens images also brightens adjacent pixels. Frames
+        with at most two CFA periods per row or column are returned unchanged.
+
+        Parameters
+        ----------
+        frame : RawFrame
+            Frame of the camera.
+        cfa : ndarray, (cfa_row, cfa_col)
+            Channel of each site, starting with the site of the first pixel of the frame.
         """
         if min(frame.values.shape) <= 2 * max(self.period):
-            return frame  # the frame is too small to contain the neighbours
+            return frame
         row, col = self._suspects(frame)
         if row.size:
             row, col = self._isolated(frame, row, col)
@@ -214,7 +230,7 @@ class HotTest:
         return replace(frame, values=plan_correction(hot, cfa).corrected(frame.values))
 
     def _suspects(self, frame: RawFrame) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the rows and columns of pixels that exceed all neighbours by more than the lowest noise explains."""
+        """Return the rows and columns of pixels that exceed all neighbours by more than MIN_EXCESS times the dark noise."""
         values, (down, across) = frame.values, self.period
         brightest = np.zeros_like(values)  # maximum of the left and right neighbours
         np.maximum(brightest[:, across:], values[:, :-across], out=brightest[:, across:])
@@ -231,7 +247,7 @@ class HotTest:
     def _isolated(
         self, frame: RawFrame, row: NDArray[np.intp], col: NDArray[np.intp]
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the rows and columns of the suspects that are hot pixels."""
+        """Select the hot pixels among the suspects in `row` and `col`, and return their rows and columns."""
         neighbours = self._neighbours(frame, row, col)
         brightest, darkest = neighbours.max(axis=0), neighbours.min(axis=0)
         excess = frame.values[row, col] - brightest
@@ -244,14 +260,15 @@ class HotTest:
             usual = np.median(self._neighbours(frame, *place), axis=0)
             inside = (place[0] != row) | (place[1] != col)
             brighter += np.where(inside, frame.values[place] - usual, 0.0)
-            variance += np.where(inside, 1.2 * self._variance(frame, usual), 0.0)  # 0.2 for the median of eight values
+            # The median of eight values adds about 0.2 times the variance of a pixel.
+            variance += np.where(inside, 1.2 * self._variance(frame, usual), 0.0)
         hot = brighter < np.maximum(NEXT_SIGMAS * np.sqrt(variance), NEXT_SHARE * excess)
         return row[hot], col[hot]
 
     def _neighbours(self, frame: RawFrame, row: NDArray[np.intp], col: NDArray[np.intp]) -> Array:
         """Return the values (neighbour, pixel), in DN, of the eight nearest pixels with the same CFA site.
 
-        Neighbours beyond an edge are replaced by pixels on the opposite side of the pixel.
+        A neighbour beyond an edge of the frame is replaced by a pixel at twice the distance on the opposite side.
         """
         rows, cols = frame.values.shape
         down, across = self.period
@@ -276,30 +293,30 @@ class DarkFrame:
 
     name: str
     level: float  # DN; mean over all pixels except hot pixels
-    offset: NDArray[np.int32]  # (row, col) DN; difference between each pixel and the mean
+    offset: NDArray[np.int32]  # (row, col) DN; difference between each pixel and `level`, without the remaining noise
     phase: tuple[int, int]  # CFA row and column of the first pixel
-    orientation: int
+    orientation: int  # as in RawFrame
     exposure: float | None  # exposure time in s; None if unknown
 
     @property
     def digest(self) -> str:
-        """SHA-256 of everything in the dark frame that affects pictures."""
+        """SHA-256 of all data in the dark frame that affect pictures."""
         return hashlib.sha256(repr(self.level).encode() + self.offset.tobytes()).hexdigest()
 
 
 def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
     """Average dark frames, which must have the same size, phase, orientation and exposure time.
 
-    The mean of n frames still contains 1/√n of their noise, which would be added to every picture. The difference d between
-    a pixel and the mean level is therefore reduced to d · max(0, 1 − σ²/d²), where σ is the standard deviation of the
-    remaining noise (the non-negative garrote, Breiman 1995). In this way, hot pixels are removed completely even with few
-    frames, and weak patterns are removed better with more frames. σ is estimated from the differences between frames or, if
-    there is only one frame, from the spread of its pixels.
+    The mean of n frames still contains 1/√n of the noise of a frame, which would be added to every picture. The difference d
+    between a pixel and the mean level is therefore reduced to d · max(0, 1 − σ²/d²), where σ is the standard deviation of
+    the remaining noise (non-negative garrote, Breiman 1995). With this reduction, a few frames are enough to remove hot
+    pixels almost completely, and more frames improve the removal of weak patterns. σ is estimated from the differences
+    between consecutive frames or, if there is only one frame, from the spread of its pixels.
 
     Raises
     ------
     InputFileError
-        If the frames differ in these properties, if they are clipped, or if there are no frames.
+        If the frames differ in these properties, if the mean level is clipped, or if there are no frames.
     """
     kind: tuple[object, ...] = ()
     first, total, squares, count = None, np.zeros(1), 0.0, 0
@@ -311,7 +328,8 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
             earlier = values
         elif of_kind != kind:
             raise InputFileError(
-                f"{frame.name} and {first.name} differ in size, phase, orientation or exposure time; use equal dark frames"
+                f"the dark frames {frame.name} and {first.name} differ in size, CFA phase, orientation or exposure time; "
+                "use dark frames from one series"
             )
         else:
             squares += _spread(values - earlier) ** 2 / 2  # noise variance of one frame
@@ -324,7 +342,10 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
     middle, spread = float(np.median(mean)), _spread(mean)
     level = float(mean[np.abs(mean - middle) <= HOT * spread + 0.5].mean())
     if not level < first.black_level + CLIPPED * (first.white_level - first.black_level):
-        raise InputFileError(f"{first.name} is clipped almost everywhere; set ‹dark› to frames without light")
+        raise InputFileError(
+            f"nearly all pixels of the dark frame {first.name} are clipped; set ‹dark› to frames that were taken without "
+            "light"
+        )
     variance = squares / (count - 1) / count if count > 1 else spread**2
     deviation = mean - level
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -334,26 +355,34 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
 
 
 def without_dark(frame: RawFrame, dark: DarkFrame) -> RawFrame:
-    """Subtract a dark frame from a frame. The mean level becomes `RawFrame.dark`, and clipped pixels stay clipped.
+    """Subtract the pattern of a dark frame from a frame.
 
-    Raises InputFileError if the dark frame has another size, phase, orientation or exposure time.
+    Only the differences from the mean level of the dark frame are subtracted. The mean level above black is stored as
+    `RawFrame.dark`. Clipped pixels are unchanged. Exposure times may differ by 2 %, and are not compared if one of them is
+    unknown.
+
+    Raises
+    ------
+    InputFileError
+        If the frames differ in size, phase, orientation or exposure time, or if the dark level reaches the white level.
     """
     if dark.offset.shape != frame.values.shape or (dark.phase, dark.orientation) != (frame.phase, frame.orientation):
         raise InputFileError(
-            f"{dark.name} ({_size(dark.offset.shape)} pixels) is not a dark frame for {frame.name} "
-            f"({_size(frame.values.shape)} pixels); use a dark frame with the same camera, size, phase and orientation"
+            f"the dark frame {dark.name} ({_size(dark.offset.shape)} pixels) does not match {frame.name} "
+            f"({_size(frame.values.shape)} pixels); use a dark frame of the same camera with the same size, CFA phase and "
+            "orientation"
         )
     if dark.exposure and frame.exposure and not math.isclose(dark.exposure, frame.exposure, rel_tol=0.02):
         raise InputFileError(
-            f"{dark.name} was exposed for {dark.exposure:.4g} s, but {frame.name} for {frame.exposure:.4g} s; "
-            "use dark frames with the same exposure time"
+            f"the dark frame {dark.name} has an exposure time of {dark.exposure:.4g} s, but {frame.name} has "
+            f"{frame.exposure:.4g} s; use dark frames with the same exposure time"
         )
     span = frame.white_level - frame.black_level
     mean = dark.level - frame.black_level
     if not mean < span:
         raise InputFileError(
-            f"the dark signal of {dark.name} reaches the white level {frame.white_level:g} of {frame.name}; use a dark "
-            "frame with the black and white level of the frame"
+            f"the mean level of the dark frame {dark.name} reaches the white level {frame.white_level:g} of {frame.name}; "
+            "use a dark frame with the same black and white levels"
         )
     clipped = frame.values >= frame.black_level + CLIPPED * span
     values = np.clip(frame.values.astype(np.int32) - dark.offset, 0, np.iinfo(np.uint16).max).astype(np.uint16)
@@ -361,7 +390,7 @@ def without_dark(frame: RawFrame, dark: DarkFrame) -> RawFrame:
 
 
 def _spread(values: NDArray[np.float64]) -> float:
-    """Return the standard deviation of values, estimated so that hot pixels do not affect it."""
+    """Return a robust estimate of the standard deviation, which hot pixels do not affect."""
     return MAD * float(np.median(np.abs(values - np.median(values))))
 
 
@@ -369,21 +398,21 @@ def _spread(values: NDArray[np.float64]) -> float:
 class CameraFile:
     """A file that contains a camera model."""
 
-    path: Path  # absolute, because workers may have another working directory
+    path: Path  # absolute, because workers may have a different working directory
     digest: str  # SHA-256
 
 
 def correction_in(file: CameraFile, table: "TransformTable") -> Correction:
     """Read the corrections from the file of a camera model.
 
-    Raises InputFileError if the file contains none, or if the CFA of the camera differs from the CFA of the table.
+    Raises InputFileError if the file contains no corrections, or if the CFA of the camera differs from the CFA of the table.
     """
     camera = _camera_of(file)
     if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
         theirs, ours = ("/".join(array_rows(each.channels, each.cfa)) for each in (camera, table))
         raise InputFileError(
-            f"{file.path.name} has the colour filter array {theirs}, but the table is for {ours}; use the camera of the "
-            "table"
+            f"{file.path.name} has the colour filter array {theirs}, but the table has {ours}; use the camera for which the "
+            "table was trained"
         )
     return correction_of(camera)
 
@@ -392,7 +421,7 @@ def correction_in(file: CameraFile, table: "TransformTable") -> Correction:
 def correction_again(file: CameraFile) -> Correction:
     """Read the corrections in a worker process. The result is cached for the frames of a run.
 
-    Raises InputFileError if the file differs from the file of the main process.
+    Raises InputFileError if the file is not the one that the main process read.
     """
     require_same(file.path, file.digest)
     return correction_of(_camera_of(file))
@@ -409,12 +438,12 @@ def _camera_of(file: CameraFile) -> CameraModel:
         return load(CameraModel, file.path)
     camera = load(TransformTable, file.path).camera
     if camera is None:
-        raise InputFileError(f"{file.path} is a table that does not contain its camera model; use a camera model")
+        raise InputFileError(f"the transform table {file.path} does not contain a camera model; use a camera model instead")
     return camera
 
 
 def hot_test(table: "TransformTable") -> HotTest:
-    """Return the test for hot pixels for the camera of a table. Raises RecipeError if the table contains no camera model."""
+    """Return the test for hot pixels of a table's camera. Raises RecipeError if the table contains no camera model."""
     if table.camera is None:
         raise RecipeError(
             "‹hot› needs the noise model of the camera, which this table does not contain; train the table again"

@@ -1,4 +1,7 @@
-"""A raw frame, which is a mosaic of digital numbers (DN) from a camera, and its conversion to other levels."""
+"""Raw frames: the mosaic of digital numbers (DN) from a sensor, with the metadata that are needed to process it.
+
+This module also converts frames to other black and white levels, rotates pictures, and pads mosaics.
+"""
 
 import functools
 from collections.abc import Sequence
@@ -13,7 +16,7 @@ from l3cli.frames.shading import Shading, colour_corrected
 
 @dataclass(frozen=True)
 class Shot:
-    """Settings of an exposure according to its file. A setting that the file does not state is "" or 0."""
+    """Camera, lens and exposure settings according to a raw file. A setting that the file does not state is "" or 0."""
 
     make: str = ""
     model: str = ""
@@ -26,43 +29,53 @@ class Shot:
 
 @dataclass(frozen=True)
 class NoiseLeft:
-    """The fraction of the temporal noise that remains after a temporal filter, for each cell of a frame."""
+    """The fraction of the noise variance that remains after a temporal filter, for each cell of a frame.
 
-    shares: NDArray[np.uint16]  # (cell row, cell col) fraction of the camera's noise variance, in units of 1/whole
-    whole: int  # value of `shares` that stands for a fraction of 1
-    cell: tuple[int, int]  # rows and columns of a cell
+    A cell is a rectangle of pixels.
+    """
+
+    shares: NDArray[np.uint16]  # (cell row, cell col) fraction of the camera's noise variance, multiplied by `whole`
+    whole: int  # value of `shares` for a fraction of 1
+    cell: tuple[int, int]  # rows and columns of pixels in a cell
 
     def below(self, limits: Sequence[float], shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Return, for each pixel (row, col) of a frame, the number of `limits` that the fraction does not exceed."""
+        """Return an array (row, col) with the number of `limits` that the fraction at each pixel does not exceed.
+
+        `shape` is the number of rows and columns of the frame.
+        """
         cells = np.sum([self.shares <= int(limit * self.whole) for limit in limits], axis=0, dtype=np.uint8)
         return cells.repeat(self.cell[1], 1)[:, : shape[1]].repeat(self.cell[0], 0)[: shape[0]]
 
 
 @dataclass(frozen=True)
 class RawFrame:
-    """A mosaic with its black and white level, and the CFA site of its first pixel."""
+    """A mosaic with its black and white levels, the CFA site of its first pixel, and other metadata.
+
+    Raises ValueError if the values are not a non-empty, two-dimensional array of uint16, or if the black level, with or
+    without the dark current, is not below the white level.
+    """
 
     name: str
     values: NDArray[np.uint16]  # (row, col) DN
     black_level: float  # DN
     white_level: float  # DN at which a pixel saturates
     phase: tuple[int, int] = (0, 0)  # CFA row and column of the first pixel
-    orientation: int = 0  # orientation of the camera as a flip code of LibRaw (see `upright`)
+    orientation: int = 0  # orientation of the camera, as a LibRaw flip code (see `upright`)
     exposure: float | None = None  # exposure time in s; None if unknown
     dark: float = 0.0  # DN; mean signal of the dark current above the black level
-    dark_measured: bool = False  # whether `dark` comes from a dark frame rather than from the exposure time
-    neutral: tuple[float, ...] | None = None  # (channel) signals of a grey object at any scale, if the file states them
-    taken_by: tuple[str, ...] = ()  # make, model and other names of the camera, if the file states them
+    dark_measured: bool = False  # whether `dark` was measured in a dark frame instead of computed from the exposure time
+    neutral: tuple[float, ...] | None = None  # (channel) relative signals of a grey object; None if the file states none
+    taken_by: tuple[str, ...] = ()  # make, model and other names of the camera; empty if the file states none
     shot: Shot = Shot()
-    shading: Shading | None = None  # lens shading that has not been corrected in the values
+    shading: Shading | None = None  # lens shading that is still present in the values
     gain: float = 1.0  # analog gain, relative to the gain of the camera model
     baseline_exposure: float = 0.0  # EV by which pictures should be brightened according to the file
-    noise_share: float = 1.0  # fraction of the camera's noise variance; below 1 after a temporal filter
-    noise_left: NoiseLeft | None = None  # the same fraction for each cell; None means 1 everywhere
-    warps: tuple[LensWarp, ...] = ()  # lens corrections to apply to the picture, in this order
-    notes: tuple[str, ...] = ()  # warnings about processing that the file requests but l3 does not do
-    exchangeable: bool = False  # whether the numbers of rows and columns may be swapped, because the file states no size
-    misread: str = ""  # if the values look like noise: option that would decode the bytes to a plausible picture
+    noise_share: float = 1.0  # noise variance as a fraction of the camera's noise variance; below 1 after a temporal filter
+    noise_left: NoiseLeft | None = None  # the same fraction for each cell of the frame; None means 1 everywhere
+    warps: tuple[LensWarp, ...] = ()  # lens corrections for the rendered picture, in the order of their application
+    notes: tuple[str, ...] = ()  # warnings about processing that the file requests but l3 does not support
+    exchangeable: bool = False  # whether rows and columns may be exchanged, because the file does not state its size
+    misread: str = ""  # option that would decode the file to a plausible picture; "" unless the values look like noise
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.values.dtype != np.uint16 or self.values.size == 0:
@@ -78,18 +91,18 @@ class RawFrame:
 
     @property
     def light_share(self) -> float:
-        """Fraction of full scale that dark current leaves for light."""
+        """Fraction of full scale that remains for light after the dark current is subtracted."""
         return 1.0 - self.dark / (self.white_level - self.black_level)
 
     def at_levels(self, black_level: float, white_level: float, bits: int) -> "RawFrame":
-        """Convert the frame to other black and white levels, and subtract the dark current.
+        """Return the frame with other black and white levels and without the dark current.
 
         The conversion is linear. The black level plus the dark current becomes `black_level`, and the white level becomes
-        `white_level`. The result is clamped to `bits` bits. Full scale of the result corresponds to the fraction
-        `light_share` of the previous full scale.
+        `white_level`. The values are limited to `bits` bits. Full scale of the result corresponds to the fraction
+        `light_share` of full scale of this frame.
 
-        The dark current is subtracted in whole DN, so that no values merge. The remainder, which is less than half a DN, is
-        added to the black level of the result.
+        So that different values do not become equal, the dark current is subtracted in whole DN. The remainder of at most
+        half a DN is converted to the new scale and added to the black level of the result.
         """
         levelled = self.rescaled(black_level, white_level, bits)
         if levelled.values is self.values and self.values.max() >= 2**bits:
@@ -97,7 +110,10 @@ class RawFrame:
         return levelled
 
     def rescaled(self, black_level: float, white_level: float, bits: int) -> "RawFrame":
-        """Do the same as `at_levels`, but do not clamp to `bits` if the levels stay the same."""
+        """Convert the frame like `at_levels`, but return it unchanged if it has these levels and no dark current.
+
+        In this case, values may exceed `bits` bits.
+        """
         if (self.black_level, self.white_level, self.dark) == (black_level, white_level, 0):
             return self
         whole = round(self.dark)
@@ -110,7 +126,10 @@ class RawFrame:
         return replace(self, values=values, black_level=black_level, white_level=white_level, dark=0.0)
 
     def shading_corrected(self) -> "RawFrame":
-        """Return the frame with its colour shading corrected (`shading.colour_corrected`)."""
+        """Return the frame with its colour shading corrected (`shading.colour_corrected`).
+
+        The part of the shading that is common to all channels remains in `shading`.
+        """
         if self.shading is None or self.shading.colour is None:
             return self
         values = colour_corrected(self.values, self.shading.colour, self.black_level, self.white_level)
@@ -119,7 +138,10 @@ class RawFrame:
 
 @functools.lru_cache(maxsize=8)
 def _level_table(black_level: float, new_black_level: float, scale: float, top: int) -> NDArray[np.uint16] | None:
-    """Return a look-up table for 16-bit values, clamped to `top`, or None if the table would not change any value."""
+    """Return a look-up table for 16-bit values, or None if the table would not change any value up to `top`.
+
+    The entries are limited to the range 0…`top`.
+    """
     every = np.arange(1 << 16)
     table = np.clip(np.rint((every - black_level) * scale + new_black_level), 0, top).astype(np.uint16)
     return None if np.array_equal(table[: top + 1], every[: top + 1]) else table
@@ -142,8 +164,8 @@ def with_one_black_level(
     values : ndarray, (row, col)
         Shifted values.
     black_level, white_level : float
-        The common black level is the rounded mean. The common white level is the white level of the pixel with the smallest
-        range, so that a saturated pixel never looks like a bright pixel that is not saturated.
+        The common levels. The black level is the rounded mean of all black levels. The difference between the white level
+        and the black level is the smallest difference of any pixel. This ensures that every saturated pixel is recognised.
     """
     room = float((white_level - black_level).min())
     if np.ptp(black_level) == 0:
@@ -155,10 +177,10 @@ def with_one_black_level(
 
 
 def upright(pixels: NDArray, orientation: int) -> NDArray:
-    """Turn pixels (row, col, …) upright. `orientation` is a LibRaw flip code.
+    """Rotate or mirror an array of pixels (row, col, …) so that the picture is upright.
 
-    The code is a sum of flags: 1 reverses the columns, 2 reverses the rows, and 4 then transposes the result. For example,
-    code 3 rotates by 180°, code 5 by 90° to the left, and code 6 by 90° to the right.
+    `orientation` is a LibRaw flip code, which is a sum of flags: 1 reverses the columns, 2 reverses the rows, and 4 then
+    transposes the result. For example, code 3 rotates by 180°, code 5 by 90° to the left, and code 6 by 90° to the right.
     """
     if orientation & 1:
         pixels = pixels[:, ::-1]
@@ -168,11 +190,11 @@ def upright(pixels: NDArray, orientation: int) -> NDArray:
 
 
 def mirrored_indices(length: int, margin: int, period: int) -> NDArray[np.int32]:
-    """Return the index of the source sample for each of `length` + 2 · `margin` padded samples.
+    """Return the index of the source sample for each sample of a row or column that is padded on both sides.
 
-    A sample within the frame is its own source. For a sample in the margin, the source is the sample of the same CFA phase
-    that is nearest to the mirror image, so that padding preserves the mosaic (docs/method.md#rendering). If the frame is
-    shorter than the period, the source is the nearest sample.
+    The result has `length` + 2 · `margin` elements. A sample within the frame is its own source. For a sample in the margin,
+    the source is the sample of the same CFA phase that is nearest to the mirror image at the edge, so that padding continues
+    the mosaic (docs/method.md#rendering). If the frame is shorter than the CFA period, the source is the nearest sample.
     """
     wanted = np.arange(-margin, length + margin)
     if length < period:
@@ -186,14 +208,14 @@ def mirrored_indices(length: int, margin: int, period: int) -> NDArray[np.int32]
 
 
 def pad_mosaic(values: NDArray, margin: int, cfa_shape: tuple[int, int]) -> NDArray:
-    """Pad values (row, col) by `margin` samples on every side, as described in `mirrored_indices`."""
+    """Pad a mosaic (row, col) by `margin` pixels on every side, with the source pixels of `mirrored_indices`."""
     rows = mirrored_indices(values.shape[0], margin, cfa_shape[0])
     cols = mirrored_indices(values.shape[1], margin, cfa_shape[1])
     return values[np.ix_(rows, cols)]
 
 
 def as_taken(pixels: NDArray, orientation: int) -> NDArray:
-    """Undo `upright` for pixels (row, col, …)."""
+    """Return upright pixels (row, col, …) to the orientation of the sensor. This is the inverse of `upright`."""
     if orientation & 4:
         pixels = pixels.swapaxes(0, 1)
     if orientation & 2:

@@ -1,17 +1,22 @@
 """Estimate the analog gain of a frame from the noise in uniform areas (docs/method.md#gains).
 
-1. Patches are aligned with the CFA, so that every patch samples the channels at the same positions. From each patch, the
-   mean of every channel is subtracted. The residual is divided by the noise that the camera would have at an assumed gain.
+1. The frame is divided into patches that are aligned with the CFA, so that every patch has the same channels at the same
+   positions. In each patch, the mean of every channel is subtracted from its pixels. The difference is divided by the
+   standard deviation of the noise that the camera would have at an assumed gain.
 2. The principal components of all patches are divided into a stronger half, which contains texture, and a weaker half, in
    which natural pictures have almost no texture. This combines noise estimation by principal components (Pyatykh, Hesser and
-   Zheng, 2013) with patches of weak texture (Liu, Tanaka and Okutomi, 2013).
-3. Patches with the smallest strong components are uniform. Their noise is measured in the weak components. Because the noise
-   in the two halves is independent, this selection causes no bias. The components are computed from one half of the frame
-   and applied to the other half.
-4. The gain is the maximum-likelihood estimate for all uniform patches, dark and bright, under the noise model. Remaining
-   texture grows with the square of the signal, like photo-response nonuniformity, and is fitted as a parameter (`excess`).
+   Zheng, 2013) with the selection of weakly textured patches (Liu, Tanaka and Okutomi, 2013). The components are computed
+   from one half of the frame and applied to the other half.
+3. The patches whose strong components are smallest are assumed to be uniform. The noise of these patches is measured in
+   their
+   weak components. The selection causes no bias, because the noise in the weak components is independent of the noise in the
+   strong components.
+4. The gain is the maximum-likelihood estimate for all uniform patches, dark and bright, under the noise model. The variance
+   of
+   the remaining texture is proportional to the square of the signal, like the variance of photo-response nonuniformity. It
+   is fitted as a second parameter (`excess`).
 
-These steps are repeated with the new gain until the gain no longer changes.
+These steps are repeated with the estimated gain until the gain no longer changes.
 """
 
 from dataclasses import dataclass
@@ -23,23 +28,26 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.frames.frame import RawFrame
 
-# Side of a patch in pixels, and minimum distance between patches, which is rounded up to a multiple of the CFA period
+# Side of a patch in pixels, and minimum spacing of patches in pixels, which is rounded up to a multiple of the CFA period
 PATCH_SIDE_PIXELS, MIN_STEP = 8, 4
 MAX_PATCHES = 20_000  # maximum number of patches in a frame
-ROUNDS, CLOSE = 10, 0.01  # maximum number of rounds, and relative change of the gain below which the rounds end
-STRIPE = 8  # width, in columns of patches, of the stripes that alternate between the two halves of the frame
-CLIPPED, MAX_CLIPPED = 0.99, 0.02  # fraction of full scale from which a pixel is clipped; maximum fraction of such pixels
-# Minimum distance of a signal from black and white, in standard deviations, so that noise is not clipped
+ROUNDS, CLOSE = 10, 0.01  # maximum number of iterations, and relative change of the gain at which the iterations end
+STRIPE = 8  # The two halves of the frame consist of alternating vertical stripes, each this number of patches wide.
+# A pixel at or above the fraction CLIPPED of full scale is clipped. A patch may contain at most the fraction MAX_CLIPPED of
+# clipped pixels.
+CLIPPED, MAX_CLIPPED = 0.99, 0.02
+# Minimum difference of a mean from black and from white, in standard deviations, so that almost no noise is clipped
 MIN_DEVIATIONS = 2.5
-SIGNAL_RANGES, MIN_PLAIN = 8, 32  # number of signal ranges, and minimum number of uniform patches in each range
-# Criteria for uniform patches, tried in this order: fraction of the patches in a signal range that is selected, and maximum
-# ratio of their strong components to their weak components.
+SIGNAL_RANGES, MIN_PLAIN = 8, 32  # maximum number of signal ranges, and minimum number of uniform patches in each range
+# Criteria for uniform patches, in the order in which they are tried. The first number is the fraction of the patches in a
+# signal range that is selected. The second number is the maximum ratio of the mean squares of strong and weak components.
 PLAIN = ((0.05, 1.0), (0.01, 2.0))
-AGREE = 1.3  # maximum ratio of measured and predicted variance of a signal range that is consistent with the gain
-LOWEST, HIGHEST = 2.0**-8, 2.0**10  # range of the estimate
+AGREE = 1.3  # a signal range is consistent with a gain if measured and predicted variance differ by a smaller factor
+LOWEST, HIGHEST = 2.0**-8, 2.0**10  # range of gains
 USUAL_EXCESS, MAX_EXCESS = 0.01**2, 25.0  # expected relative variance of texture, and maximum multiple of this variance
-MAX_SCORING_STEPS, SMALL = 50, 1e-4  # Fisher scoring: maximum number of steps, and step size below which it ends
-SYSTEMATIC, MAX_ERROR = 0.04, 0.08  # relative errors: systematic (tests/studies/test_gain_study.py), and maximum in total
+MAX_SCORING_STEPS, SMALL = 50, 1e-4  # Fisher scoring: maximum number of steps, and step in the log gain at which it ends
+# Relative standard errors: systematic error (tests/studies/test_gain_study.py), and maximum error of an accepted estimate
+SYSTEMATIC, MAX_ERROR = 0.04, 0.08
 Array = NDArray[np.float64]
 
 
@@ -52,18 +60,21 @@ class GainEstimate:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """The gains two standard errors below and two standard errors above the estimate."""
+        """Lower and upper limit of the gain, two standard errors from the estimate on a logarithmic scale."""
         return self.gain * float(np.exp(-2 * self.error)), self.gain * float(np.exp(2 * self.error))
 
 
 def estimate_gain(frame: RawFrame, camera: CameraModel) -> GainEstimate:
-    """Estimate the analog gain of a frame, relative to the gain of its camera model.
+    """Estimate the analog gain of a frame, relative to the gain of the camera model.
+
+    The frame may have any levels and any phase of the camera's CFA.
 
     Raises
     ------
     ValueError
-        If the frame has too few uniform areas that are not clipped, or if rows or columns of the camera have temporal noise,
-        which differences between neighbouring pixels show only in part. The message states the reason.
+        If the gain cannot be estimated, for example because too few areas are uniform and not clipped, or because the camera
+        has temporal noise of rows or columns, which differences between neighbouring pixels contain only in part. The
+        message states the reason.
     """
     if camera.noise.lines:
         raise ValueError("the camera has temporal noise of rows or columns")
@@ -86,10 +97,10 @@ class _Patches:
 
     values: Array  # (patch, pixel)
     means: Array  # (patch, channel) mean of each channel
-    half: NDArray[np.bool_]  # (patch) whether the patch belongs to the second half of the frame
-    channel: NDArray[np.intp]  # (pixel) index into the channels of `means`
-    sites: NDArray[np.uint8]  # (channel) channel of the camera
-    black: float  # DN; black level of the frame, where values below black are clipped at 0
+    half: NDArray[np.bool_]  # (patch) whether the patch is in the second half of the frame
+    channel: NDArray[np.intp]  # (pixel) channel, as an index into the columns of `means`
+    sites: NDArray[np.uint8]  # (channel) index of the channel in the camera model
+    black: float  # DN; black level of the frame; signals cannot be lower than -black, because DN are not negative
     span: float  # DN; difference between white and black level
 
     @property
@@ -98,15 +109,15 @@ class _Patches:
         return np.asarray(self.channel[:, None] == np.arange(len(self.sites)))
 
     def chosen(self, which: NDArray[np.bool_]) -> "_Patches":
-        """Return the selected patches."""
         parts = self.values[which], self.means[which], self.half[which]
         return _Patches(*parts, self.channel, self.sites, self.black, self.span)
 
 
 def _patches_of(frame: RawFrame, camera: CameraModel) -> _Patches:
-    """Return the patches of a frame that contain few clipped pixels, at most about MAX_PATCHES.
+    """Return patches of a frame that contain few clipped pixels.
 
-    Their values are converted to the levels of the camera model. Raises ValueError if the frame is too small.
+    The number of patches is at most about MAX_PATCHES. The values are converted to the levels of the camera model. Raises
+    ValueError if the frame is smaller than a patch.
     """
     starts = [-phase % period for phase, period in zip(frame.phase, camera.cfa.shape, strict=True)]
     aligned = frame.values[starts[0] :, starts[1] :]
@@ -130,45 +141,51 @@ def _patches_of(frame: RawFrame, camera: CameraModel) -> _Patches:
 
 @dataclass(frozen=True, eq=False)
 class _Plain:
-    """Uniform patches, and the noise in their weak components relative to the assumed noise."""
+    """Uniform patches, and the variance of their weak components relative to the variance that was assumed in their
+    selection.
+    """
 
     level: NDArray[np.intp]  # (patch) index of the signal range
     measured: Array  # (patch) measured variance, relative to the assumed variance
     components: int  # number of weak components
-    signal: Array  # (patch, channel) DN
-    weight: Array  # (patch, channel) 1/DN²; fraction of the pixels divided by the assumed variance
-    sites: NDArray[np.uint8]  # (channel) channel of the camera
+    signal: Array  # (patch, channel) mean signal in DN
+    weight: Array  # (patch, channel) 1/DN²; the channel's fraction of the pixels, divided by the assumed variance
+    sites: NDArray[np.uint8]  # (channel) index of the channel in the camera model
 
     def chosen(self, which: NDArray[np.bool_]) -> "_Plain":
-        """Return the selected patches."""
         parts = self.level[which], self.measured[which], self.components, self.signal[which], self.weight[which]
         return _Plain(*parts, self.sites)
 
     def predicted(self, camera: CameraModel, gain: float, excess: float) -> Array:
-        """Return the predicted variance of each patch at a gain, relative to the assumed variance."""
+        """Return the variance of each patch that the noise model predicts at `gain`, relative to the assumed variance."""
         return np.asarray((_variance(self.signal, self.sites, camera, gain, excess) * self.weight).sum(axis=1))
 
     def slopes(self, camera: CameraModel, gain: float, excess: float) -> Array:
-        """Return the derivatives (2, patch) of the log variance with respect to the log gain and to the excess."""
+        """Return the derivatives (2, patch) of the logarithm of the predicted variance.
+
+        The first row is the derivative with respect to the logarithm of the gain, and the second row with respect to the
+        excess.
+        """
         middle = self.predicted(camera, gain, excess)
         moved = self.predicted(camera, gain * np.exp(SMALL), excess), self.predicted(camera, gain, excess + SMALL)
         return np.stack([np.log(each / middle) / SMALL for each in moved])
 
 
 def _variance(signal: Array, sites: NDArray[np.uint8], camera: CameraModel, gain: float, excess: float) -> Array:
-    """Return the variance in DN² of noise and texture, for each patch and channel.
+    """Return the variance in DN² of noise and texture for each patch and channel.
 
-    The variance of texture is `excess` times the expected variance of texture.
+    The relative variance of the texture is `excess` · USUAL_EXCESS.
     """
     constant, linear, quadratic = camera.at_gain(gain).noise_terms(channel=sites)
     return np.asarray(constant + (linear + (quadratic + USUAL_EXCESS * excess) * signal) * signal)
 
 
 def _plain(patches: _Patches, camera: CameraModel, gain: float, excess: float) -> _Plain:
-    """Select the uniform patches for an assumed gain.
+    """Select uniform patches, for an assumed gain and excess.
 
-    Patches near black or white are left out. The others are divided into signal ranges, and the most uniform patches of each
-    range are selected. Raises ValueError if nearly all patches are near black or white, or if no patch is uniform.
+    Patches near black or white are left out. The remaining patches are divided into signal ranges, and the most uniform
+    patches of each range are selected. Raises ValueError if nearly all patches are near black or white, or if no patch is
+    uniform.
     """
     signal = np.maximum(patches.means, 0.0)
     room = MIN_DEVIATIONS * np.sqrt(_variance(signal, patches.sites, camera, gain, excess))
@@ -196,7 +213,10 @@ def _plain(patches: _Patches, camera: CameraModel, gain: float, excess: float) -
 
 
 def _energies(whitened: Array, patches: _Patches) -> tuple[Array, Array, int]:
-    """Return the mean squares of the weak and of the strong components of each patch, and the number of weak components."""
+    """Return the mean squares of the weak components and of the strong components of each patch.
+
+    The third element of the result is the number of weak components.
+    """
     pixels, channels = patches.member.shape
     every = np.linalg.qr(np.concatenate([patches.member, np.eye(pixels)], axis=1))[0]
     directions = every[:, channels:]  # orthogonal to the channel means
@@ -211,10 +231,11 @@ def _energies(whitened: Array, patches: _Patches) -> tuple[Array, Array, int]:
 
 
 def _consistent(plain: _Plain, camera: CameraModel, gain: float) -> _Plain:
-    """Keep only the patches of signal ranges that are consistent with one gain.
+    """Return the patches of those signal ranges that are consistent with the same gain.
 
-    The gain is the lowest value that is consistent with a quarter of the ranges. The weak components of the other ranges
-    contain texture, for example a grating with a period of two pixels. Raises ValueError if there is no such gain.
+    Candidates are the estimates from single ranges. The lowest candidate that is consistent with at least a quarter of the
+    ranges is used. In the other ranges, the weak components contain texture, for example a grating with a period of two
+    pixels. Raises ValueError if no candidate is consistent with enough ranges.
     """
     count = int(plain.level.max()) + 1
     alone = [_most_likely(plain.chosen(plain.level == each), camera, gain, None)[0] for each in range(count)]
@@ -228,11 +249,11 @@ def _consistent(plain: _Plain, camera: CameraModel, gain: float) -> _Plain:
 
 
 def _most_likely(plain: _Plain, camera: CameraModel, gain: float, excess: float | None) -> tuple[float, float]:
-    """Return the maximum-likelihood gain and excess for the measured variances.
+    """Return the most likely gain and excess for the measured variances, by Fisher scoring from the given values.
 
-    Fisher scoring starts from the given gain and excess. Measured variances are assumed to be gamma distributed about the
-    predicted variances. The excess is assumed to be normal with a standard deviation of 1. If `excess` is None, the excess
-    is fixed at 0. Otherwise, ValueError is raised if the noise does not depend on the gain, because all pixels are black.
+    The measured variances are assumed to have gamma distributions whose means are the predicted variances. The prior of the
+    excess is a normal distribution with a standard deviation of 1. If `excess` is None, the excess is fixed at 0. Otherwise,
+    the function raises ValueError if the noise does not depend on the gain because all pixels are black.
     """
     free, excess = excess is not None, excess or 0.0
     for _ in range(MAX_SCORING_STEPS):
@@ -255,5 +276,5 @@ def _most_likely(plain: _Plain, camera: CameraModel, gain: float, excess: float 
 
 
 def _information(slopes: Array, components: int) -> Array:
-    """Return the Fisher information (2, 2) of the log gain and the excess."""
+    """Return the Fisher information matrix (2, 2) for the logarithm of the gain and for the excess."""
     return np.asarray(components / 2 * slopes @ slopes.T + np.diag([0.0, 1.0]))

@@ -1,8 +1,9 @@
 """Correction of lens distortion and of lateral chromatic aberration, which moves pixels (docs/raw-files.md#lens-warps).
 
-The formula is that of the opcode WarpRectilinear (Adobe DNG 1.7, chapter 7). For each pixel of the corrected picture, a warp
-states the place in the uncorrected picture from which the pixel comes. Let (y, x) be the distance of the pixel from the
-optical centre, in units of the distance of the farthest corner, and r² = y² + x². The distance of the place is then
+A warp is a function that returns, for each pixel of the corrected picture, the corresponding position in the uncorrected
+picture. The formula is the one of the opcode WarpRectilinear (Adobe DNG 1.7, chapter 7). Positions are relative to the
+optical centre, and the distance from the optical centre to the farthest corner is 1. Let (y, x) be the position of a pixel
+in the corrected picture, and r² = y² + x². The position in the uncorrected picture is then
 
     y' = f·y + t0·(r² + 2y²) + 2·t1·x·y
     x' = f·x + t1·(r² + 2x²) + 2·t0·x·y        f = k0 + k1·r² + k2·r⁴ + k3·r⁶
@@ -21,28 +22,32 @@ Floats = NDArray[np.float64]
 Terms = tuple[float, float, float, float, float, float]  # k0, k1, k2, k3, t0, t1
 UNCHANGED: Terms = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 RED, GREEN, BLUE = range(3)
-STRIP_PIXELS = 1 << 20  # pixels that are resampled at once, which limits the memory
-INVERSE_STEPS = 12  # fixed-point iterations of `corrected_places`; each reduces the error at least by half
+STRIP_PIXELS = 1 << 20  # number of pixels that are resampled at a time, to limit the memory
+INVERSE_STEPS = 12  # number of fixed-point iterations in `corrected_places`, each of which at least halves the error
 
 
 @dataclass(frozen=True)
 class LensWarp:
-    """A warp of the pictures of one lens."""
+    """The warp that corrects the pictures of one lens.
 
-    terms: tuple[Terms, Terms, Terms]  # of red, green and blue
-    centre: tuple[float, float]  # optical centre, down and across, in heights and widths of the active area
-    area: tuple[int, int]  # rows and columns of the active area, to whose farthest corner the terms refer
-    origin: tuple[int, int] = (0, 0)  # first row and column of the frame within the active area
+    Centre and farthest corner refer to the active area of the sensor, which may be larger than the frame.
+    """
+
+    terms: tuple[Terms, Terms, Terms]  # coefficients for red, green and blue
+    # row and column of the optical centre in the active area, as fractions of the height and width
+    centre: tuple[float, float]
+    area: tuple[int, int]  # rows and columns of the active area
+    origin: tuple[int, int] = (0, 0)  # row and column of the frame's first pixel in the active area
 
     @property
     def separates_colours(self) -> bool:
-        """Whether red, green and blue move differently."""
+        """Whether the warp differs between red, green and blue."""
         return len(set(self.terms)) > 1
 
     def source(self, rows: Floats, cols: Floats, colour: int) -> tuple[Floats, Floats]:
-        """Return the rows and columns in the uncorrected frame from which pixels of the corrected frame come.
+        """Return the rows and columns in the uncorrected frame that correspond to positions in the corrected frame.
 
-        Rows and columns count from the centre of the first pixel of the frame. `colour` is RED, GREEN or BLUE.
+        Rows and columns are measured from the centre of the first pixel of the frame. `colour` is RED, GREEN or BLUE.
         """
         k0, k1, k2, k3, t0, t1 = self.terms[colour]
         down, across = (
@@ -61,14 +66,17 @@ class LensWarp:
 
 
 def source_places(warps: Sequence[LensWarp], rows: Floats, cols: Floats, colour: int) -> tuple[Floats, Floats]:
-    """Return the places in the uncorrected frame, as `LensWarp.source` does, for warps that are applied in succession."""
+    """Return the same positions as `LensWarp.source`, but for several warps that are applied in succession."""
     for warp in reversed(warps):
         rows, cols = warp.source(rows, cols, colour)
     return rows, cols
 
 
 def corrected_places(warps: Sequence[LensWarp], rows: Floats, cols: Floats) -> tuple[Floats, Floats]:
-    """Return the rows and columns in the corrected frame to which green pixels of the uncorrected frame move."""
+    """Return the rows and columns in the corrected frame that correspond to positions in the uncorrected frame.
+
+    This is the inverse of `source_places` for green.
+    """
     there = rows, cols
     for _ in range(INVERSE_STEPS):
         back = source_places(warps, *there, GREEN)
@@ -77,22 +85,24 @@ def corrected_places(warps: Sequence[LensWarp], rows: Floats, cols: Floats) -> t
 
 
 def warped(outputs: NDArray[np.float32], names: Sequence[str], warps: Sequence[LensWarp]) -> NDArray[np.float32]:
-    """Apply warps to rendered outputs, by interpolation with cubic splines.
+    """Apply warps to rendered outputs. Values between pixels are interpolated with cubic splines.
 
     Parameters
     ----------
     outputs : ndarray, (output, row, col)
         Linear outputs of a table, in the orientation of the sensor.
     names : sequence of str
-        Names of the outputs. If they are X, Y, Z, and a warp moves red, green and blue differently, the warps are applied to
-        linear sRGB components, and the result is converted back. Otherwise all outputs move as green.
+        Names of the outputs. If the outputs are X, Y, Z and a warp differs between red, green and blue, the outputs are
+        converted to linear sRGB, and the result is converted back to X, Y, Z. Otherwise, the warp for green is applied to
+        all outputs.
     warps : sequence of LensWarp
-        The warps in the order of their application.
+        Warps in the order of their application. If there are none, `outputs` is returned.
 
     Returns
     -------
     ndarray, (output, row, col)
-        Places beyond the border of the frame have the value at the border.
+        Corrected outputs. Pixels that correspond to positions outside the uncorrected frame have the value of the nearest
+        position at its edge.
     """
     if not warps:
         return outputs
@@ -105,10 +115,7 @@ def warped(outputs: NDArray[np.float32], names: Sequence[str], warps: Sequence[L
 
 
 def _resampled(planes: NDArray[np.float32], warps: Sequence[LensWarp], colour: int) -> NDArray[np.float32]:
-    """Return planes (plane, row, col) at the places from which the pixels of a colour come, interpolated by cubic splines.
-
-    Places outside the planes are replaced by the nearest places at the edge.
-    """
+    """Apply the warps for one colour to all `planes` (plane, row, col), as described in `warped`."""
     from scipy import ndimage  # imported here to save start-up time, because few files contain a warp
 
     moved = np.empty_like(planes)

@@ -1,20 +1,20 @@
-"""Apply the metadata of stored values: the value that marks missing data, gains and offsets."""
+"""Apply the metadata of stored values: no-data values, gains and offsets."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-ROUNDING = 1e-5  # relative tolerance for no-data values that are written as text, such as -3.40282e+38
+ROUNDING = 1e-5  # relative tolerance for no-data values, which may be rounded in a text header, as in -3.40282e+38
 
 
 def missing(values: NDArray, mark: float, good: NDArray[np.bool_] | None = None) -> NDArray[np.bool_] | None:
-    """Return a mask (row, col) of the pixels with missing data in any good band, or None if no pixel has missing data.
+    """Return a mask (row, col) of the pixels that have no data in at least one good band, or None if there are none.
 
     Parameters
     ----------
     values : ndarray, (row, col, band)
         Values as stored.
     mark : float
-        Stored value that marks missing data. It may be NaN.
+        No-data value as stored, which may be NaN. Floating-point values are compared with a small relative tolerance.
     good : ndarray of bool, (band,), optional
         Mask of the bands to examine. [default: all bands]
     """
@@ -33,7 +33,11 @@ def missing(values: NDArray, mark: float, good: NDArray[np.bool_] | None = None)
 
 
 def scaled(values: NDArray, gain: NDArray[np.float64] | float, offset: NDArray[np.float64] | float) -> NDArray:
-    """Multiply values (row, col, band) by a gain and add an offset, per band. Returns `values` if nothing changes."""
+    """Multiply values (row, col, band) by a gain, and add an offset.
+
+    `gain` and `offset` are numbers, or arrays with one number per band. The result has the type float32. If all gains are 1
+    and all offsets are 0, `values` is returned.
+    """
     if np.all(gain == 1) and np.all(offset == 0):
         return values
     made = np.empty(values.shape, np.float32)

@@ -1,6 +1,7 @@
-"""Lab measurements, which are the input of calibration. They come from a real lab or from the virtual lab.
+"""Data types for lab measurements, which are the input of calibration.
 
-Frames are read one by one in each pass, so that memory does not grow with their number.
+The measurements come from a real lab or from the virtual lab. Captures contain iterables that read their frames one by one,
+so that the memory does not depend on the number of frames.
 """
 
 from collections.abc import Iterable, Sequence
@@ -15,7 +16,7 @@ from l3cli.frames.frame import RawFrame
 from l3cli.physics.lens import relative_illumination
 
 CHART_ROWS, CHART_COLS = 4, 6
-LEAKAGE_NM = np.arange(200.0, 2001.0, 5.0)  # wavelengths of stated leakages, until the wavelengths of the camera are known
+LEAKAGE_NM = np.arange(200.0, 2001.0, 5.0)  # nm; wavelengths of the leakages in `Body.polarisers`
 PATCHES = CHART_ROWS * CHART_COLS
 PATCH_NAMES = (
     "dark skin", "light skin", "blue sky", "foliage", "blue flower", "bluish green",
@@ -23,7 +24,7 @@ PATCH_NAMES = (
     "blue", "green", "red", "yellow", "magenta", "cyan",
     "white 9.5", "neutral 8", "neutral 6.5", "neutral 5", "neutral 3.5", "black 2",
 )  # fmt: skip
-DIODE = {  # alternative name → name of a column in a sweep
+DIODE = {  # alternative name of a column in the table of a monochromator sweep → name that l3 uses
     **dict.fromkeys(("diode", "photodiode", "photodiode light"), "diode light"),
     **dict.fromkeys(("dark", "photodiode dark"), "diode dark"),
 }
@@ -42,7 +43,7 @@ class Body:
     cfa: NDArray[np.uint8]  # (cfa_row, cfa_col) channel of each site
     optics: Optics
     readout: Readout | None = None  # exposure and gain of each channel, without read noise; None if all channels are equal
-    polarisers: Polarisers | None = None  # as stated, with the leakages at LEAKAGE_NM; None if none are stated
+    polarisers: Polarisers | None = None  # stated polarisers with leakages at LEAKAGE_NM; None if none are stated
 
     @property
     def channel_gains(self) -> NDArray[np.float64]:
@@ -56,35 +57,39 @@ class Body:
 
     @property
     def photons_per_radiance(self) -> float:
-        """Photons/s on a pixel for a radiance of 1 photon/s/sr/m², in m² sr (docs/method.md#optics)."""
+        """Photons/s that reach a pixel, divided by the radiance in photons/s/sr/m² (docs/method.md#optics).
+
+        The unit is m² sr.
+        """
         return self.optics.irradiance_per_radiance * self.pixel_pitch**2
 
     @property
     def relative_illumination(self) -> NDArray[np.float64]:
-        """Illumination of each pixel (row, col) by a uniform scene, relative to the axis (docs/method.md#optics)."""
+        """Illuminance of each pixel (row, col) for a uniform scene, relative to the optical axis (docs/method.md#optics)."""
         return relative_illumination(self.optics.image_distance, self.pixel_pitch, (self.rows, self.cols))
 
 
 @dataclass(frozen=True)
 class Capture:
-    """Frames of one scene at one exposure: dark (lens cap on) or white (uniform light)."""
+    """Frames of the same scene with the same exposure, such as dark frames (lens cap on) or white frames (uniform light)."""
 
-    name: str  # name in messages: the first frame in the measurement file
+    name: str  # name for messages, which is the name of the first frame in the measurement file
     exposure: float  # s
-    frames: Iterable[NDArray[np.uint16]]  # each (row, col) in DN; can be iterated repeatedly
-    monitor: float = field(default=1.0, kw_only=True)  # light of the lamp, relative to its light when it was measured
+    frames: Iterable[NDArray[np.uint16]]  # frames (row, col) in DN; can be iterated repeatedly
+    # intensity of the lamp, relative to its intensity when the spectrum was measured
+    monitor: float = field(default=1.0, kw_only=True)
 
     @property
     def lit(self) -> float:
-        """Exposure time in s that would give the same exposure if the lamp were as bright as when it was measured."""
+        """Exposure time in s, multiplied by the relative intensity of the lamp."""
         return self.exposure * self.monitor
 
 
 @dataclass(frozen=True)
 class MonoCapture(Capture):
-    """A uniform field illuminated by one step of a monochromator.
+    """Frames of a uniform field, illuminated by a monochromator at one wavelength setting.
 
-    The measured spectrum includes the bandwidth and the stray light of the monochromator.
+    The spectrum was measured, so it includes the bandwidth and the stray light of the monochromator.
     """
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
@@ -94,7 +99,7 @@ class MonoCapture(Capture):
 
 @dataclass(frozen=True)
 class ChartCapture(Capture):
-    """A 4 × 6 ColorChecker with the measured radiance of every patch."""
+    """Frames of a ColorChecker with 4×6 patches, and the measured radiance of every patch."""
 
     illuminant: str
     corners: NDArray[np.float64]  # (4, 2) column and row of the outer corners of patches 1 (dark skin), 6, 24 and 19
@@ -104,23 +109,25 @@ class ChartCapture(Capture):
 
 @dataclass(frozen=True)
 class BandCapture(ChartCapture):
-    """A ColorChecker behind a narrow-band filter, at one of several exposures. The radiance may be relative."""
+    """Frames of a ColorChecker behind a narrow-band filter, with one of several exposures. The radiance may be relative."""
 
 
 @dataclass(frozen=True)
 class PolariserCapture(Capture):
-    """Frames of a uniform light behind a rotating linear polariser."""
+    """Frames of uniform light that passes through a rotating linear polariser."""
 
-    angle: float = field(kw_only=True)  # degrees; transmission axis of the polariser, counter-clockwise in the picture
+    # degrees; angle of the polariser's transmission axis, counter-clockwise in the picture
+    angle: float = field(kw_only=True)
 
 
 @dataclass(frozen=True)
 class Rotator:
-    """The rotating polariser in front of the light."""
+    """The rotating polariser in front of the light source."""
 
-    leakage: float = 0.0  # inverse of its extinction ratio
-    angle_error: float = 0.0  # degrees; standard deviation of the angle of a capture
-    reference: str | None = None  # channel whose stated angle is taken as true; None: the angles of the captures are true
+    leakage: float = 0.0  # inverse of the extinction ratio
+    angle_error: float = 0.0  # degrees; standard deviation of the error in the angle of a capture
+    # Channel whose stated angle is the reference for all angles. If None, the angles of the captures are the reference.
+    reference: str | None = None
 
     @property
     def polarisation(self) -> float:
@@ -130,34 +137,37 @@ class Rotator:
 
 @dataclass(frozen=True)
 class SweepTable:
-    """Mean values of a monochromator sweep. A photodiode next to the camera and dark values are read at every step."""
+    """Mean signals of the camera and of a photodiode next to it, with and without light, for each wavelength of a sweep."""
 
-    wavelength: NDArray[np.float64]  # (wavelength) nm
-    light: NDArray[np.float64]  # (channel, wavelength) DN
-    dark: NDArray[np.float64]  # (channel, wavelength) DN
-    diode_light: NDArray[np.float64]  # (wavelength) reading of the photodiode, in any unit
-    diode_dark: NDArray[np.float64]  # (wavelength) dark reading of the photodiode, in the same unit
-    diode_response: NDArray[np.float64]  # (wavelength) reading of the photodiode per energy, in any unit
+    wavelength: NDArray[np.float64]  # (wavelength) nm; wavelength setting of the monochromator
+    light: NDArray[np.float64]  # (channel, wavelength) DN; signal with light
+    dark: NDArray[np.float64]  # (channel, wavelength) DN; signal without light
+    diode_light: NDArray[np.float64]  # (wavelength) signal of the photodiode with light, in any unit
+    diode_dark: NDArray[np.float64]  # (wavelength) signal of the photodiode without light, in the same unit
+    diode_response: NDArray[np.float64]  # (wavelength) signal of the photodiode per energy, in any unit
 
 
 @dataclass(frozen=True)
 class FinishedCurves:
-    """Responsivities from another source, relative and per photon."""
+    """Relative responsivities per photon that were read from a file instead of being computed from captures."""
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
     responsivity: NDArray[np.float64]  # (channel, wavelength)
-    note: str | None = None  # message that lists unused columns of the file, or None
+    note: str | None = None  # message that lists unused columns of the file; None if all columns are used
 
 
 @dataclass(frozen=True)
 class CurveStatistics:
-    """Statistics of the responsivities of measured cameras, per photon, with each channel scaled to a peak of 1."""
+    """Statistics of the responsivities of many measured cameras.
+
+    Responsivities are per photon, and each channel is scaled to a peak of 1.
+    """
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
-    mean: NDArray[np.float64]  # (channel, wavelength)
-    modes: NDArray[np.float64]  # (mode, channel, wavelength) principal modes, each scaled to its standard deviation
+    mean: NDArray[np.float64]  # (channel, wavelength) mean over the cameras
+    modes: NDArray[np.float64]  # (mode, channel, wavelength) principal components, scaled to their standard deviations
     log_peak: NDArray[np.float64]  # (channel) mean of ln(peak / geometric mean of the peaks of all channels)
-    log_peak_covariance: NDArray[np.float64]  # (channel, channel)
+    log_peak_covariance: NDArray[np.float64]  # (channel, channel) covariance of the same logarithms
 
 
 @dataclass(frozen=True)
@@ -167,40 +177,42 @@ class Chart:
     name: str
     grid: tuple[int, int]  # rows and columns of patches
     wavelength: NDArray[np.float64]  # (wavelength) nm
-    reflectance: NDArray[np.float64]  # (patch, wavelength); patches row by row
+    reflectance: NDArray[np.float64]  # (patch, wavelength) reflectances of the patches, row by row
 
     def __post_init__(self) -> None:
         patches, (rows, cols) = len(self.reflectance), self.grid
         if patches != rows * cols:
             raise ValueError(
-                f"{self.name} has {patches} patches, but layout = [{rows}, {cols}] has {rows * cols}; correct the layout"
+                f"{self.name} contains {patches} patches, but layout = [{rows}, {cols}] has {rows * cols} patches; correct "
+                '"layout"'
             )
 
 
 @dataclass(frozen=True)
 class PhotoCapture:
-    """Raw frames of a chart under one illuminant and at one exposure."""
+    """Raw frames of a chart under one illuminant and with one exposure."""
 
-    name: str  # name in messages
+    name: str  # name for messages
     frames: tuple[RawFrame, ...]
     chart: Chart
     light: str | None  # name of the illuminant; None if the illuminant must be estimated
     wavelength: NDArray[np.float64]  # (light_wavelength) nm
     radiance: NDArray[np.float64]  # (light_wavelength) relative photon radiance; not used if the illuminant is estimated
-    corners: NDArray[np.float64] | None  # (4, 2) as in ChartCapture; None if the chart must be found
-    darks: tuple[RawFrame, ...] = ()  # frames without light, with the same exposure
-    whites: tuple[RawFrame, ...] = ()  # frames of a uniform white target in place of the chart, under the same illuminant
+    corners: NDArray[np.float64] | None  # (4, 2) as in ChartCapture; None if l3 must find the chart
+    darks: tuple[RawFrame, ...] = ()  # frames without light and with the same exposure
+    # frames of a uniform white target at the place of the chart, under the same illuminant
+    whites: tuple[RawFrame, ...] = ()
 
     def __post_init__(self) -> None:
         first, *others = (*self.frames, *self.darks, *self.whites)
         for frame in others:
             if frame.values.shape != first.values.shape or frame.phase != first.phase:
-                raise ValueError(f"{frame.name} and {first.name} differ in size or phase; use frames of one camera")
+                raise ValueError(f"{frame.name} and {first.name} differ in size or CFA phase; use frames of the same camera")
 
 
 @dataclass(frozen=True)
 class SensorFigures:
-    """Sensor data of a camera model, from a measurement or from a data sheet."""
+    """Gain, levels and noise of a sensor, from a measurement or from a data sheet."""
 
     gain: float  # DN/e-
     black_level: float  # DN
@@ -221,10 +233,10 @@ class GainCaptures:
 class Measurements:
     """All measurements of one camera, and the uncertainty of the light sources.
 
-    The responsivity is determined from one of `mono`, `bands`, `curve` and `photos`, whose light is not polarised. The
-    sensor data are determined from `darks` and `whites` if there are any, otherwise from `datasheet` or, without a data
-    sheet, from the photos. Polarisers are determined from `polariser`, or stated in `body`. If there is a `base`, only
-    defects and flat field, or polarisers, are measured, and all other data come from the base.
+    The responsivity is determined from `mono`, `bands`, `curve` or `photos`, whose light is not polarised. Gain, levels and
+    noise are determined from `darks` and `whites` if these captures exist, otherwise from `datasheet` or, if there is no
+    data sheet, from `photos`. Polarisers are determined from `polariser`, or are stated in `body`. If there is a `base`,
+    only the defects and the flat field, or only the polarisers, are measured. All other data then come from the base.
     """
 
     body: Body
@@ -239,23 +251,23 @@ class Measurements:
     photos: tuple[PhotoCapture, ...] = ()
     polariser: tuple[PolariserCapture, ...] = ()
     rotator: Rotator = Rotator()
-    cameras: CurveStatistics | tuple[FinishedCurves, ...] | None = None  # curves of other cameras, for photos
+    cameras: CurveStatistics | tuple[FinishedCurves, ...] | None = None  # curves of other cameras, used with `photos`
     datasheet: SensorFigures | None = None
-    base: CameraModel | None = None  # a known camera; only defects and flat field, or polarisers, are measured
-    lamp_drift: float = 0.0  # relative standard deviation of a lamp's light since its spectrum was measured
-    wavelength_uncertainty: float = 0.0  # nm; standard deviation of the spectrometer's wavelength scale
+    base: CameraModel | None = None  # existing camera model to which the new measurements are added
+    lamp_drift: float = 0.0  # relative standard deviation of the lamps' intensity since their spectra were measured
+    wavelength_uncertainty: float = 0.0  # nm; standard deviation of the error in the spectrometer's wavelength scale
 
 
 @dataclass(frozen=True)
 class StatedMatrix:
-    """A matrix that converts the XYZ of a surface under an illuminant to camera signals."""
+    """A matrix from a raw file that converts the XYZ of a surface under an illuminant to camera signals."""
 
     light: str  # name of the illuminant
-    assumed: bool  # whether the illuminant is an assumption, because the file does not state it
-    rows: dict[int, NDArray[np.float64]]  # colour code → row (3) of the matrix
+    assumed: bool  # whether the illuminant is an assumption, because the file states no illuminant
+    rows: dict[int, NDArray[np.float64]]  # colour code of a channel → row (3) of the matrix
 
     def of(self, codes: Sequence[int | None]) -> NDArray[np.float64]:
-        """Return the rows (channel, 3) of the matrix for the given colour codes."""
+        """Return the rows (channel, 3) of the matrix for the given colour codes, without codes that are None."""
         return np.array([self.rows[code] for code in codes if code is not None])
 
 
@@ -265,7 +277,7 @@ class Stated:
 
     camera: str  # make and model
     matrices: tuple[StatedMatrix, ...]
-    noise: tuple[float, float] | None  # slope and intercept of the variance, on a scale from 0 (black) to 1 (white)
+    noise: tuple[float, float] | None  # noise variance: slope and intercept, on a signal scale from 0 (black) to 1 (white)
     iso: float | None
     pitch_um: float | None
     focal_length_mm: float | None
@@ -274,21 +286,21 @@ class Stated:
 
 @dataclass(frozen=True)
 class CaptureFolder:
-    """The files in a folder. Their paths are relative to the folder."""
+    """The files of a measurement in a folder. Their paths are relative to the folder."""
 
     folder: Path
     frames: tuple[str, ...]
     tables: tuple[str, ...]
-    notes: tuple[str, ...]  # one line for each type of file that is left out
+    notes: tuple[str, ...]  # one message for each type of file that is not used
 
 
 @dataclass(frozen=True)
 class RawFile:
-    """A raw frame, with the properties that its file states."""
+    """A raw frame and the properties that its file states. A property that the file does not state is None."""
 
     values: NDArray[np.uint16]  # (row, col) DN as stored, without any processing
-    seconds: float | None
+    seconds: float | None  # exposure time
     pattern: NDArray[np.int64] | None  # colour codes of the CFA
     black_level: float | None  # DN
     white_level: float | None  # DN
-    count: int = 1  # number of frames in the file, of which this is the first
+    count: int = 1  # number of frames in the file; `values` is the first

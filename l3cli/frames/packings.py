@@ -1,8 +1,9 @@
-"""Packings of headerless frames: how the bits of the pixels are arranged in the bytes of a file.
+"""Packings of headerless raw frames. A packing defines how the bits of the pixels are arranged in the bytes of a file.
 
-Sources: MIPI CSI-2 (RAW10, RAW12), GenICam Pixel Format Naming Convention 2.4 (PFNC), GigE Vision 2 (formats "…Packed").
-PFNC has no names for polarisation cameras. Teledyne FLIR ("Polarized8", "BayerRGPolarized12p") and Lucid ("PolarizeMono8",
-"PolarizedAngles_0d_45d_90d_135d_Mono8") have names of their own, with the bit layouts of PFNC.
+The packings are defined in MIPI CSI-2 (RAW10, RAW12), GenICam Pixel Format Naming Convention (PFNC) 2.4, and GigE Vision 2
+(formats "…Packed"). PFNC has no names for polarisation cameras. For these cameras, Teledyne FLIR ("Polarized8",
+"BayerRGPolarized12p") and Lucid ("PolarizeMono8", "PolarizedAngles_0d_45d_90d_135d_Mono8") use their own names with the bit
+layouts of PFNC.
 
 The option help, error messages and the table in docs/raw-files.md are generated from `PACKINGS`.
 """
@@ -24,14 +25,14 @@ FAMILIES = {
     "pmsb": "PFNC: a stream of bits, upper bits first",
     "Packed": "GigE Vision: two pixels in three bytes; the middle byte contains the lower bits of both pixels",
 }
-CELL = ((1, 1), (0, 1), (0, 0), (1, 0))  # site (row, col) of the polarisers of 0°, 45°, 90° and 135° in a cell of 2×2 pixels
-COMPUTED = ("PolarizedStokes", "PolarizedDolp", "PolarizedAolp")  # names of formats with values that the camera computed
+CELL = ((1, 1), (0, 1), (0, 0), (1, 0))  # (row, col) of the polarisers at 0°, 45°, 90° and 135° in a cell of 2×2 pixels
+COMPUTED = ("PolarizedStokes", "PolarizedDolp", "PolarizedAolp")  # first part of format names whose values are not raw
 
 
 class Piece(NamedTuple):
-    """Adjacent bits of a pixel that are stored in one byte of a group."""
+    """Adjacent bits of a pixel that are stored in the same byte of a group (`Packing`)."""
 
-    byte: int
+    byte: int  # index of the byte in the group
     shift: int  # position of the piece's lowest bit in the byte
     bits: int
     place: int  # position of the piece's lowest bit in the pixel
@@ -39,16 +40,16 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True)
 class Packing:
-    """The layout of pixels in groups of bytes."""
+    """The layout of the bits of pixels. It repeats in each group, which is a fixed number of pixels and bytes."""
 
     name: str
     family: str  # one of FAMILIES
     bits: int  # bits per pixel
     group_bytes: int
-    pieces: tuple[tuple[Piece, ...], ...]  # for each pixel of a group, the pieces from which it is assembled
-    pattern: str = ""  # colours of a 2×2 CFA from the first pixel on, such as "rggb"; "" if the packing states none
+    pieces: tuple[tuple[Piece, ...], ...]  # pieces that form each pixel of a group
+    pattern: str = ""  # 2×2 CFA at the first pixel, such as "rggb"; "" if the packing does not define a CFA
     polarised: bool = False  # whether only polarisation cameras use this name
-    cells: bool = False  # whether the pixels of each 2×2 cell follow one another, in the order of CELL
+    cells: bool = False  # whether the four pixels of each 2×2 cell are stored consecutively, in the order of CELL
 
     @property
     def group_pixels(self) -> int:
@@ -61,14 +62,21 @@ class Packing:
         return self.family == "words" and self.group_bytes == 2
 
     def bytes_of(self, pixels: int) -> int:
-        """Return the number of bytes that a number of consecutive pixels occupies."""
+        """Return the number of bytes that a row of `pixels` pixels occupies.
+
+        In the MIPI packings, the last group is always complete.
+        """
         if self.family == "mipi":
             return -(-pixels // self.group_pixels) * self.group_bytes
         return -(-pixels * self.group_bytes * 8 // (8 * self.group_pixels))
 
 
 def _stream(bits: int, lower_first: bool) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
-    """Return the bytes and the pieces of the smallest group of pixels that fills whole bytes of a bit stream."""
+    """Return the number of bytes and the pieces of a group in a stream of bits.
+
+    The group is the smallest number of pixels that fills a whole number of bytes. `lower_first` states whether the lower
+    bits of a pixel are first in the stream.
+    """
     pixels = next(count for count in (1, 2, 4, 8) if count * bits % 8 == 0)
     groups = []
     for first in range(0, pixels * bits, bits):
@@ -88,7 +96,7 @@ def _stream(bits: int, lower_first: bool) -> tuple[int, tuple[tuple[Piece, ...],
 def _mipi(bits: int) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
     """Return the number of bytes and the pieces of a MIPI group.
 
-    Its last byte contains the lower bits of all pixels, starting with the first pixel in the lowest bits.
+    The last byte contains the lower bits of all pixels. The bits of the first pixel are the lowest bits of this byte.
     """
     low = bits - 8
     pixels = 8 // low
@@ -105,7 +113,7 @@ def _word(bytes_of_pixel: int) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
     return bytes_of_pixel, (tuple(Piece(byte, 0, 8, 8 * byte) for byte in range(bytes_of_pixel)),)
 
 
-POLARISED = (  # beginnings and endings of the names that polarisation cameras use
+POLARISED = (  # names that polarisation cameras use: any of the first parts, combined with any of the last parts
     (("Polarized", "BayerRGPolarized"), ("8", "10p", "12p", "16")),
     (("PolarizeMono",), ("8", "12", "12p", "12Packed", "16")),
     (("PolarizedAngles_0d_45d_90d_135d_Mono", "PolarizedAngles_0d_45d_90d_135d_BayerRG"), ("8", "12p", "16")),
@@ -142,16 +150,19 @@ BYTE_ORDERS = ("little", "big")
 
 
 def packing_named(name: str) -> Packing | None:
-    """Return the packing with the given name, or None. Letter case is ignored, and "12p" is short for "Mono12p"."""
+    """Return the packing with the given name, or None if the name is unknown.
+
+    Upper and lower case are not distinguished. "Mono" may be omitted, as in "12p" for "Mono12p".
+    """
     known = {each.lower(): packing for each, packing in PACKINGS.items()}
     return known.get(name.lower()) or (known.get(f"mono{name.lower()}") if not name.isdigit() else None)
 
 
 def unknown_packing(name: str) -> str:
-    """Return a message about a name for which `packing_named` returns None."""
+    """Return an error message for a name that `packing_named` does not know. The message starts with the name in quotes."""
     if name.lower().startswith(tuple(map(str.lower, COMPUTED))):
         return (
-            f'"{shortened(name)}" contains values that the camera computed from the raw values; record frames in a format '
-            "such as PolarizeMono12p or Mono12p"
+            f'"{shortened(name)}" is a format for values that the camera computed from its raw values; record raw frames in '
+            "a format such as PolarizeMono12p or Mono12p"
         )
     return f'"{shortened(name)}" is unknown; {suggestion(name, PACKINGS)}'

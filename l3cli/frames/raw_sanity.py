@@ -1,8 +1,11 @@
-"""Check whether the CFA, its phase and the black level that a raw file states agree with its pixels.
+"""Check whether the CFA, the CFA phase and the black level that a raw file states are consistent with its pixels.
 
-In a smooth block, all sites of one channel have nearly the same value. If their values differ, the stated phase is probably
-wrong. This test cannot detect phases that only swap channels with equal patterns, such as r and b of a Bayer CFA. Such
-phases are detected from the signals of a grey object, which many files state, because the mean over a photo is roughly grey.
+In a smooth block of a frame, all sites of a channel have nearly the same value. If their values differ, the stated phase is
+probably wrong. This test cannot detect phases that exchange channels with equal patterns, such as r and b of a Bayer CFA.
+Such phases are detected with the signals of a grey object, which many files state. The mean of a photo is roughly grey, so
+it should be roughly proportional to these signals.
+
+A super-pixel is one period of the CFA.
 """
 
 import functools
@@ -16,55 +19,66 @@ from numpy.typing import NDArray
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.mosaic import shifted_cfa, tiled
 
-# Differences between sites are relative to the signal.
+# All differences between sites are fractions of the signal.
 BLOCK_SIDE, MAX_BLOCKS = 8, 32  # maximum side of a block in super-pixels; maximum number of blocks in each direction
 MIN_SIGNAL = 1e-3  # fraction of full scale; frames with a lower mean are too dark to check
-SITES_DIFFER = 0.02  # difference that indicates a wrong phase; correct phases reach 0.007, and wrong phases at least 0.045
-FAR_FROM_GREY = 0.75  # ln of the ratio of two channels, relative to a grey object; coloured scenes reach 0.67
-BETTER = 0.4  # another phase is accepted if its difference is below this fraction of the difference at the stated phase
-ALIKE = 1.5  # maximum ratio of the differences of two phases that fit about equally well
+# A phase at which the sites of a channel differ by this amount may be wrong. In real frames, the difference is at most 0.007
+# at the correct phase, and at least 0.045 at wrong phases.
+SITES_DIFFER = 0.02
+# A phase may also be wrong if the ratio of two channels, relative to the ratio for a grey object, has this logarithm.
+# Coloured scenes have at most 0.67.
+FAR_FROM_GREY = 0.75
+BETTER = 0.4  # a different phase is better only if its difference is below this fraction of the stated phase's difference
+ALIKE = 1.5  # two phases fit about equally well if their differences differ by at most this factor
 BLACK_PERCENTILE = 0.1  # percentile of a channel's values that is close to black in most pictures
 MIN_BLACK, MAX_BLACK = 1 / 64, 1 / 6  # range of the black levels of real cameras, as fractions of the white level
-# roughness of a misread frame: minimum fraction of full scale, and minimum ratio to the roughness of the correct reading
+# A frame may be decoded incorrectly if its roughness is at least the fraction ROUGH of full scale and SMOOTHER times the
+# roughness after a different decoding.
 ROUGH, SMOOTHER = 0.01, 3.0
 MAX_BANDS = 32  # maximum number of bands, each two super-pixels high, in which roughness is measured
 ARRAY_PERIODS_PIXELS, COMMON_PERIOD = (4, 6, 8), 24  # periods of the CFAs that are considered, and a common multiple
 TILE, TILES = 120, 8  # side of a tile in pixels, a multiple of all periods; maximum number of tiles in each direction
-# Mean difference between sites that indicates another CFA. Real Bayer frames reach 0.001 to 0.02, other CFAs 0.05 to 2.
+# Minimum mean difference between sites that indicates a different CFA. For the Bayer CFA, the mean difference is 0.001 to
+# 0.02 in real Bayer frames, and 0.05 to 2 in frames with other CFAs.
 ARRAYS_DIFFER = 0.05
-MOST_SITES_DIFFER = 0.03  # with another CFA, 30 % of the sites differ by more; otherwise only autofocus pixels do
-STRIPED = 0.25  # differences are stripes if a factor per row or column explains all but this fraction of them
-SLANTED = 0.03  # the same criterion for a factor per slanted line
-SLANTS = ((1, 1), (1, -1), (2, 1), (2, -1), (1, 2), (1, -2))  # steps of rows and columns across slanted lines
-CHECKED_SITES_DIFFER = 0.15  # minimum range of the sites of a super-pixel under checks in the scene, relative to their mean
-LEAST_CHECK = 0.1  # minimum contrast at any site of such checks, relative to the maximum
-CHECK_FITS = 30  # alternating fits of the super-pixel and of the checks, which checks of odd size need
+# If the CFA is different, at least 30 % of the sites also differ by this amount. Autofocus pixels affect fewer sites.
+MOST_SITES_DIFFER = 0.03
+# The scene has stripes if a factor per row or column explains all but this fraction of the differences.
+STRIPED = 0.25
+SLANTED = 0.03  # the same fraction for a factor per slanted line
+SLANTS = ((1, 1), (1, -1), (2, 1), (2, -1), (1, 2), (1, -2))  # lines on which row · first + column · second is constant
+# A checkerboard in the scene is distinguished from a different CFA by two limits: the minimum range of the sites of the mean
+# super-pixel relative to their mean, and the minimum contrast of any site relative to the maximum contrast.
+CHECKED_SITES_DIFFER = 0.15
+LEAST_CHECK = 0.1
+# number of alternating fits of the super-pixel and the checkerboard, needed if the size of the squares is odd
+CHECK_FITS = 30
 TWO_GAINS = 2.0  # minimum ratio of the gains in sensors whose pairs of rows alternate between two gains
-NOISE_COLUMNS, NOISE_PERCENTILE = 8, 25  # columns of a noise measurement; percentile, which selects uniform areas
-UNCLIPPED = 0.8  # fraction of full scale; noise is measured in areas with a lower mean
+NOISE_COLUMNS, NOISE_PERCENTILE = 8, 25  # width in pixels of the areas whose noise is measured; percentile of uniform areas
+UNCLIPPED = 0.8  # fraction of full scale; noise is measured only in areas with a lower mean
 MIN_NOISE = 0.5  # DN²; smaller variances consist mainly of rounding errors
-CONTROL = 3.0  # a difference is evidence if it exceeds this multiple of the difference at a period that no CFA has
-FITS = 0.01  # a CFA fits if the sites of each channel differ by less than this
+CONTROL = 3.0  # a difference is evidence only if it exceeds this multiple of the difference at a period that no CFA has
+FITS = 0.01  # sites that differ by less count as equal
 SMALLEST_BLACK = 16.0  # DN; lower black levels are not checked
-BELOW = 0.5  # fraction of the black level; if the black level is correct, even noisy dark pixels are brighter
-MIN_REPORTED_FRACTION = 0.05  # l3 reports pixels that are too dark only if at least this fraction is
-Phase = tuple[int, int]
+BELOW = 0.5  # fraction of the black level; if the black level is correct, even noisy dark pixels are brighter than this
+MIN_REPORTED_FRACTION = 0.05  # l3 reports pixels that are too dark if at least this fraction of all pixels is too dark
+Phase = tuple[int, int]  # row and column
 
 
 @dataclass(frozen=True)
 class PhaseDoubt:
     """Evidence that the CFA phase that a file states is wrong."""
 
-    stated: float  # difference between sites of one channel at the stated phase, as a fraction of the signal
-    least: float  # the same difference at the best phase
-    phases: tuple[Phase, ...]  # phases that fit about as well as the best, starting with the most likely
+    stated: float  # mean difference between the sites of a channel at the stated phase, as a fraction of the signal
+    least: float  # the smallest mean difference at any phase
+    phases: tuple[Phase, ...]  # phases with about the smallest difference, starting with the most likely phase
     by_grey: bool = False  # whether the signals of a grey object are the only evidence
 
 
 def phase_doubt(
     frame: RawFrame, cfa: NDArray[np.uint8], neutral: Sequence[float] | NDArray[np.floating] | None = None
 ) -> PhaseDoubt | None:
-    """Return evidence that the CFA phase of a frame is wrong, or None.
+    """Return evidence that the CFA phase of a frame is wrong, or None if there is no evidence or the frame is too dark.
 
     Parameters
     ----------
@@ -73,7 +87,7 @@ def phase_doubt(
     cfa : ndarray, (cfa_row, cfa_col)
         Channel of each site.
     neutral : sequence of float, (channel,), optional
-        Signals of a grey object. If they are missing, only sites of the same channel are compared.
+        Signals of a grey object, on any scale. If None, phases that exchange channels with equal patterns are not detected.
     """
     blocks = block_means(frame, cfa.shape)
     if not blocks.size or not blocks.mean() > MIN_SIGNAL * (frame.white_level - frame.black_level):
@@ -83,7 +97,8 @@ def phase_doubt(
         arrays.setdefault(shifted_cfa(cfa, phase).tobytes(), phase)
     phases = {phase: shifted_cfa(cfa, phase) for phase in arrays.values()}
     grey = {phase: _far_from_grey(blocks, array, neutral) for phase, array in phases.items()}
-    for scale in (blocks, blocks.mean(axis=0, keepdims=True)):  # blocks differ more in colour; the frame mean is less noisy
+    # Single blocks have stronger colours than the mean of the frame, but the mean is less noisy.
+    for scale in (blocks, blocks.mean(axis=0, keepdims=True)):
         sites = {phase: _sites_differ(scale, array) for phase, array in phases.items()}
         stated, least = sites[frame.phase], min(sites.values())
         if stated >= SITES_DIFFER and least <= BETTER * stated:
@@ -100,13 +115,16 @@ def phase_doubt(
 class ArrayDoubt:
     """Evidence that the CFA of a mosaic differs from the CFA that the file states."""
 
-    differ: float  # difference between sites of the same stated channel, as a fraction of the signal
-    means: NDArray[np.float64]  # (row, col) DN; mean signal at each position modulo COMMON_PERIOD
+    # mean difference between sites that the stated CFA assigns to the same channel, as a fraction of the signal
+    differ: float
+    means: NDArray[np.float64]  # (row, col) DN; mean signal at each position in a period of COMMON_PERIOD pixels
 
     def likely(self, arrays: Mapping[str, NDArray[np.uint8]]) -> list[str]:
-        """Return the names of the CFAs (row, col) that fit the pixels best at any phase, with the fewest channels first.
+        """Return the names of the CFAs that fit the pixels best at any phase, sorted by the number of channels.
 
-        Large CFAs with a different channel at every site would fit any pixels, so they are not considered.
+        `arrays` contains the candidates (row, col) by name. Candidates with more than four sites and a different channel at
+        every site would fit any pixels, so they are ignored. Candidates whose period does not divide COMMON_PERIOD are also
+        ignored.
         """
         judged = {name: cfa for name, cfa in arrays.items() if len(set(cfa.flat)) < cfa.size or cfa.size <= 4}
         misfits = {
@@ -124,18 +142,23 @@ class ArrayDoubt:
 
 
 def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
-    """Return evidence that the CFA of a frame differs from `cfa` (row, col), or None.
+    """Return evidence that the CFA of a frame differs from `cfa` (row, col).
 
-    If the CFA is correct, sites at the same position in the super-pixel have the same mean over a frame. Sites of the same
-    channel also have the same mean, unless the phase is wrong (`phase_doubt`). Three kinds of difference are no evidence of
-    another CFA:
+    If the CFA is correct, sites at the same position in the super-pixel have the same mean over the frame. Sites of the same
+    channel also have the same mean, unless the phase is wrong (`phase_doubt`). Three types of difference are not regarded as
+    evidence of a different CFA:
 
     1. differences at single pixels, such as autofocus pixels
-    2. differences that are equally large modulo a period that no sensor has
-    3. stripes and checks in the scene, which change all channels by the same factor
+    2. differences that are equally large for a period that no CFA has
+    3. stripes and checkerboards in the scene, which change all channels by the same factor
+
+    Returns
+    -------
+    ArrayDoubt or None
+        None if there is no evidence, or if the frame is too small or too dark to check.
     """
     tiles = _tiles(frame)
-    tile, control = tiles.mean(axis=(0, 1)), (5 * cfa.shape[0], 5 * cfa.shape[1])  # no CFA has this period
+    tile, control = tiles.mean(axis=(0, 1)), (5 * cfa.shape[0], 5 * cfa.shape[1])  # No CFA has the period `control`.
     if min(np.array(tile.shape) // control) < 2 or any(TILE % period for period in control):
         return None
     if not tile.mean() > MIN_SIGNAL * (frame.white_level - frame.black_level):
@@ -157,9 +180,9 @@ def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
 
 
 def _tiles(frame: RawFrame) -> NDArray[np.float64]:
-    """Return the signal (tile row, tile col, row, col), in DN above black, of tiles that are evenly spaced over a frame.
+    """Return the signals (tile row, tile col, row, col) of tiles that are evenly spaced over a frame.
 
-    If the period of the CFA divides the side of a tile, all tiles begin at the same CFA site.
+    Signals are in DN above black and dark current. All tiles start at the same CFA site if the CFA period divides TILE.
     """
     tops, lefts = (
         sorted({TILE * int(place) for place in np.linspace(0, max(length // TILE - 1, 0), TILES)})
@@ -170,13 +193,13 @@ def _tiles(frame: RawFrame) -> NDArray[np.float64]:
 
 
 def _halves(tiles: NDArray[np.float64], axis: int) -> list[NDArray[np.float64]]:
-    """Divide tiles along an axis. The halves of a single tile are both this tile."""
+    """Divide tiles along an axis into two halves. If the number of tiles is odd, the middle tile is in both halves."""
     length = tiles.shape[axis]
     return [tiles.take(range((length + 1) // 2), axis), tiles.take(range(length // 2, length), axis)]
 
 
 def _means(tile: NDArray[np.float64], period: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return the mean signal (row, col) at each position within a period, averaged over a tile."""
+    """Return the mean signal of a tile at each position (row, col) within a period."""
     down, across = tile.shape[0] // period[0], tile.shape[1] // period[1]
     whole = tile[: down * period[0], : across * period[1]].reshape(down, period[0], across, period[1])
     return np.asarray(whole.mean(axis=(0, 2)))
@@ -185,10 +208,10 @@ def _means(tile: NDArray[np.float64], period: tuple[int, ...]) -> NDArray[np.flo
 def _are_stripes(
     means: NDArray[np.float64], period: tuple[int, ...], parts: list[NDArray[np.float64]], two_gains: Callable[[], bool]
 ) -> bool:
-    """Whether super-pixels of a `period` differ only by a factor per row, per column or per slanted line.
+    """Whether the super-pixels in `means` differ only by a factor per row, per column or per slanted line.
 
-    Pairs of rows that alternate between two factors in all `parts` of a frame are not stripes if `two_gains` returns True,
-    because they occur in sensors with two gains.
+    The result is False if pairs of rows alternate between two factors in all `parts` of a frame and `two_gains` returns
+    True, because such rows occur in sensors with two gains.
     """
     blocks = _super_pixels(means, period)
     sites = blocks.mean(axis=(0, 2), keepdims=True)  # mean super-pixel
@@ -206,7 +229,7 @@ def _super_pixels(means: NDArray[np.float64], period: tuple[int, ...]) -> NDArra
 
 
 def _factors(blocks: NDArray[np.float64], along: tuple[int, int]) -> NDArray[np.float64]:
-    """Return a factor for each line of super-pixels: the mean of the line, relative to the mean of all lines.
+    """Return the mean of each line of pixels, relative to the mean of all lines at the same position in the super-pixel.
 
     `along` contains the axes over which a line is averaged: (2, 3) for rows, and (0, 1) for columns.
     """
@@ -216,30 +239,32 @@ def _factors(blocks: NDArray[np.float64], along: tuple[int, int]) -> NDArray[np.
 
 
 def _are_checks(means: NDArray[np.float64], period: tuple[int, ...]) -> bool:
-    """Whether `means` is the mean super-pixel times a checkerboard, which is 1 plus or minus a product of two functions.
+    """Whether `means` is the product of the mean super-pixel and a checkerboard.
 
-    One function depends on the row, and the other function on the column. In CFAs that repeat with another period, either
-    all sites of the mean super-pixel are nearly alike, as in a quad Bayer CFA, or some sites equal the mean super-pixel.
+    The checkerboard is 1 plus the product of a function of the row and a function of the column. If `means` is caused by a
+    CFA with a different period instead, the sites of the mean super-pixel are nearly equal, as for a quad Bayer CFA, or
+    `means` equals the mean super-pixel at some sites.
     """
     sites = _super_pixels(means, period).mean(axis=(0, 2))
     if np.ptp(sites) < CHECKED_SITES_DIFFER * sites.mean() or sites.min() <= 0:
         return False
-    for _ in range(CHECK_FITS):  # the mean super-pixel contains a part of checks whose size is odd
+    for _ in range(CHECK_FITS):  # If the size of the squares is odd, they also affect the mean super-pixel.
         left, sizes, right = np.linalg.svd(means / tiled(sites, means.shape) - 1.0)
         factors = 1.0 + sizes[0] * np.outer(left[:, 0], right[0])
         sums = [_super_pixels(each, period).sum(axis=(0, 2)) for each in (means * factors, factors**2)]
         sites = np.maximum(sums[0] / sums[1], MIN_SIGNAL)
     checks = means / tiled(sites, means.shape) - 1.0
-    lines = max(np.abs(checks.mean(axis=axis)).max() for axis in (0, 1))  # 0 for checks, and large for stripes
+    lines = max(np.abs(checks.mean(axis=axis)).max() for axis in (0, 1))  # 0 for a checkerboard, and large for stripes
     largest, second = np.linalg.svd(checks, compute_uv=False)[:2]
     contrast = np.abs(checks).max()
     return bool(second <= SLANTED * largest and lines <= LEAST_CHECK * contrast <= np.abs(checks).min())
 
 
 def _are_slanted(means: NDArray[np.float64], sites: NDArray[np.float64], slant: tuple[int, int]) -> bool:
-    """Whether `means` is the mean super-pixel `sites` times a factor for each slanted line.
+    """Whether `means` is the product of the mean super-pixel `sites` and a factor for each slanted line.
 
-    The limit is strict, because CFAs with one channel along their diagonals, such as RGBW, almost fulfil this condition.
+    The limit SLANTED is strict, because CFAs in which a diagonal contains only one channel, such as RGBW, almost fulfil this
+    condition.
     """
     usual = np.maximum(tiled(sites[0, :, 0], means.shape), MIN_SIGNAL)
     row, col = np.indices(means.shape)
@@ -249,7 +274,7 @@ def _are_slanted(means: NDArray[np.float64], sites: NDArray[np.float64], slant: 
 
 
 def _has_two_gains(factors: NDArray[np.float64]) -> bool:
-    """Whether the factors of rows alternate, in pairs, between two gains."""
+    """Whether the factors of pairs of rows alternate between two gains."""
     pairs = [np.roll(factors, shift).reshape(-1, 2) for shift in (0, 1)]
     return any(
         np.ptp(each, axis=1).max() <= FITS
@@ -260,13 +285,13 @@ def _has_two_gains(factors: NDArray[np.float64]) -> bool:
 
 
 def _noise_shows_two_gains(frame: RawFrame, tiles: NDArray[np.float64], period: tuple[int, ...]) -> bool:
-    """Whether brighter rows have the noise of a higher gain. True if the noise is too small to be measured.
+    """Whether the noise shows that bright rows have a higher gain than dark rows, with an alternation in pairs of rows.
 
-    The variance per signal is the gain in DN per electron. It is equal for bright and dark rows of the scene, and in the
-    ratio of the gains for rows with two gains.
+    The ratio of variance to signal is the gain in DN/e-. It is the same for bright and dark rows unless the gains differ.
+    The result is also True if the noise is too small to be measured.
     """
     cols = (tiles.shape[3] - period[1]) // NOISE_COLUMNS * NOISE_COLUMNS
-    near, far = tiles[..., :cols], tiles[..., period[1] :][..., :cols]  # pixels of the same channel
+    near, far = tiles[..., :cols], tiles[..., period[1] :][..., :cols]  # pairs of pixels of the same channel
     parts = [each.reshape(*each.shape[:3], -1, NOISE_COLUMNS) for each in ((near - far) ** 2 / 2, (near + far) / 2)]
     variance, signal = (each.mean(axis=-1) for each in parts)
     share = signal / (frame.white_level - frame.black_level)
@@ -287,10 +312,10 @@ def _noise_shows_two_gains(frame: RawFrame, tiles: NDArray[np.float64], period: 
 
 
 def _differences(means: NDArray[np.float64], array: NDArray[np.integer]) -> tuple[float, float]:
-    """Return how much sites with the same entry of `array` differ from their median, as a fraction of the signal.
+    """Return the differences of sites from the median of all sites that have the same entry in `array`.
 
-    The first number is the difference that 30 % of the sites exceed. The second number is the mean difference. Both are for
-    the entry whose sites differ most.
+    The first number is the difference that 30 % of the sites exceed, and the second number is the mean difference, both as
+    fractions of the signal. Only the entry whose sites have the largest mean difference is used.
     """
     entries = tiled(array, means.shape)
     off = [
@@ -303,15 +328,26 @@ def _differences(means: NDArray[np.float64], array: NDArray[np.integer]) -> tupl
 
 
 def _median(values: NDArray[np.float64]) -> float:
-    """Return the median. np.median would import numpy.ma, which takes a twentieth of the time to render a picture."""
+    """Return the median. np.median is not used, because it imports numpy.ma, which takes 5 % of the time for rendering."""
     in_order = np.sort(values)
     return float(in_order[(values.size - 1) // 2] + in_order[values.size // 2]) / 2
 
 
 def block_means(frame: RawFrame, period: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return the mean signal (block, row, col) of each site of the super-pixel in evenly spaced blocks.
+    """Return the mean signal of each site of the super-pixel in evenly spaced blocks of a frame.
 
-    Signals are in DN above black and dark current. The first site is the CFA site of the first pixel.
+    Parameters
+    ----------
+    frame : RawFrame
+        Frame to measure.
+    period : tuple of int
+        Rows and columns of the CFA.
+
+    Returns
+    -------
+    ndarray, (block, row, col)
+        Signals in DN above black and dark current. Row 0 and column 0 are the CFA site of the frame's first pixel. There are
+        no blocks if the frame is smaller than the CFA period.
     """
     rows, cols = period
     side = int(np.clip(min(frame.values.shape[0] // rows, frame.values.shape[1] // cols) // BLOCK_SIDE, 1, BLOCK_SIDE))
@@ -329,14 +365,14 @@ def block_means(frame: RawFrame, period: tuple[int, ...]) -> NDArray[np.float64]
 def _sites_differ(blocks: NDArray[np.float64], array: NDArray[np.uint8]) -> float:
     """Return the mean difference between a site and the mean of all sites of its channel, as a fraction of the signal.
 
-    Sites are compared within blocks.
+    Only sites in the same block are compared.
     """
     of_channels = (blocks[:, array == channel] for channel in sorted(set(array.flat)))
     return float(sum(np.abs(each - each.mean(axis=1, keepdims=True)).sum() for each in of_channels) / blocks.sum())
 
 
 def _same_sites(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
-    """Whether two CFAs group the sites into channels in the same way, whatever the names of the channels."""
+    """Whether two CFAs are equal except that channels are exchanged."""
     pairs = set(zip(one.flat, other.flat, strict=True))
     return len(pairs) == len(set(one.flat))
 
@@ -344,9 +380,9 @@ def _same_sites(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
 def _far_from_grey(
     blocks: NDArray[np.float64], array: NDArray[np.uint8], neutral: Sequence[float] | NDArray[np.floating] | None
 ) -> float:
-    """Return how far the mean of a frame is from grey, or 0 if the file does not state the signals of a grey object.
+    """Return the deviation of the mean of a frame from grey, which is the range of ln(signal / signal of grey).
 
-    The result is the range of ln(signal / signal of grey) over the channels.
+    The result is 0 if `neutral` is None or contains values that are not positive.
     """
     if neutral is None or min(neutral) <= 0:
         return 0.0
@@ -355,9 +391,10 @@ def _far_from_grey(
 
 
 def share_below_black(frame: RawFrame) -> float:
-    """Return the fraction of pixels below BELOW times the black level, or 0 if it is too small to report.
+    """Return the fraction of pixels that are too dark to be explained by noise, if the black level is correct.
 
-    Noise does not explain such dark pixels.
+    These are the pixels below the fraction BELOW of the black level. The result is 0 if their number is too small to report,
+    or if the black level is below SMALLEST_BLACK.
     """
     if frame.black_level < SMALLEST_BLACK:
         return 0.0
@@ -366,11 +403,16 @@ def share_below_black(frame: RawFrame) -> float:
 
 
 def black_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> float | None:
-    """Return the probable black level, in DN, of a frame that states a black level of 0, or None if 0 is plausible.
+    """Return the probable black level, in DN, of a frame whose file states a black level of 0.
 
-    If 0 is wrong, the darkest values of all channels are at about the same level, far above 0. In relative terms, they
-    differ less between the channels than the medians. Dark values caused by light would differ in proportion to the
-    transmittances of the colour filters.
+    If the stated level is wrong, the darkest values of all channels are at about the same level, far above 0. They differ
+    less between the channels, in relation to their mean, than the medians. If the darkest values were caused by light, they
+    would differ in proportion to the transmittances of the colour filters.
+
+    Returns
+    -------
+    float or None
+        None if the stated level is above 0, or if 0 is plausible.
     """
     if frame.black_level > 0:
         return None
@@ -383,43 +425,44 @@ def black_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> float | None:
     return float(darkest.mean()) if ratios[0] <= BETTER * ratios[1] else None
 
 
-# --------------------------------------------------------------------------- bytes interpreted with a wrong layout
+# ------------------------------------------------------------------------------- frames decoded with a wrong layout
 
 
 def smoother_reading(readings: Iterable[tuple[str, NDArray[np.uint16], int]], cfa: NDArray[np.uint8]) -> str:
-    """Find an interpretation of the bytes of a frame that is far smoother than the interpretation in use.
+    """Find a decoding of a headerless file that gives a far smoother picture than the decoding in use.
 
     If low bits are mistaken for high bits, neighbouring pixels of the same channel differ by a large fraction of full scale.
-    A wrong interpretation can only add such differences, even to uniform, dark and noisy frames.
+    This is also true for uniform, dark or noisy frames. A wrong decoding never makes a frame smoother.
 
     Parameters
     ----------
     readings : iterable of (str, ndarray of uint16 (row, col), int)
-        Option, pixels and bits of each interpretation of the same bytes. The first is in use. The others are tried only if
-        the first is rough.
+        Option, pixels and bits per pixel of each decoding of the same bytes. The first element is the decoding in use. The
+        following elements are only requested if this decoding gives a rough picture.
     cfa : ndarray of uint8, (row, col)
-        CFA whose first site is the site of the first pixel.
+        Channel of each site, starting with the site of the first pixel.
 
     Returns
     -------
     str
-        Option that selects the smoother interpretation, or "" if there is none.
+        Option that selects the smoothest decoding, or "" if the decoding in use is plausible or no decoding is far smoother.
     """
     each = iter(readings)
     _, values, bits = next(each)
     rough = roughness(values, bits, cfa)
     if rough < ROUGH:
         return ""
-    # If one byte of every 16-bit word is zero, swapped bytes always look smoother, so they are no evidence.
+    # If one byte of every 16-bit word is 0, exchanging the bytes always gives a smoother picture. This is no evidence.
     found = [(roughness(other, bits, cfa), name) for name, other, bits in each if bits < 16 or other.max() >= 256]
     least, name = min(found, default=(rough, ""))
     return name if least * SMOOTHER < rough else ""
 
 
 def roughness(values: NDArray[np.uint16], bits: int, cfa: NDArray[np.uint8]) -> float:
-    """Return the mean difference between the nearest pixels of the same channel, as a fraction of full scale.
+    """Return the mean difference between neighbouring pixels of the same channel, as a fraction of full scale.
 
-    The result is 0 if the frame is smaller than two super-pixels.
+    The differences are measured in evenly spaced bands of a frame (row, col). `cfa` starts with the site of the first pixel.
+    The result is 0 if the frame has fewer than two super-pixels in either direction.
     """
     rows, cols = cfa.shape
     bands = len(values) // rows - 1
@@ -438,7 +481,7 @@ def roughness(values: NDArray[np.uint16], bits: int, cfa: NDArray[np.uint8]) -> 
 
 
 def _nearest_of_channel(cfa: NDArray[np.uint8], row: int, col: int) -> Phase:
-    """Return the offset (down, right) from a site to the nearest site of the same channel in the same or a lower row."""
+    """Return the offset (down, right) from a site to the nearest site of the same channel to the right or in a lower row."""
     rows, cols = cfa.shape
     steps = [
         (down, right)

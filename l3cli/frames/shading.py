@@ -1,8 +1,9 @@
-"""Correction of lens shading, the loss of light towards the corners (docs/method.md#corrections).
+"""Correction of lens shading, which is the loss of light towards the corners of a frame (docs/method.md#corrections).
 
-The loss averaged over the channels is corrected by a gain of the outputs, which is possible because transforms are linear.
-Classes are still determined from the uncorrected values, whose noise agrees with the noise model. Only the deviation of each
-channel from the average is corrected in the values themselves, which changes their noise only slightly.
+The mean loss of all channels is corrected by a gain that is applied to the rendered outputs. Because transforms are linear,
+this gain has the same effect as a gain that is applied to the raw values. The advantage is that classes are determined from
+uncorrected raw values, whose noise agrees with the noise model. Only the difference between the loss of a channel and the
+mean loss, called colour shading, is corrected in the raw values. This changes their noise only slightly.
 """
 
 from dataclasses import dataclass
@@ -14,25 +15,26 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:  # not imported at run time, which saves 80 ms when the decoding process starts
     from l3cli.artifacts.camera import FlatField
 
-CLIPPED = 0.985  # fraction of full scale; brighter pixels are clipped, so they are not corrected
-NODE_SPACING_COLUMNS = 16  # distance between the nodes of the gain, in columns
-FRACTION = 15  # number of fractional bits of colour shading
-MIN_COLOUR_SHADING = 8  # units of 2^-FRACTION (0.02 % in total); smaller differences between channels are not corrected
+CLIPPED = 0.985  # fraction of full scale; pixels at or above this fraction count as clipped and are not corrected
+NODE_SPACING_COLUMNS = 16  # distance between the nodes at which the output gain is stored, in columns
+FRACTION = 15  # number of fractional bits in the gains of the colour shading
+MIN_COLOUR_SHADING = 8  # in units of 2^-FRACTION, about 0.02 % in total; smaller colour shading is not corrected
 
 
 @dataclass(frozen=True, eq=False)
 class Shading:
     """The correction of lens shading for the frames of a sensor."""
 
-    gain: NDArray[np.float32]  # (row, node) output gain at every node; interpolated linearly between nodes
-    colour: NDArray[np.int16] | None  # (row, col) gain of the raw values minus 1, in units of 2^-FRACTION; None means 0
+    gain: NDArray[np.float32]  # (row, node) output gain at every node; interpolated linearly between the nodes
+    # (row, col) gain of the raw values minus 1, in units of 2^-FRACTION; None if colour shading is not corrected
+    colour: NDArray[np.int16] | None
 
     def gain_map(self, cols: int) -> NDArray[np.float64]:
-        """Return the output gain of each pixel, as an array (row, col)."""
+        """Return the output gain of each pixel (row, col) of a frame with `cols` columns."""
         return self.gain_at(np.arange(len(self.gain)), np.arange(cols))
 
     def gain_at(self, rows: NDArray[np.integer], cols: NDArray[np.integer]) -> NDArray[np.float64]:
-        """Return the output gain for all combinations of the given rows and columns, as an array (row, col)."""
+        """Return the output gains (row, col) for all combinations of the given rows and columns."""
         node, part = cols // NODE_SPACING_COLUMNS, (cols % NODE_SPACING_COLUMNS) / NODE_SPACING_COLUMNS
         gain = self.gain[rows].astype(np.float64)
         return np.asarray(gain[:, node] + (gain[:, node + 1] - gain[:, node]) * part)
@@ -40,17 +42,37 @@ class Shading:
     def of_patches(
         self, taken: tuple[NDArray[np.integer], ...], rows: NDArray[np.integer], cols: NDArray[np.integer]
     ) -> "Shading":
-        """Return the shading correction for patches instead of a frame.
+        """Return the shading correction for a list of patches of the frame.
 
-        The result contains the colour shading (patch, tap) of the pixels `taken`, and the gain at the centre of each patch.
-        The centres are all combinations of `rows` and `cols`.
+        Parameters
+        ----------
+        taken : tuple of ndarray
+            Index arrays that select the pixels of all patches.
+        rows, cols : ndarray
+            Rows and columns of the frame. The centres of the patches are all combinations of these rows and columns.
+
+        Returns
+        -------
+        Shading
+            Correction with the gain (patch, 1) at the centre of each patch, and the colour shading (patch, tap) of the
+            pixels. A tap is one pixel of a patch.
         """
         colour = None if self.colour is None else self.colour[taken].reshape(rows.size * cols.size, -1)
         return Shading(self.gain_at(rows, cols).reshape(-1, 1).astype(np.float32), colour)
 
 
 def shading_of(field: "FlatField", shape: tuple[int, int], cfa: NDArray[np.uint8]) -> Shading:
-    """Return the shading correction for a flat field. Frames have the shape (rows, cols) and the phase (0, 0)."""
+    """Return the shading correction for a flat field.
+
+    Parameters
+    ----------
+    field : FlatField
+        Gains of each channel on a grid of points.
+    shape : tuple of int
+        Rows and columns of the frames, whose first pixel is at CFA site (0, 0).
+    cfa : ndarray, (cfa_row, cfa_col)
+        Channel of each site.
+    """
     rows, cols = shape
     mean = field.shading_gain.mean(axis=0)
     down = interpolation(field.grid_row, np.arange(rows))
@@ -66,7 +88,16 @@ def shading_of(field: "FlatField", shape: tuple[int, int], cfa: NDArray[np.uint8
 
 
 def shading_of_gain(gain: NDArray[np.floating], period: tuple[int, ...]) -> Shading:
-    """Return the shading correction for a gain per pixel (row, col) and a CFA with a period (rows, cols)."""
+    """Return the shading correction that multiplies each pixel by a gain.
+
+    Parameters
+    ----------
+    gain : ndarray, (row, col)
+        Gain of each pixel.
+    period : tuple of int
+        Rows and columns of the CFA. The mean gain in the surrounding period becomes the output gain, and the difference
+        becomes the colour shading.
+    """
     (rows, cols), (down, across) = gain.shape, period
     first = np.clip(np.arange(0, cols + NODE_SPACING_COLUMNS, NODE_SPACING_COLUMNS) - across // 2, 0, max(cols - across, 0))
     columns = np.minimum(first[:, None] + np.arange(across), cols - 1)
@@ -80,7 +111,10 @@ def shading_of_gain(gain: NDArray[np.floating], period: tuple[int, ...]) -> Shad
 
 
 def interpolation(lines: NDArray[np.floating], places: NDArray[Any]) -> NDArray[Any]:
-    """Return the weights (place, line) of linear interpolation. Beyond the outermost lines, values are extrapolated."""
+    """Return the weights (place, line) for linear interpolation between grid lines at increasing positions `lines`.
+
+    There must be at least two lines. Outside their range, values are extrapolated linearly.
+    """
     above = np.clip(np.searchsorted(lines, places, side="right"), 1, lines.size - 1)
     part = (places - lines[above - 1]) / (lines[above] - lines[above - 1])
     weights = np.zeros((places.size, lines.size))
@@ -97,10 +131,10 @@ def clipped_from(black_level: float, white_level: float) -> int:
 def colour_corrected(
     values: NDArray[np.uint16], colour: NDArray[np.int16], black_level: float, white_level: float
 ) -> NDArray[np.uint16]:
-    """Correct colour shading by applying `colour` as a gain about the black level. Values may have any shape.
+    """Return raw values after multiplying their differences from the black level by 1 + `colour` · 2^-FRACTION.
 
-    The results are equal to the results of opencl/common/shading.cl, bit for bit. Clipped pixels are unchanged, and no other
-    pixel becomes clipped.
+    `values` and `colour` have the same shape. Clipped pixels are unchanged, and no other pixel becomes clipped. The results
+    are identical to the results of opencl/common/shading.cl.
     """
     black, clipped = round(black_level), clipped_from(black_level, white_level)
     wide = values.astype(np.int32)

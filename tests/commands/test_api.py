@@ -233,7 +233,7 @@ def test_options_have_names_types_and_ranges(tmp_path: Path) -> None:
 def test_an_array_that_is_no_frame_is_described(wrong: Any, described: str) -> None:
     renderer = l3.Renderer(RGGB, backend="reference")
     for call in (renderer.picture, renderer.outputs, renderer.labels, renderer.sequence(None)):
-        with pytest.raises(InputFileError, match=f"array with .*{described} is not a raw frame; pass DN"):
+        with pytest.raises(InputFileError, match=f"array with .*{described} is not a raw frame; pass raw values"):
             call(wrong)
 
 

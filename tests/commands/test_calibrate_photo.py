@@ -76,8 +76,8 @@ def test_a_dng_alone_makes_a_camera(folder: Path, bayer: CameraModel, tmp_path: 
     truth = truth / truth.max()
     assert np.sqrt(np.mean((model.responsivity - truth) ** 2)) < 0.05
     assert np.mean(np.abs(model.responsivity - truth) <= model.responsivity_band + 0.005) > 0.85
-    assert "chart.dng: classic, light D65" in out
-    assert "one more photo, under" in out
+    assert "chart.dng: classic, illuminant D65" in out
+    assert "a further photo under" in out
     assert "not measured, assumed to be 0: dark current, DSNU, PRNU" in out
     code, out, err = l3("calibrate", "--photo", tmp_path / "chart.dng", "-o", tmp_path / "guessed.h5", "--json")
     assert code == 0, err
@@ -199,7 +199,7 @@ def test_a_white_shot_and_a_dark_one(folder: Path, tmp_path: Path, l3: L3) -> No
         ('frames = ["d65.npy"]\ncorners = [[10, 10], [20, 20], [30, 30], [40, 40]]', 3, "on a line"),
         ('frames = ["d65.npy"]\ncorners = [[20, 20], [160, 20], [160, 120], [20, 120]]', 3, "do not resemble the patches"),
         ('frames = ["d65.npy"]\nlayout = [6, 4]\ncorners = [[20, 20], [160, 20], [160, 120], [20, 120]]', 3, "4, 24 and 21"),
-        ('frames = ["d65.npy", "small.npy"]', 3, "differ in size or phase"),
+        ('frames = ["d65.npy", "small.npy"]', 3, "differ in size or CFA phase"),
         ("frames = []", 2, "frames has 0 values; use at least 1"),
         ('frames = ["missing.npy"]', 3, "missing.npy does not exist"),
         ('frames = ["table.csv"]', 3, "table.csv"),

@@ -146,7 +146,7 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
     "share": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent / 1000), "quantum efficiency is 0.0005593"),
     "normal": (
         lambda nm, percent: written("nm,r,g,b", nm, percent / percent.max()),
-        "seems to contain relative curves, because their peak is 1",
+        "seems to contain relative curves, because the highest peak is 1",
     ),
     "below": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent - 5), "contains negative values"),
     "dark": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent * [1, 0, 1]), "channel g is zero"),
@@ -207,7 +207,7 @@ def test_a_mistake_in_curves_is_one_line(mistake: str, folder: Path, refused: Re
             f'file = "{CSV}"',
             "gaussians = {r = []}",
             2,
-            "missing key `wavelength_nm` in [responsivity], which is required for gaussians",
+            "missing key `wavelength_nm` in [responsivity], which responsivity.gaussians requires",
         ),
         (f'file = "{CSV}"', "", 2, "set either responsivity.gaussians or responsivity.file"),
     ],

@@ -251,7 +251,7 @@ WRONG = """
     shape = [2, 2]                      | shape = [2, 9]                     | 2 | shape[2] is 9; use at most 8
     arrays = [["g r w r", "b g b g"]]   | arrays = [["g r", "r g"]]          | 2 | fewer than 3 independent outputs
     arrays = [["g r w r", "b g b g"]]   | arrays = [["g r", "b x"]]          | 2 | "x" is not a filter
-    counts = { g = 4, r = 2, b = 2 }    | counts = { g = 4, r = 2 }          | 2 | the sum of counts is 6, but
+    counts = { g = 4, r = 2, b = 2 }    | counts = { g = 4, r = 2 }          | 2 | the counts add up to 6, but
     counts = { g = 4, r = 2, b = 2 }    | counts = { g = 4, r = 4 }          | 2 | fewer than 3 independent outputs
     g = { centre_nm = 535, sigma_nm = 40 } | g = { centre_nm = 535 }         | 2 | set both centre_nm and sigma_nm
     g = { centre_nm = 535, sigma_nm = 40 } | g = { centre_nm = 900, sigma_nm = 9, floor = 0 } | 2 | filter g is opaque
@@ -262,10 +262,10 @@ WRONG = """
     name = "four"                       | name = "four"; rivals = [["r x"]]  | 2 | "x" is not a filter
     lux = 10                            | lux = 1e9                          | 2 | clip behind every filter
     lux = 10                            | luminance_cd_m2 = 1; lux = 10      | 2 | luminance_cd_m2 and lux exclude each other
-    illuminant = "A"                    | illuminant = "F2"                  | 2 | needs moments under F2
+    illuminant = "A"                    | illuminant = "F2"                  | 2 | needs scene moments for the illuminant F2
     share = 0.9                         | name = "x"                         | 2 | needs either share
     bare = "bare.csv"                   | bare = 1.5                         | 2 | between 0 and 1
-    bare = "bare.csv"                   | pitch_um = 2.0                     | 3 | run l3 design moments with --camera
+    bare = "bare.csv"                   | pitch_um = 2.0                     | 3 | run "l3 design moments" with --camera
     file = "blue.csv"                   | file = "none.csv"                  | 3 | none.csv
 """
 

@@ -127,12 +127,12 @@ def test_what_nobody_states_is_marked(lab: Path, tmp_path: Path, l3: L3, refused
     folder = renamed(lab, tmp_path / "captures", without_times, timed=False)
     code, _, err = l3("calibrate", "--draft", folder, "-o", folder / "M.toml")
     assert code == 0
-    assert "missing: exposure_s of mono_430nm_0_0.tif: s; for" in err
+    assert "missing: exposure_s of mono_430nm_0_0.tif: s; exposure time of" in err
     assert "missing: pixel_pitch_um of [sensor]" in err
     text = (folder / "M.toml").read_text()
     steps = text.count("\n[[mono]]")
     assert steps > 8
-    assert f"s; for {steps} captures; set exposure_s in a capture if it differs" in text
+    assert f"s; exposure time of {steps} captures; if a capture differs, set exposure_s there" in text
     assert text.count("# TODO exposure_s = 0.01") == text.count("\n[[") - steps + 1
     assert tomllib.loads(text)["cfa"] == {"channels": ["r", "g", "b"], "pattern": ["r g", "g b"]}
     assert "`pixel_pitch_um`" in refused(2, "calibrate", folder / "M.toml", "-o", tmp_path / "c.h5")
@@ -269,7 +269,7 @@ def test_what_is_no_raw_frame_is_distinguished(lab: Path, tmp_path: Path, l3: L3
     assert code == 0
     assert any("developed.tif has 3 channels of uint8" in line and line.endswith("left out") for line in err.splitlines())
     assert "1 × .jpg: developed pictures contain no raw values; left out" in err
-    assert "labels.png has no noise, so it seems to be a mask or a drawing; left out" in err
+    assert "left out labels.png, which seems to be a mask or a drawing, because it has no noise" in err
     assert "colour filter array differs (96×256, for example white_other.tif)" in err
     assert "1 frame: all values are multiples of 16" in err
     assert "of the frequent values, the next higher value never occurs" in err

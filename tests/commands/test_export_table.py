@@ -170,7 +170,7 @@ def test_words_are_of_c_source(table: Path, bayer: CameraModel, tmp_path: Path, 
         2, "export", table, "-o", tmp_path / "f", "--to", "folder", "--words", "int16"
     )
     save(bayer, tmp_path / "camera.h5")
-    assert "--words is only for transform" in refused(
+    assert "--words works only for transform" in refused(
         2, "export", tmp_path / "camera.h5", "-o", tmp_path / "f", "--words", "int16"
     )
     assert "'half'; use one of float32, int16" in refused(2, "export", table, "-o", tmp_path / "f", "--words", "half")
@@ -180,7 +180,7 @@ def test_words_are_of_c_source(table: Path, bayer: CameraModel, tmp_path: Path, 
 def test_wrong_artifacts_and_forms_are_refused(table: Path, bayer: CameraModel, tmp_path: Path, refused: Refused) -> None:
     save(bayer, tmp_path / "camera.h5")
     line = refused(2, "export", tmp_path / "camera.h5", "-o", tmp_path / "c", "--to", "c")
-    assert "--to is only for transform tables" in line
+    assert "--to works only for transform tables" in line
     assert "camera.h5" in line
     save(some_sums(bayer)[0], tmp_path / "sums.h5")
     line = refused(3, "export", tmp_path / "sums.h5", "-o", tmp_path / "c")

@@ -127,7 +127,7 @@ MISTAKES = """
     3 render table.h5 cut.raw -o new.png
         specify the layout with --size ROWSxCOLS, --packing, --stride and --skip
     2 render table.h5 cut.raw -o new.png --packing PolarizedStokes_S0_S1_S2_Mono8
-        values that the camera computed from the raw values; record frames in a format such as PolarizeMono12p
+        values that the camera computed from its raw values; record raw frames in a format such as PolarizeMono12p
     2 render table.h5 raw.tif
         Missing option '-o'
     2 render table.h5 -o new.png
@@ -267,7 +267,7 @@ MISTAKES = """
     2 calibrate lab/MEASUREMENTS.toml --light A -o new.h5
         leave --light out
     2 calibrate lab/MEASUREMENTS.toml --camera bayer -o new.h5
-        --camera is only for --draft
+        --camera works only with --draft
     2 calibrate --draft lab -o new.h5
         ends in .toml
     3 calibrate --draft nothing -o new.toml
@@ -275,7 +275,7 @@ MISTAKES = """
     3 calibrate --draft folder -o new.toml
         folder contains no raw frame
     3 calibrate --draft lab/spectra -o new.toml
-        neither a sweep nor responsivities, and there is no raw frame
+        neither a sweep nor responsivities; add a table
     2 calibrate --draft lab -o new.toml --photo a.dng
         leave --photo out
     2 calibrate --draft lab lab/MEASUREMENTS.toml -o new.toml
@@ -293,7 +293,7 @@ MISTAKES = """
     2 train training.h5 --classes level.toml -o new.h5
         unknown key `level` in [classes]
     2 train training.h5 --classes levels.toml -o new.h5
-        more levels than values
+        more levels than distinct values
     2 train training.h5 --shares 1,2 -o new.h5
         --shares contains 2 values, but the number of training sets is 1
     2 train training.h5 --shares 0 -o new.h5
@@ -373,11 +373,11 @@ MISTAKES = """
     2 export table.h5 -o new --to folder --words int16
         --words applies only to C source
     2 export camera.h5 -o new --words int16
-        --words is only for transform
+        --words works only for transform
     2 export table.h5 -o new --words half
         'half'; use one of float32, int16
     2 export camera.h5 -o new --to c
-        --to is only for transform tables
+        --to works only for transform tables
     2 export table.h5 -o new --to halide
         'halide'; use one of c, folder
     3 export training.h5 -o new
@@ -401,11 +401,11 @@ MISTAKES = """
     1 init bayer lab
         lab is not empty; add --force
     2 init bayer new more
-        specify raw files with --from
+        "more" is not expected
     2 init bayer new --light A
         specify the raw files with --from
     2 init bayer new --phase 0,1
-        --phase is only for raw files
+        --phase works only with raw files
     3 init --from folder new
         folder contains no raw files
     3 init --from nothing.dng new
@@ -596,7 +596,7 @@ def test_a_table_that_does_not_hold_its_camera_knows_its_sensitivity(
     table = load(TransformTable, pipeline / "table.h5")
     assert table.camera is not None
     assert table.camera.fit is None
-    with pytest.raises(ValueError, match="CFA of the camera differ"):
+    with pytest.raises(ValueError, match="differ from channels or cfa"):
         dataclasses.replace(table, camera=dataclasses.replace(table.camera, cfa=table.cfa[::-1]))
     save(dataclasses.replace(table, camera=None), tmp_path / "old.h5")
     assert l3("evaluate", tmp_path / "old.h5", pipeline / "unseen.h5", "--json")[2] == ""

@@ -70,7 +70,7 @@ def test_the_noise_model_of_the_page_is_simulated(installed: Path, pipeline: Pat
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("return np.array(planes)", "return np.array(planes[:2])", "its shape is (2, "),
+        ("return np.array(planes)", "return np.array(planes[:2])", "the result has the shape (2, "),
         ("return np.array(planes)", "return np.array(planes) * np.nan", "must be finite and have the shape (3, "),
         (
             "size = 2",
@@ -104,8 +104,8 @@ def test_names_that_are_taken_or_unknown_are_refused(
     entries = installed / "my_l3-1.0.dist-info/entry_points.txt"
     text = entries.read_text()
     for name, words in {
-        "basic": "has the same name as a built-in baseline of l3",
-        "ideal": '"ideal" is already in use',
+        "basic": "has the same name as a built-in baseline",
+        "ideal": '"ideal" is reserved',
         "a/b": "may contain only letters",
     }.items():
         entries.write_text(text.replace("boxes =", f"{name} ="))

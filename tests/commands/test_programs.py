@@ -85,7 +85,7 @@ def test_arrays_that_are_no_frames(there: Path) -> None:
             l3cli.raw_frame(values, table, pattern=pattern)
     with pytest.raises(InputFileError, match="the array has the colour filter array rr/gg"):
         l3cli.raw_frame(values, table, pattern="rrgg")
-    with pytest.raises(InputFileError, match="is not a raw frame; pass DN"):
+    with pytest.raises(InputFileError, match="is not a raw frame; pass raw values"):
         l3cli.raw_frame(values.astype(np.float32), table)
     stated = l3cli.raw_frame(values, table, neutral={"R": 0.5, "G": 1.0, "B": 0.7}, black_level=10, white_level=255)
     assert (stated.neutral, stated.black_level, stated.white_level) == ((0.5, 1.0, 0.7), 10, 255)

@@ -211,6 +211,6 @@ def test_the_history_is_compared_with_its_inputs(bayer_recipe: Path, tmp_path: P
     sets[0].write_bytes(sets[0].read_bytes()[:-1])
     code, out, err = l3("info", "--verify", table, *sets, classes)
     assert (code, err.count("\n")) == (3, 1)
-    assert f"{table} was not made from {sets[0]}, {classes}" in err
+    assert f"the history of {table} does not contain {sets[0]}, {classes}" in err
     assert "train training set: 1 verified" in out
     assert "--verify" in l3("info", table, sets[1])[2]

@@ -153,9 +153,9 @@ def test_captures_that_contradict_are_refused(body: Body, figures: SensorFigures
     wrong[4] += 10.0
     with pytest.raises(InputFileError, match=r"^70deg\.tif"):
         measure_polarisers(captured(body, LIGHT, wrong), figures)
-    with pytest.raises(InputFileError, match="p90 cannot be determined from 2 usable angles"):
+    with pytest.raises(InputFileError, match="p90 from captures with 2 usable angles"):
         measure_polarisers(captured(body, np.array([0.0, 90.0, 180.0])), figures)
-    with pytest.raises(InputFileError, match="p90 cannot be determined from 3 usable angles"):
+    with pytest.raises(InputFileError, match="p90 from captures with 3 usable angles"):
         measure_polarisers(captured(body, np.array([0.0, 5.0, 10.0])), figures)
     with pytest.raises(InputFileError, match=r"p90 .* 9\.\d%"):
         measure_polarisers(captured(body, LIGHT, polarisation=0.1), figures)

@@ -127,7 +127,7 @@ def test_correction_takes_the_nearest_sound_pixels_of_the_channel() -> None:
         plan_correction(np.ones((8, 8), bool), np.array(BAYER, np.uint8))
     large = np.zeros((200, 200), bool)
     large[50:100, 50:100] = True
-    with pytest.raises(InputFileError, match=r"pixel \(\d+, \d+\) has no good neighbour within 16 pixels"):
+    with pytest.raises(InputFileError, match=r"pixel in row \d+, column \d+ has no good neighbour of the same channel"):
         plan_correction(large, np.array(BAYER, np.uint8))
 
 
@@ -428,7 +428,7 @@ def test_darks_and_whites_alone_give_defects_and_flat_field(
     assert set(camera.history[0].inputs) == {"measurements", "frames", "camera"}
     code, out, _ = l3("calibrate", captures / "M.toml", "-o", tmp_path / "again.h5")
     assert "rows 1, columns 1, clusters" in out
-    assert "light lost in the darkest corner: r 5" in out
+    assert "loss of light in the darkest corner: r 5" in out
     assert (tmp_path / "camera.h5").read_bytes() == (tmp_path / "again.h5").read_bytes()
 
 

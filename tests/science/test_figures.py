@@ -98,7 +98,7 @@ def test_a_table_that_overflows_is_named(pipeline: Path, tmp_path: Path, refused
     )
     save(dataclasses.replace(with_first(table, weights=weights), output_unit=1e26), tmp_path / "huge.h5")
     line = refused(3, "evaluate", tmp_path / "huge.h5", pipeline / "unseen.h5", "--quiet", "--backend", "reference")
-    assert "computes impossibly large values in frame" in line
+    assert "to implausibly large or infinite values" in line
 
 
 def test_a_grid_finer_than_the_camera_and_beyond_it_holds_no_nan() -> None:
@@ -113,7 +113,7 @@ def test_what_is_no_number_is_null_and_reported(capsys: pytest.CaptureFixture[st
     terminal.show_json(terminal.finite(document, terminal.Terminal()))
     out, err = capsys.readouterr()
     assert strict(out) == {"a": [1.0, None], "b": {"c": None}, "d": "nan", "e": None, "f": [True, 2]}
-    assert err == "warning: values that cannot be computed are null in the JSON: a.1, b.c\n"
+    assert err == "warning: some values cannot be computed and are null in the JSON: a.1, b.c\n"
     terminal.show_json(terminal.finite(document, terminal.ErrorsOnly()))
     assert capsys.readouterr().err == ""
     assert [figure(value, ".2f") for value in (1.234, float("nan"), float("inf"))] == ["1.23", "–", "–"]

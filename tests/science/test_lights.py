@@ -183,7 +183,7 @@ def test_lights_of_other_classes_are_refused() -> None:
     for message, fields in (
         ("conditions/1 has 1 layers, but the table has 2", {"later": ()}),
         ("the transforms of conditions/1/later/0 and later/0 have different shapes", {"later": (narrow,)}),
-        ("conditions must be grouped by light", {"light": warm.light}),
+        ("conditions must be grouped by illuminant", {"light": warm.light}),
     ):
         with pytest.raises(ValueError, match=message):
             dataclasses.replace(table, conditions=(warm, dataclasses.replace(cool, **fields)))

@@ -185,7 +185,7 @@ def test_level_contrast_and_case_mean_what_they_state(fiveband: CameraModel) -> 
     [
         (ClassRecipe(patch=3), "does not contain every channel"),
         (ClassRecipe(levels=1), "levels ≥ 2"),
-        (ClassRecipe(levels=60000), "more levels than values"),
+        (ClassRecipe(levels=60000), "more levels than distinct values"),
         (ClassRecipe(contrasts=(2.0, 1.0)), "increasing order"),
         (ClassRecipe(patch=8), "odd"),
         (ClassRecipe(patch=17), "odd number from 1 to 15"),

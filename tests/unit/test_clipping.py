@@ -237,7 +237,7 @@ def test_a_table_keeps_it_and_refuses_what_cannot_be(tmp_path: Path) -> None:
     for response in (np.zeros((4, 3, 3)), np.full((4, 4, 3), np.nan)):
         with pytest.raises(ValueError, match="response"):
             Clipping(response, np.ones(3))
-    with pytest.raises(ValueError, match="must have coarse chroma"):
+    with pytest.raises(ValueError, match="must also have coarse_chroma"):
         dataclasses.replace(table.later[-1], coarse_chroma=None)
     wrong = dataclasses.replace(table.later[-1], clipping=Clipping(np.zeros((5, 5, 3)), np.ones(4)))
     with pytest.raises(ValueError, match="channel"):

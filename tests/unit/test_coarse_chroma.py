@@ -157,7 +157,7 @@ def test_a_table_keeps_it_and_refuses_what_cannot_be(tmp_path: Path) -> None:
     for variance in (np.ones((3, 3, 3)), -np.ones(COMPARED), np.zeros(COMPARED)):
         with pytest.raises(ValueError, match="variance"):
             CoarseChroma(variance)
-    with pytest.raises(ValueError, match="only the last layer may have coarse chroma"):
+    with pytest.raises(ValueError, match="only the last layer may have coarse_chroma"):
         dataclasses.replace(table, later=(table.later[0], bare.later[0]))
     with pytest.raises(RecipeError, match="is allowed only in the last layer"):
         refuse_first(layer_faults((LayerRecipe(coarse_chroma=True), LayerRecipe())))

@@ -291,5 +291,5 @@ def test_a_table_keeps_smoothed_chroma_and_refuses_other_outputs(tmp_path: Path)
     for reach, likeness in ((0.0, 0.4), (1.0, 0.4), (0.6, 0.0)):
         with pytest.raises(ValueError, match=r"reach is|likeness is"):
             ChromaSmoothing(reach, likeness)
-    with pytest.raises(ValueError, match="outputs are X, Y, Z"):
+    with pytest.raises(ValueError, match="requires the outputs X, Y, Z"):
         with_smoothed_chroma(random_table(BAYER, outputs=("a", "b", "c")))

@@ -1,4 +1,4 @@
-"""Writes the text of a measurement file from the frames and tables in a folder."""
+"""Composes the draft of a measurement file from the frames and the tables of spectra in a folder."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -34,14 +34,15 @@ from l3cli.system.text import printable
 COLUMN = 54  # column at which comments begin
 HEAD = "Draft: complete the lines marked TODO, check the lines marked ASSUMED, then run l3 calibrate on this file."
 LAMP = (
-    "If you read the lamp during a capture, set monitor to this reading divided by the reading for its spectrum.",
-    "State the uncertainty of lamps at the end of the file: [uncertainty] lamp_drift = 0.01 (relative), wavelength_nm = 0.1",
+    "If you measured the brightness of the lamp during a capture, set monitor to this reading divided by the reading during",
+    "the measurement of its spectrum. At the end of the file, you can state the uncertainty of lamp and monochromator:",
+    "[uncertainty] lamp_drift = 0.01 (relative), wavelength_nm = 0.1",
 )
 PITCH = "µm; distance between pixels, from the data sheet"
 LEAST_CHARTS = 2  # smallest number of charts from which gain and offset can be fitted
-CORNERS = [[10, 10], [240, 10], [240, 170], [10, 170]]  # example; column and row in pixels
-SHARING = ("[[mono]]", "[[band]]")  # types of captures to which [common] applies
-SEVERAL = 2  # a key that at least this number of captures lack is written to [common]
+CORNERS = [[10, 10], [240, 10], [240, 170], [10, 170]]  # example of the corners of a chart: column and row in pixels
+SHARING = ("[[mono]]", "[[band]]")  # types of captures to which the section [common] applies
+SEVERAL = 2  # if this number of captures lack a key, the draft contains the key once, in [common]
 EXAMPLE_SPECTRUM = "spectra/mono.csv"
 PAIR = 2  # smallest number of frames from which noise can be measured
 Mosaic = NDArray[np.floating]
@@ -52,8 +53,8 @@ class DraftText:
 
     def __init__(self) -> None:
         self._lines: list[str] = []
-        self.assumed: list[str] = []  # messages about assumed values that the user should check
-        self._missing: list[tuple[str, str, str]] = []  # missing key, file or section that needs this key, explanation
+        self.assumed: list[str] = []  # messages about assumed values, which the user should check
+        self._missing: list[tuple[str, str, str]] = []  # missing key, the capture or section that needs it, explanation
 
     def __str__(self) -> str:
         return "\n".join(self._lines) + "\n"
@@ -75,33 +76,33 @@ class DraftText:
         self._line(f"{name} = {toml_value(value)}", comment)
 
     def assume(self, name: str, value: Any, why: str, announced: bool = True) -> None:
-        """Add a key with a probable value. If `announced`, the value is also reported on the console."""
+        """Add a key with a probable value, marked ASSUMED. If `announced` is true, add the value to `assumed` too."""
         self._line(f"{name} = {toml_value(value)}", f"ASSUMED: {why}")
         if announced:
             self.assumed.append(f"{name} = {toml_value(value)}: {why}")
 
     def todo(self, name: str, example: Any, what: str, where: str) -> None:
-        """Add a commented-out key with an example, because only the user knows the value.
+        """Add a commented-out key with an example, marked TODO, because only the user knows the value.
 
-        `where` is the capture, file or section to which the key belongs.
+        `what` explains the value. `where` is the capture, file or section to which the key belongs.
         """
         self._line(f"# TODO {name} = {toml_value(example)}", what)
         self._missing.append((name, where, what))
 
     def fill(self, name: str, value: Any, what: str, where: str) -> None:
-        """Add a key that refers to a file that the user must create."""
+        """Add a key whose value is the name of a file that the user must create, marked TODO."""
         self._line(f"{name} = {toml_value(value)}", f"TODO: {what}")
         self._missing.append((name, where, what))
 
     def todo_table(self, heading: str, what: str, *keys: tuple[str, Any]) -> None:
-        """Add a missing section as a comment."""
+        """Add a missing section and its keys as comments, marked TODO."""
         self._lines += ["", f"# TODO {heading}  # {printable(what)}"]
         self._lines += [f"# {name} = {toml_value(value)}" for name, value in keys]
         self._missing.append((heading, "", what))
 
     @property
     def missing(self) -> list[str]:
-        """One line with an explanation for each key that the user must fill in."""
+        """One line for each key that the user must fill in. Captures that lack the same key share a line."""
         alike: dict[tuple[str, str], list[str]] = {}
         for name, where, what in self._missing:
             alike.setdefault((name, re.sub(r"\d[\d.e+-]*", "#", what)), []).append(where)
@@ -119,28 +120,28 @@ class DraftText:
 class Survey:
     """Contents of a folder of captures."""
 
-    shape: tuple[int, int]
-    period: tuple[int, int]
-    array: CfaRecipe | None  # colour filter array in the metadata of the files
+    shape: tuple[int, int]  # rows and columns of the frames
+    period: tuple[int, int]  # rows and columns after which the filter array repeats
+    array: CfaRecipe | None  # colour filter array, from the metadata
     black_level: float | None  # DN; from the metadata
     white_level: float | None  # DN; from the metadata
     scale: Scale
     groups: list[Group]
     tables: list[Spectra]
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # remarks for the user, which become comments in the draft
 
     @property
     def top(self) -> int:
-        """Largest DN of all frames."""
+        """Largest raw value of all frames in DN."""
         return max(frame.summary.top for group in self.groups for frame in group.frames)
 
     @property
     def black(self) -> float:
-        """Black level in DN, from the metadata or from the darkest frames."""
+        """Black level in DN, from the metadata if they contain it, otherwise from the darkest frames."""
         return float(self.scale.black.mean()) if self.black_level is None else self.black_level
 
     def groups_of(self, *kinds: str) -> list[Group]:
-        """Return the captures of the given types."""
+        """Return the captures whose type is one of `kinds`."""
         return [group for group in self.groups if group.kind in kinds]
 
 
@@ -148,7 +149,7 @@ class Survey:
 
 
 def known_body(out: DraftText, camera: CameraModel) -> None:
-    """Add the sections [sensor], [cfa] and [optics] of a known camera."""
+    """Add the sections [sensor], [cfa] and [optics] with the values of a known camera."""
     out.table("[sensor]", rows=camera.rows, cols=camera.cols, pixel_pitch_um=round(camera.pixel_pitch * 1e6, 9))
     out.key("bits", camera.bits)
     out.table("[cfa]", channels=list(camera.channels), pattern=array_rows(camera.channels, camera.cfa))
@@ -156,16 +157,17 @@ def known_body(out: DraftText, camera: CameraModel) -> None:
 
 
 def unknown_optics(out: DraftText) -> None:
-    """Add the section [optics] with values that the user must fill in."""
+    """Add the section [optics] with keys that the user must fill in."""
     out.table("[optics]")
     out.todo("focal_length_mm", 25.0, "mm; focal length of the lens", "[optics]")
     out.todo("f_number", 4.0, "f-number that was set on the lens", "[optics]")
 
 
 def _seen_body(out: DraftText, seen: Survey, photo: bool) -> None:
-    """Add the sections [sensor], [cfa] and [optics], with the information that the frames contain.
+    """Add the sections [sensor], [cfa] and [optics] with the values that can be determined from the frames.
 
-    If `photo` is set, all captures are photographs of charts, for which pixel pitch and optics do not matter.
+    If `photo` is true, the captures are photos of charts. Typical values are then assumed for pixel pitch and optics,
+    because these values do not influence the result.
     """
     out.table("[sensor]", rows=seen.shape[0], cols=seen.shape[1])
     if photo:
@@ -208,26 +210,26 @@ class Composer:
     camera : CameraModel or None
         The camera, if it is known.
     folder : str
-        Path to the frames, as it appears in the draft.
+        Folder of the frames, as it is written in the draft. "." for the folder of the draft.
     read : callable
-        Returns the raw values of the frame with the given path.
+        Function that returns the raw values of the frame with a given path.
     """
 
     def __init__(self, seen: Survey, camera: CameraModel | None, folder: str, read: Callable[[str], Mosaic]) -> None:
         self.seen, self.camera, self.folder, self.read = seen, camera, folder, read
         self.out = DraftText()
-        self.shared: set[str] = set()  # keys that the draft has already explained in [common] or for the first capture
+        self.shared: set[str] = set()  # keys that the draft has already explained, in [common] or for the first capture
         self.steps, self.bands = seen.groups_of("mono"), seen.groups_of("band")
         self.charts = seen.groups_of("chart", "structured")
         self.whites, self.darks = seen.groups_of("white"), seen.groups_of("dark")
-        if self.steps and self.bands:  # only one source of responsivity is allowed, and monochromatic captures are better
+        if self.steps and self.bands:  # a file can contain only one of the two, and monochromatic captures are more accurate
             seen.notes.append(
-                f"{len(self.bands)} captures of a chart behind filters left out, because there are monochromatic captures"
+                f"left out {len(self.bands)} captures of a chart behind filters, because there are monochromatic captures"
             )
             self.bands = []
 
     def text(self, name: str) -> DraftText:
-        """Compose the whole draft. The sections have the same order as in other measurement files."""
+        """Compose the whole draft. `name` is the name of the camera if the camera is unknown."""
         out = self.out
         corners = self._chart_corners()
         if self.camera is not None:
@@ -244,7 +246,7 @@ class Composer:
         else:
             self._photos(corners)
         if not self.steps and not self.bands and not self.charts:
-            what = "the folder contains no monochromatic captures, charts or curves from which to get the responsivity"
+            what = "responsivities, because the folder contains no monochromatic captures, charts or curves"
             out.todo_table("[curves]", what, ("file", "curves.csv"), ("per_energy", True))
         self._sensor_frames()
         self._polarisers()
@@ -257,7 +259,7 @@ class Composer:
     # -------------------------------------------------------------------------------------------------- captures
 
     def _common(self, group: Group, heading: str) -> None:
-        """Add the frames and the exposure time of a capture."""
+        """Begin the entry of a capture, and add its frames and its exposure time."""
         out, first = self.out, group.first
         out.table(heading, frames=self._names(group))
         if first.seconds is not None:
@@ -281,9 +283,9 @@ class Composer:
             path, nm = step.first.name.path, step.first.name.nm
             uneven = step.first.summary.unevenness(float(seen.scale.black.mean()))
             if uneven > 4 * sorting.DIM and not seen.scale.clipped(step):
-                out.comment(f"The illumination is uneven by {uneven:.0%}, but [[mono]] needs a uniform field.")
+                out.comment(f"The illumination varies by {uneven:.0%} over the frame, but [[mono]] needs a uniform field.")
             if not columns and len(matched) >= SEVERAL:
-                what = "make this table with the radiance of each [[mono]] in a column, or write the name of your table"
+                what = "make this table, with one column of radiances per [[mono]], or write the name of your table"
                 self._wanted("spectrum", EXAMPLE_SPECTRUM, what, path)
                 out.key("column", number if nm is None else f"{nm:g}nm")
             elif column is None:
@@ -295,10 +297,10 @@ class Composer:
         note_unused(columns, matched, seen.notes)
 
     def _share(self, groups: Sequence[Group], unitless: Sequence[str], unit: str) -> None:
-        """Add the section [common] with TODOs for keys that several captures lack: the exposure time and the unit of the
-        radiances.
+        """Add the section [common] with the keys that several captures lack, marked TODO.
 
-        `unitless` contains the captures whose radiances have no unit.
+        These keys are the exposure time, and the unit of the radiances. `unitless` contains the captures or tables whose
+        radiances have no unit.
         """
         out, untimed = self.out, [group for group in groups if group.first.seconds is None]
         if len(untimed) < SEVERAL and len(unitless) < SEVERAL:
@@ -306,7 +308,7 @@ class Composer:
         out.table("[common]")
         if len(untimed) >= SEVERAL:
             self.shared.add("exposure_s")
-            what = f"s; for {len(untimed)} captures; set exposure_s in a capture if it differs"
+            what = f"s; exposure time of {len(untimed)} captures; if a capture differs, set exposure_s there"
             out.todo("exposure_s", 0.01, what, untimed[0].first.name.path)
         if len(unitless) >= SEVERAL:
             self.shared.add("unit")
@@ -314,10 +316,7 @@ class Composer:
             out.todo("unit", unit, what, unitless[0])
 
     def _wanted(self, key: str, example: str, what: str, where: str) -> None:
-        """Add a reference to a table that the user must create.
-
-        The comment of the first reference explains the contents of the table.
-        """
+        """Add a key whose value is a table that the user must create. The explanation is added only the first time."""
         if key in self.shared:
             self.out.key(key, example, "as above")
         else:
@@ -325,10 +324,10 @@ class Composer:
             self.shared.add(key)
 
     def _unit(self, table: CurveTable, column: int | None) -> None:
-        """Add the unit of radiances if the heading of the column contains no unit.
+        """Add the unit of radiances if the headings of their table contain no unit.
 
-        The unit of photon radiances is assumed if the values are usual for photon radiances. Otherwise, a TODO with the peak
-        is added. If `column` is given and the draft has already explained the unit, no TODO is added.
+        If the values are typical of photon radiances, this unit is assumed. Otherwise the unit is added as a TODO, unless
+        `column` is set and [common] already contains the unit.
         """
         if unknown_unit(table, column):
             if column is None or "unit" not in self.shared:
@@ -336,13 +335,14 @@ class Composer:
                 what = f"the heading contains no unit; the peak is {peak:.3g}"
                 self.out.todo("unit", POWER_RADIANCE, what, table.path.name)
         elif not any(table.units):
-            why = "the heading contains no unit, but the values are usual for photon radiances"
+            why = "the heading contains no unit, but the values are typical of photon radiances"
             self.out.assume("unit", PHOTON_RADIANCE, why, False)
 
     def _chart_corners(self) -> dict[int, sorting.Corners]:
-        """Find the corners of each chart. The result is keyed by the `id` of the capture.
+        """Search all captures in `self.charts` for a chart, and return the corners that were found.
 
-        Captures of structured scenes without a chart are removed from `self.charts`.
+        The keys of the result are the `id` of each capture. Captures that are neither uniform nor contain a chart are
+        removed from `self.charts`, unless their names say that they are charts.
         """
         seen, found = self.seen, dict[int, sorting.Corners]()
         for group in list(self.charts):
@@ -351,20 +351,20 @@ class Composer:
                 found[id(group)] = corners
             elif group.kind == "structured":
                 self.charts.remove(group)
-                seen.notes.append(f"{group.first.name.path}: neither a uniform field nor a chart; left out")
+                seen.notes.append(f"left out {group.first.name.path}, which contains neither a uniform field nor a chart")
         return found
 
     def _corners(self, corners: sorting.Corners | None, path: str) -> None:
         if corners is not None:
             self.out.key("corners", corners, "found")
         else:
-            what = "no chart was found; column and row of the outer corners of patches 1, 6, 24 and 19"
+            what = "l3 found no chart; write the column and row of the outer corners of patches 1, 6, 24 and 19"
             self.out.todo("corners", CORNERS, what, path)
 
     def _charts(self, corners: dict[int, sorting.Corners]) -> None:
-        """Add the [[chart]] captures that accompany monochromatic captures.
+        """Add the [[chart]] captures that accompany monochromatic captures, each with its table of radiances.
 
-        Each capture is matched with a table of radiances. If a capture has no table, a TODO for this table is added.
+        A missing table is added as a TODO.
         """
         out, seen = self.out, self.seen
         tables = match_charts(self.charts, seen.tables, seen.notes)
@@ -379,7 +379,7 @@ class Composer:
             self._corners(corners.get(id(group)), path)
             if table is None:
                 example = f"spectra/chart_{light or number}.csv"
-                out.todo("radiance", example, "CSV file with the measured radiance of each patch in a column", path)
+                out.todo("radiance", example, "CSV file with the measured radiances, one column per patch", path)
             else:
                 named = table.name.light and table.name.light == light
                 out.key("radiance", table.path, "" if named else "ASSUMED by order")
@@ -388,8 +388,8 @@ class Composer:
     def _bands(self) -> None:
         """Add the [[band]] captures, which show a chart behind narrow-band filters.
 
-        l3 searches the brightest captures for the corners of the chart. If a capture has no table of radiances, a TODO for
-        this table is added.
+        The corners of the chart are searched for in the brightest captures, and are the same in all captures. A missing
+        table of radiances is added as a TODO.
         """
         out, seen = self.out, self.seen
         corners = sorting.corners_of_series(self.bands, seen.scale, seen.period, self.read)
@@ -405,17 +405,19 @@ class Composer:
                 out.key("radiance", by_band[nm].path)
                 self._unit(by_band[nm].table, None)
                 continue
-            what = "make a table with illuminant × reflectance of the 24 patches in columns, or write the name of your table"
+            what = (
+                "make this table, with illuminant × reflectance of each patch in 24 columns, or write the name of your table"
+            )
             self._wanted("radiance", f"spectra/{nm:g}nm.csv", what, path)
             if "unit" not in self.shared:
                 out.todo("unit", "relative power", "unit of the radiances, because the heading contains no unit", path)
 
     def _photos(self, corners: dict[int, sorting.Corners]) -> None:
-        """Add the [[photo]] captures, which show charts without monochromatic captures.
+        """Add the [[photo]] captures: charts in a folder without monochromatic captures.
 
-        The illuminant is the measured spectrum that matches a photo, or the illuminant in the file name. If neither exists,
-        a comment explains the key `light`. Dark frames with the same exposure time are added. If there are none and the
-        black level is unknown, a TODO for dark frames is added.
+        The illuminant of a photo is the measured spectrum that matches it, otherwise the illuminant in its file name.
+        Otherwise a comment explains the key `light`. Dark frames with the same exposure time are added to the photo. If
+        there are none and the black level is unknown, they are added as a TODO.
         """
         out, seen = self.out, self.seen
         for group in self.charts:
@@ -437,20 +439,22 @@ class Composer:
             if same and not (self.whites and self.darks):
                 out.key("dark", self._names(same[0]))
             elif seen.black_level is None and not same:
-                what = "frames without light and with the same exposure, because no file contains the black level"
+                what = "frames without light and with the same exposure time, because no file contains the black level"
                 out.todo("dark", ["dark.tif"], what, path)
 
     # ---------------------------------------------------------------------------------------------------- sensor
 
     def _sensor_frames(self) -> None:
-        """Add the [[white]] and [[dark]] captures, or the section [datasheet] for captures behind filters.
+        """Add the [[white]] and [[dark]] captures and, for captures behind filters, the section [datasheet].
 
-        Missing captures are added as TODOs, and so are missing [[chart]] captures of a monochromator sweep. Photos alone
-        need none of these sections.
+        Missing captures are added as TODOs. If there are monochromatic captures, missing [[chart]] captures are added too. A
+        draft with only photos needs none of these entries.
         """
         out = self.out
         if self.steps and len(self.charts) < LEAST_CHARTS:
-            what = f"the scale needs charts under at least {LEAST_CHARTS} illuminants; the folder has {len(self.charts)}"
+            what = (
+                f"the calibration needs charts under {LEAST_CHARTS} illuminants or more; the folder has {len(self.charts)}"
+            )
             common = (("frames", ["chart_A.tif"]), ("exposure_s", 0.01), ("illuminant", "A"))
             out.todo_table("[[chart]]", what, *common, ("corners", CORNERS), ("radiance", "chart_A.csv"))
         if self.bands:
@@ -463,14 +467,14 @@ class Composer:
             self._list("dark", self.darks)
             example = (("frames", ["a_1.tif", "a_2.tif"]), ("exposure_s", 0.01))
             if not self.whites:
-                what = "uniform light with several exposures up to saturation, two frames per exposure"
+                what = "uniform light, with several exposure times up to saturation, two frames per exposure time"
                 out.todo_table("[[white]]", what, *example)
             if not self.darks:
-                what = "no light, with at least two exposures, two frames per exposure"
+                what = "no light, with at least two exposure times, two frames per exposure time"
                 out.todo_table("[[dark]]", what, *example)
 
     def _polarisers(self) -> None:
-        """Add the [[polariser]] captures, whose angles are in the file names or must be filled in by the user."""
+        """Add the [[polariser]] captures. If a file name does not contain the angle, the angle is added as a TODO."""
         out, captures = self.out, self.seen.groups_of("polariser")
         for group in captures:
             self._common(group, "[[polariser]]")

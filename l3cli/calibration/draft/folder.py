@@ -1,7 +1,7 @@
-"""Drafts a measurement file from a folder.
+"""Drafts a measurement file from a folder of frames, or from a folder that contains only tables of measurements.
 
 If the folder contains frames, l3 reads the metadata of each file, selects the frames of one sensor, and determines the
-content of each frame. A folder may also contain only tables, such as published measurements.
+content of each frame.
 """
 
 import re
@@ -22,11 +22,11 @@ from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.frames.measurement import DIODE, CaptureFolder, RawFile
 from l3cli.system.text import counted
 
-SAMPLED = 6  # number of frames from which the period of the array is estimated
+SAMPLED = 6  # number of frames from which the period of the filter array is estimated
 LEFT_OUT = "; left out"  # end of each note about a file that is not used
-MOST_NOTED = 12  # largest number of rejected files with separate notes
-LIGHT = re.compile(r"light[ _]+(?!diode)(.+)", re.IGNORECASE)  # heading of the column of a channel in a sweep
-USUAL = {1: ["y"], 3: ["r", "g", "b"]}  # default channel names by number of columns
+MOST_NOTED = 12  # if more files are rejected, the remaining files share one note
+LIGHT = re.compile(r"light[ _]+(?!diode)(.+)", re.IGNORECASE)  # heading of a column with the values of a channel in a sweep
+USUAL = {1: ["y"], 3: ["r", "g", "b"]}  # assumed names of the channels, for each number of columns
 SENSOR = (
     ("rows", 3000, "number of rows, from the data sheet"),
     ("cols", 4000, "number of columns, from the data sheet"),
@@ -42,7 +42,7 @@ class Reading:
 
     read: Callable[[str], RawFile]  # reads the frame with the given path
     array_of: Callable[[NDArray[np.integer]], CfaRecipe]  # converts the CFA codes in a file to a colour filter array
-    progress: Callable[[Sequence[Any], int, str], Iterable[Any]]  # shows the progress of a loop
+    progress: Callable[[Sequence[Any], int, str], Iterable[Any]]  # iterates over a sequence and displays the progress
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,8 @@ class _Fact:
 
     path: str
     shape: tuple[int, int]
-    mean: float
-    raw: RawFile  # without pixel values if they would need too much memory
+    mean: float  # mean raw value in DN
+    raw: RawFile  # its array of values is empty if the values of all frames would need too much memory
 
     @property
     def sensor(self) -> tuple[object, ...]:
@@ -71,7 +71,7 @@ def survey(
     tables : list of Spectra
         Tables of spectra in the folder.
     notes : list of str
-        A note is added for each file that is left out.
+        Remarks for the user. The function appends remarks about files that are left out and about assumptions.
     camera : CameraModel or None
         The camera, if it is known.
     reading : Reading
@@ -80,14 +80,14 @@ def survey(
     Raises
     ------
     InputFileError
-        If the folder contains no raw frame.
+        If the folder contains no usable raw frame.
     RecipeError
-        If the size of the frames does not agree with `camera`.
+        If the size of the frames differs from the size of the sensor of `camera`.
     """
     facts = _facts(listing, notes, reading)
     if not facts:
         reason = f": {notes[0].removesuffix(LEFT_OUT)}" if notes else ""
-        cure = "" if "; " in reason else "; specify a folder with the captures of a camera"  # unless the reason says more
+        cure = "" if "; " in reason else "; specify a folder with the captures of a camera"  # the reason may contain a cure
         raise InputFileError(f"{listing.folder} contains no raw frame{reason}{cure}")
     used = _frames_of_one_sensor(facts, notes)
     shape, pattern = used[0].shape, used[0].raw.pattern
@@ -109,21 +109,21 @@ def survey(
 
 
 def _with_wavelengths(usable: list[Frame], notes: list[str]) -> list[Frame]:
-    """Add wavelengths that the names of frames contain without a unit."""
+    """Return the frames with the wavelengths that their names contain without a unit, and add a note about them."""
     names = with_bare_wavelengths([frame.name for frame in usable])
     new = [name for name, frame in zip(names, usable, strict=True) if name != frame.name]
     if new:
         notes.append(
-            f"numbers in the names of {len(new)} monochromatic frames are assumed to be wavelengths in nm, for example "
+            f"assumed that numbers in the names of {len(new)} monochromatic frames are wavelengths in nm, for example "
             f"{new[0].nm:g} in {new[0].path}"
         )
     return [replace(frame, name=name) for frame, name in zip(usable, names, strict=True)]
 
 
 def _facts(listing: CaptureFolder, notes: list[str], reading: Reading) -> list[_Fact]:
-    """Read the metadata of every file. Pixel values are kept as long as they fit into 64 MiB.
+    """Read the metadata of every file, and keep the pixel values of as many frames as fit into 64 MiB.
 
-    Files that cannot be read are left out, and notes about them are added.
+    Files that cannot be read are left out, and a note about each of them is added.
     """
     facts, room = [], 64 << 20
     refused: list[str] = []
@@ -138,15 +138,12 @@ def _facts(listing: CaptureFolder, notes: list[str], reading: Reading) -> list[_
         room -= raw.values.nbytes if fits else 0
         mean = float(raw.values.mean())
         facts.append(_Fact(path, (rows, cols), mean, raw if fits else replace(raw, values=raw.values[:0].copy())))
-    notes += first_lines(refused, MOST_NOTED, "{} more files left out")
+    notes += first_lines(refused, MOST_NOTED, "left out {} more files")
     return facts
 
 
 def _frames_of_one_sensor(facts: Sequence[_Fact], notes: list[str]) -> list[_Fact]:
-    """Return the frames with the most common combination of size and colour filter array.
-
-    Notes about the other frames are added.
-    """
+    """Return the frames with the most common combination of size and filter array. Add notes about the remaining frames."""
     count = Counter(fact.sensor for fact in facts)
     usual = max(count, key=lambda sensor: (count[sensor], -[fact.sensor for fact in facts].index(sensor)))
     for sensor in count:
@@ -154,7 +151,7 @@ def _frames_of_one_sensor(facts: Sequence[_Fact], notes: list[str]) -> list[_Fac
             others = [fact for fact in facts if fact.sensor == sensor]
             rows, cols = others[0].shape
             notes.append(
-                f"{len(others)} of {len(facts)} frames left out, because their size or colour filter array differs "
+                f"left out {len(others)} of {len(facts)} frames, because their size or colour filter array differs "
                 f"({rows}×{cols}, for example {others[0].path}); make a separate draft for these frames"
             )
     return [fact for fact in facts if fact.sensor == usual]
@@ -163,8 +160,8 @@ def _frames_of_one_sensor(facts: Sequence[_Fact], notes: list[str]) -> list[_Fac
 def _period(facts: Sequence[_Fact], camera: CameraModel | None, reading: Reading) -> tuple[int, int]:
     """Return the period of the colour filter array in rows and columns.
 
-    It is the period of the camera, if the camera is known, or the period in the metadata. Otherwise it is estimated from
-    the brightest frames.
+    The period comes from the camera if it is known, otherwise from the metadata. If the metadata contain no filter array,
+    the period is estimated from a sample of the frames.
     """
     known = facts[0].raw.pattern if camera is None else camera.cfa
     if known is not None:
@@ -176,43 +173,40 @@ def _period(facts: Sequence[_Fact], camera: CameraModel | None, reading: Reading
 
 
 def _summarised(facts: Sequence[_Fact], period: tuple[int, int], notes: list[str], reading: Reading) -> list[Frame]:
-    """Summarise every frame.
+    """Summarise every frame, except for drawings and masks, which are left out.
 
-    Drawings are left out. Notes are added about drawings, about frames that seem to be processed, and about frames whose
-    exposure time differs between the file name and the metadata. The exposure time in the metadata is used.
+    If the exposure time in the metadata differs from the exposure time in the file name, the metadata are used. Notes are
+    added about such frames, about drawings, and about frames whose values seem to be processed.
     """
     usable, refused, changed = [], [], Counter[str]()
     for fact in reading.progress(facts, len(facts), "frames"):
         raw = fact.raw if fact.raw.values.size else reading.read(fact.path)
         if drawn(raw.values):
-            refused.append(f"{fact.path} has no noise, so it seems to be a mask or a drawing; left out")
+            refused.append(f"left out {fact.path}, which seems to be a mask or a drawing, because it has no noise")
             continue
         if change := altered(raw.values):
             changed[change] += 1
         name, seconds = read_name(fact.path), raw.seconds
         if seconds is not None and name.seconds is not None and abs(seconds / name.seconds - 1) > 0.1:
             refused.append(
-                f"{fact.path}: the exposure time is {name.seconds:g} s in the name but {seconds:g} s in the metadata, "
-                "which are used"
+                f"{fact.path}: the exposure time is {name.seconds:g} s in the name but {seconds:g} s in the metadata; used "
+                "the metadata"
             )
         by_name = seconds is None
         shown = summarise(raw.values, period)
         usable.append(Frame(name, shown, name.seconds if by_name else seconds, by_name, fact.raw.count))
     notes += first_lines(refused, MOST_NOTED, "similar notes about {} more files")
-    notes += [
-        f"{counted(count, 'frame')}: {change}; use raw values that are not processed"
-        for change, count in changed.most_common(2)
-    ]
+    notes += [f"{counted(count, 'frame')}: {change}; use unprocessed raw values" for change, count in changed.most_common(2)]
     return usable
 
 
 def first_lines(lines: Sequence[str], most: int, more: str) -> list[str]:
-    """Return the first `most` lines. If there are more, append the text `more` with their number."""
+    """Return the first `most` lines. If there are more, append the text `more`, in which {} is replaced by their number."""
     return [*lines[:most], *([more.format(len(lines) - most)] if len(lines) > most else [])]
 
 
 def compose_tables(tables: Sequence[Spectra], camera: CameraModel | None, name: str, left_out: Sequence[str]) -> DraftText:
-    """Draft a measurement file from tables alone: a sweep that was measured with a photodiode, or finished curves.
+    """Draft a measurement file from tables alone: from a sweep that was measured with a photodiode, or from finished curves.
 
     Parameters
     ----------
@@ -267,7 +261,7 @@ def compose_tables(tables: Sequence[Spectra], camera: CameraModel | None, name: 
 
 
 def channels_of_sweep(spectra: Spectra) -> list[str]:
-    """Return the channels in the heading of a sweep with a photodiode, or an empty list for other tables."""
+    """Return the names of the channels in a sweep with a photodiode, or an empty list if the table is not such a sweep."""
     names = spectra.table.names or ()
     channels = [match[1] for name in names if (match := LIGHT.fullmatch(name))]
     diode = any("diode" in DIODE.get(name.casefold(), name).casefold() for name in names)
@@ -277,8 +271,8 @@ def channels_of_sweep(spectra: Spectra) -> list[str]:
 def _finished(tables: Sequence[Spectra]) -> list[Spectra]:
     """Return the tables that may contain responsivities.
 
-    The spectra of monochromator steps and of patches are excluded. A table with a single column may be a lamp or a
-    photodiode. It is therefore only returned if it is the only table.
+    Tables with the spectra of monochromator steps or of patches are excluded. A table with one column may also belong to a
+    lamp or a photodiode, and is therefore returned only if the folder contains no further table.
     """
     broad = [table for table in tables if not table.has_patches and not _has_lines(table)]
     broad = [table for table in broad if len(table.table.values) <= MAX_CHANNELS and table.table.values.max() > 0]
@@ -286,9 +280,10 @@ def _finished(tables: Sequence[Spectra]) -> list[Spectra]:
 
 
 def _has_lines(spectra: Spectra) -> bool:
-    """Return whether the columns are spectra of a monochromator, one column per wavelength setting.
+    """Return whether each column is the spectrum of a monochromator at one wavelength setting.
 
-    If the table has a heading, every column name must contain a wavelength. Otherwise, most spectra must be narrow-band.
+    If the table has a heading, this is the case if every column name contains a wavelength. Otherwise, most spectra must be
+    narrow-band.
     """
     names = spectra.table.names
     return spectra.narrow if names is None else all(read_name(f"{name}.csv").nm is not None for name in names)
@@ -299,13 +294,17 @@ def _nothing(tables: Sequence[Spectra]) -> str:
     first, last = table.table.wavelength[[0, -1]]
     more = f" and {len(tables) - 1} more" if len(tables) > 1 else ""
     return (
-        f"{table.path} ({counted(len(table.table.values), 'column')}, {first:g}…{last:g} nm){more}: neither a sweep nor "
-        "responsivities, and there is no raw frame; add a table with one column per channel, or the captures"
+        f"the folder contains no raw frame, and {table.path} ({counted(len(table.table.values), 'column')}, "
+        f"{first:g}…{last:g} nm){more} contains neither a sweep nor responsivities; add a table with one column per "
+        "channel, or add the captures"
     )
 
 
 def _body(out: DraftText, names: list[str] | None, columns: int) -> None:
-    """Add [sensor], [cfa] and [optics] with values that the user must fill in. The table may contain the channel names."""
+    """Add the sections [sensor], [cfa] and [optics] with keys that the user must fill in.
+
+    `names` are the channel names in the heading of the table, if it has a heading. `columns` is the number of its columns.
+    """
     out.table("[sensor]")
     for key, example, what in SENSOR:
         out.todo(key, example, what, "[sensor]")
@@ -313,17 +312,17 @@ def _body(out: DraftText, names: list[str] | None, columns: int) -> None:
     if names:
         out.key("channels", names, "from the heading of the table")
     elif columns in USUAL:
-        out.assume("channels", USUAL[columns], "the usual order of columns, because the table has no heading")
+        out.assume("channels", USUAL[columns], "the usual order of the columns; the table has no heading")
     else:
         out.todo("channels", ["r", "g", "b"], "channel names, in the order of the columns in the table", "[cfa]")
-    out.todo("pattern", ["r g", "g b"], "channel names, row by row, which repeat over the sensor", "[cfa]")
+    out.todo("pattern", ["r g", "g b"], "one period of the colour filter array, as channel names, row by row", "[cfa]")
     unknown_optics(out)
 
 
 def _photodiode(out: DraftText, sweep: Spectra, tables: Sequence[Spectra]) -> None:
-    """Add the table of the photodiode, which has one column and covers the wavelengths of the sweep.
+    """Add the key `photodiode`, whose table must have one column and cover the wavelengths of the sweep.
 
-    If there is no such table, a TODO is added. If there are several, the first table is used and marked as an assumption.
+    If there is no such table, the key is added as a TODO. If there are several, the first is assumed.
     """
     grid = sweep.table.wavelength
     single = [table for table in tables if table is not sweep and len(table.table.values) == 1]
@@ -335,11 +334,14 @@ def _photodiode(out: DraftText, sweep: Spectra, tables: Sequence[Spectra]) -> No
         out.key("photodiode", single[0].path)
     else:
         others = ", ".join(table.path for table in single[1:])
-        out.assume("photodiode", single[0].path, f"the first of several tables with one column; the others are {others}")
+        out.assume("photodiode", single[0].path, f"the first of several tables with one column; not used: {others}")
 
 
 def _per_energy(out: DraftText, curves: Spectra) -> None:
-    """Add whether the curves are per energy or per photon. A unit in the heading of the table decides."""
+    """Add the key `per_energy`: whether the curves are per energy or per photon.
+
+    The unit in the heading determines the value. If the heading contains no unit, a value is assumed.
+    """
     possible = [each for each in (True, False) if _has_unit(curves, each)]
     if len(possible) == 1:
         out.key("per_energy", possible[0], "from the unit in the heading")
@@ -358,9 +360,9 @@ def _has_unit(curves: Spectra, per_energy: bool) -> bool:
 
 
 def sensor_figures(out: DraftText, camera: CameraModel | None) -> None:
-    """Add [datasheet], because tables of curves do not contain the noise and the levels of the sensor.
+    """Add the section [datasheet] with the levels and the noise of the camera.
 
-    The values are those of the camera. If the camera is unknown, the section is a TODO.
+    It is needed because tables of curves do not contain these values. If the camera is unknown, the section is a TODO.
     """
     if camera is None:
         out.todo_table("[datasheet]", "levels and noise of the sensor, from its data sheet", *SHEET)

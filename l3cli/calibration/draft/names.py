@@ -1,4 +1,4 @@
-"""Recognises the type of a capture from its name and folder, and describes the values of its frames."""
+"""Extracts the type and the settings of a capture from its file name and folder, and summarises the values of its frames."""
 
 import itertools
 import operator
@@ -10,6 +10,7 @@ from pathlib import PurePath
 import numpy as np
 from numpy.typing import NDArray
 
+# types of captures, and the words in names from which they are recognised
 KINDS = {
     "dark": ("dark", "darks", "cap", "lenscap", "bias", "offset"),
     "white": ("white", "whites", "flat", "flats", "flatfield", "ptc"),
@@ -25,35 +26,36 @@ FRACTION = re.compile(r"(?:(?<=^)|(?<=[_ ]))1[-/](\d{1,5})[ ]?s(?:ec)?(?![a-zA-Z
 UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "µs": 1e-6, "μs": 1e-6}
 LIGHT = re.compile(r"(?<![A-Za-z0-9])(A|D\d\d|FL?\d{1,2}|HP\d|LED[-_]?[A-Z0-9]+|\d{4,5}K)(?![A-Za-z0-9])")
 WORD = re.compile(r"[a-z]+|[A-Z][a-z]+|[A-Z]+(?![a-z])")
-# Numbers without a unit are wavelengths if they are in this range (nm), and if there are at least LEAST_STEPS of them.
+# Numbers without a unit are wavelengths if all are within BARE (nm), and if at least LEAST_STEPS of them differ.
 BARE, LEAST_STEPS = (300.0, 1200.0), 5
-VISIBLE = (200.0, 2000.0)  # nm; range in which a number with the unit nm counts as a wavelength
+VISIBLE = (200.0, 2000.0)  # nm; a number with the unit nm is a wavelength only if it is in this range
 BLOCKS = 16  # largest number of rows and columns of blocks in the summary of a frame
-PERIODS = (1, 2, 3, 4, 5, 6, 8)  # candidates for the number of rows or columns of the array
-LARGEST_CROP = 960  # pixels; side of the crop from which the period is estimated, a multiple of all periods
-EXPLAINED = 0.98  # the smallest array is used that explains this fraction of the variance explained by the best array
-SIGNIFICANT = 0.02  # smallest fraction of the variance that an array must explain
+PERIODS = (1, 2, 3, 4, 5, 6, 8)  # possible numbers of rows or columns of the filter array
+LARGEST_CROP = 960  # pixels; largest side of the crop from which the period is estimated; it is a multiple of all periods
+EXPLAINED = 0.98  # a smaller period is preferred if it explains this fraction of the variance that the best period explains
+SIGNIFICANT = 0.02  # smallest fraction of the variance that a filter array must explain
 EVEN = 0.05  # largest relative residual of a uniform field after a smooth fit
 TERMS = 4  # degree of the polynomial of the smooth fit
-COMMON = 12  # a value counts as frequent if at least this number of pixels have it
-LEAST_CODES = 16  # smallest number of frequent values from which l3 judges whether values were stretched
+COMMON = 12  # smallest number of pixels with a value that is called frequent
+LEAST_CODES = 16  # smallest number of frequent values from which stretched values can be recognised
 MOST_GAPS = 0.25  # in unprocessed data, the next higher value is missing for at most this fraction of the frequent values
-# A frame is a drawing if more than this fraction of its pixels equal their neighbours, and if its range in DN is larger.
+# In a drawing, more than the fraction PLAIN of the intermediate pixels equal their neighbours, and the values differ by more
+# than DRAWN (DN).
 PLAIN, DRAWN = 0.8, 8
 Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class Name:
-    """Information in the path of a file, relative to the folder."""
+    """Information in the path of a file. It is None wherever the path does not contain it."""
 
-    path: str
-    kind: str | None = None
-    nm: float | None = None
-    seconds: float | None = None
-    light: str | None = None
-    angle: float | None = None  # degrees; of a rotating polariser
-    series: str = ""  # folder and name without the last number, which the frames of one exposure share
+    path: str  # path relative to the folder of captures
+    kind: str | None = None  # type of the capture, a key of KINDS
+    nm: float | None = None  # wavelength
+    seconds: float | None = None  # exposure time
+    light: str | None = None  # name of the illuminant
+    angle: float | None = None  # angle of a rotating polariser in degrees
+    series: str = ""  # path with its last number replaced, which is the same for all frames of one exposure
 
     @property
     def words(self) -> frozenset[str]:
@@ -62,9 +64,12 @@ class Name:
 
 
 def read_name(path: str) -> Name:
-    """Extract the information in the path of a capture or a table of spectra, relative to the folder."""
+    """Extract the information in the path of a capture or a table of spectra.
+
+    The file name takes precedence over the folders that contain it, and inner folders take precedence over outer folders.
+    """
     pure = PurePath(path)
-    stem, parts = pure.stem, (pure.stem, *reversed(pure.parent.parts))  # inner folders take precedence over outer folders
+    stem, parts = pure.stem, (pure.stem, *reversed(pure.parent.parts))
     nm = next(filter(None, map(_wavelength, parts)), None)
     seconds = next(filter(None, map(_seconds, parts)), None)
     light = next(filter(None, map(LIGHT.search, parts)), None)
@@ -94,10 +99,10 @@ def _seconds(part: str) -> float | None:
 
 
 def with_bare_wavelengths(names: Sequence[Name]) -> list[Name]:
-    """Add wavelengths that the names of monochromatic captures contain without a unit, such as mono_450_03.
+    """Add wavelengths that the names of monochromatic captures contain without a unit, such as 450 in mono_450_03.
 
-    All names must contain the same count of numbers. The wavelength is the first number that is in the range of light in
-    all names and is not a file counter.
+    The names must all contain equally many numbers. The wavelength is the first number that is a plausible wavelength in all
+    names and does not count the files. If there is no such number, the names are returned unchanged.
     """
     bare = [name for name in names if name.kind == "mono" and name.nm is None]
     numbers = [re.findall(r"\d+(?:\.\d+)?", PurePath(name.path).stem) for name in bare]
@@ -114,9 +119,9 @@ def with_bare_wavelengths(names: Sequence[Name]) -> list[Name]:
 
 
 def kind_of(path: PurePath) -> str | None:
-    """Return the type of capture that the file name contains or, if the name contains none, the nearest folder.
+    """Return the type of a capture from its file name or, if the file name contains no type, from the innermost folder.
 
-    Names with words for several types are ignored.
+    A name with words for several types is ignored. The result is None if no name contains a type.
     """
     for part in (path.stem, *reversed(path.parent.parts)):
         whole = {word.lower() for word in re.findall(r"[A-Za-z]+", part)}
@@ -141,20 +146,23 @@ def _number(text: str) -> float:
 
 @dataclass(frozen=True)
 class Summary:
-    """Summary statistics of a frame, most of them for each CFA site."""
+    """Statistics of a frame."""
 
-    blocks: Array  # (block_row, block_col, site) mean DN
-    high: Array  # (site) DN; 90th percentile
-    noise: float  # DN; standard deviation within blocks
-    top: int  # DN; the largest value
+    blocks: Array  # (block_row, block_col, site): mean value of each block in DN
+    high: Array  # (site,): 90th percentile in DN
+    noise: float  # median standard deviation within a block in DN
+    top: int  # largest value in DN
 
     @property
     def level(self) -> Array:
-        """Mean DN of each CFA site."""
+        """Mean value of each CFA site in DN."""
         return np.asarray(self.blocks.mean(axis=(0, 1)))
 
     def unevenness(self, black: float) -> float:
-        """Fit a smooth surface to the brightest CFA site, and return the RMS residual relative to the mean signal."""
+        """Return the RMS deviation of the frame from a smooth surface, relative to the mean signal.
+
+        Only the brightest CFA site is used. `black` is the black level in DN.
+        """
         rows, cols = self.blocks.shape[:2]
         y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, cols), indexing="ij")
         powers = [(i, j) for i in range(TERMS + 1) for j in range(TERMS + 1 - i)]
@@ -166,7 +174,7 @@ class Summary:
 
 
 def summarise(values: NDArray[np.uint16], period: tuple[int, int]) -> Summary:
-    """Summarise a frame of raw values in DN, for each site of an array with this period (rows, columns)."""
+    """Compute the statistics of a frame of raw values in DN. `period` is the period of its filter array (rows, columns)."""
     rows, cols = period
     down, across = (max(1, length // each // BLOCKS) for length, each in zip(values.shape, period, strict=True))
     high, wide = (min(BLOCKS, length // each) for length, each in zip(values.shape, period, strict=True))
@@ -178,11 +186,11 @@ def summarise(values: NDArray[np.uint16], period: tuple[int, int]) -> Summary:
 
 
 def period_of(frames: Sequence[NDArray[np.uint16]]) -> tuple[int, int]:
-    """Estimate the period of the colour filter array in rows and columns.
+    """Estimate the period of the colour filter array in rows and columns from several frames.
 
-    Under a single illuminant, some channels may have equal signals, and the period of a frame may be too small. The
-    result is therefore the largest period that at least a third of the frames have. Frames in which no array is visible
-    do not count. If no frame shows an array, the result is 1×1.
+    If channels have equal signals under an illuminant, the period of a frame seems smaller than it is. The result is
+    therefore the largest period that occurs in at least a third of the frames, not counting frames in which no array is
+    visible. If no array is visible in any frame, the result is (1, 1).
     """
     found = [each for each in map(_period, frames) if each != (1, 1)]
     often = [each for each in found if len(frames) == 1 or 3 * found.count(each) >= len(found)]
@@ -194,7 +202,7 @@ def _period(frame: NDArray[np.uint16]) -> tuple[int, int]:
 
     rows, cols = (min(length, LARGEST_CROP) for length in frame.shape)
     cut = frame[:rows, :cols].astype(np.float64)
-    # Neighbouring pixels receive the same light, so the array and the noise remain after the local mean is subtracted.
+    # Neighbouring pixels receive the same light, so only the array and the noise remain after subtraction of the local mean.
     smooth = cut - ndimage.uniform_filter(cut, 2 * max(PERIODS) + 1)
     explained = {each: _explained(smooth, each) for each in itertools.product(PERIODS, PERIODS)}
     most = max(explained.values())
@@ -205,9 +213,10 @@ def _period(frame: NDArray[np.uint16]) -> tuple[int, int]:
 
 
 def _explained(values: Array, period: tuple[int, int]) -> float:
-    """Return the sum of squares that the site means explain, relative to the variance.
+    """Return how much of the variation the mean values of the sites explain, as a number of pixels.
 
-    The value that is expected by chance is subtracted.
+    This is the sum of squares that the means explain, divided by the variance of a pixel. The number that is expected for a
+    frame without an array is subtracted.
     """
     rows, cols = (length // each for length, each in zip(values.shape, period, strict=True))
     if min(rows, cols) < 4:
@@ -219,22 +228,24 @@ def _explained(values: Array, period: tuple[int, int]) -> float:
 
 
 def altered(values: NDArray[np.uint16]) -> str | None:
-    """Describe how the values of a frame were processed after conversion, or return None if they seem unprocessed."""
+    """Describe how the values of a frame seem to have been processed, or return None if they seem to be raw values."""
     counts = np.bincount(values.ravel())
     codes = np.flatnonzero(counts)
     step = int(np.gcd.reduce(codes))
     if step > 1 and codes.size > DRAWN:
         return f"all values are multiples of {step}, so they seem to be shifted to the left"
-    # If many pixels have a certain value, it is not a coincidence that no pixel has the next higher value.
+    # If many pixels have a value, chance does not explain that no pixel has the next higher value.
     common = np.flatnonzero(counts[:-1] >= COMMON)
     gaps = float(np.mean(counts[common + 1] == 0)) if common.size else 0.0
     if common.size >= LEAST_CODES and gaps > MOST_GAPS:
-        return f"for {gaps:.0%} of the frequent values, the next higher value never occurs, so they seem to be stretched"
+        return (
+            f"after {gaps:.0%} of the frequent values, the next higher value never occurs; the values seem to be stretched"
+        )
     return None
 
 
 def drawn(values: NDArray[np.uint16]) -> bool:
-    """Return whether a frame has no noise between black and white, like a mask or a drawing."""
+    """Return whether the intermediate values of a frame have no noise, as in a mask or a drawing."""
     inner = values[1:, 1:]
     same = (inner == values[:-1, 1:]) & (inner == values[1:, :-1])
     low, high = int(values.min()), int(values.max())

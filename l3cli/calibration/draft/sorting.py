@@ -1,7 +1,7 @@
-"""Groups frames into captures, and assigns spectra to them.
+"""Groups frames into captures, and assigns a spectrum to each capture.
 
-The type of a capture is determined from the names of its frames, or from their content if the names do not contain it.
-The spectrum of a capture is found by its wavelength, by its illuminant, or by the order of names.
+The type of a capture is determined from the names of its frames or, if the names do not contain it, from their content. The
+spectrum is found by the wavelength or the illuminant in the names, or by the order of the names.
 """
 
 import itertools
@@ -19,21 +19,21 @@ from l3cli.frames.measurement import PATCHES
 from l3cli.physics import charts
 from l3cli.spectra.table import BRIGHTEST, DIMMEST, CurveTable
 
-DARK = 0.01  # fraction of `Scale.range`; frames with a lower signal are treated as dark frames
-ALIKE = 0.04  # largest relative difference between the signals of one capture, or under the same illuminant
-CLIPPED = 0.97  # fraction of `Scale.range`; captures with a higher 90th percentile are treated as saturated
+DARK = 0.01  # fraction of `Scale.range`; frames with a lower signal are dark frames
+ALIKE = 0.04  # largest relative difference between the signals of one capture, or between colours under one illuminant
+CLIPPED = 0.97  # fraction of `Scale.range`; captures with a higher 90th percentile are saturated
 SAME_RATE = 0.1  # largest relative difference between signals per second under the same illuminant
-LEAST_WHITES = 3  # smallest number of captures under the same illuminant that are treated as white
-# A frame with "dark" in its name is suspicious if its signal exceeds both the fraction BRIGHT_DARK of `Scale.range` and
-# BRIGHTER times the noise.
+LEAST_WHITES = 3  # smallest number of captures under the same illuminant that are classified as white
+# A frame with "dark" in its name is suspicious if its signal exceeds the fraction BRIGHT_DARK of `Scale.range` and also
+# exceeds BRIGHTER times its noise.
 BRIGHT_DARK, BRIGHTER = 0.05, 5.0
 Array = NDArray[np.floating]
-SAME_CHANNEL = 0.05  # largest difference between sites of the same channel, as a fraction of the largest response
+SAME_CHANNEL = 0.05  # largest difference between two sites of the same channel, as a fraction of the largest response
 LEAST_STEPS = 5  # smallest number of monochromatic captures from which the colour filter array is guessed
 GRID_NM = np.arange(400.0, 701.0, 10.0)
-SEARCHED = 6  # number of captures of a series, brightest first, in which l3 searches for the chart
-DIM = 0.05  # captures with a signal below this fraction of `Scale.range` are not searched for a chart
-Corners = list[tuple[float, float]]
+SEARCHED = 6  # the chart is searched for in this number of captures, which are the brightest without clipping
+DIM = 0.05  # l3 does not search for a chart in captures with a signal below this fraction of `Scale.range`
+Corners = list[tuple[float, float]]  # column and row in pixels of the outer corners of patches 1, 6, 24 and 19
 NARROW_NM = 40.0  # nm; largest FWHM of a narrow-band spectrum
 NEAR_NM = 5.0  # nm; largest difference between the wavelength in a name and the peak of the spectrum
 
@@ -44,16 +44,16 @@ class Frame:
 
     name: Name
     summary: Summary
-    seconds: float | None  # exposure time in s, from the metadata or, if they contain none, from the file name
-    by_name: bool = False  # whether the exposure time is from the file name
-    count: int = 1  # number of frames in the file, which show the same scene with the same exposure
+    seconds: float | None  # exposure time, from the metadata or, if they do not contain it, from the file name
+    by_name: bool = False  # whether the exposure time comes from the file name
+    count: int = 1  # number of frames in the file, all of the same scene with the same exposure
 
 
 @dataclass(frozen=True)
 class Group:
-    """The frames of one capture, which show the same scene with the same exposure."""
+    """One capture: several frames of the same scene with the same exposure."""
 
-    kind: str  # dark, white, mono, band, chart or polariser; if the type is not known, "plain" (uniform) or "structured"
+    kind: str  # dark, white, mono, band, chart or polariser; if the type is unknown: "plain" (uniform) or "structured"
     frames: tuple[Frame, ...]
 
     @property
@@ -62,7 +62,7 @@ class Group:
 
     @property
     def level(self) -> Array:
-        """Mean DN of each CFA site."""
+        """Mean value of each CFA site in DN."""
         return np.asarray(np.mean([frame.summary.level for frame in self.frames], axis=0))
 
 
@@ -70,19 +70,19 @@ class Group:
 class Scale:
     """Range of the values of all frames in a folder."""
 
-    black: Array  # (site) black level in DN
-    bright: float  # DN; highest 90th percentile of all frames and sites
+    black: Array  # (site,): black level in DN
+    bright: float  # highest 90th percentile of all frames and sites in DN
 
     @property
     def range(self) -> float:
         return max(self.bright - float(self.black.mean()), 1.0)
 
     def signal(self, group: Group) -> Array:
-        """Return the mean DN above black of each CFA site."""
+        """Return the mean signal above black of each CFA site in DN."""
         return np.asarray(group.level - self.black)
 
     def clipped(self, group: Group) -> bool:
-        """Return whether a site of a capture is saturated."""
+        """Return whether the brightest CFA site of a capture is saturated."""
         high = max(float(frame.summary.high.max()) for frame in group.frames)
         return high - self.black.mean() >= CLIPPED * self.range
 
@@ -90,8 +90,9 @@ class Scale:
 def scale_of(frames: Sequence[Frame], black: float | None) -> Scale:
     """Return the range of the values of all frames in a folder.
 
-    If the metadata contain no black level (`black` is None), the level of the darkest frame is used, provided that its
-    name contains "dark" or that the frame is uniform. Otherwise the black level is assumed to be 0.
+    `black` is the black level in the metadata, in DN. If it is None, the black level is the mean of the darkest frame with
+    "dark" in its name. If there is no such frame, the darkest frame is used if it is uniform. Otherwise the black level is
+    assumed to be 0.
     """
     sites = frames[0].summary.level.size
     called = [frame for frame in frames if frame.name.kind == "dark"]
@@ -107,9 +108,9 @@ def scale_of(frames: Sequence[Frame], black: float | None) -> Scale:
 
 
 def sort_frames(frames: Sequence[Frame], scale: Scale, notes: list[str]) -> list[Group]:
-    """Group frames into captures, in the order of their names.
+    """Group frames into captures, sorted by name.
 
-    A warning is added to `notes` for each frame whose content contradicts its name.
+    For each frame whose content contradicts its name, a remark is added to `notes`.
     """
     ordered = sorted(frames, key=lambda frame: natural(frame.name.path))
     kinds = [_kind(frame, scale, notes) for frame in ordered]
@@ -125,18 +126,17 @@ def sort_frames(frames: Sequence[Frame], scale: Scale, notes: list[str]) -> list
 
 
 def _kind(frame: Frame, scale: Scale, notes: list[str]) -> str:
-    """Determine the type of a capture from the name of a frame or, if the name does not contain it, from the content.
+    """Determine the type of a frame's capture, as in `Group.kind`.
 
-    The result is the type in the name, "dark", "mono", "band", "structured" or "plain". A note is added if a frame with
-    "dark" in its name is bright.
+    If the name of the frame contains no type, the content of the frame determines it. A note is added if a frame with "dark"
+    in its name is bright.
     """
     name, black = frame.name, float(scale.black.mean())
     signal = frame.summary.level - scale.black
     share = float(signal.max()) / scale.range
     if name.kind == "dark" and share > BRIGHT_DARK and signal.max() > BRIGHTER * frame.summary.noise:
         notes.append(
-            f'{name.path} has "dark" in its name, but is {signal.max():.0f} DN brighter than the darkest frame; check '
-            "this file"
+            f'{name.path} has "dark" in its name, but is {signal.max():.0f} DN brighter than black; check this file'
         )
     if name.kind == "chart" and name.nm is not None:
         return "band"
@@ -151,7 +151,7 @@ def _kind(frame: Frame, scale: Scale, notes: list[str]) -> str:
 
 
 def _alike(members: Sequence[Frame], scale: Scale) -> Iterable[list[Frame]]:
-    """Split frames with similar names into groups with about the same signal at each CFA site."""
+    """Split frames with similar names into lists of frames with about the same signal at each CFA site."""
     parts: list[list[Frame]] = []
     for frame in members:
         signal = frame.summary.level - scale.black
@@ -166,12 +166,12 @@ def _alike(members: Sequence[Frame], scale: Scale) -> Iterable[list[Frame]]:
 
 
 def with_plain_kinds(groups: Sequence[Group], scale: Scale, notes: list[str]) -> list[Group]:
-    """Decide for each capture of the type "plain" whether it is white or monochromatic.
+    """Classify each capture of the type "plain" as white or monochromatic, and add a note about the result.
 
-    If no capture is already known to be white, the largest set of unclipped captures under one illuminant is white, provided
-    that the set contains at least LEAST_WHITES captures. The size of a set is the total number of frames. All other
-    unclipped captures are monochromatic. A clipped capture has no usable colour, and gets the type of the preceding plain
-    capture.
+    l3 searches for the largest set of unclipped captures under one illuminant, measured by the number of frames. If no
+    capture is known to be white by its name, and if this set contains at least LEAST_WHITES captures, the captures in the
+    set are white. All other unclipped captures are monochromatic. A clipped capture has no usable colour, so it has the type
+    of the preceding plain capture.
     """
     plain = [group for group in groups if group.kind == "plain"]
     if not plain:
@@ -191,16 +191,16 @@ def with_plain_kinds(groups: Sequence[Group], scale: Scale, notes: list[str]) ->
         kinds[id(group)] = last
     whites = sum(kind == "white" for kind in kinds.values())
     notes.append(
-        f"names do not contain the types of some captures; from their content, {whites} were classified as white (same "
-        f"illuminant, several exposures) and {len(kinds) - whites} as monochromatic; check these captures"
+        f"the names of {len(kinds)} captures do not contain their type; from their content, {whites} were classified as "
+        f"white (same illuminant, several exposures) and {len(kinds) - whites} as monochromatic; check these captures"
     )
     return [replace(group, kind=kinds.get(id(group), group.kind)) for group in groups]
 
 
 def _same_light(group: Group, other: Group, scale: Scale) -> bool:
-    """Return whether two captures show the same illuminant.
+    """Return whether two uniform captures have the same illuminant.
 
-    The captures must have the same colour and, if exposure times are known, the same signal per second.
+    Their colours must agree and, if both exposure times are known, their signals per second too.
     """
     one, two = scale.signal(group), scale.signal(other)
     if min(one.max(), two.max()) <= 0 or np.abs(one / one.max() - two / two.max()).max() > ALIKE:
@@ -212,12 +212,13 @@ def _same_light(group: Group, other: Group, scale: Scale) -> bool:
 def guess_array(steps: Sequence[Group], scale: Scale, period: tuple[int, int]) -> CfaRecipe | None:
     """Guess the colour filter array from the wavelengths to which its sites respond.
 
-    Returns None if the names of too few captures contain a wavelength, or if no site responds.
+    `steps` are monochromatic captures. The result is None if fewer than LEAST_STEPS of them are unclipped, bright enough and
+    have a wavelength in their names, or if no site responds.
     """
     steps = [step for step in steps if step.first.name.nm is not None and not scale.clipped(step)]
     if len(steps) < LEAST_STEPS:
         return None
-    # Exposures differ between captures, so the responses are divided by the response of the brightest site.
+    # The exposures of the captures differ, so the responses to each capture are divided by the largest response.
     signal = np.array([scale.signal(step) for step in steps])
     weight = signal.max(axis=1, keepdims=True)
     seen = weight[:, 0] > 0.05 * weight.max()
@@ -241,7 +242,10 @@ def guess_array(steps: Sequence[Group], scale: Scale, period: tuple[int, int]) -
 
 
 def _names(peaks: Sequence[float]) -> list[str]:
-    """Name the channels: "w" for a single channel, "r", "g" and "b" for three channels, otherwise by peak wavelength."""
+    """Return a name for each channel: "w" for one channel, "r", "g" and "b" for three, otherwise such as "nm550".
+
+    `peaks` contains the peak wavelength of each channel in nm.
+    """
     if len(peaks) == 1:
         return ["w"]
     if len(peaks) == 3:
@@ -252,9 +256,9 @@ def _names(peaks: Sequence[float]) -> list[str]:
 
 
 def find_corners(mosaic: Array, period: tuple[int, int]) -> Corners | None:
-    """Find a ColorChecker in a mosaic of DN above black. Each site of the array is treated as a channel.
+    """Find a ColorChecker in a mosaic of values above black. Return its corners, or None if there is no ColorChecker.
 
-    Returns the column and the row of the outer corners of patches 1, 6, 24 and 19, or None.
+    Each site of the filter array is treated as a separate channel, because the channels may be unknown.
     """
     sites = np.arange(period[0] * period[1], dtype=np.uint8).reshape(period)
     found = locate(mosaic, sites, charts.chart("classic", GRID_NM)[1], charts.CLASSIC)
@@ -268,7 +272,7 @@ def corners_of_series(
 ) -> Corners | None:
     """Return the corners of a chart that does not move during a series of captures, or None if no chart is found.
 
-    The result is the median of the corners in several captures.
+    The corners are the median over several captures. `read` returns the raw values of the frame with a given path.
     """
     lit = [group for group in groups if scale.signal(group).max() > DIM * scale.range]
     lit.sort(key=lambda group: (scale.clipped(group), -float(scale.signal(group).max())))
@@ -284,8 +288,8 @@ def corners_of_series(
 class Spectra:
     """A table of spectra in the folder."""
 
-    path: str  # path as it appears in the measurement file
-    name: Name  # information in the path within the folder
+    path: str  # path as it is written in the measurement file
+    name: Name  # information in the path relative to the folder
     table: CurveTable
 
     @property
@@ -303,22 +307,23 @@ class Spectra:
 class Column:
     """One spectrum in a table."""
 
-    spectra: Spectra
+    spectra: Spectra  # the table
     number: int  # number of the column, from 1
-    name: str | None
-    nm: float  # wavelength in the heading or, if the heading contains none, at the peak
+    name: str | None  # name of the column in the heading; None if the table has no heading
+    nm: float  # wavelength in the heading or, if the heading contains none, wavelength of the peak
 
     @property
     def key(self) -> int | str:
-        """Number or name by which a measurement file refers to the column."""
+        """Value of the key `column` in a measurement file: the name of the column if it is unique, otherwise its number."""
         names = self.spectra.table.names or ()
         return self.name if self.name and names.count(self.name) == 1 else self.number
 
 
 def columns_of(tables: Sequence[Spectra]) -> list[Column]:
-    """Return all narrow-band spectra in the tables, in order.
+    """Return the columns of all tables that contain mostly narrow-band spectra, in order.
 
-    The wavelength of a spectrum is the wavelength in the name of its column or file, otherwise the wavelength of its peak.
+    The wavelength of a spectrum is the wavelength in the name of its column. If the table has only one column, the name of
+    the file is used too. If no name contains a wavelength, it is the wavelength of the peak.
     """
     columns = []
     for spectra in tables:
@@ -334,9 +339,10 @@ def columns_of(tables: Sequence[Spectra]) -> list[Column]:
 
 
 def match_steps(steps: Sequence[Group], columns: Sequence[Column], scale: Scale, notes: list[str]) -> list[Column | None]:
-    """Assign a spectrum to each monochromatic capture.
+    """Assign a spectrum to each monochromatic capture, or None if there is no matching spectrum.
 
-    Spectra are matched by the wavelength in the name of the capture or, if the name contains no wavelength, by order.
+    Spectra are matched by the wavelength in the name of the capture. Captures without a wavelength in their names are
+    matched by order.
     """
     if not columns or not steps:
         return [None] * len(steps)
@@ -353,16 +359,15 @@ def match_steps(steps: Sequence[Group], columns: Sequence[Column], scale: Scale,
 def _in_order(
     steps: Sequence[Group], columns: Sequence[Column], scale: Scale, notes: list[str]
 ) -> Sequence[Column] | list[None]:
-    """Assign spectra to captures without a wavelength in their names, in order.
+    """Assign spectra, in order, to captures without a wavelength in their names, and add a note about it.
 
-    No spectra are assigned unless there are as many spectra as captures, or as many spectra as monochromator steps.
+    There must be as many spectra as captures, or as many spectra as monochromator steps. Otherwise no spectra are assigned.
     """
     numbers = list(range(len(steps))) if len(steps) == len(columns) else _steps_in_order(steps, scale)
     if numbers[-1] + 1 != len(columns):
         notes.append(
-            f"{len(steps)} monochromatic captures could not be assigned to {len(columns)} spectra; write the wavelengths "
-            "into "
-            'the file names (mono_450nm.tif), or set "spectrum" and "column" of each capture'
+            f"{len(columns)} spectra could not be assigned to {len(steps)} monochromatic captures; write the wavelengths "
+            'into the file names (mono_450nm.tif), or set "spectrum" and "column" of each capture'
         )
         return [None] * len(steps)
     notes.append(
@@ -373,9 +378,10 @@ def _in_order(
 
 
 def _steps_in_order(steps: Sequence[Group], scale: Scale) -> list[int]:
-    """Return the number of the monochromator step of each capture.
+    """Return the number of the monochromator step of each capture, from 0.
 
-    If an unclipped capture follows a clipped capture, both belong to the same step.
+    An unclipped capture that follows a clipped capture belongs to the same step, because it repeats this capture with a
+    shorter exposure.
     """
     forward = (not scale.clipped(step) or scale.clipped(before) for before, step in itertools.pairwise(steps))
     return list(itertools.accumulate(forward, initial=0))
@@ -398,7 +404,11 @@ def _by_wavelength(name: Name, columns: Sequence[Column]) -> Column | None:
 
 
 def match_charts(charts: Sequence[Group], tables: Sequence[Spectra], notes: list[str]) -> list[Spectra | None]:
-    """Assign a table of radiances to each chart, by the illuminant in both names or, if this is impossible, by order."""
+    """Assign a table of radiances to each chart, or None if there is no matching table.
+
+    A table matches if its name contains the same illuminant as the name of the chart. If a chart has no matching table, but
+    there are as many tables as charts, all tables are assigned by order, and a note is added.
+    """
     patches = [table for table in tables if table.has_patches]
     lights = [table.name.light for table in patches]
     found: list[Spectra | None] = []
@@ -414,14 +424,14 @@ def match_charts(charts: Sequence[Group], tables: Sequence[Spectra], notes: list
 def match_light(chart: Group, tables: Sequence[Spectra]) -> tuple[Spectra | None, bool]:
     """Find the measured illuminant of a photo of a chart.
 
-    The spectrum of an illuminant is a table with one broad-band column. A table matches a photo if the names of both
-    contain the same illuminant, or if the photo's name contains the table's name. If no table matches, the only table is
-    used.
+    The spectrum of an illuminant is a table with one broad-band column. A table matches a photo if both names contain the
+    same illuminant, or if the name of the photo contains the name of the table. If no table matches, and if there is only
+    one table, this table is used, unless its name contains an illuminant.
 
     Returns
     -------
     table : Spectra or None
-        The spectrum.
+        The spectrum, or None if no table can be used.
     named : bool
         Whether the table matches the photo by name.
     """
@@ -437,17 +447,20 @@ def match_light(chart: Group, tables: Sequence[Spectra]) -> tuple[Spectra | None
 
 
 def radiances(table: CurveTable, column: int | None) -> Array:
-    """Return the values of column `column`, counted from 0, or of the whole table if `column` is None."""
+    """Return the values of one column, counted from 0, or of all columns if `column` is None: (column, wavelength)."""
     return table.values if column is None else table.values[column : column + 1]
 
 
 def unknown_unit(table: CurveTable, column: int | None) -> bool:
-    """Return whether the unit is unknown: the heading contains no unit, and the values are unusual for photon radiances."""
+    """Return whether the unit of radiances is unknown.
+
+    This is the case if the heading contains no unit and the values are not typical of photon radiances either.
+    """
     return not any(table.units) and not DIMMEST <= radiances(table, column).max() <= BRIGHTEST
 
 
 def note_unused(columns: Sequence[Column], matched: Sequence[Column | None], notes: list[str]) -> None:
-    """Add a note about narrow-band spectra that are not assigned to a capture."""
+    """Add a note about the spectra that are not assigned to a capture, unless no spectrum is assigned at all."""
     unused = [column for column in columns if all(column is not each for each in matched)]
     if unused and any(matched):
         where = ", ".join(f"{column.nm:g} nm" for column in unused[:6])

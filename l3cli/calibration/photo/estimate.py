@@ -1,8 +1,8 @@
-"""Estimates responsivities, and the illuminant of a photo, from the patches of a chart.
+"""Estimates responsivities and the illuminant of a photo from the patches of a chart.
 
-The responsivities are the posterior of a Gaussian model (docs/method.md#charts-in-photographs). The model is also used
-to compute the probability of each candidate illuminant, and to find the illuminant under which one more photo would
-reduce the colour error most.
+The responsivities are the posterior of a Gaussian model (docs/method.md#charts-in-photographs). From the same model follow
+the probability of each candidate illuminant, and the illuminant under which a further photo would reduce the colour error
+most.
 """
 
 import functools
@@ -17,52 +17,53 @@ from l3cli.frames.measurement import CurveStatistics, FinishedCurves
 from l3cli.physics import spectra
 
 WAVELENGTH = np.arange(400.0, 721.0, 10.0)  # nm; all published curves of cameras cover this range
-ROLES = ("r", "g", "b")  # channels that all measured cameras have
-MODES = 16  # number of principal components of measured cameras; a larger number does not change the results
-# The prior of measured cameras includes smooth deviations: their fraction of the variance, and correlation length in nm.
+ROLES = ("r", "g", "b")  # channels of the measured cameras
+MODES = 16  # number of principal components of measured cameras; more components would not change the results
+# Smooth deviations in the prior of measured cameras: their fraction of the variance, and their correlation length in nm.
 SMOOTH_SHARE, SMOOTH_NM = 0.1, 25.0
 LEAST_SPREAD = 0.01  # smallest standard deviation between cameras, as a fraction of the peak
 # Mean, standard deviation and correlation length (nm) of the responsivity of an unknown filter.
 UNKNOWN_MEAN, UNKNOWN_SPREAD, UNKNOWN_NM = 0.3, 0.35, 45.0
 UNKNOWN_PEAK = 0.7  # standard deviation of the natural logarithm of the peak of an unknown channel
-PEAK_FLOOR = 0.25  # added in quadrature to the spread of known peaks, because converter gains differ between channels
+PEAK_FLOOR = 0.25  # added in quadrature to the spread of known peaks, because converter gains may differ between channels
 MEASURED, UNLIKE, SMOOTH = "measured cameras", "cameras unlike the measured ones", "smooth"  # names of the priors
-# The prior of unusual cameras has WIDENING times the standard deviation of measured cameras, plus smooth deviations with
-# this standard deviation (fraction of the peak) and this correlation length (nm).
+# The prior of unusual cameras has WIDENING times the standard deviation of measured cameras, plus smooth deviations with the
+# standard deviation UNLIKE_SPREAD (fraction of the peak) and the correlation length UNLIKE_NM.
 WIDENING = 2.0
 UNLIKE_SPREAD, UNLIKE_NM = 0.05, 35.0
 # The evidence for an illuminant is overconfident, because no prior describes a camera exactly. If its logarithm is divided
-# by these factors, the stated probabilities match the frequency of correct guesses (tests/studies/test_photo_study.py).
-TEMPERING = {True: 1.5, False: 6.0}  # key: whether one of the priors is based on measured cameras
+# by these factors, the computed probabilities match the frequency of correct guesses (tests/studies/test_photo_study.py).
+TEMPERING = {True: 1.5, False: 6.0}  # True: one of the priors is based on measured cameras
 JITTER = 1e-6  # added to the diagonals of covariances, so that they can be inverted
-STEPS = 4  # number of linearisations of the product of curve and illumination; from the third on, results hardly change
-SCALE_SPREAD = 0.5  # relative standard deviation of the scale of a channel around the first guess, nearly uninformative
-SHOT_SPREAD = 0.3  # relative standard deviation of the exposure of every shot after the first around the first guess
+STEPS = 4  # number of linearisations of the product of curve and illumination; after the third, results hardly change
+SCALE_SPREAD = 0.5  # relative standard deviation of the scale of a channel around the first guess; nearly uninformative
+SHOT_SPREAD = 0.3  # relative standard deviation of the exposure of a shot around the first guess, except for the first shot
 FARTHEST = 4.0  # largest factor by which scales and exposures may differ from the first guess
 CURVATURE = 0.5  # standard deviation of a quadratic term of the illumination, relative to a linear term
 FLOOR = 0.001  # unexplained error, as a fraction of the brightest patch
-ERRORS = (0.0, 0.002, 0.005, 0.01, 0.02, 0.035, 0.06)  # candidates for the relative model error (reflectances, texture)
+ERRORS = (0.0, 0.002, 0.005, 0.01, 0.02, 0.035, 0.06)  # relative model errors that are tried (reflectances, texture)
 TERMS = 6  # number of terms of the illumination: constant, x, y, x², xy, y²
 Array = NDArray[np.floating]
 MOST_EVIDENCES = 1000  # largest number of cached results
-_EVIDENCES: dict[bytes, float] = {}  # cached results, because the same shots and illuminants are evaluated three times
-IMPROBABLE = 0.02  # illuminants with a lower probability do not widen the band
-NOTICED = 3.0  # l3 warns if the log probability ratio of another illuminant and the specified illuminant is larger
+_EVIDENCES: dict[bytes, float] = {}  # cache, because the same shots and illuminants are evaluated three times
+IMPROBABLE = 0.02  # illuminants with a lower probability do not widen the confidence band
+# l3 warns if this is exceeded by the log ratio of the probabilities of a different and the specified illuminant
+NOTICED = 3.0
 
 
 @dataclass(frozen=True)
 class Prior:
     """Gaussian distribution of the responsivity curves of a camera, and of the heights of their peaks."""
 
-    mean: Array  # (channel, wavelength)
-    covariance: Array  # (channel · wavelength, channel · wavelength)
-    log_peak: Array  # (channel)
-    log_peak_covariance: Array  # (channel, channel)
+    mean: Array  # (channel, wavelength): mean of the curves, each with a peak of about 1
+    covariance: Array  # (channel · wavelength, channel · wavelength): covariance of the curves
+    log_peak: Array  # (channel,): mean of the natural logarithm of the peak
+    log_peak_covariance: Array  # (channel, channel): covariance of these logarithms
     source: str  # MEASURED, UNLIKE or SMOOTH
 
 
 def statistics(cameras: Sequence[FinishedCurves]) -> CurveStatistics:
-    """Summarise measured cameras with the same channels by their mean and at most MODES principal components."""
+    """Compute the mean and at most MODES principal components of the curves of measured cameras with the same channels."""
     curves = np.array([spectra.average(each.responsivity, each.wavelength, WAVELENGTH) for each in cameras])
     peaks = curves.max(axis=2)
     shapes = curves / peaks[..., None]
@@ -76,7 +77,7 @@ def statistics(cameras: Sequence[FinishedCurves]) -> CurveStatistics:
 
 
 def camera_prior(known: CurveStatistics) -> Prior:
-    """Return the prior of a camera with the same channels as the measured cameras."""
+    """Return the prior of a camera whose curves resemble the measured cameras. It has the same channels as these cameras."""
     count, size = known.mean.shape
     covariance = _covariance(known.modes).reshape(count * size, count * size) + JITTER * np.eye(count * size)
     return Prior(
@@ -89,10 +90,9 @@ def camera_prior(known: CurveStatistics) -> Prior:
 
 
 def unlike(prior: Prior) -> Prior:
-    """Return the prior of a camera that differs from the measured cameras.
+    """Return the prior of a camera that differs from the measured cameras, whose prior is `prior`.
 
-    The covariance is larger than the covariance of `prior`, and it includes smooth deviations that no measured camera
-    has.
+    The covariance is larger than the covariance of `prior`, and includes smooth deviations that no measured camera has.
     """
     count, size = prior.mean.shape
     further = np.kron(np.eye(count), _smooth(np.full(size, UNLIKE_SPREAD), UNLIKE_NM))
@@ -102,8 +102,8 @@ def unlike(prior: Prior) -> Prior:
 def placed(prior: Prior, places: Sequence[int], channels: int) -> Prior:
     """Extend a prior to a camera with more channels, or with the channels in a different order.
 
-    The channels with the indices `places` get the distribution of `prior`, in the same order. Other channels get the
-    smooth prior.
+    Channel `places[i]` of the result has the distribution of channel i of `prior`. The remaining of the `channels` channels
+    have the smooth prior.
     """
     whole, size = smooth(channels), WAVELENGTH.size
     at = np.array(places)
@@ -118,9 +118,9 @@ def placed(prior: Prior, places: Sequence[int], channels: int) -> Prior:
 def plausible(channels: Sequence[str], known: CurveStatistics | None) -> list[Prior]:
     """Return the possible priors of a camera.
 
-    If the camera has the channels r, g and b, the possible priors are the prior of measured cameras, the prior of cameras
-    that differ from the measured cameras, and the smooth prior. Otherwise, or if `known` is None, the only possible prior is
-    the smooth prior.
+    If the camera has the channels r, g and b, there are three priors: the prior of measured cameras, the prior of cameras
+    that differ from the measured cameras, and the smooth prior. Otherwise, or if `known` is None, there is only the smooth
+    prior.
     """
     if known is None or not set(ROLES) <= set(channels):
         return [smooth(len(channels))]
@@ -130,7 +130,7 @@ def plausible(channels: Sequence[str], known: CurveStatistics | None) -> list[Pr
 
 
 def smooth(channels: int) -> Prior:
-    """Return the prior of channels with unknown filters. They respond to visible light and have smooth curves."""
+    """Return the prior of channels with unknown filters, whose curves are assumed only to be smooth."""
     size = WAVELENGTH.size
     one = _smooth(np.full(size, UNKNOWN_SPREAD), UNKNOWN_NM) + JITTER * np.eye(size)
     covariance = np.kron(np.eye(channels), one)
@@ -139,12 +139,9 @@ def smooth(channels: int) -> Prior:
 
 
 def _covariance(modes: Array) -> Array:
-    """Return the covariance of curves, given their principal components.
+    """Compute the covariance of curves from their principal components. A part of it is replaced by smooth deviations.
 
-    A fraction of the variance is replaced by smooth deviations.
-
-    `modes` has the shape (mode, channel, wavelength). The result has the shape (channel, wavelength, channel,
-    wavelength).
+    `modes` has the shape (mode, channel, wavelength). The result has the shape (channel, wavelength, channel, wavelength).
     """
     _, count, size = modes.shape
     flat = modes.reshape(len(modes), -1)
@@ -157,7 +154,7 @@ def _covariance(modes: Array) -> Array:
 
 
 def _smooth(spread: Array, correlation_nm: float) -> Array:
-    """Return the covariance matrix of smooth deviations, whose standard deviation at each wavelength is `spread`."""
+    """Return the covariance of smooth deviations. `spread` is their standard deviation at each wavelength."""
     distance = (WAVELENGTH[:, None] - WAVELENGTH) / correlation_nm
     return np.exp(-0.5 * distance**2) * np.outer(spread, spread)
 
@@ -166,56 +163,57 @@ def _smooth(spread: Array, correlation_nm: float) -> Array:
 class Shot:
     """The patches of a chart in one photo under one illuminant."""
 
-    light: Array  # (wavelength) relative photon radiance of a perfect white
+    light: Array  # (wavelength,): relative photon radiance of a perfect white
     reflectance: Array  # (patch, wavelength)
-    place: Array  # (patch, 2) x and y on the chart, from −1 to 1
-    values: Array  # (patch, channel) DN above black
-    deviation: Array  # (patch, channel) standard deviation of each value in DN
-    used: NDArray[np.bool_]  # (patch, channel) whether the value is used
-    uneven: float = 0.2  # standard deviation of the illumination terms; smaller after a correction by a white target
+    place: Array  # (patch, 2): x and y on the chart, from −1 to 1
+    values: Array  # (patch, channel): mean value above black in DN
+    deviation: Array  # (patch, channel): standard deviation of each value in DN
+    used: NDArray[np.bool_]  # (patch, channel): whether the value is used
+    # prior standard deviation of the illumination terms; small if a white target corrects the illumination
+    uneven: float = 0.2
     glare: float = 0.03  # standard deviation of the glare, as a fraction of the brightest patch
 
     @functools.cached_property
     def stimuli(self) -> Array:
-        """Relative photon radiance of each patch, with the shape (patch, wavelength)."""
+        """Relative photon radiance of each patch: (patch, wavelength)."""
         return self.reflectance * self.light
 
     @functools.cached_property
     def terms(self) -> Array:
-        """Illumination terms at each patch, with the shape (patch, term)."""
+        """Illumination terms at each patch: (patch, term)."""
         return terms(self.place)
 
     @functools.cached_property
     def brightest(self) -> Array:
-        """DN above black of the brightest usable patch in each channel, or 1 if no patch is usable."""
+        """Value of the brightest used patch in each channel, in DN above black. It is 1 if no patch is used."""
         top = np.where(self.used, self.values, 0.0).max(axis=0)
         return np.where(top > 0, top, 1.0)
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """Estimate of a camera from the patches of its shots."""
+    """Estimate of a camera's responsivities from the patches in one or more photos."""
 
-    responsivity: Array  # (channel, wavelength) DN per unit of the illuminant; never negative
-    covariance: Array  # (channel · wavelength, channel · wavelength) covariance of the responsivity
-    glare: Array  # (shot, channel) DN
-    illumination: Array  # (shot, term)
-    error: float  # relative model error of patch values, in addition to noise
+    responsivity: Array  # (channel, wavelength): DN per unit of the illuminant; never negative
+    covariance: Array  # (channel · wavelength, channel · wavelength): covariance of the responsivity
+    glare: Array  # (shot, channel): offset that glare adds to all patches, in DN
+    illumination: Array  # (shot, term): coefficients of the illumination terms
+    error: float  # relative error of patch values in addition to noise, such as wrong reflectances
     evidence: float  # natural logarithm of the probability of the values, up to a constant
-    predicted: tuple[Array, ...]  # (patch, channel) predicted DN of each shot
+    predicted: tuple[Array, ...]  # for each shot, (patch, channel): predicted value in DN
 
 
 def estimate(shots: Sequence[Shot], prior: Prior) -> Posterior:
-    """Return the posterior given all shots. The model error is the candidate under which the values are most probable."""
+    """Estimate the responsivities from all shots. Of the model errors in ERRORS, the most probable is used."""
     candidates = [_solve(shots, prior, error) for error in ERRORS]
     best = max(candidates, key=lambda solution: solution.evidence)
     return best.posterior()
 
 
 def evidence(shots: Sequence[Shot], prior: Prior) -> float:
-    """Return the natural logarithm of the probability of the values, up to a constant.
+    """Return the natural logarithm of the probability of the patch values, up to a constant.
 
-    The probability refers to the illuminants of the shots and is averaged over the candidate model errors.
+    The probability assumes the illuminants in `shots`, and is averaged over the model errors in ERRORS.
     """
     every: list[Shot | Prior] = [*shots, prior]
     parts = [getattr(each, field.name) for each in every for field in fields(each) if field.name != "source"]
@@ -228,14 +226,14 @@ def evidence(shots: Sequence[Shot], prior: Prior) -> float:
 
 
 def _log_mean(logarithms: Sequence[float]) -> float:
-    """Return the logarithm of the mean of numbers, given their logarithms."""
+    """Return the logarithm of the mean of numbers whose logarithms are given."""
     return float(np.logaddexp.reduce(logarithms) - np.log(len(logarithms)))
 
 
 def terms(place: Array) -> Array:
-    """Return the illumination terms at each position, with the shape (patch, term).
+    """Return the terms of the polynomial that models the illumination over the chart: (patch, term).
 
-    `place` contains the coordinates x and y of the patches on the chart.
+    `place`, (patch, 2), contains the coordinates x and y of the patches, from −1 to 1.
     """
     x, y = place.T
     return np.stack([np.ones_like(x), x, y, x * x - np.mean(x * x), x * y, y * y - np.mean(y * y)], axis=1)
@@ -246,28 +244,24 @@ def terms(place: Array) -> Array:
 
 @dataclass(frozen=True)
 class _Solution:
-    """Last linearisation of the model: values ≈ design @ state.
+    """The last linearisation of the model, values ≈ design @ state, and its solution.
 
-    The state contains the responsivities, the glare and the illumination terms, and has a Gaussian prior.
+    The state is a vector of the responsivities, the glare and the coefficients of the illumination. It has a Gaussian prior.
     """
 
     shots: Sequence[Shot]
-    shape: tuple[int, int]  # channels, wavelengths
+    shape: tuple[int, int]  # number of channels, number of wavelengths
     design: Array  # (value, state)
-    values: Array  # (value) right-hand side of the linearised model
-    noise: Array  # (value) variance of each value
-    mean: Array  # (state) mean of the prior
-    covariance: Array  # (state, state) covariance of the prior
-    state: Array  # (state) solution
-    error: float
-    evidence: float
+    values: Array  # (value,): right-hand side of the linearised model
+    noise: Array  # (value,): variance of each value
+    mean: Array  # (state,): mean of the prior
+    covariance: Array  # (state, state): covariance of the prior
+    state: Array  # (state,): most probable state, which may contain negative responsivities
+    error: float  # model error, as in `Posterior`
+    evidence: float  # as in `Posterior`
 
     def posterior(self) -> Posterior:
-        """Return the posterior, with the values that it predicts for each patch.
-
-        If a responsivity of the most probable state is negative, the most probable state without negative responsivities is
-        used.
-        """
+        """Return the posterior, without negative responsivities, and the values that it predicts for each patch."""
         count, size = self.shape
         curves = count * size
         state = self.state if self.state[:curves].min() >= 0 else self._not_negative()
@@ -316,9 +310,9 @@ def _solve(shots: Sequence[Shot], prior: Prior, error: float) -> _Solution:
         off = right - design @ mean
         solved = np.linalg.solve(spread, off)
         state = mean + across @ solved
-        # Under a wrong illuminant the iteration may diverge, so the scale must remain close to the first guess.
+        # With a wrong illuminant, the iteration may diverge. The scales are therefore kept close to the first guess.
         scale = np.clip(_scale(state, prior), first / FARTHEST, first * FARTHEST)
-        # The exposures must remain close to the previous exposures.
+        # For the same reason, the exposures are kept close to their prior means.
         exposures = slice(state.size - len(shots) * TERMS, None, TERMS)
         state[exposures] = np.clip(state[exposures], mean[exposures] / FARTHEST, mean[exposures] * FARTHEST)
     logarithm = np.log(np.diag(np.linalg.cholesky(spread))).sum()
@@ -327,10 +321,7 @@ def _solve(shots: Sequence[Shot], prior: Prior, error: float) -> _Solution:
 
 
 def _first_guess(shots: Sequence[Shot], prior: Prior) -> Array:
-    """Return the initial state: the mean curves of the prior with uniform illumination and no glare.
-
-    The curves are scaled to the first shot.
-    """
+    """Return the initial state: the mean curves of the prior, scaled to the first shot, uniform illumination, no glare."""
     count = len(prior.mean)
     expected = [shot.stimuli @ prior.mean.T for shot in shots]
 
@@ -347,14 +338,14 @@ def _first_guess(shots: Sequence[Shot], prior: Prior) -> Array:
 
 
 def _scale(state: Array, prior: Prior) -> Array:
-    """Return the factor for each channel with which the mean curves of the prior fit a state best."""
+    """Return, for each channel, the factor by which the mean curve of the prior fits the curve in a state best."""
     count, size = prior.mean.shape
     curves = state[: count * size].reshape(count, size)
     return np.maximum((curves * prior.mean).sum(axis=1) / (prior.mean**2).sum(axis=1), 1e-12)
 
 
 def _before(shots: Sequence[Shot], prior: Prior, scale: Array) -> tuple[Array, Array]:
-    """Return the mean and the covariance of the prior of the state, given the scale of each channel."""
+    """Return the mean and the covariance of the prior of the state. `scale` contains the scale of each channel's curve."""
     count, size = prior.mean.shape
     curves = (scale[:, None] * prior.mean).ravel()
     factors = np.repeat(scale, size)
@@ -378,7 +369,7 @@ def _before(shots: Sequence[Shot], prior: Prior, scale: Array) -> tuple[Array, A
 
 
 def _exposure(shots: Sequence[Shot], index: int, curves: Array) -> float:
-    """Return the exposure of a shot relative to the first shot."""
+    """Return the exposure of the shot `index`, relative to the first shot, if the responsivities are `curves`."""
     if index == 0:
         return 1.0
     shot, predicted = shots[index], shots[index].stimuli @ curves.T
@@ -386,9 +377,9 @@ def _exposure(shots: Sequence[Shot], index: int, curves: Array) -> float:
 
 
 def _expansion(shots: Sequence[Shot], state: Array, count: int, size: int, error: float) -> tuple[Array, Array, Array]:
-    """Linearise the model around a state. Return the design matrix, the right-hand side and the variances of all values.
+    """Linearise the model around a state. Return the design matrix, the right-hand side and the variance of each value.
 
-    The values are sorted by shot, channel and patch.
+    The values are sorted by shot, then by channel, then by patch.
     """
     responsivity, glare, illumination = _split_state(state, len(shots), count, size)
     designs, rights, variances = [], [], []
@@ -411,10 +402,7 @@ def _expansion(shots: Sequence[Shot], state: Array, count: int, size: int, error
 
 
 def _split_state(state: Array, shots: int, count: int, size: int) -> tuple[Array, Array, Array]:
-    """Split a state into responsivities, glare and illumination terms.
-
-    Their shapes are (channel, wavelength), (shot, channel) and (shot, term).
-    """
+    """Split a state into responsivities (channel, wavelength), glare (shot, channel) and illumination (shot, term)."""
     curves, offsets = count * size, shots * count
     return (
         state[:curves].reshape(count, size),
@@ -424,12 +412,12 @@ def _split_state(state: Array, shots: int, count: int, size: int) -> tuple[Array
 
 
 def _predict(shot: Shot, responsivity: Array, glare: Array, illumination: Array) -> Array:
-    """Predict the DN of each patch and channel of a shot."""
+    """Return the predicted value of each patch and channel of a shot in DN: (patch, channel)."""
     return (shot.terms @ illumination)[:, None] * (shot.stimuli @ responsivity.T) + glare
 
 
 def _peaks(state: Array, prior: Prior) -> float:
-    """Return the log probability of the relative heights of the peaks of all channels."""
+    """Return the logarithm of the prior probability of the relative heights of the channels' peaks, up to a constant."""
     count, size = prior.mean.shape
     heights = np.log(np.maximum(state[: count * size].reshape(count, size).max(axis=1), 1e-300))
     off = heights - heights.mean() - (prior.log_peak - prior.log_peak.mean())
@@ -437,26 +425,26 @@ def _peaks(state: Array, prior: Prior) -> float:
 
 
 def compare(shots: Sequence[Shot], index: int, among: Sequence[Prior], candidates: Mapping[str, Array]) -> tuple[str, float]:
-    """Compare the illuminant of a shot with common illuminants.
+    """Find the most probable of several common illuminants for a shot, and compare it with the illuminant of the shot.
 
     Parameters
     ----------
     shots : sequence of Shot
-        All photos of the camera.
+        Photos of charts by the same camera.
     index : int
         Index of the shot.
     among : sequence of Prior
-        Possible priors of the camera (`plausible`).
+        Possible priors of the camera, from `plausible`.
     candidates : mapping of str to ndarray, (wavelength,)
-        Relative photon radiance of the common illuminants.
+        Relative photon radiances of the common illuminants.
 
     Returns
     -------
     nearest : str
-        The most probable of the candidates.
+        The most probable common illuminant.
     deficit : float
-        Natural logarithm of the ratio of the probability of `nearest` to the probability of the illuminant of the shot,
-        at least 0.
+        Natural logarithm of the ratio of two probabilities: the probability of `nearest`, divided by the probability of the
+        illuminant in `shots[index]`. It is at least 0.
     """
     others = {name: _likelihood(_under(shots, index, light), among) for name, light in candidates.items()}
     nearest = max(others, key=lambda name: others[name])
@@ -466,9 +454,9 @@ def compare(shots: Sequence[Shot], index: int, among: Sequence[Prior], candidate
 def probabilities(
     shots: Sequence[Shot], index: int, among: Sequence[Prior], candidates: Mapping[str, Array]
 ) -> dict[str, float]:
-    """Return the probability of each candidate illuminant of the shot `index`, if one of the candidates is correct.
+    """Return the probability of each candidate illuminant for the shot `index`, assuming that one of them is correct.
 
-    `compare` describes the parameters.
+    The parameters are the same as in `compare`.
     """
     logarithms = {name: _likelihood(_under(shots, index, light), among) for name, light in candidates.items()}
     top = max(logarithms.values())
@@ -486,9 +474,23 @@ def unsure_of_light(
 ) -> Posterior:
     """Widen the covariance of a posterior to account for the uncertainty of a guessed illuminant.
 
-    The responsivities are estimated under every candidate illuminant and scaled to the same sum. Their scatter, weighted
-    by the probabilities `likely`, is added to the covariance. `index` is the index of the shot whose illuminant was
-    guessed.
+    The responsivities are estimated under each probable illuminant and scaled to the same sum. Their scatter around the
+    posterior is added to the covariance.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        Estimate under the guessed illuminant.
+    shots : sequence of Shot
+        All shots.
+    index : int
+        Index of the shot whose illuminant was guessed.
+    prior : Prior
+        Prior of the camera.
+    likely : mapping of str to float
+        Probability of each illuminant. Illuminants below IMPROBABLE are ignored.
+    candidates : mapping of str to ndarray, (wavelength,)
+        Relative photon radiance of each illuminant.
     """
     added = np.zeros_like(posterior.covariance)
     for name, probability in likely.items():
@@ -501,13 +503,13 @@ def unsure_of_light(
 
 
 def _likelihood(shots: Sequence[Shot], among: Sequence[Prior]) -> float:
-    """Return the tempered log probability of the values under the illuminants of the shots, averaged over the priors."""
+    """Return the logarithm of the probability of the patch values, averaged over the priors and divided by TEMPERING."""
     measured = any(prior.source == MEASURED for prior in among)
     return _log_mean([evidence(shots, prior) for prior in among]) / TEMPERING[measured]
 
 
 def _under(shots: Sequence[Shot], index: int, light: Array) -> list[Shot]:
-    """Return the shots, with `light` as the illuminant of the shot with the given index."""
+    """Return the shots, with the illuminant of the shot `index` replaced by `light`."""
     return [replace(shot, light=light) if number == index else shot for number, shot in enumerate(shots)]
 
 
@@ -515,11 +517,11 @@ def _under(shots: Sequence[Shot], index: int, light: Array) -> list[Shot]:
 
 
 def response_errors(responsivity: Array, covariance: Array, light: Array, surfaces: Array) -> Array:
-    """Return the uncertainty of the signals of surfaces under an illuminant, for each channel.
+    """Return, for each channel, the relative uncertainty of the signals that surfaces cause under an illuminant.
 
-    For each surface, the standard deviation of the signal is divided by the largest signal of all surfaces. The result
-    is the RMS over the surfaces. The mean signal is assumed to be known, because exposure and white balance determine
-    it.
+    For each surface, the standard deviation of the signal is divided by the largest signal of all surfaces. The result is
+    the RMS over the surfaces. The mean signal of the surfaces is assumed to be known, because exposure and white balance
+    determine it.
 
     Parameters
     ----------
@@ -547,16 +549,16 @@ def response_errors(responsivity: Array, covariance: Array, light: Array, surfac
 def next_light(
     shot: Shot, posterior: Posterior, candidates: Mapping[str, Array], judged_under: Sequence[Array], surfaces: Array
 ) -> tuple[str, float]:
-    """Find the illuminant under which one more photo of the same chart would reduce the colour error most.
+    """Find the illuminant under which a further photo of the same chart would reduce the colour error most.
 
     Parameters
     ----------
     shot : Shot
-        A photo of the chart.
+        A photo of the chart. The further photo is assumed to have the same noise and glare.
     posterior : Posterior
         Estimate from the existing photos.
     candidates : mapping of str to ndarray, (wavelength,)
-        Illuminants from which the result is chosen.
+        Possible illuminants of the further photo.
     judged_under : sequence of ndarray, (wavelength,)
         Illuminants under which colour errors are computed.
     surfaces : ndarray, (surface, wavelength)
@@ -565,9 +567,9 @@ def next_light(
     Returns
     -------
     light : str
-        The best candidate.
+        Name of the best illuminant in `candidates`.
     remaining : float
-        Colour error with one more photo, divided by the present colour error.
+        Colour error after the further photo, divided by the present colour error.
     """
 
     def error(covariance: Array) -> float:
@@ -581,10 +583,7 @@ def next_light(
 
 
 def _with(shot: Shot, posterior: Posterior, light: Array) -> Array:
-    """Return the covariance of the responsivities after one more shot under an illuminant.
-
-    Its exposure and glare are unknown.
-    """
+    """Return the covariance of the responsivities after a further shot under `light`, with unknown exposure and glare."""
     count = len(posterior.responsivity)
     stimuli = shot.reflectance * (light / light.mean() * shot.light.mean())
     predicted = (stimuli @ posterior.responsivity.T).T

@@ -1,6 +1,6 @@
-"""Writes a camera recipe and its responsivity curves.
+"""Writes the text of a camera recipe and of its responsivity curves.
 
-The data come from raw files, or from l3's list of known cameras. Comments in the recipe mark assumed values.
+The values come from raw files or from the list of known cameras in l3. Comments in the recipe mark values that are assumed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,14 +22,14 @@ PEAK_EFFICIENCY = 0.4  # typical peak quantum efficiency of a silicon camera wit
 ELECTRONS_PER_UM2 = 1500.0  # typical full-well capacity per µm² at ISO 100
 BASE_ISO = 100.0  # typical lowest ISO speed
 READ_NOISE_E = 3.0  # e-; typical read noise
-USUAL_GAINS = (4.0, 16.0, 64.0)  # gains, relative to the lowest ISO speed, for which transforms are trained
+USUAL_GAINS = (4.0, 16.0, 64.0)  # gains relative to the lowest ISO speed, for the recipe of a camera without raw files
 FEWEST_ELECTRONS = 100.0  # e-; smallest plausible full scale
 Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Gain and read noise at the ISO speed of the photo, and a comment that states their source."""
+    """Gain and read noise at the ISO speed of a photo, and a text that states their source."""
 
     gain: float  # DN/e-
     read_noise_e: float
@@ -38,30 +38,30 @@ class SensorNoise:
 
 @dataclass(frozen=True)
 class PhotoCamera:
-    """Data of a camera, from its raw files or from its name alone."""
+    """Everything that is known about a camera, from its raw files or only from its name."""
 
-    photo: Path | None  # None if only the name of the camera is known
+    photo: Path | None  # raw file; None if only the name of the camera is known
     body: Body
     black_level: float  # DN
     white_level: float  # DN
     stated: Stated
-    wavelength: Array  # (wavelength) nm
-    curves: Array  # (channel, wavelength) response per photon, divided by the highest peak of all channels
+    wavelength: Array  # (wavelength,): nm
+    curves: Array  # (channel, wavelength): response per photon, divided by the highest peak of all channels
     origin: str  # source of the curves, for a comment in the recipe
     noise: SensorNoise
-    white: str | None = None  # value of ‹white› for rendering the photo: the specified illuminant, or that of the chart
-    gains: tuple[tuple[float, float], ...] = ()  # gain relative to the photo, and read noise (e-), from other raw files
+    white: str | None = None  # value of ‹white› for rendering the photo: the specified illuminant or the chart's illuminant
+    gains: tuple[tuple[float, float], ...] = ()  # further gains, relative to the photo, and the read noise (e-) at each gain
     overrides: Mapping[str, str] = field(default_factory=dict)  # options of l3 render that correct metadata of the raw files
 
     def gain_recipe(self) -> str:
-        """Return the section [gain] of the recipe, or an empty string if the ISO speed of the photo is unknown."""
+        """Return the text of the section [gain], or an empty string if the ISO speed of the photo is unknown."""
         if self.stated.iso is None:
             return ""
         lines = ["", "[gain]", f"iso = {self.stated.iso:g} # at gain_dn_per_e"]
         if self.gains:
             gains = ", ".join(f"{gain:g}" for gain, _ in self.gains)
             noises = ", ".join(f"{noise:.4g}" for _, noise in self.gains)
-            source = "assumed" if self.photo is None else "from the ISO speeds and noise profiles of other files"
+            source = "assumed" if self.photo is None else "from the ISO speeds and noise profiles of the remaining files"
             lines += [f"gains = [{gains}] # {source}", f"read_noise_e = [{noises}] # {source}"]
         return "\n".join(lines) + "\n"
 
@@ -71,7 +71,7 @@ class PhotoCamera:
 
     @property
     def assumed(self) -> list[str]:
-        """Names of the quantities whose values are assumed."""
+        """Names of the quantities whose values in the recipe are assumed."""
         known = self.stated
         names = {"pixel pitch": known.pitch_um, "focal length": self._focal_mm, "f-number": self._f_number}
         return ["peak efficiency", *(name for name, value in names.items() if value is None)]
@@ -89,13 +89,13 @@ class PhotoCamera:
     def recipe(self) -> str:
         """Return the text of the camera recipe. A comment states the source of each value."""
         body = self.body
-        known = "known by name only" if self.photo is None else f"from the raw file {self.photo.name}"
-        source = "nominal; raw files state the actual values" if self.photo is None else "from the raw file"
+        known = "from its name only" if self.photo is None else f"from the raw file {self.photo.name}"
+        source = "nominal; raw files contain the actual values" if self.photo is None else "from the raw file"
         rows = "\n".join(f'  "{row}",' for row in array_rows(body.channels, body.cfa))
         pitch, full = self.stated.pitch_um, (self.white_level - self.black_level) / self.noise.gain
         return f"""\
-# {printable(f"{self.name}, {known}")}. Values that are not known are marked as assumed. Correct
-# them if you know better values.
+# {printable(f"{self.name}, {known}")}. Values that are not known are marked as assumed. If you
+# know better values, correct them.
 name = {toml_value(self.name)}
 
 [sensor] # size, bits and levels: {source}
@@ -139,16 +139,16 @@ f_number = {self._f_number or F_NUMBER:.3g}{"" if self._f_number else " # assume
 def without_photo(
     body: Body, levels: tuple[float, float], known: Stated, curves: FinishedCurves, origin: str
 ) -> PhotoCamera:
-    """Describe a camera of which only the name is known.
+    """Return the data of a camera without a photo. The data come from l3's list of cameras.
 
     Parameters
     ----------
     body : Body
-        Sensor, array and optics.
+        Sensor, filter array and optics.
     levels : tuple of float
-        Black and white level in DN.
+        Black level and white level in DN.
     known : Stated
-        Data that l3 contains about the camera.
+        Data about the camera from the list of cameras.
     curves : FinishedCurves
         Responsivities of the camera.
     origin : str
@@ -160,10 +160,20 @@ def without_photo(
 
 
 def gains_of(known: Stated, others: Sequence[Stated]) -> tuple[tuple[float, float], ...]:
-    """Return gains relative to a raw file, and the read noise in electrons at each gain.
+    """Return gains and read noise from the noise profiles of raw files with higher ISO speeds.
 
-    They are computed from the noise profiles of other raw files. Only files with a higher ISO speed are used, up to the
-    largest gain that a camera recipe may contain.
+    Parameters
+    ----------
+    known : Stated
+        Metadata of the raw file to which the gains are relative.
+    others : sequence of Stated
+        Metadata of further raw files. Files without noise profile or ISO speed, with an ISO speed that is not higher, or
+        with a gain that is too large for a camera recipe are ignored.
+
+    Returns
+    -------
+    tuple of (float, float)
+        Gain and read noise in electrons, sorted by gain.
     """
     found: dict[float, float] = {}
     for each in others:
@@ -176,8 +186,8 @@ def gains_of(known: Stated, others: Sequence[Stated]) -> tuple[tuple[float, floa
 def noise_of(stated: Stated, span: float) -> SensorNoise:
     """Return gain and read noise from the noise profile of a raw file.
 
-    If the file has no noise profile, typical values at its ISO speed are returned. `span` is the difference between
-    white level and black level in DN.
+    If the file contains no noise profile, the gain and the read noise are typical values for its ISO speed. `span` is the
+    difference between white level and black level in DN.
     """
     if stated.noise is not None:
         slope, constant = stated.noise

@@ -1,4 +1,4 @@
-"""Estimates responsivities from photographs of charts, or from the colour matrices in a raw file.
+"""Estimates responsivities from photos of charts, or from the colour matrices in a raw file.
 
 docs/method.md#charts-in-photographs describes the method.
 """
@@ -47,7 +47,7 @@ from l3cli.frames.measurement import Body, CurveStatistics, Measurements, PhotoC
 from l3cli.physics import spectra
 from l3cli.physics.mosaic import shifted_cfa
 
-# Relative standard deviation of the illumination without and with a correction by a photo of a white target.
+# Relative standard deviation of the illumination: without correction, and corrected with a photo of a white target.
 UNEVEN, UNEVEN_LEFT = 0.2, 0.01
 LEAST_SHARE = 0.5  # smallest acceptable fraction of usable patches in a channel
 LEAST_SIGNAL = 20.0  # DN; smallest acceptable value of the brightest patch
@@ -56,10 +56,10 @@ CANDIDATES = (  # illuminants that l3 considers if the illuminant of a photo is 
 )  # fmt: skip
 JUDGED_UNDER = ("A", "D65", "F11")  # illuminants under which the uncertainty of colours is evaluated
 SURFACES_EVERY = 7  # only every seventh surface of the library is evaluated, to save time
-# Outliers are farther from the fit than FAR standard deviations. At most MOST_FAR outliers are left out.
+# Outliers deviate from the fit by more than FAR standard deviations. At most MOST_FAR outliers are left out.
 FAR, MOST_FAR = 4.0, 4
 Array = NDArray[np.floating]
-ERROR = 0.02  # relative error of the patch values that a colour matrix predicts, in addition to the model error
+ERROR = 0.02  # relative error of patch values that a colour matrix predicts, in addition to the model error
 
 
 @dataclass(frozen=True)
@@ -67,26 +67,31 @@ class Photograph:
     """The measured patches of a photo."""
 
     capture: PhotoCapture
-    corners: Array  # (4, 2) column and row of the corners of the chart
+    corners: Array  # (4, 2): column and row of the corners of the chart
     values: PatchValues
     black_level: float  # DN
     white_level: float  # DN
     shot: Shot
-    left_out: tuple[str, ...]
+    left_out: tuple[str, ...]  # one line per patch and channel that is not used
 
 
 def measure(capture: PhotoCapture, body: Body) -> Photograph:
     """Measure the patches of a photo.
 
-    The black level is the mean of the dark frames, if there are any. If there are photos of a white target, the patches are
-    divided by the illumination that these photos show. Raises InputFileError if the chart is not found, if too few patches
-    are usable, or if the dark frames are too bright.
+    If there are dark frames, the black level is their mean. Otherwise it comes from the raw file. If there are photos of a
+    white target, the patches are divided by the illumination in these photos.
+
+    Raises
+    ------
+    InputFileError
+        If the chart is not found, if too few patches are usable, or if the dark frames are too bright.
     """
     frame = capture.frames[0]
     black = frame.black_level if not capture.darks else float(np.mean([dark.values.mean() for dark in capture.darks]))
     if not black < frame.white_level:
         raise InputFileError(
-            f"the dark frames of {capture.name} are as bright as the white level; use frames captured without light"
+            f"the dark frames of {capture.name} are as bright as the white level; use frames that were captured without "
+            "light"
         )
     cfa = shifted_cfa(body.cfa, frame.phase)
     chart = capture.chart
@@ -94,7 +99,7 @@ def measure(capture: PhotoCapture, body: Body) -> Photograph:
     mosaics = [each.values.astype(np.float64) - black for each in capture.frames]
     to_pixels = _geometry(capture, np.mean(mosaics, axis=0), cfa, reflectance)
     saturation = noise.SATURATED * (frame.white_level - black)
-    with raised_as(InputFileError, capture.name, cure="; the chart is too small or its corners are wrong"):
+    with raised_as(InputFileError, capture.name, cure="; use a photo with a larger chart, or correct its corners"):
         values = patch_values(mosaics, cfa, to_pixels, chart.grid, saturation)
     _check(capture, values, body, reflectance)
     light = _over_white(capture.whites, black, cfa, to_pixels, chart.grid, saturation) if capture.whites else 1.0
@@ -118,7 +123,7 @@ def measure(capture: PhotoCapture, body: Body) -> Photograph:
 
 
 def light_of(capture: PhotoCapture) -> Array:
-    """Return the photon radiance of the illuminant of a photo at each wavelength, divided by its mean."""
+    """Return the photon radiance of a photo's illuminant at the wavelengths WAVELENGTH, scaled to a mean of 1."""
     light = np.maximum(spectra.resample(capture.radiance, capture.wavelength, WAVELENGTH), 0.0)
     return np.asarray(light / light.mean())
 
@@ -126,41 +131,37 @@ def light_of(capture: PhotoCapture) -> Array:
 def _geometry(capture: PhotoCapture, mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array) -> Array:
     """Return the homography from chart coordinates, in patches, to pixels.
 
-    The homography maps the corners in the measurement file to pixels. If the file contains no corners, l3 searches the
-    photo for the chart. Raises InputFileError if no chart is found, or if the corners are outside the photo or on a line.
+    It is computed from the corners in the measurement file. If the file contains no corners, l3 searches the photo for the
+    chart. Raises InputFileError if no chart is found, or if the corners are outside the photo or on a line.
     """
     rows, cols = capture.chart.grid
     if capture.corners is None:
         located = locate(mosaic, cfa, reflectance, capture.chart.grid)
         if located is None:
             raise InputFileError(
-                f'{capture.name}: no chart with {rows}×{cols} patches was found; set "corners" in a measurement file, or '
+                f'{capture.name}: l3 found no chart with {rows}×{cols} patches; set "corners" in a measurement file, or '
                 "take a photo in which the chart is larger, in focus and evenly lit"
             )
         return located.to_pixels
     height, width = mosaic.shape
     if (capture.corners < 0).any() or (capture.corners > (width, height)).any():
         raise InputFileError(
-            f'{capture.name}: a corner of the chart is outside the {width}×{height} photo; correct "corners", which '
-            "contains "
-            "the column and row of each corner"
+            f"{capture.name}: a corner of the chart is outside the photo, which has {width} columns and {height} rows; "
+            'correct "corners", which contains the column and row of each corner'
         )
     try:
         matrix = homography(corner_cells(rows, cols), capture.corners)
         np.linalg.inv(matrix)
     except np.linalg.LinAlgError:
         raise InputFileError(
-            f'{capture.name}: the corners of the chart are on a line; correct "corners", clockwise from patch 1'
+            f'{capture.name}: the corners of the chart are on a line; correct "corners", which must begin at patch 1 and '
+            "continue clockwise"
         ) from None
     return matrix
 
 
 def _check(capture: PhotoCapture, values: PatchValues, body: Body, reflectance: Array) -> None:
-    """Raise InputFileError if the patches of a photo cannot be used.
-
-    This is the case if too few patches are usable, if a channel is too dark, or if the values do not resemble the patches of
-    the chart.
-    """
+    """Raise InputFileError if too few patches are usable, if a channel is too dark, or if they do not resemble the chart."""
     count = len(values.mean)
     for channel, name in enumerate(body.channels):
         used = values.used[:, channel]
@@ -169,12 +170,12 @@ def _check(capture: PhotoCapture, values: PatchValues, body: Body, reflectance: 
             most = max(reasons, key=reasons.count)
             cure = "shorten the exposure" if most == "clipped" else "check the chart and its corners"
             raise InputFileError(
-                f"{capture.name}: only {used.sum()} of {count} patches are usable in channel {name}, and most of the "
-                f"unusable patches are {most}; {cure}"
+                f"{capture.name}: only {used.sum()} of {count} patches are usable in channel {name}, because most of the "
+                f"remaining patches are {most}; {cure}"
             )
         if values.mean[used, channel].max() < LEAST_SIGNAL:
             raise InputFileError(
-                f"{capture.name}: the chart is too dark in channel {name}; expose longer, or check the black level"
+                f"{capture.name}: the chart is too dark in channel {name}; use a longer exposure, or check the black level"
             )
     if capture.corners is not None and fit(values.mean, components(reflectance)) < MIN_FIT / 2:
         cols = capture.chart.grid[1]
@@ -192,10 +193,10 @@ def _over_white(
     grid: tuple[int, int],
     saturation: float,
 ) -> Array:
-    """Return the relative illumination of each patch and channel, measured in photos of a uniform white target in place of
-    the chart.
+    """Return the relative illumination at each patch, from photos of a white target in place of the chart.
 
-    Raises InputFileError if the target is clipped, dark or uneven in the area of the chart.
+    The shape of the result is (patch, channel). Raises InputFileError if the target is clipped, dark or uneven in the area
+    of the chart.
     """
     mosaics = [white.values.astype(np.float64) - black for white in whites]
     values = patch_values(mosaics, cfa, to_pixels, grid, saturation)
@@ -213,17 +214,16 @@ def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigu
     Returns
     -------
     Curves
-        Responsivities. The highest peak is 1.
+        Relative responsivities, scaled so that the highest peak of all channels is 1.
     PhotoFit
         Details of the fit.
     SensorFigures
-        Noise and levels of the sensor, from its data sheet or from the patches.
+        Levels of the sensor from the raw files, and its noise from the data sheet or from the patches.
 
     Raises
     ------
     InputFileError
-        If a photo contains no usable chart, or if there is no data sheet and the noise does not increase with the
-        signal.
+        If a photo contains no usable chart, or if the noise of the sensor cannot be determined.
     """
     photographs = [measure(capture, measurements.body) for capture in measurements.photos]
     among = _priors(measurements)
@@ -270,14 +270,14 @@ def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigu
 
 
 def _window(frames: Sequence[RawFrame], body: Body) -> PhotoWindow | None:
-    """Return the parts of the sensor that the frames contain, or None if all frames contain the whole sensor."""
+    """Return the area of the sensor that each frame covers, or None if all frames cover the whole sensor."""
     if all(frame.phase == (0, 0) and frame.values.shape == (body.rows, body.cols) for frame in frames):
         return None
     return PhotoWindow(np.array([frame.phase for frame in frames]), np.array([frame.values.shape for frame in frames]))
 
 
 def curves_of(posterior: Posterior) -> Curves:
-    """Return the curves of a posterior with 95 % bands. The highest peak is 1."""
+    """Return the responsivities of a posterior with 95 % confidence bands, scaled so that the highest peak is 1."""
     count, size = posterior.responsivity.shape
     deviation = np.sqrt(np.maximum(np.diag(posterior.covariance), 0.0)).reshape(count, size)
     relative = posterior.responsivity.astype(np.float64)
@@ -286,7 +286,7 @@ def curves_of(posterior: Posterior) -> Curves:
 
 @functools.cache
 def candidates() -> Mapping[str, Array]:
-    """Return the relative photon radiance of each candidate illuminant at each wavelength."""
+    """Return the relative photon radiance of each illuminant in CANDIDATES at the wavelengths WAVELENGTH."""
     return {name: spectra.illuminant(name, WAVELENGTH) for name in CANDIDATES}
 
 
@@ -299,7 +299,7 @@ def _surfaces() -> Array:
 
 
 def _under_lights(photographs: Sequence[Photograph], among: Sequence[Prior]) -> list[Shot]:
-    """Return the shots. If the illuminant of a shot is unknown, the shot gets the most probable candidate illuminant."""
+    """Return the shots of the photos. If the illuminant of a shot is unknown, the most probable candidate is used."""
     shots = [photo.shot for photo in photographs]
     for index, photo in enumerate(photographs):
         if photo.capture.light is None:
@@ -319,10 +319,10 @@ def _priors(measurements: Measurements) -> list[Prior]:
 
 
 def _without_far_ones(shots: list[Shot], prior: Prior) -> tuple[Posterior, list[Shot], list[tuple[int, int, int]]]:
-    """Fit the shots, and repeat the fit without outliers.
+    """Fit the shots, remove outliers, and repeat the fit.
 
-    Outliers are values that deviate from the fit by more than FAR standard deviations. At most MOST_FAR outliers, the
-    farthest, are left out.
+    Outliers are values that deviate from the first fit by more than FAR standard deviations. If there are more than
+    MOST_FAR, only the MOST_FAR largest deviations are removed.
 
     Returns
     -------
@@ -331,7 +331,7 @@ def _without_far_ones(shots: list[Shot], prior: Prior) -> tuple[Posterior, list[
     shots : list of Shot
         The shots without outliers.
     outliers : list of tuple
-        Index of the shot, the patch and the channel of each outlier.
+        Index of the shot, index of the patch and index of the channel of each outlier.
     """
     posterior = estimate(shots, prior)
     far: list[tuple[float, int, int, int]] = []
@@ -360,7 +360,10 @@ def _far_lines(
 
 
 def _padded(parts: Sequence[NDArray], fill: float | bool) -> NDArray:
-    """Stack one array per photo. Charts with fewer patches are padded with `fill`."""
+    """Stack arrays, one per photo.
+
+    If the charts have different numbers of patches, shorter arrays are padded with `fill`.
+    """
     most = max(len(part) for part in parts)
     shape = (len(parts), most, parts[0].shape[1])
     result = np.full(shape, fill, dtype=bool if isinstance(fill, bool) else np.float64)
@@ -375,23 +378,23 @@ def _padded(parts: Sequence[NDArray], fill: float | bool) -> NDArray:
 def _sensor(photographs: Sequence[Photograph], measurements: Measurements) -> tuple[SensorFigures, bool]:
     """Return the noise and the levels of the sensor, and whether the noise was estimated from the patches.
 
-    If there is a data sheet, gain and noise are read from the data sheet. Otherwise they are estimated from the patches. The
-    levels are always read from the files. Raises InputFileError if the white level does not fit into the bits of the camera,
-    or if the noise of the patches is not that of a raw file.
+    If there is a data sheet, gain and noise come from it. Otherwise they are estimated from the patches. The levels always
+    come from the first photo. Raises InputFileError if the white level exceeds the bit depth of the camera, or if the noise
+    of the patches does not increase with the signal.
     """
     first = photographs[0]
     if measurements.datasheet is not None:
         return replace(measurements.datasheet, black_level=first.black_level, white_level=first.white_level), False
     if first.white_level > 2**measurements.body.bits - 1:
         raise InputFileError(
-            f"the white level of {first.capture.name} is {first.white_level:g} DN, which does not fit into "
+            f"the white level of {first.capture.name} is {first.white_level:g} DN, which exceeds the largest value of "
             f'{measurements.body.bits} bits; correct "sensor.bits"'
         )
     transfer = photon_transfer([photo.values for photo in photographs])
     if transfer is None:
         raise InputFileError(
-            f"{first.capture.name}: the noise does not increase with the signal as in a raw file; use an unprocessed raw "
-            "file, or declare gain and noise in [datasheet]"
+            f"{first.capture.name}: the noise does not increase with the signal, so the file seems to be processed; use an "
+            "unprocessed raw file, or state gain and noise in [datasheet]"
         )
     gain, dark_noise = transfer
     well = (first.white_level - first.black_level) / gain
@@ -403,14 +406,14 @@ class ColourMatrix:
     """Colour matrix of a camera for one illuminant, as in the ColorMatrix tags of DNG 1.7."""
 
     light: str  # name of the illuminant
-    values: Array  # (channel, 3) matrix that converts XYZ to the signals of the channels
+    values: Array  # (channel, 3): converts XYZ to the signals of the channels
 
 
 def curves_of_matrices(matrices: Sequence[ColourMatrix], prior: Prior) -> Curves:
-    """Return the most probable responsivity curves of a camera with these colour matrices, with 95 % bands.
+    """Return the most probable responsivities of a camera with these colour matrices, with 95 % confidence bands.
 
-    The matrices predict the channel values of a ColorChecker. The curves are the posterior of `prior` given these
-    values.
+    The matrices predict the values of the patches of a ColorChecker. The responsivities are then estimated from these values
+    as from photos.
     """
     reflectance = spectra.colorchecker(WAVELENGTH)[1]
     shots = [_shot(matrix, reflectance) for matrix in matrices]
@@ -418,7 +421,7 @@ def curves_of_matrices(matrices: Sequence[ColourMatrix], prior: Prior) -> Curves
 
 
 def usual_curves(prior: Prior) -> Curves:
-    """Return the mean curves of the measured cameras, for a camera about which nothing is known."""
+    """Return the mean curves of `prior` with 95 % confidence bands, for a camera about which nothing is known."""
     peaks = np.exp(prior.log_peak)[:, None]
     deviation = np.sqrt(np.diag(prior.covariance)).reshape(prior.mean.shape)
     mean = np.asarray(prior.mean * peaks, np.float64)
@@ -426,21 +429,24 @@ def usual_curves(prior: Prior) -> Curves:
 
 
 def balanced_curves(curves: Curves, light: str) -> Curves:
-    """Scale each curve so that a grey surface under the illuminant has equal signals in all channels."""
+    """Scale the curves so that a grey surface under the illuminant `light` causes equal signals in all channels."""
     signals = curves.relative @ spectra.illuminant(light, curves.wavelength)
     scale = (signals.min() / signals)[:, None]
     return Curves(curves.wavelength, curves.relative * scale, curves.band * scale).to_common_peak()
 
 
 def prior_of(channels: Sequence[str], known: CurveStatistics) -> Prior:
-    """Return the prior of measured cameras for the channels r, g and b, or the smooth prior for other channels."""
+    """Return the prior for a camera with these channels.
+
+    If the channels are r, g and b, in any order, it is the prior of measured cameras. Otherwise it is the smooth prior.
+    """
     if sorted(channels) != sorted(ROLES):
         return smooth(len(channels))
     return placed(camera_prior(known), [channels.index(role) for role in ROLES], len(channels))
 
 
 def _shot(matrix: ColourMatrix, reflectance: Array) -> Shot:
-    """Return a shot of an evenly lit chart without glare, whose values are predicted by a colour matrix."""
+    """Return a shot of an evenly lit chart without glare. Its values are the values that a colour matrix predicts."""
     light = spectra.illuminant(matrix.light, WAVELENGTH)
     weights = spectra.xyz_weights(WAVELENGTH)
     xyz = (reflectance * light) @ weights.T / (weights[1] @ light)
