@@ -88,8 +88,8 @@ def nearest_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | Non
     """Return the illuminant of a table that is closest to the white of a scene.
 
     This is the illuminant with the larger weight in `mix_for`. Pictures are rendered with the transforms for this
-    illuminant. The white balance corrects the remaining difference between the two illuminants. The result is None if the
-    table has no transforms for single illuminants.
+    illuminant. The white balance corrects the remaining difference from the illuminant of the scene. The result is None if
+    the table has no transforms for single illuminants.
     """
     mix = mix_for(table, white)
     return None if mix is None else replace(mix, share=float(mix.share >= 0.5))
@@ -301,8 +301,7 @@ def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
 def noise_limits(table: TransformTable) -> dict[NoiseScale, float]:
     """Return, for each set of transforms for less noise, the noise fraction up to which the set is used.
 
-    Sets of transforms are sorted by their noise. Between two adjacent sets, the limit is at a quarter of the logarithmic
-    distance, measured from the set with less noise.
+    The limit between two sets for the noise fractions a < b is a^¾ · b^¼. The noise fraction of the camera's own noise is 1.
 
     Returns
     -------

@@ -153,8 +153,8 @@ def _white(luminance: NDArray[np.floating], clipped: NDArray[np.bool_]) -> float
 
     Noise raises a percentile, so a uniform white would be displayed as grey. The effect is visible in areas in which some
     channels clip, because fewer channels measure the luminance there. The result is therefore a mean over the pixels whose
-    luminance differs from the percentile by less than `NOISE_WHERE_CLIPPED`. Pixels outside clipped areas enter this mean
-    with the percentile instead of their luminance.
+    luminance differs from the percentile by less than `NOISE_WHERE_CLIPPED`. In this mean, the percentile replaces the
+    luminance of all pixels outside clipped areas.
     """
     white = white_percentile(luminance)
     alike = np.abs(luminance - white) <= NOISE_WHERE_CLIPPED * white

@@ -94,7 +94,7 @@ class FrameWarnings:
 
     @property
     def assumption(self) -> str:
-        """A line about the exposure time that l3 assumes for frames without exposure time, or "" if all frames have one."""
+        """A line about the exposure time that l3 assumes for frames without exposure time, or "" without such frames."""
         if not self._untimed:
             return ""
         exposure, dark = self.table.exposure, self.table.dark_signal(None)

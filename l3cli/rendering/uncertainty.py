@@ -166,7 +166,7 @@ def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = 
 
 
 def _with_sums(table: TransformTable, outputs: Array) -> Array:
-    """Append the SUMS of Stokes parameters to the outputs, if the outputs are Stokes parameters."""
+    """Append sums of pairs of Stokes parameters (SUMS) to the outputs. Outputs of other types are returned unchanged."""
     if not has_stokes(table.outputs):
         return outputs
     stokes = stokes_of(outputs, table.outputs)
@@ -174,7 +174,7 @@ def _with_sums(table: TransformTable, outputs: Array) -> Array:
 
 
 def _of_polarisation(table: TransformTable, outputs: Array, sigma: Array) -> NDArray[np.float32]:
-    """Return the standard deviations of DoLP and AoLP along the last axis of the result.
+    """Return the standard deviations of DoLP and AoLP as an array (row, col, 2).
 
     `sigma` (output, row, col) contains the standard deviations of the outputs and of SUMS. The covariance of two parameters
     follows from the variances of both parameters and of their sum.

@@ -353,7 +353,10 @@ def _held(curves: Curve, wavelength: Array) -> Array:
 
 
 def _file_ends(name: str, grid: Array, there: str, taken: float, wanted: str) -> str:
-    """Return the warning about a file of curves, or "" if the missing fraction `taken` is at most 1 %."""
+    """Return a warning about wavelengths that a file of curves does not cover.
+
+    The result is "" if the missing fraction `taken` is at most 1 %.
+    """
     if taken <= NOTICEABLE:
         return ""
     known = f"{name} contains values at {grid.min():g}…{grid.max():g} nm, and l3 assumes zero at other wavelengths"

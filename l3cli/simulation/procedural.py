@@ -542,7 +542,7 @@ def munsell(size: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def slanted_edge(size: tuple[int, int], wavelength: Array, angle: float, dark: float, bright: float) -> Cube:
-    """Return a straight edge through the middle of the scene (ISO 12233).
+    """Return a straight edge that passes through the middle of the scene (ISO 12233).
 
     Parameters
     ----------

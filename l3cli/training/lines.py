@@ -52,7 +52,7 @@ class LineNoise:
 
     @property
     def total(self) -> float:
-        """Variance of the offset of a pixel, which is the sum of the offsets of its row and its column."""
+        """Variance of the offset of a pixel. This offset is the sum of the offsets of the pixel's row and column."""
         return self.rows + self.columns
 
     def drawn(self, shape: tuple[int, ...], rng: np.random.Generator) -> Offsets:
@@ -94,7 +94,7 @@ class LineNoise:
 
 @dataclass(frozen=True)
 class SharedNoise:
-    """Line noise of patches whose taps have different shares."""
+    """Line noise of patches, with the share of each tap (see the head of the module)."""
 
     noise: LineNoise
     shares: Floats  # (patch, tap) share of each tap

@@ -425,9 +425,10 @@ def lacking_variance(
     dark: float = 0.0,
     channel: NDArray[np.integer] | None = None,
 ) -> Floats:
-    """Return the variance of the noise that each signal lacks, compared with a frame of the camera, in full scale².
+    """Return the variance of the noise that must be added to each signal, in full scale².
 
-    The variance is 0 for clipped values. The parameters are the same as for `expose_patches`.
+    With this noise, the signal is as noisy as in a frame of the camera. The variance is 0 for clipped values. The parameters
+    are the same as for `expose_patches`.
     """
     variance = _variance(signal, camera, carried, dark, channel=channel)
     variance *= signal < 1

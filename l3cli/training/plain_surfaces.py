@@ -296,7 +296,10 @@ def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpect
 
 
 def _seen(reflectances: Array, to_signals: Array, to_outputs: Array) -> tuple[Array, Array]:
-    """Compute the signals and the outputs of surfaces, without BLAS, whose results depend on the number of threads."""
+    """Compute the signals and the outputs of surfaces.
+
+    BLAS is not used, because its results depend on the number of threads.
+    """
     return np.einsum("sw,cw->sc", reflectances, to_signals), np.einsum("sw,ow->so", reflectances, to_outputs)
 
 
@@ -331,8 +334,8 @@ def output_gains(moments: Array, window: NDArray[np.int64]) -> Array | None:
 def single_bands(moments: Array, window: NDArray[np.int64], gains: Array) -> Array:
     """Return the moments of uniform patches in which each band varies independently around the mean colour of a class.
 
-    Each band has a standard deviation of `BAND_DEVIATION` times its mean. As many of these patches are assumed as the class
-    has training patches.
+    Each band has a standard deviation of `BAND_DEVIATION` times its mean. The moments have the weight of as many patches as
+    the class has training patches.
 
     Parameters
     ----------

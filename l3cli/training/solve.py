@@ -137,9 +137,9 @@ class OutputKind(NamedTuple):
 class Solution:
     """Wiener solutions of the classes of one canonical site, in the opponent basis (docs/method.md#equal-response).
 
-    The *response* of a transform is the sum of its taps for each channel, and its intercept. The response describes how the
-    transform renders uniform areas. The *compliance* describes how the best taps change if the response is constrained to
-    another value.
+    The *response* of a transform consists of the sum of its taps for each channel, and of its intercept. The response
+    describes how the transform renders uniform areas. The *compliance* describes how the best taps change if the response is
+    constrained to another value.
     """
 
     taps: Array  # (class, tap + 1, output); the last tap is the intercept

@@ -115,7 +115,7 @@ class Unread:
     result: Any  # buffer with the outputs
 
     def are_of(self, frame: RawFrame) -> bool:
-        """Return whether the outputs belong to a frame, and its values have not changed."""
+        """Return whether the outputs were computed from this frame, and its values have not changed since then."""
         return self.frame is frame and np.array_equal(self.values, frame.values)
 
 
@@ -383,7 +383,7 @@ class OpenCLRenderer:
         return work
 
     def _bring(self, values: NDArray, frame: RawFrame, track: Track, band: Band, work: Work) -> None:
-        """Enqueue the upload of a band, including the rows above and below the band that its windows cover."""
+        """Enqueue the upload of a band, including the rows above and below the band that its windows contain."""
         source, (rows, columns) = values[band.raw_rows], band.shape(0)
         track.labels = self._scratch(track.labels, 4 * rows * columns)
         if self._in_place and not self._shading.corrects(frame):

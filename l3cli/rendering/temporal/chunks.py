@@ -1,9 +1,9 @@
 """Divides a sequence into chunks, each of which has its own temporal filter.
 
 A chunk has `CHUNK` frames, counted from the first frame of the sequence. The filter of a chunk starts `LEAD` frames before
-the chunk, so the noise is already low when the chunk begins. These frames are called its lead-in. A filtered frame therefore
-depends on at most `LEAD` + `CHUNK` − 1 other frames. If a command is resumed, or if several machines share the frames, the
-necessary frames are read again and the results are the same.
+the chunk, so the noise is already low when the chunk begins. These frames are called the lead-in of the chunk. A filtered
+frame therefore depends on at most `LEAD` + `CHUNK` − 1 other frames. If a command is resumed, or if several machines share
+the frames, the necessary frames are read again and the results are the same.
 """
 
 import importlib

@@ -83,7 +83,7 @@ def vectors_of(now: list[Plane], before: list[Plane], grid: Grid, noise: NoiseTe
 
 
 class _Search:
-    """Compares the windows of all blocks between two frames, in the planes of one level."""
+    """Compares the windows of all blocks between two frames, in planes of one resolution."""
 
     def __init__(self, now: Plane, before: Plane, grid: Grid, noise: NoiseTerms, level: int) -> None:
         self._before, self._grid, self._level = before, grid, level

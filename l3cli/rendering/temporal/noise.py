@@ -1,7 +1,8 @@
 """The cells and blocks into which the temporal filter divides a frame, and the noise of the camera in integers.
 
-Values of the filter are in units u of 1/2^spare DN, where `spare` is the number of bits that are unused in 16-bit values.
-The recursive filter therefore preserves fractions of a DN, and the values of every camera use all 16 bits.
+The filter computes with integers in the unit u = 2^−`protect` DN, where `protect` is the number of bits that raw values
+leave unused in 16 bits. The recursive filter therefore preserves fractions of a DN, and the values of every camera use all
+16 bits.
 """
 
 from dataclasses import dataclass

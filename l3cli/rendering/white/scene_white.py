@@ -234,9 +234,9 @@ def _curves(zero: float, white_level: float, gains: tuple[float, ...]) -> NDArra
 class SteadyWhite:
     """Smooths the white balance of a sequence over time.
 
-    The first frame has the white balance that is measured in this frame. After the first frame, the white balance approaches
-    the measured white balance exponentially, with the time constant of the automatic exposure. Later frames have no
-    influence on earlier frames.
+    The first frame uses the white balance measured in this frame. After the first frame, the white balance approaches the
+    measured white balance exponentially, with the time constant of the automatic exposure. Later frames have no influence on
+    earlier frames.
     """
 
     def __init__(self, rate: Fraction) -> None:
@@ -255,7 +255,7 @@ class SteadyWhite:
 
 
 def followed_share(rate: Fraction) -> float:
-    """Return the fraction of a change that exposure and white balance follow per frame, at `rate` frames per second."""
+    """Return the fraction of a change by which exposure and white balance adapt per frame, at `rate` frames per second."""
     return 1 - math.exp(-1 / (float(rate) * TIME_CONSTANT))
 
 

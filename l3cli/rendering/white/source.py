@@ -278,8 +278,8 @@ class WhiteSource(Protocol):
 class CameraWhite:
     """Reads the white balance that the camera recorded in the file.
 
-    If a file contains no white balance, `white` raises an InputFileError if `asked` is true. Otherwise `white` returns None,
-    and the caller uses the white point of the table.
+    For a file without a white balance, `white` raises an InputFileError if `asked` is true. If `asked` is false, `white`
+    returns None, and the caller uses the white point of the table.
     """
 
     about, held = "stated in the file", False

@@ -239,7 +239,7 @@ DARKEST_LEVEL = 1e-4  # fraction of full scale; pixels at lower levels have the 
 
 @dataclass(frozen=True)
 class Seen:
-    """Mosaics after one or more layers. The margins are removed in which windows would extend beyond the mosaic."""
+    """Mosaics after one or more layers, without the margins in which windows would extend beyond the mosaic."""
 
     count: int  # number of stacked mosaics
     target: Floats  # (row, col, output) ideal outputs
@@ -353,7 +353,7 @@ class PlaneStage:
 
 
 class _Transforms:
-    """Applies the fixed-point transforms of a layer to windows. Floating-point transforms can be applied as well."""
+    """Applies the fixed-point transforms of a layer, and optionally floating-point transforms, to windows."""
 
     def __init__(self, fixed: FixedPoint, exact: tuple[NDArray, NDArray] | None = None) -> None:
         self.fixed, weights, self._intercept = fixed, fixed.weights, fixed.intercept

@@ -67,8 +67,8 @@ class Reading:
     def offsets(self, cols: int) -> Integers:
         """Return the index differences between the taps of a window and the central pixel, for each site.
 
-        The indices refer to flattened planes with `cols` columns. If the other columns of a sample (ratio taps, constant and
-        outputs) outnumber the taps of a plane, the differences are padded with zeros to this number.
+        The indices refer to flattened planes with `cols` columns. If a sample has more other columns (ratio taps, constant
+        and outputs) than taps per plane, the differences are padded with zeros to the number of these columns.
 
         Returns
         -------
@@ -188,9 +188,9 @@ class _Samples(NamedTuple):
 class GatheredSamples:
     """Collects samples from several mosaics, and then adds the products of all these samples to the sums.
 
-    A mosaic has few samples of each class, and a matrix product takes little more time for many samples than for a few. The
-    samples of one matrix product also share their rounding errors. How samples are grouped must therefore depend only on the
-    frames of a block.
+    A mosaic has few samples of each class, and a matrix product takes little more time for many samples than for a few.
+    Rounding errors depend on which samples are multiplied together. Samples must therefore be grouped in a way that depends
+    only on the frames of a block.
     """
 
     def __init__(
@@ -281,7 +281,7 @@ class GatheredSamples:
 
 
 def _in_fours(planes: NDArray) -> Floats:
-    """Convert three planes to an array with one row per pixel, in output units. A fourth number in each row is zero."""
+    """Convert three planes to four numbers per pixel: the three planes in output units, and a zero."""
     fours = np.zeros((planes[0].size, 4), np.float32)
     np.multiply(planes.reshape(3, -1).T, np.float32(PLANE_STEP), out=fours[:, :3])
     return fours
