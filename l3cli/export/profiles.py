@@ -35,7 +35,10 @@ DIGITS = 5  # decimals of matrices in files
 BLACK_BODIES = (2200, 2500, 2856, 3200, 3600)  # K
 DAYLIGHTS = (4500, 5000, 5500, 6500, 7500, 8600)  # K
 NOISE_LEVELS = 64  # number of signals to which a noise profile is fitted, from 1 DN at 16 bits to the white level
-MIN_CHANNELS = 3  # smallest number of channels for colour matrices
+MIN_COLOURS = 3  # smallest number of channels with different responsivities for colour matrices
+# Smallest singular value of the responsivities, each scaled to a sum of 1, that counts as a further colour, as a fraction of
+# the largest one. Equal channels whose curves have measurement errors of 5 % reach 0.03, and the third value of RCCG is 0.2.
+DIFFERENT = 0.05
 RGB = ({"r", "red"}, {"g", "green"}, {"b", "blue"})  # names of red, green and blue channels
 SIGNAL_BITS = 16  # bit depth of signals in tuning files
 DECLARED_AS = {  # names in `CameraModel.declared`, by quantity
@@ -93,11 +96,11 @@ class LightMatrices:
 def light_matrices(camera: CameraModel, light: str) -> LightMatrices | None:
     """Fit the colour matrices of a camera for a named illuminant.
 
-    The result is None if the camera has fewer than three channels, or if a channel responds to grey with less than DIMMEST
-    of the most sensitive channel.
+    The result is None if fewer than three channels have different responsivities, or if a channel responds to grey with less
+    than DIMMEST of the most sensitive channel.
     """
     neutral, balanced = _responses(camera, light)
-    if len(neutral) < MIN_CHANNELS or neutral.min() < DIMMEST:
+    if neutral.min() < DIMMEST or _colours_of(camera) < MIN_COLOURS:
         return None
     signal = (camera.white_level - camera.black_level) * neutral
     noise = camera.noise_variance(TYPICAL * signal) / signal**2
@@ -109,6 +112,16 @@ def light_matrices(camera: CameraModel, light: str) -> LightMatrices | None:
         _matrix_to(np.eye(3), balanced, noise, *_colours(camera, library, "D50")),
         _matrix_to(SRGB_FROM_XYZ, balanced, noise, _colours(camera, library, "D65")[0], xyz_from_srgb_matrix().sum(axis=1)),
     )
+
+
+def _colours_of(camera: CameraModel) -> int:
+    """Return the number of channels with different responsivities, apart from their sensitivity.
+
+    For example, it is 1 for a monochrome camera with four polarisers, and 3 for a Bayer array with two exposures.
+    """
+    curves = camera.electron_weights
+    values = np.linalg.svd(curves / np.maximum(curves.sum(axis=1, keepdims=True), 1e-30), compute_uv=False)
+    return int((values >= DIFFERENT * values[0]).sum())
 
 
 def _colour_matrix(xyz: Array, white: Array, channels: Array, neutral: Array) -> Matrix:
@@ -379,16 +392,19 @@ class Exported(NamedTuple):
 def export(camera: CameraModel) -> Exported:
     """Return all files of a camera for other software.
 
-    Colour matrices need at least three channels, and tuning files need a Bayer array. If the camera cannot have these files,
-    the note says why.
+    Colour matrices need at least three channels with different responsivities, and tuning files need a Bayer array. If the
+    camera cannot have these files, the note says why.
     """
     camera = replace(camera, name=printable(camera.name))  # the name may contain unprintable bytes
     files = {**_curves(camera), DATASHEET: _datasheet_csv(camera)}
     lights = {name: light_matrices(camera, name) for name in TEMPERATURES}
     known = {name: matrices for name, matrices in lights.items() if matrices is not None}
     if missing := [name for name in lights if name not in known]:
-        few = len(camera.channels) < MIN_CHANNELS
-        reason = "it has fewer than three channels" if few else f"a channel receives almost no light from {missing[0]}"
+        reason = f"a channel receives almost no light from {missing[0]}"
+        if len(camera.channels) < MIN_COLOURS:
+            reason = "it has fewer than three channels"
+        elif _colours_of(camera) < MIN_COLOURS and _responses(camera, missing[0])[0].min() >= DIMMEST:
+            reason = "fewer than three of its channels have different responsivities"
         return Exported(files, {}, f"{camera.name} has no colour matrices and no tuning files, because {reason}")
     files[DCP] = _dcp_json(camera, known)
     order, note = bayer_order(camera.channels, camera.cfa), None

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load, save
 from l3cli.export import profiles
 from l3cli.export.profiles import datasheet
 from l3cli.physics import spectra
 from l3cli.physics.display import SRGB_FROM_XYZ, adaptation_matrix, delta_e_2000, lab, white_point
+from l3cli.recipes.builtin import find_recipe
 from l3cli.simulation.light import colour_matrix, make_light
 from tests.helpers import lenses
 from tests.helpers.calls import L3, Refused
@@ -220,7 +222,13 @@ def test_other_arrays_get_no_tuning_and_greys_no_matrices(bayer: CameraModel, tm
     red_dark = bayer.responsivity.copy()
     red_dark[0] = 0.0
     blind = replace(bayer, name="blind", responsivity=red_dark)
+    polarised = replace(load_camera(find_recipe("polarised", "cameras")), name="polarised")
+    colour = replace(load_camera(find_recipe("polarised_colour", "cameras")), name="colour")
+    noise = 1 + 0.02 * np.random.default_rng(1).standard_normal(polarised.responsivity.shape)
+    polarised = replace(polarised, responsivity=polarised.responsivity * noise)  # as measured
     for camera, left_out, line in (
+        (polarised, FILES[1:5], "fewer than three of its channels have different responsivities"),
+        (colour, FILES[2:5], "colour has no tuning files"),
         (quad, FILES[2:5], "quad has no tuning files for libcamera, which supports only 2×2 arrays of r, g and b"),
         (grey, FILES[1:5], "grey, one has no colour matrices and no tuning files, because it has fewer than three channels"),
         (blind, FILES[1:5], "a channel receives almost no light from A"),
@@ -230,7 +238,7 @@ def test_other_arrays_get_no_tuning_and_greys_no_matrices(bayer: CameraModel, tm
         assert (code, err.count("\n")) == (0, 1)
         assert line in err
         assert sorted(path.name for path in (tmp_path / camera.name).iterdir()) == sorted(set(FILES) - set(left_out))
-        assert bool(out) == (camera is quad)
+        assert bool(out) == (camera.name in ("quad", "colour"))
         (tmp_path / "camera.h5").unlink()
     assert '"grey, one"' in (tmp_path / "grey, one/datasheet.csv").read_text()
 
