@@ -55,6 +55,7 @@ BRIGHT = 0.9  # fraction of full scale; brighter pixels may be clipped and are n
 Array = NDArray[np.floating]
 Automatic = Callable[[CameraModel, NDArray[np.float32]], float]  # exposure time in s for a mosaic (row, col) in e-/s
 LOW_RANK_ERROR = 5e-5  # largest error of the transfer function at any sampled frequency and wavelength
+STRIP_PIXELS = 1 << 16  # number of pixels of a polarised scene that are projected together, which limits the memory
 RADIAL_SAMPLES = 2048  # number of frequencies at which transfer functions are sampled
 # number, size in rows and columns, and random seed of the frames on which the spectral estimators are trained
 DRAWN, DRAWN_SIZE, DRAWN_SEED = 48, (64, 64), 20
@@ -233,14 +234,16 @@ def _collected(
     # The common scale is removed before rounding to float32, so that the rounding is the same at every luminance.
     unit = collected.max() or 1.0
     through = (collected[:, None] / unit * terms).reshape(-1, bands.size)
-    planes = project(scene.reflectance, np.concatenate([wanted, through]))
-    ideal, rates = planes[: len(wanted)], planes[len(wanted) :]
-    if scene.polarisation is not None:
-        weights = stokes_weights(camera, light, bands)[1:, :, None] / unit * terms
-        rates += polarised_part(scene, weights.reshape(2, -1, bands.size))
+    if scene.polarisation is None:
+        planes = project(scene.reflectance, np.concatenate([wanted, through]))
+    else:
+        targets = np.stack([wanted, np.zeros_like(wanted), np.zeros_like(wanted)])
         if has_stokes(target.outputs):
-            both = np.eye(2)[:, :, None] * wanted[target.luminance]
-            ideal[[target.outputs.index("S1"), target.outputs.index("S2")]] = polarised_part(scene, both)
+            for index, name in ((1, "S1"), (2, "S2")):
+                targets[index, target.outputs.index(name)] = wanted[target.luminance]
+        weights = (stokes_weights(camera, light, bands)[:, :, None] / unit * terms).reshape(3, -1, bands.size)
+        planes = project_stokes(scene, np.concatenate([targets, weights], axis=1))
+    ideal, rates = planes[: len(wanted)], planes[len(wanted) :]
     if transfer is not None:
         shape = (len(collected), len(terms), *rates.shape[1:])
         rates = blurred_channels(rates.reshape(shape), transfer, pitch)
@@ -252,26 +255,38 @@ def _collected(
     return ideal, rates, output_weights(target, camera, light, light.wavelength).sum(axis=1)
 
 
-def polarised_part(scene: Scene, weights: Array) -> NDArray[np.float32]:
-    """Compute the weighted sums of S1 and S2 of a polarised scene over its bands.
+def project_stokes(scene: Scene, weights: Array) -> NDArray[np.float32]:
+    """Compute weighted sums of S0, S1 and S2 of a polarised scene over its bands.
+
+    The sums are computed with float64, because the sum of large terms with different signs can be small, as behind a
+    polariser that is perpendicular to polarised light.
 
     Parameters
     ----------
     scene : Scene
         A scene with polarisation.
-    weights : ndarray, (2, channel, band)
-        Weights of S1 and of S2 in each channel.
+    weights : ndarray, (3, channel, band)
+        Weights of S0, S1 and S2 in each channel.
 
     Returns
     -------
     ndarray, (channel, row, col)
-        Sums over both Stokes parameters and all bands.
+        Sums over the Stokes parameters and the bands.
     """
     assert scene.polarisation is not None
-    total = np.zeros((weights.shape[1], *scene.reflectance.shape[:2]), np.float32)
-    for node, share in enumerate(scene.polarisation.weights(scene.wavelength)):
-        for ratio, each in zip(np.moveaxis(scene.polarisation.ratio[..., node], -1, 0), weights, strict=True):
-            total += ratio * project(scene.reflectance, each * share)
+    (rows, cols, bands), shares = scene.reflectance.shape, scene.polarisation.weights(scene.wavelength)
+    total = np.empty((weights.shape[1], rows, cols), np.float32)
+    for first in range(0, rows, step := max(STRIP_PIXELS // cols, 1)):
+        strip = np.s_[first : first + step]
+        reflectance = scene.reflectance[strip].reshape(-1, bands).T.astype(np.float64)
+        ratio = scene.polarisation.ratio[strip].reshape(-1, 2, len(shares))
+        exact = weights[0] @ reflectance
+        for node, share in enumerate(shares):
+            seen = np.flatnonzero(share)
+            near = slice(seen[0], seen[-1] + 1) if seen.size else slice(0)
+            for index in (0, 1):
+                exact += ratio[:, index, node] * ((weights[1 + index] * share)[:, near] @ reflectance[near])
+        total[:, strip] = exact.reshape(len(exact), -1, cols)
     return total
 
 
