@@ -218,14 +218,14 @@ class Noise:
 
     @property
     def lines(self) -> float:
-        """Variance of the temporal offsets of rows and columns, in (e-)²."""
+        """Sum of the variances of row noise and column noise that change from frame to frame, in (e-)²."""
         return self.row_temporal_noise**2 + self.column_temporal_noise**2
 
     @property
     def temporal(self) -> float:
         """Variance of the temporal noise in the dark, in (e-)².
 
-        It consists of the read noise and the temporal offsets of rows and columns.
+        It consists of the read noise and the temporal noise of rows and columns.
         """
         return self.read_noise**2 + self.lines
 
@@ -690,19 +690,21 @@ class CameraModel(Artifact):
 
     @property
     def has_line_noise(self) -> bool:
-        """Whether the pixels of a row or of a column share noise, see `line_variances`."""
+        """Whether the camera has row noise or column noise (see `line_variances`)."""
         return bool(self.noise.lines or self.noise.column_noise)
 
     def line_variances(self, dark: float = 0.0) -> tuple[float, float]:
-        """Return the variances of the noise that the pixels of a row share, and of the noise that those of a column share.
+        """Return the variance of row noise and the variance of column noise.
 
-        Both are parts of the constant term of `noise_terms`. The noise of a column includes its fixed offset. Offsets of
-        channels with a different gain are larger by this gain.
+        Row noise is an offset that is the same for all pixels of a row, and column noise is an offset that is the same for
+        all pixels of a column. Column noise includes the fixed offsets of columns. Both variances are contained in the
+        constant term of `noise_terms`. They apply to a channel with a relative gain of 1. In the remaining channels, the
+        offsets are multiplied by the relative gain.
 
         Parameters
         ----------
         dark : float
-            Dark signal, in DN, as in `noise_terms`.
+            Dark signal in DN, as in `noise_terms`.
 
         Returns
         -------

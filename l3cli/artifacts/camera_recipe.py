@@ -229,8 +229,8 @@ class NoiseRecipe(Recipe):
     dsnu_e: NotNegative = 0.0
     prnu: NotNegative = 0.0
     column_noise_e: NotNegative = 0.0  # fixed offset of each column
-    row_temporal_noise_e: NotNegative = 0.0  # offset that each row gets anew in every frame
-    column_temporal_noise_e: NotNegative = 0.0  # offset that each column gets anew in every frame
+    row_temporal_noise_e: NotNegative = 0.0  # offset of each row that changes from frame to frame
+    column_temporal_noise_e: NotNegative = 0.0  # offset of each column that changes from frame to frame
 
 
 def noise_of(recipe: NoiseRecipe) -> Noise:

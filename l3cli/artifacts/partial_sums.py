@@ -51,7 +51,11 @@ class ClassSums:
 
 
 def noise_columns(rule: ClassRule, camera: CameraModel) -> int:
-    """Return the number of noise values per class: one per tap and, with line noise, one per pair of taps in a line."""
+    """Return the number of noise values per class.
+
+    There is one variance per tap. For a camera with row noise or column noise, there is also one covariance per pair of taps
+    in the same row, and one per pair of taps in the same column.
+    """
     pairs_per_line = rule.patch * (rule.patch - 1) // 2
     return rule.patch**2 + (2 * rule.patch * pairs_per_line if camera.has_line_noise else 0)
 

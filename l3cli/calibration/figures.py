@@ -55,7 +55,10 @@ def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
 
 
 def line_errors(camera: CameraModel) -> dict[str, tuple[float, str]]:
-    """Return the half-widths of the 95 % confidence intervals of the measured noise of rows and columns, with their unit."""
+    """Return the half-width, and its unit, of the 95 % confidence interval of the row noise and of the column noise.
+
+    The keys are names for tables. Noise that is zero or was not measured is left out.
+    """
     fit, noise = camera.fit.noise if camera.fit else None, camera.noise
     if fit is None:
         return {}

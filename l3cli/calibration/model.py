@@ -123,7 +123,7 @@ def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = 
                 f"the gain at ISO {captures.iso:g} is {times:.3g} times the gain at ISO {measurements.iso:g}, but the ISO "
                 f'speeds imply a factor of {stated:.3g}; use frames with analog gain only, or correct "iso"'
             )
-        # The row and column noise of a camera changes in proportion to its read noise.
+        # The camera model assumes that row noise and column noise change with the gain in proportion to the read noise.
         found[times] = noise.noise.dark_noise * (
             camera.noise.read_noise / camera.noise.dark_noise if camera.noise.lines else 1
         )
@@ -363,7 +363,10 @@ def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
 
 
 def without_lines(dark_noise: Any, rows: float, columns: float) -> Any:
-    """Return the part of a temporal dark noise, in electrons, that pixels do not share with their row or column."""
+    """Return the temporal dark noise in electrons without row noise and column noise.
+
+    `rows` and `columns` are the standard deviations of row noise and column noise in electrons.
+    """
     return np.sqrt(np.maximum(dark_noise**2 - rows**2 - columns**2, 0.0)) if rows or columns else dark_noise
 
 

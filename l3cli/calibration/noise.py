@@ -37,7 +37,7 @@ from l3cli.frames.measurement import Body, Capture
 SATURATED = 0.985  # pixels at or above this fraction of full scale are saturated
 TOLERATED = 1e-4  # largest fraction of saturated pixels in frames from which a variance is computed
 LINEAR = (0.05, 0.95)  # fractions of saturation between which EMVA 1288 evaluates linearity
-CHANCE = 0.01  # probability of finding row noise where there is none, and the same for column noise
+CHANCE = 0.01  # probability that row noise is found in a sensor without row noise; the same applies to column noise
 WINDOW = 7  # side of the window of local means, in samples of one CFA site; if it were over 9, dust would increase the PRNU
 Array = NDArray[np.float64]
 
@@ -143,10 +143,11 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
 
 
 def line_noise(squares: Sequence[tuple[float, float, int]], pixels: int) -> LineNoise:
-    """Estimate the temporal noise that pixels of a line share (docs/method.md#row-and-column-noise).
+    """Estimate the temporal noise of rows or columns (docs/method.md#row-and-column-noise).
 
-    The noise is significant if the ratio of the mean squares would be exceeded by chance with a probability below
-    `CHANCE`. Fixed patterns do not contribute, because the mean squares are those of differences between frames.
+    A line is a row or a column. The noise is significant if, without noise of the lines, the probability of such a ratio of
+    mean squares would be at most `CHANCE`. Fixed patterns have no effect, because the mean squares are computed from
+    differences between frames.
 
     Parameters
     ----------
@@ -159,6 +160,7 @@ def line_noise(squares: Sequence[tuple[float, float, int]], pixels: int) -> Line
     Returns
     -------
     LineNoise
+        Both values are 0 if the noise is not significant.
     """
     from scipy.special import chdtrc
 

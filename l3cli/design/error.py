@@ -340,7 +340,7 @@ def array_errors(seen: Seen, cfa: Cfa, noise: Noise, level: Level) -> NDArray[np
     if noise.rows or noise.columns:
         row, col = np.divmod(tap, SIDE)
         shared = noise.rows * (row[:, None] == row) + noise.columns * (col[:, None] == col)
-        shared[tap, tap] = 0.0  # already part of `variance`
+        shared[tap, tap] = 0.0  # because `variance` contains these values
         both = ~(clipped[..., :, None] | clipped[..., None, :])
         matrix += np.where(both, shared * (weight / dose**2)[..., None], 0.0)
     explained = np.einsum("sKpy,sKpy->sK", cross, np.linalg.solve(matrix, cross))
