@@ -413,7 +413,7 @@ class Renderer:
         return self._pixels(self._renderer, self._frame(frame), OUTPUTS, 0.0, None)
 
     def uncertainty(self, frame: RawFrame | NDArray[np.uint16], *, like: Uncertainty | None = None) -> Uncertainty:
-        """Estimate how uncertain `outputs` is because of the noise of the camera (docs/measurement.md#uncertainty).
+        """Estimate the uncertainty of `outputs` that the noise of the camera causes (docs/measurement.md#uncertainty).
 
         Parameters
         ----------

@@ -19,7 +19,8 @@ FACTOR = 1.5  # largest plausible ratio between signals per second under the sam
 # monochromator fills the frame differently.
 SCALE = 3.0
 STEP = 3.0  # largest plausible ratio between the response to a monochromatic capture and the responses to both neighbours
-END = 20.0  # as STEP, but for the first and the last capture, compared with an extrapolation from the next two captures
+# largest plausible ratio for the first and last capture, compared with an extrapolation from the next two captures
+END = 20.0
 LEAST = 0.02  # differences below this fraction of the largest response or signal are ignored
 NEAR_TOP = 0.85  # signals above this fraction of the largest signal may be saturated
 LONGEST = 20.0  # largest plausible ratio between the expected signal of a saturated capture and the saturation

@@ -34,10 +34,9 @@ OVEREXPOSED = 1e-3  # a channel with this fraction of saturated pixels in a mono
 CUT_OFF = 0.05  # largest radiance at the ends of the spectrum of a monochromatic light, as a fraction of its peak
 Array = NDArray[np.float64]
 DEGREE = 4  # degree of the polynomial from which the flat field is computed
-CELLS = (
-    36,
-    54,
-)  # the frame is divided into at most this number of rows and columns of cells; the polynomial fits their means
+# The frame is divided into at most this number of rows and columns of cells. The polynomial is fitted to the means of the
+# cells.
+CELLS = (36, 54)
 GRID = (33, 49)  # rows and columns of the stored grid; linear interpolation of cos⁴ is then accurate to 0.1 %
 UNEVEN = 0.05  # largest relative RMS deviation of the means from the polynomial; the shading of lenses deviates less
 LEAST_SIGNAL = 0.02  # fraction of full scale; white frames that are darker are not accepted
@@ -68,9 +67,8 @@ class Charts:
 
     illuminants: tuple[str, ...]  # illuminant of each chart capture
     values: Array  # (chart, patch, channel): mean value in DN, without dark signal
-    photons: (
-        Array  # (chart, patch, wavelength): photons on a pixel in each hat function, reduced by the fall-off of the lens
-    )
+    # (chart, patch, wavelength): photons on a pixel in each hat function, reduced by the fall-off of the lens
+    photons: Array
 
 
 def measure_sensor(measurements: Measurements, each: statistics.Each = map) -> Sensor:

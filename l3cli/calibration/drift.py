@@ -15,7 +15,7 @@ from l3cli.calibration.captures import Charts
 from l3cli.calibration.responsivity import Sweep, chart_factors, fit_gain, smoothers
 
 MEMORY = 0.8  # correlation of the drift between consecutive captures in the measurement file
-CHART_ERROR = 0.002  # relative error of the mean of a chart in a channel; errors of 0.5 % per patch cause half of it
+CHART_ERROR = 0.002  # relative error of a chart's mean in a channel; half of it is due to errors of 0.5 % in single patches
 TRIED = np.geomspace(2e-4, 0.2, 100)  # possible values of the relative standard deviation of the drift
 EVIDENCE = 4.0  # smallest log likelihood ratio with which the estimated drift replaces the declared drift
 Array = NDArray[np.float64]

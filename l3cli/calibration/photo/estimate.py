@@ -47,7 +47,8 @@ Array = NDArray[np.floating]
 MOST_EVIDENCES = 1000  # largest number of cached results
 _EVIDENCES: dict[bytes, float] = {}  # cache, because the same shots and illuminants are evaluated three times
 IMPROBABLE = 0.02  # illuminants with a lower probability do not widen the confidence band
-# l3 warns if this is exceeded by the log ratio of the probabilities of a different and the specified illuminant
+# l3 warns if a different illuminant is more probable than the specified illuminant, and if the natural logarithm of the
+# ratio of the probabilities exceeds this value.
 NOTICED = 3.0
 
 
