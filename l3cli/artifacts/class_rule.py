@@ -239,6 +239,7 @@ class ClassRule:
 
     @cached_property
     def cases(self) -> int:
+        """Number of saturation cases, including the case in which no channel clips."""
         return int(self.case_of_code.max()) + 1
 
     @property
@@ -252,6 +253,7 @@ class ClassRule:
 
     @property
     def kinds(self) -> int:
+        """Number of chromas, plus the number of saturation cases in which a channel clips."""
         return self.chromas + self.cases - 1
 
     @property
@@ -286,6 +288,7 @@ class ClassRule:
 
     @property
     def classes_per_site(self) -> int:
+        """Number of classes at each CFA site."""
         return math.prod(self.shape)
 
     def join(self, level: Any, contrast: Any, kind: Any, site: Any = 0, combination: Any = 0) -> Any:

@@ -82,18 +82,22 @@ class PlaneClasses(GradientScale):
 
     @property
     def levels(self) -> int:
+        """Number of levels that the classes distinguish."""
         raise NotImplementedError
 
     @property
     def structures(self) -> int:
+        """Number of structures (or leaves of the tree) that the classes distinguish if no channel clips."""
         raise NotImplementedError
 
     @property
     def kinds(self) -> int:
+        """Number of structures, plus the number of saturation cases in which a channel clips."""
         return self.structures + self.cases - 1
 
     @property
     def classes_per_site(self) -> int:
+        """Number of classes at each CFA site."""
         return self.levels * self.kinds
 
     def check_fits(self, sites: int, first: ClassRule) -> None:

@@ -46,7 +46,7 @@ class SpectralSmoothing:
 class ChromaSmoothing:
     """Settings for the smoothing of chroma in tables with the outputs X, Y, Z (docs/method.md#smoothed-chroma).
 
-    The chromaticity of each pixel is averaged with the chromaticities of those of its eight neighbours that have similar
+    The chromaticity of each pixel is averaged with the chromaticities of its eight neighbours, as far as these have similar
     luminance and chroma. The luminance of the pixel stays unchanged.
     """
 
@@ -319,9 +319,8 @@ class TransformTable(Artifact):
     def white_signals(self) -> NDArray[np.float64] | None:
         """Signal of each channel for a white with an output Y of 1, as a fraction of full scale.
 
-        Pixels are raised with them (docs/method.md#raised-pixels).
-
-        None if the illuminant is unknown, or if a channel has no signal.
+        These signals are needed to raise clipped pixels (docs/method.md#raised-pixels). They are None if the illuminant or
+        the camera is unknown, or if a channel has no signal.
         """
         if self.light is None or self.camera is None:
             return None

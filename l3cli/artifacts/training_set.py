@@ -342,6 +342,7 @@ class TrainingSetWriter:
         return group, f"{len(group):05d}"
 
     def append(self, frame: TrainingPair) -> None:
+        """Append a frame to the file."""
         group, name = self._place(isinstance(frame, TrainingFrame))
         store.write_fields(group.create_group(name), frame, compressed=False)
         name_axes(group[name], type(frame), self._coordinates)

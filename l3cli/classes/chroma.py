@@ -151,8 +151,8 @@ def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
     The chroma of a saturated pixel is also computed, but its class does not depend on it.
     """
     above_black = np.clip((statistics.scaled >> (16 - CHROMA_FRACTION)) - rule.chroma_black_level, 0, MAX_CHROMA_INPUT)
-    # Scores are below 2⁵³ and therefore exact in float64. BLAS multiplies matrices of floats faster than numpy those of
-    # integers.
+    # The scores are below 2⁵³ and therefore exact in float64. Matrix multiplication is faster with floats, for which numpy
+    # uses BLAS, than with integers.
     scores = above_black.astype(np.float64) @ rule.chroma_weights.T.astype(np.float64)
     nearest = np.argmin(scores, axis=-1)
     if not (widths := chroma_widths(rule)).any():

@@ -287,8 +287,8 @@ class ClippedBlocks:
     def estimated(self, colour: Array, white: Array) -> Array:
         """Estimate the signals that the blocks would have if no channel clipped: (channel, block).
 
-        The signals of the unclipped channels are known. For the clipped channels, the signals are those of a mixture of the
-        colour `colour`, (channel, block), and white. The mixture is chosen to fit the unclipped channels best.
+        The signals of the unclipped channels are known. For the clipped channels, the signals are computed from a mixture of
+        the colour `colour`, (channel, block), and white. The mixture is the one that fits the unclipped channels best.
         """
         unclipped, ratio, of_white = 1 - self.clipped, colour / self.own, white[:, None] / self.own
         squares = (unclipped * ratio**2).sum(axis=0) + MIN_WEIGHT

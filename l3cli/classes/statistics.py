@@ -50,7 +50,7 @@ def window_sums(rule: ClassRule, statistics: Statistics) -> tuple[Integers, ...]
 
 
 def truncation(shift: int) -> float:
-    """Return the mean amount, in DN, by which shifting values right by `shift` bits decreases them."""
+    """Return the mean loss, in DN, when integers are shifted right by `shift` bits."""
     return (2**shift - 1) / 2
 
 

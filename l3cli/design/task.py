@@ -65,6 +65,7 @@ class Task:
 
     @functools.cached_property
     def wanted(self) -> DesignRecipe:
+        """The design recipe. Raises RecipeError if it contains an error."""
         recipe = load_recipe(self.recipe, DesignRecipe)
         refuse_first(design_faults(recipe), self.recipe)
         return recipe
@@ -108,6 +109,7 @@ class Task:
 
     @functools.cached_property
     def levels(self) -> tuple[Level, ...]:
+        """The light levels of the recipe. If a level has no luminance, 100 cd/m² is used."""
         levels, lights = [], [light.illuminant for light in self.lights]
         for one in self.wanted.level:
             luminance = one.lux / np.pi if one.lux is not None else one.luminance_cd_m2 or 100.0
