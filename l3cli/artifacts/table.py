@@ -319,8 +319,8 @@ class TransformTable(Artifact):
     def white_signals(self) -> NDArray[np.float64] | None:
         """Signal of each channel for a white with an output Y of 1, as a fraction of full scale.
 
-        These signals are needed to raise clipped pixels (docs/method.md#raised-pixels). They are None if the illuminant or
-        the camera is unknown, or if a channel has no signal.
+        These signals are needed to raise pixels whose luminance is too low (docs/method.md#raised-pixels). They are None if
+        the illuminant or the camera is unknown, or if a channel has no signal.
         """
         if self.light is None or self.camera is None:
             return None

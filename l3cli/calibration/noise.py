@@ -231,7 +231,9 @@ def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> Pho
 
 
 def _transfer_line(levels: Sequence[Level], mean: Array, channel: int) -> tuple[float, float]:
-    """Fit the slope of the temporal variance over the mean signal of one channel. Return it and its standard deviation.
+    """Fit the slope of the temporal variance over the mean signal of one channel.
+
+    The result consists of the slope and the standard deviation of the slope.
 
     Each variance is weighted by its uncertainty: the standard deviation of a variance from n samples is √(2/n) times the
     variance.
