@@ -378,7 +378,7 @@ def hue_maps(means: Array, spread: Array, response: Array, white: Array, sides: 
 
 
 def grey_level(signal: Array, white: Array) -> Array:
-    """Estimate the brightness of each signal, assuming that it is grey.
+    """Estimate the brightness of each signal, assuming that the surface is grey.
 
     The brightness is estimated from each channel, and the estimates are averaged. The more a channel clips, the lower is its
     weight. If all channels clip, the result is the largest estimate.

@@ -23,7 +23,7 @@ class Neighbourhoods:
 
 
 def neighbourhoods(cfa: NDArray[np.uint8], patch: int, channels: int) -> Neighbourhoods:
-    """Return the channels in the windows around all sites of a CFA, and the reciprocals of their numbers.
+    """Return the channels in the windows around all sites of a CFA, and reciprocals of the numbers of taps per channel.
 
     Parameters
     ----------
