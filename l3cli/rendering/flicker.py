@@ -48,8 +48,8 @@ class BrightnessRatio:
     def of(self, frame: RawFrame) -> float:
         """Return the logarithm of the brightness ratio between this frame and the previous frame.
 
-        A patch is usable if it is neither dark nor clipped. The result is 0 for the first frame, and for frames with fewer
-        than MIN_PATCHES usable patches.
+        Patches that are dark or clipped in one of the frames are not used. The result is 0 for the first frame, and for
+        frames with fewer than MIN_PATCHES usable patches.
         """
         patches = self._samples.patches(frame)
         signal = self._samples.signal(patches)

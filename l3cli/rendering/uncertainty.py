@@ -313,8 +313,8 @@ def _raw_sigma(
 ) -> Array:  # fmt: skip
     """Return the noise s of a raw value that is as bright as the output of each pixel, as a fraction of full scale.
 
-    The noise terms are averaged over the channels. `outputs` (output, …) are already multiplied by `scale` (…), the exposure
-    and shading gain of each pixel. The returned standard deviation is multiplied by `scale` in the same way.
+    The noise terms are averaged over the channels. `outputs` are already multiplied by `scale`, the product of
+    `RawFrame.light_share` and the shading gain of each pixel. The returned standard deviation is multiplied by `scale`, too.
     """
     span = table.white_level - table.black_level
     constant, linear, quadratic = (np.mean(term) / span**2 for term in terms)

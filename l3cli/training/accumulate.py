@@ -135,7 +135,10 @@ class _Batch:
         return label.reshape(-1), np.maximum(level, np.float32(DARKEST_LEVEL)).reshape(-1), scale.reshape(-1)
 
     def _scale(self, patch_level: Floats, places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the factors that scale the patches to the levels at `places` in the distribution of levels."""
+        """Return the factors that scale the patches to random levels.
+
+        `places` contains the quantiles of these levels in the distribution of levels.
+        """
         if not self.pass_.recipe.rescale:
             return np.ones(patch_level.size)
         return levels_at(self.pass_.recipe, places) / patch_level

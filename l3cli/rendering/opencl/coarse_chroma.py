@@ -106,6 +106,8 @@ class DeviceClipping:
     def maps(self, track: Track, band: Band, frame: RawFrame) -> tuple[list[Any], Any]:
         """Enqueue the kernels that compute the replacement values for clipped areas, for each 2 × 2 quad of pixels.
 
+        The frame must have the levels of the table.
+
         Returns
         -------
         events : list

@@ -305,7 +305,10 @@ class LayerPass:
         return PLANES if self.outputs is None else len(self.basis)
 
     def grid_steps(self, rule: PlaneRule) -> NDArray[np.float64]:
-        """Return the grid steps (level, pair) for the sums of the layer."""
+        """Return the grid steps to which the sums of the layer are rounded.
+
+        The result has the axes (level, pair of columns).
+        """
         return grid_steps(rule, self.rule, self.camera, self.reading(self.recipe.side).taps, self.made)
 
     @property
