@@ -1,4 +1,4 @@
-"""Training frames: simulated from a scene, or made from a raw file and the picture that a table should compute from it.
+"""Training frames, which are simulated from a scene, or made from a raw file and a picture of the same scene.
 
 To simulate a frame, l3 computes how a lens and a sensor record a scene under an illuminant, and computes the target from the
 scene (docs/method.md#simulation, docs/method.md#optics). `SimulationRun` contains the settings that all frames share.
@@ -345,7 +345,7 @@ def _signalled(
 def make_pair(
     raw: RawFrame, picture: NDArray[np.float32], outputs: tuple[str, ...], camera: CameraModel, pair: Pair, name: str
 ) -> TrainingPair:
-    """Make a training pair from a raw frame and the picture that a table should compute from it.
+    """Make a training pair from a raw frame and a picture of the same scene, which a table should compute from the raw frame.
 
     The raw frame and the picture are cropped so that their first pixel is the CFA site (0, 0).
 

@@ -172,7 +172,7 @@ def _draw(
     sheen: Sheen | None,
     stokes: Cube,
 ) -> None:
-    """Compute the reflectance of some rows of a scene and write it into `cube`.
+    """Compute the reflectance of some rows of a scene, and write the reflectance into `cube`.
 
     Each pixel is the mean of its samples. Highlights are added, and values are limited to MAX_TIMES_WHITE. If `sheen` is not
     None, the mean of S0 over the bands, S1 and S2 are written into `stokes`.

@@ -370,7 +370,7 @@ def framed(cube: NDArray[np.float32], framing: Framing, camera: CameraModel) -> 
 def on_sensor(scene: Scene, framing: Framing, camera: CameraModel) -> Scene:
     """Apply `framed` to a scene and to its mask of ignored samples.
 
-    A pixel is ignored if at least one ignored sample contributes to it.
+    A pixel is ignored if any ignored sample contributes to the pixel.
     """
     ignored = scene.ignored
     if ignored is not None:
@@ -386,8 +386,8 @@ def _polarisation_on_sensor(
 ) -> Polarisation:
     """Apply `framed` to the polarisation of a scene.
 
-    Samples are weighted with their brightness, the mean of `reflectance` (row, col, band) over the bands. Mirroring changes
-    the sign of S2, and a quarter turn changes the signs of S1 and S2.
+    Samples are weighted with their brightness, which is the mean of `reflectance` over the bands. Mirroring changes the sign
+    of S2, and a quarter turn changes the signs of S1 and S2.
     """
     bright = np.maximum(reflectance.mean(axis=2, dtype=np.float32), np.float32(1e-6))[..., None]
     rows, cols, _, nodes = polarisation.ratio.shape

@@ -64,8 +64,8 @@ CROPPED = ("ours", "ideal", "basic")  # names of the pictures that the pixel vie
 def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) -> FilesUsed:
     """Write an HTML page about camera models, training sets, transform tables, designs and evaluations of sequences.
 
-    Each table is evaluated on each training set with the same CFA on which it was not trained. The results are part of the
-    page.
+    Each table is evaluated on every training set that has the same CFA and was not used to train the table. The results are
+    part of the page.
 
     Parameters
     ----------

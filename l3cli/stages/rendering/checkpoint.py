@@ -107,7 +107,7 @@ class PictureCheckpoint(Checkpoint):
 
 
 def checkpoint_of(destination: Destination, key: str, resume: bool, force: bool) -> PictureCheckpoint:
-    """Return the checkpoint of a run. If `resume` is set, it contains the finished outputs of an earlier run."""
+    """Return the checkpoint of a run. If `resume` is set, the checkpoint lists the finished outputs of an earlier run."""
     checkpoint = PictureCheckpoint(destination.checkpoint, key)
     if resume:
         checkpoint.continue_run(destination.path, force)

@@ -203,7 +203,7 @@ def video_choice(options: RenderOptions) -> VideoChoice:
 
 
 def has_display(destination: Destination, options: RenderOptions) -> bool:
-    """Whether white balance and exposure are applied to the outputs. Otherwise they are written unchanged."""
+    """Whether white balance and exposure are applied to the outputs. Otherwise the outputs are written unchanged."""
     return not destination.linear or options.space is not None
 
 

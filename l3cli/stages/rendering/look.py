@@ -35,7 +35,10 @@ class Look:
 
 
 def choose_look(job: Job) -> Look:
-    """Determine the settings that may depend on the first frame. The frame is read only if gain or white depend on it."""
+    """Determine the settings that may depend on the first frame.
+
+    The first frame is read only if the gain or the white depends on this frame.
+    """
     gain = _estimated_gain(job)
     overrides = job.overrides if gain is None else replace(job.overrides, unlabelled_gain=gain)
     found = job.sequence if gain is None else replace(job.sequence, frames=job.find(overrides).frames)

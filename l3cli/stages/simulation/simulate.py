@@ -52,7 +52,7 @@ class Simulated:
 
 
 def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions) -> Simulated:
-    """Simulate the frames of a scene recipe with a camera, and write them as a training set.
+    """Simulate the frames of a scene recipe with a camera, and write the frames as a training set.
 
     With `resume`, frames that an interrupted run has stored are not simulated again. If the training set is already
     finished, only missing pictures are written.
