@@ -345,7 +345,7 @@ def _signalled(
 def make_pair(
     raw: RawFrame, picture: NDArray[np.float32], outputs: tuple[str, ...], camera: CameraModel, pair: Pair, name: str
 ) -> TrainingPair:
-    """Make a training pair from a raw frame and a picture of the same scene, which a table should compute from the raw frame.
+    """Make a training pair from a raw frame and a picture of the same scene. The picture becomes the target.
 
     The raw frame and the picture are cropped so that their first pixel is the CFA site (0, 0).
 
