@@ -68,6 +68,13 @@ class NoiseFit:
     column_temporal_noise_error: float = data(
         "float64", unit="e-", doc="standard deviation of the measured column noise", optional=0.0
     )
+    pixel_noise: NDArray[np.float64] | None = data(
+        "float64",
+        "channel",
+        unit="e-",
+        doc="part of the temporal dark noise that pixels do not share with their row or column; None: as read_noise",
+        optional=None,
+    )
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,7 @@ def check_whites(captures: Sequence[Capture], lit: Array, signal: Array) -> None
             raise _odd(capture, value / linear, "white")
 
 
-def check_darks(captures: Sequence[Capture], signal: Array) -> None:
+def check_darks(captures: Sequence[Capture], signal: Array, deviation: float = 0.0) -> None:
     """Raise InputFileError if a dark capture contradicts the straight line through the remaining dark captures.
 
     Parameters
@@ -62,6 +62,8 @@ def check_darks(captures: Sequence[Capture], signal: Array) -> None:
         Dark captures. A capture is checked only if the remaining captures have at least three different exposure times.
     signal : ndarray, (capture,)
         Mean raw value of each capture in DN.
+    deviation : float
+        Standard deviation of these means in DN, due to the temporal noise of rows and columns.
     """
     exposure = np.array([capture.exposure for capture in captures])
     worst, outlier = 0.0, None
@@ -74,7 +76,7 @@ def check_darks(captures: Sequence[Capture], signal: Array) -> None:
         predicted = float(np.polyval(line, exposure[index]))
         off = abs(signal[index] - predicted)
         grown = max(abs(predicted - line[1]), abs(signal[index] - line[1]))
-        if off > max(DRIFT, 10.0 * rest, 0.5 * grown, worst):
+        if off > max(DRIFT, 10.0 * rest, 10.0 * deviation, 0.5 * grown, worst):
             worst, outlier = off, (capture, signal[index], predicted)
     if outlier is not None:
         capture, value, predicted = outlier

@@ -1,7 +1,6 @@
 """Builds a camera model from measurements (docs/method.md#calibration)."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -293,9 +292,11 @@ def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
 
     Raises InputFileError if the measured gains of the channels contradict the measurement file.
     """
-    dark, transfer = sensor.dark, sensor.transfer
+    dark, transfer, pixel_noise = sensor.dark, sensor.transfer, None
     own = conversion_gain(sensor, body) * body.channel_gains  # (channel,): conversion gain in DN/e-
     check_gains(transfer.gain, transfer.gain_error, body)
+    if dark.pixel_variance is not None and (dark.rows.deviation or dark.columns.deviation):
+        pixel_noise = np.sqrt(dark.pixel_variance) / own
     return NoiseFit(
         conversion_gain=transfer.gain,
         conversion_gain_error=transfer.gain_error,
@@ -314,6 +315,7 @@ def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
         row_temporal_noise_error=dark.rows.error / conversion_gain(sensor, body),
         column_temporal_noise=dark.columns.deviation / conversion_gain(sensor, body),
         column_temporal_noise_error=dark.columns.error / conversion_gain(sensor, body),
+        pixel_noise=pixel_noise,
     )
 
 
@@ -341,17 +343,23 @@ def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
     def quadratic(deviation: Array) -> float:
         return float(np.sqrt(pixels @ deviation**2))
 
-    lowest = np.where(body.channel_gains == body.channel_gains.min(), figures.read_noise, 0.0)
-    share = float(pixels[body.channel_gains == body.channel_gains.min()].sum())
-    read_noise, dsnu, prnu = quadratic(lowest) / share**0.5, quadratic(figures.dsnu), quadratic(figures.prnu)
+    lowest = body.channel_gains == body.channel_gains.min()
+    share = float(pixels[lowest].sum()) ** 0.5
+    read_noise, dsnu, prnu = (
+        quadratic(np.where(lowest, figures.read_noise, 0.0)) / share,
+        quadratic(figures.dsnu),
+        quadratic(figures.prnu),
+    )
     dark_current = max(float(pixels @ figures.dark_current), 0.0)
     well = (sensor.transfer.white_level - black_level) / conversion
     rows, columns = (
         deviation if deviation >= LEAST_LINE_NOISE * read_noise else 0.0
         for deviation in (figures.row_temporal_noise, figures.column_temporal_noise)
     )
+    if (rows or columns) and figures.pixel_noise is not None:
+        read_noise = quadratic(np.where(lowest, figures.pixel_noise, 0.0)) / share
     noise = Noise(
-        read_noise=without_lines(read_noise, rows, columns),
+        read_noise=read_noise,
         dark_current=dark_current,
         dsnu=dsnu,
         prnu=prnu,
@@ -360,14 +368,6 @@ def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
         column_temporal_noise=columns,
     )
     return SensorFigures(conversion, black_level, sensor.transfer.white_level, noise)
-
-
-def without_lines(dark_noise: Any, rows: float, columns: float) -> Any:
-    """Return the temporal dark noise in electrons without row noise and column noise.
-
-    `rows` and `columns` are the standard deviations of row noise and column noise in electrons.
-    """
-    return np.sqrt(np.maximum(dark_noise**2 - rows**2 - columns**2, 0.0)) if rows or columns else dark_noise
 
 
 def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> CameraModel:
@@ -493,5 +493,5 @@ def measured_readout(body: Body, fit: NoiseFit | None, noise: Noise) -> Readout 
         return None
     each = np.full(len(body.channels), noise.read_noise)
     if fit is not None:
-        each = without_lines(fit.read_noise, noise.row_temporal_noise, noise.column_temporal_noise)
+        each = fit.pixel_noise if noise.lines and fit.pixel_noise is not None else fit.read_noise
     return replace(body.readout, channel_read_noise=np.asarray(each, np.float64))

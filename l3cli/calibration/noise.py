@@ -51,6 +51,7 @@ class DarkNoise:
     variance: Array  # DN²; temporal variance at zero exposure time, without quantisation noise
     dsnu: Array  # DN
     hot: Defects = field(default_factory=no_defects)
+    pixel_variance: Array | None = None  # DN²; part of `variance` that pixels do not share with their row or column
     # temporal noise of rows and of columns in the channels with the lowest gain; it is a part of `variance`
     rows: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
     columns: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
@@ -126,10 +127,11 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
     offsets = patched(offsets, body.cfa, hot)
     levels = list(each(functools.partial(measure_level, body=body, defects=hot), captures))
     mean = np.array([mean_value(level.counts) for level in levels])
-    agreement.check_darks(captures, mean.mean(axis=1))
+    squares = [level.lines for level in levels]
+    of_means = [(each.rows + each.columns) / (body.rows * body.cols) for each in squares]
+    agreement.check_darks(captures, mean.mean(axis=1), float(np.sqrt(max(of_means))))
     variance = np.array([level.variance for level in levels])
     left = (intercept**2 / [level.trials for level in levels]) @ np.array([level.pixel_variance for level in levels])
-    squares = [level.lines for level in levels]
     spatial = pooled([pixel_variance(site) for _, site in by_site(offsets, body.cfa)], body.cfa)
     return DarkNoise(
         black_level=intercept @ mean,
@@ -137,6 +139,7 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
         variance=np.maximum(intercept @ variance - QUANTISATION, 0.0),
         dsnu=np.sqrt(np.maximum(spatial - left, 0.0)),
         hot=hot,
+        pixel_variance=np.maximum(intercept @ np.array([level.pixel_variance for level in levels]) - QUANTISATION, 0.0),
         rows=line_noise([(each.rows, each.pixels, each.row_freedom) for each in squares], body.cols),
         columns=line_noise([(each.columns, each.pixels, each.column_freedom) for each in squares], body.rows),
     )
