@@ -1,4 +1,4 @@
-"""The constant arrays in a table's C source, and the structs that refer to the arrays of refinement layers."""
+"""Write the constant arrays in the C source of a table, and the structs that refer to the arrays of refinement layers."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,8 +20,8 @@ from l3cli.export.wordlengths import ShortWords
 from l3cli.rendering.opencl import layout
 from l3cli.rendering.reference import white_scale
 
-TAP_GROUP = 16  # the number of taps is padded with zero weights to a multiple of this, so that loops have no remainder
-TYPES = {  # C types
+TAP_GROUP = 16  # zero weights pad the number of taps to a multiple of this number, so that loops have no remainder
+TYPES = {  # dtype → C type
     "int8": "int8_t",
     "uint8": "uint8_t",
     "int16": "int16_t",
@@ -31,12 +31,11 @@ TYPES = {  # C types
     "float32": "float",
 }
 PER_LINE = 20  # numbers per line of an array
-PER_STRING = 4000  # bytes per string literal; C99 guarantees that 4095 are possible
-# The text of each byte in a string literal. Printable ASCII characters are unchanged, and other bytes are written in
-# octal. "?"
-# is also written in octal, because two question marks begin a trigraph.
+PER_STRING = 4000  # bytes per string literal, of which C99 compilers must support 4095
+# The text of each byte in a string literal: printable ASCII characters as they are, and all other bytes in octal. "?" is
+# also written in octal, because two question marks begin a trigraph.
 CHARACTERS = tuple(chr(b) if 32 <= b < 127 and chr(b) not in '"\\?' else f"\\{b:03o}" for b in range(256))
-SHORT_TOP = 2**15 - 1
+SHORT_TOP = 2**15 - 1  # largest 16-bit word of a weight
 
 
 @dataclass(frozen=True)
@@ -45,19 +44,19 @@ class Array:
 
     name: str
     values: NDArray
-    axes: str  # comment above the array, with the axes in parentheses
-    # Whether the array is flattened to one axis and written as string literals that contain its bytes. This is used for long
-    # arrays, because compilers parse strings fifty times as fast as numbers.
+    axes: str  # comment above the array: its meaning, and its axes in parentheses
+    # Whether the array is flattened to one axis, and its bytes are written as string literals. Long arrays are packed,
+    # because compilers parse strings fifty times faster than numbers.
     packed: bool = False
 
     @property
     def local(self) -> bool:
-        """Whether only l3_table.c uses the array."""
+        """Whether the array is static in l3_table.c, because no other file uses it."""
         return not self.name.startswith("l3_")
 
     @property
     def declaration(self) -> str:
-        """C declaration. A packed array is declared as a union of its bytes and its values."""
+        """C declaration of the array. A packed array is declared as a union of its bytes and its values."""
         kind = TYPES[self.values.dtype.name]
         if not self.packed:
             return f"const {kind} {self.name}{''.join(f'[{length}]' for length in self.values.shape)}"
@@ -67,11 +66,11 @@ class Array:
 
     @property
     def alias(self) -> list[str]:
-        """Macro that makes the values of a packed array available under the name of the array. Empty for other arrays."""
+        """Line with a macro that maps the name of a packed array to its values. Empty if the array is not packed."""
         return [f"#define {self.name} {self.name}_data.value"] if self.packed else []
 
     def public(self) -> list[str]:
-        """Return the lines of the header that declare the array."""
+        """Return the lines of l3_table.h that declare the array."""
         return [f"extern {self.declaration};", *self.alias]
 
     def lines(self) -> Iterator[str]:
@@ -92,7 +91,8 @@ def filled(taps: int) -> int:
 def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[Array], list[str]]:
     """Return the arrays of l3_table.c, and the lines of C that follow the arrays.
 
-    The weights of the last layer are the 16-bit words in `short`. If `short` is None, they are floats.
+    If `short` is not None, it contains the weights of the last layer as integers, which are written as 16-bit words.
+    Otherwise, the weights of the last layer are written as floats.
     """
     rule, neighbours = table.first.rule, neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
     arrays = [
@@ -112,7 +112,7 @@ def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[
     if rule.features:
         arrays.append(Array("l3_feature_constants", _some(rule.features.constants), "constants of the other features"))
         windows = sorted(rule.windows, key=lambda window: (window.top, window.rows, window.sum))
-        windows = windows or [Window(0, 0, 0, 0, 0, 1)]  # C has no empty arrays; this window contains no pixel
+        windows = windows or [Window(0, 0, 0, 0, 0, 1)]  # a window without pixels, because C has no empty arrays
         lines += ["/* sum, top, left, rows, columns, sign */", "const L3Window l3_windows[L3_WINDOWS] = {"]
         lines += [*(f"{{{', '.join(map(str, window))}}}," for window in windows), "};"]
     arrays += _last_words(table, short) if short else _last_floats(table)
@@ -152,7 +152,10 @@ def _last_floats(table: TransformTable) -> list[Array]:
 
 
 def _ratio_weights(taps: NDArray) -> list[Array]:
-    """Return the weights of the taps after the window taps (colour ratios, bilateral chroma), if such taps exist."""
+    """Return the array of the weights of the taps that follow the window taps: colour ratios and bilateral chroma.
+
+    The result is empty if the layer has no such taps.
+    """
     return [Array("l3_ratio_weights", taps, "(class, output, tap)", packed=True)] if taps.size else []
 
 
@@ -179,7 +182,7 @@ def _last_words(table: TransformTable, words: ShortWords) -> list[Array]:
 
 
 def _layers(table: TransformTable) -> tuple[list[Array], list[str]]:
-    """Return the arrays of the refinement layers, and the lines with their structs."""
+    """Return the arrays of the refinement layers, and the lines of C with the structs that refer to these arrays."""
     basis = planes_basis(table)
     arrays = _fixed("l3_", layout.first_plane_weights(fixed_point(table), table.bits))
     structs, entries = [], []
@@ -233,7 +236,7 @@ def _structure(prefix: str, rule: StructureRule) -> tuple[list[Array], str]:
 
 
 def _tree(prefix: str, rule: TreeRule) -> tuple[list[Array], str]:
-    """Split the tree constants, as opencl/cpu/trees.cl reads them, into one array per quantity."""
+    """Return the arrays and the struct of a tree. Each quantity in the constants of opencl/cpu/trees.cl becomes an array."""
     parts = int(rule_macros(rule)["PARTS"])
     (words,) = rule_constants(rule, "processor")
     groups = -(-parts // 32) + parts
@@ -265,19 +268,19 @@ def _fill(taps: NDArray) -> NDArray:
 
 
 def _some(edges: NDArray) -> NDArray:
-    """Return `edges`. If there are none, return a single unused edge, because C has no empty arrays."""
+    """Return `edges` or, if `edges` is empty, an array with one edge that is not used, because C has no empty arrays."""
     return edges if edges.size else np.zeros((1, *edges.shape[1:]), edges.dtype)
 
 
 def _strings(values: NDArray) -> Iterator[str]:
-    """Yield the little-endian bytes of an array as string literals that are short enough for C99."""
+    """Yield the little-endian bytes of an array as C string literals with at most PER_STRING bytes."""
     data = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes()
     for start in range(0, len(data), PER_STRING):
         yield f'"{"".join(map(CHARACTERS.__getitem__, data[start : start + PER_STRING]))}",'
 
 
 def _rows(values: NDArray) -> Iterator[str]:
-    """Yield the lines of an array's numbers, with braces around all axes except the last."""
+    """Yield the lines of C with the numbers of an array, with braces around the elements of all axes but the first."""
     if values.ndim > 1:
         for each in values:
             rows = list(_rows(each))

@@ -1,4 +1,4 @@
-"""Export of a table as a folder of arrays: one little-endian file per array, and table.json, which describes the arrays."""
+"""Export a table as a folder of arrays: one little-endian file per array, and table.json, which describes the arrays."""
 
 import json
 from typing import Any
@@ -26,7 +26,7 @@ from l3cli.system.text import printable
 
 FORMAT, VERSION = "l3 table as arrays", 2
 TABLE_FIELDS = ("bits", "black_level", "white_level", "outputs", "output_unit", "white_point", "channels", "cfa")
-LEFT_OUT = ("samples", "condition")  # fields of layers that only document the training
+LEFT_OUT = ("samples", "condition")  # fields of layers that document the training and are not needed for rendering
 
 FORMULAS = {
     "class": "(((site * levels + level) * contrasts + contrast) * combinations + combination) * kinds + kind",
@@ -141,7 +141,7 @@ LEAST_DOC = (
 def folder_files(table: TransformTable) -> dict[str, bytes]:
     """Return the contents of all files of an exported table, by file name.
 
-    Raises InputFileError if the table has layers that the export does not support.
+    Raises InputFileError if the table has layers that this version of l3 does not support.
     """
     require_known_layers(table)
     arrays = _Arrays()
@@ -185,9 +185,9 @@ def folder_files(table: TransformTable) -> dict[str, bytes]:
 
 
 def _set(arrays: "_Arrays", table: TransformTable) -> dict[str, Any]:
-    """Add the arrays of a set of transforms to `arrays`, and return the entries of the set for table.json.
+    """Add the arrays of a set of transforms to `arrays`, and return the description of the set for table.json.
 
-    The entries are the scalar parameters of each layer and the accuracy at short word lengths.
+    The description contains the scalar parameters of each layer, and the accuracy with short word lengths.
     """
     costs = word_costs(table)
     words = chosen_words(table, costs)
@@ -205,9 +205,8 @@ class _Arrays:
     def __init__(self) -> None:
         self.files: dict[str, bytes] = {}
         self.entries: list[dict[str, Any]] = []
-        # Prefix of the names of arrays that belong to an additional set of transforms. An array that is equal to
-        # the array of
-        # the main set is left out.
+        # Prefix of the names of the arrays of an additional set of transforms. An array of such a set is left out if it is
+        # equal to the array of the main set.
         self.prefix = ""
 
     def add(self, name: str, values: NDArray, axes: tuple[str, ...], unit: str, doc: str) -> None:
@@ -223,7 +222,10 @@ class _Arrays:
         )  # fmt: skip
 
     def add_fields(self, prefix: str, instance: Any, names: tuple[str, ...] | None = None) -> dict[str, Any]:
-        """Add the arrays of a dataclass. Return its scalars and texts, each with unit and description."""
+        """Add the arrays of a dataclass. Return its scalars and texts, each with its unit and its description.
+
+        `names` limits the fields. None means all fields.
+        """
         values = {}
         for name, spec in declared(type(instance)):
             if not isinstance(spec, Spec) or name in LEFT_OUT or (names is not None and name not in names):
@@ -264,7 +266,7 @@ def _layer(arrays: _Arrays, number: int, layer: Any) -> dict[str, Any]:
 
 
 def _derived(arrays: _Arrays, table: TransformTable) -> None:
-    """Add the arrays that l3 computes from a table before rendering, such as the number of taps of each channel."""
+    """Add the arrays that l3 computes from a table before it renders, such as the number of taps of each channel."""
     neighbours = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
     for name, values, doc in (
         ("count", neighbours.count, "number of taps of each channel in the patch of a site"),
@@ -316,7 +318,7 @@ def _study(words: Words, costs: tuple[Cost, ...]) -> dict[str, Any]:
 
 
 def _clipped_white(table: TransformTable) -> dict[str, Any]:
-    """Return the clipped white of a set of transforms. The result is empty if the illuminant of the set is unknown."""
+    """Return the clipped white of a set of transforms for table.json. Empty if the illuminant of the set is unknown."""
     return {} if table.clipped_white is None else {"clipped_white": table.clipped_white.tolist()}
 
 

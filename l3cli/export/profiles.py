@@ -1,6 +1,6 @@
-"""Export of a camera model for other software (docs/method.md#colour-matrices).
+"""Export a camera model for other software (docs/method.md#colour-matrices).
 
-The exported files are responsivity curves as CSV and as JSON for rawtoaces, a DCP profile in the JSON format of dcamprof,
+The exported files are the responsivities as CSV and as JSON for rawtoaces, a DCP profile in the JSON format of dcamprof,
 tuning files for libcamera, and a data sheet as CSV.
 """
 
@@ -24,24 +24,25 @@ from l3cli.physics import spectra
 from l3cli.physics.display import SRGB_FROM_XYZ, delta_e_2000, fit_through, lab, refinement, xyz_from_srgb_matrix
 from l3cli.system.text import printable
 
-TEMPERATURES = {"A": 2856, "D50": 5003, "D65": 6504}  # K, correlated colour temperature
-STEP_NM = 5.0  # nm; spacing of the wavelengths for colour matrices
-VISIBLE = (380.0, 780.0)  # nm
-# Smallest permitted response of a channel to grey, as a fraction of the response of the most sensitive channel. Channels
-# with a smaller response contain almost only noise.
+TEMPERATURES = {"A": 2856, "D50": 5003, "D65": 6504}  # illuminant → correlated colour temperature in K
+STEP_NM = 5.0  # spacing of the wavelengths from which colour matrices are computed, in nm
+VISIBLE = (380.0, 780.0)  # visible range in nm
+# Minimum response of each channel to grey, as a fraction of the response of the most sensitive channel. Below this limit,
+# the signal of a channel is almost only noise, and no colour matrices are computed.
 DIMMEST = 1e-4
-TYPICAL = 0.2  # signal for which the matrices balance noise against colour errors, as a fraction of the signal of white
-DIGITS = 5  # decimals of matrices in files
-BLACK_BODIES = (2200, 2500, 2856, 3200, 3600)  # K
-DAYLIGHTS = (4500, 5000, 5500, 6500, 7500, 8600)  # K
-NOISE_LEVELS = 64  # number of signals to which a noise profile is fitted, from 1 DN at 16 bits to the white level
-MIN_COLOURS = 3  # smallest number of channels with different responsivities for colour matrices
-# Smallest singular value of the responsivities, each scaled to a sum of 1, that counts as a further colour, as a fraction of
-# the largest one. Equal channels whose curves have measurement errors of 5 % reach 0.03, and the third value of RCCG is 0.2.
+TYPICAL = 0.2  # signal at which the matrices balance noise against colour errors, as a fraction of the signal of white
+DIGITS = 5  # number of decimals of the matrices in files
+BLACK_BODIES = (2200, 2500, 2856, 3200, 3600)  # colour temperatures of the white-balance curve below daylight, in K
+DAYLIGHTS = (4500, 5000, 5500, 6500, 7500, 8600)  # colour temperatures of the white-balance curve in daylight, in K
+NOISE_LEVELS = 64  # a noise profile is fitted at this number of signals from 1 DN (at 16 bits) to the white level
+MIN_COLOURS = 3  # minimum number of channels with different responsivities for colour matrices
+# The number of different responsivities is the number of singular values above this fraction of the largest singular value.
+# Before, each responsivity is scaled to a sum of 1. Equal channels whose curves have measurement errors of 5 % reach 0.03, and
+# the third value of RCCG is 0.2.
 DIFFERENT = 0.05
 RGB = ({"r", "red"}, {"g", "green"}, {"b", "blue"})  # names of red, green and blue channels
-SIGNAL_BITS = 16  # bit depth of signals in tuning files
-DECLARED_AS = {  # names in `CameraModel.declared`, by quantity
+SIGNAL_BITS = 16  # bit depth of the signals in tuning files
+DECLARED_AS = {  # quantity in the data sheet → its name in `CameraModel.declared`
     "overall system gain K": "gain",
     "temporal dark noise": "noise",
     "saturation capacity": "noise",
@@ -50,25 +51,26 @@ DECLARED_AS = {  # names in `CameraModel.declared`, by quantity
 }
 NOISE = ("dark current", "DSNU", "PRNU", "row temporal noise", "column temporal noise", "column noise")
 Row = tuple[str, str, float | str, str, str]
-# Files of every camera
+# Files that are written for every camera.
 CURVES, RAWTOACES_JSON, DATASHEET = "responsivity.csv", "rawtoaces.json", "datasheet.csv"
-# Files of cameras with suitable channels
+# Files that are written only for cameras with suitable channels.
 DCP, RASPBERRY_PI, PI_5, SIMPLE = "dcp.json", "libcamera_rpi.json", "libcamera_pisp.json", "libcamera_simple.yaml"
 
-ILLUMINANTS = {"A": "StdA", "D65": "D65"}  # illuminants of the matrices in a DCP, in the order of their temperature
-SIMPLE_DARKEST = 2**15 - 1  # highest black level that a tuning file for the simple pipeline can contain
-RAWTOACES = np.arange(380.0, 781.0, 5.0)  # nm, wavelengths of the curves in rawtoaces
-ALSC_TEMPERATURE = 5000  # K; libcamera uses shading tables for a single temperature under all illuminants
-SMOOTHNESS = 0.003  # weight of the second differences of a shading table, relative to the errors
+ILLUMINANTS = {"A": "StdA", "D65": "D65"}  # illuminants of a DCP in order of colour temperature → names in dcamprof
+SIMPLE_DARKEST = 2**15 - 1  # maximum black level in a tuning file for the simple pipeline
+RAWTOACES = np.arange(380.0, 781.0, 5.0)  # wavelengths of the curves in rawtoaces, in nm
+ALSC_TEMPERATURE = 5000  # colour temperature of the shading tables in K; libcamera uses a single table at any temperature
+SMOOTHNESS = 0.003  # weight of the squared second differences of a shading table, relative to its squared errors
 Array = NDArray[np.floating]
 
 
 class Target(NamedTuple):
-    """An image signal processor of Raspberry Pi computers."""
+    """An image signal processor (ISP) of Raspberry Pi computers."""
 
     name: str  # name in libcamera
     cells: tuple[int, int]  # rows and columns of the shading tables
-    vertices: tuple[int, int]  # largest rows and columns of the grid, from edge to edge, between which the ISP interpolates
+    # Maximum rows and columns of the grid, which extends from edge to edge of the frame, and in which the ISP interpolates.
+    vertices: tuple[int, int]
 
 
 VC4, PISP = Target("bcm2835", (12, 16), (49, 64)), Target("pisp", (32, 32), (33, 33))
@@ -76,28 +78,28 @@ VC4, PISP = Target("bcm2835", (12, 16), (49, 64)), Target("pisp", (32, 32), (33,
 
 @dataclass(frozen=True)
 class Matrix:
-    """A colour matrix, rounded as in the files, and its remaining colour errors for measured surfaces."""
+    """A colour matrix, rounded as in the files, and its colour errors for measured surfaces."""
 
     values: Array  # (row, column), rounded to DIGITS decimals
-    errors: Array  # (surface) CIEDE2000
-    worst: Array  # (3) true L*a*b* of the surface with the largest error
+    errors: Array  # (surface,) CIEDE2000
+    worst: Array  # (3,) correct L*a*b* of the surface with the largest error
 
 
 @dataclass(frozen=True)
 class LightMatrices:
     """Colour matrices of a camera with n channels for one illuminant."""
 
-    neutral: Array  # (n) signals of a grey, scaled to a maximum of 1
-    colour: Matrix  # (n, 3) converts XYZ under the illuminant (white has Y = 1) to channels (white is at most 1)
-    forward: Matrix  # (3, n) converts white-balanced channels to XYZ of the surface under D50
-    correction: Matrix  # (3, n) converts white-balanced channels to linear sRGB of the surface under D65; rows sum to 1
+    neutral: Array  # (n,) signals of a grey surface, scaled to a maximum of 1
+    colour: Matrix  # (n, 3) converts XYZ under the illuminant (white has Y = 1) to channels (maximum of white is 1)
+    forward: Matrix  # (3, n) converts white-balanced channels to the XYZ of the surface under D50
+    correction: Matrix  # (3, n) converts white-balanced channels to the linear sRGB of the surface under D65
 
 
 def light_matrices(camera: CameraModel, light: str) -> LightMatrices | None:
     """Fit the colour matrices of a camera for a named illuminant.
 
-    The result is None if fewer than three channels have different responsivities, or if a channel responds to grey with less
-    than DIMMEST of the most sensitive channel.
+    The result is None if fewer than three channels have different responsivities, or if the response of a channel to grey is
+    less than DIMMEST times the response of the most sensitive channel.
     """
     neutral, balanced = _responses(camera, light)
     if neutral.min() < DIMMEST or _colours_of(camera) < MIN_COLOURS:
@@ -125,7 +127,7 @@ def _colours_of(camera: CameraModel) -> int:
 
 
 def _colour_matrix(xyz: Array, white: Array, channels: Array, neutral: Array) -> Matrix:
-    """Fit the ColorMatrix (n, 3) such that its pseudo-inverse, which raw converters apply, has small colour errors."""
+    """Fit the ColorMatrix (n, 3), so that the colour errors of its pseudo-inverse, which raw converters apply, are small."""
     start = fit_through(xyz, channels, white, neutral)
     ours = refinement(channels @ np.linalg.pinv(start).T, xyz, white)
     values = np.round(start @ np.linalg.inv(ours), DIGITS)
@@ -133,14 +135,14 @@ def _colour_matrix(xyz: Array, white: Array, channels: Array, neutral: Array) ->
 
 
 def _matrix_to(space: Array, balanced: Array, noise: Array, wanted: Array, white: Array) -> Matrix:
-    """Fit the matrix (3, n) from white-balanced channels to a colour space.
+    """Fit the matrix (3, n) that converts white-balanced channels to a linear colour space.
 
-    `space` (3, 3) converts XYZ to the linear colour space. White is mapped exactly.
+    The matrix `space` (3, 3) converts XYZ to this colour space. White is converted exactly.
     """
     start = fit_through(balanced, wanted, np.ones(balanced.shape[1]), white, noise)
     values = np.round(space @ refinement(balanced @ start.T, wanted, white) @ start, DIGITS)
     largest = np.abs(values).argmax(axis=1)
-    # Rounding changes the sums of the rows. Correct the largest value of each row, so that white remains exact.
+    # Rounding changes the sums of the rows. The largest value of each row is corrected, so that white remains exact.
     values[np.arange(3), largest] += np.round(space @ white, DIGITS) - values.sum(axis=1)
     values = np.round(values, DIGITS)
     return _judged(values, balanced @ values.T @ np.linalg.inv(space).T, wanted, white)
@@ -152,7 +154,7 @@ def _judged(values: Array, xyz: Array, wanted: Array, white: Array) -> Matrix:
 
 
 def _grid(camera: CameraModel) -> Array:
-    """Return the wavelengths in nm at which the eye or the camera responds."""
+    """Return a wavelength grid in nm that covers the visible range and the wavelengths of the camera."""
     low, high = min(camera.wavelength[0], VISIBLE[0]), max(camera.wavelength[-1], VISIBLE[1])
     return np.arange(STEP_NM * np.floor(low / STEP_NM), high + STEP_NM / 2, STEP_NM)
 
@@ -162,8 +164,8 @@ def _responses(camera: CameraModel, light: str) -> tuple[Array, Array]:
 
     Returns
     -------
-    white : ndarray, (n)
-        Signals of a white, scaled to a maximum of 1.
+    white : ndarray, (n,)
+        Signals of a white surface, scaled to a maximum of 1. All are 0 if the camera does not respond to the illuminant.
     balanced : ndarray, (surface, n)
         Signals of measured surfaces, divided by the signals of white.
     """
@@ -175,7 +177,7 @@ def _responses(camera: CameraModel, light: str) -> tuple[Array, Array]:
 
 
 def _colours(camera: CameraModel, library: Array, light: str) -> tuple[Array, Array]:
-    """Return the XYZ of surfaces (surface, 3) and of white (3) under an illuminant. White has Y = 1."""
+    """Return the XYZ of surfaces (surface, 3) and of white (3,) under an illuminant, where white has Y = 1."""
     grid = _grid(camera)
     weights = spectra.xyz_weights(grid) * spectra.illuminant(light, grid)
     white = weights.sum(axis=1)
@@ -183,10 +185,10 @@ def _colours(camera: CameraModel, library: Array, light: str) -> tuple[Array, Ar
 
 
 def errors(matrices: LightMatrices) -> dict[str, dict[str, Any]]:
-    """Return the matrices and their colour errors as a dictionary that can be written as JSON.
+    """Return the matrices and their colour errors as JSON types, by the name of the matrix.
 
-    The errors are the mean, the 95th percentile and the maximum of CIEDE2000 over measured surfaces. The dictionary also
-    contains the L*a*b* of the worst surface.
+    The errors are the mean, the 95th percentile and the maximum of CIEDE2000 over measured surfaces. The result also
+    contains the L*a*b* of the surface with the largest error.
     """
     kinds = {"CCM": matrices.correction, "ForwardMatrix": matrices.forward, "ColorMatrix": matrices.colour}
     return {
@@ -205,7 +207,7 @@ def errors(matrices: LightMatrices) -> dict[str, dict[str, Any]]:
 
 
 def temperature_curve(camera: CameraModel, order: tuple[int, int, int]) -> Array | None:
-    """Return the channel ratios of a grey as a function of the colour temperature.
+    """Return the channel ratios of a grey surface as a function of the colour temperature.
 
     Parameters
     ----------
@@ -217,8 +219,8 @@ def temperature_curve(camera: CameraModel, order: tuple[int, int, int]) -> Array
     Returns
     -------
     ndarray, (temperature, 3), or None
-        Temperature in K, r/g and b/g, for black bodies and daylights. None if a grey has almost no signal in g. None unless
-        r/g falls and b/g rises with the temperature, because libcamera searches along the curve.
+        Temperature in K, r/g and b/g, for black bodies and daylight. None if the signal in g is almost 0. Also None if r/g
+        does not decrease or b/g does not increase with the temperature, because libcamera searches along the curve.
     """
     names = [f"{kelvin}K" for kelvin in BLACK_BODIES] + [f"D{kelvin}K" for kelvin in DAYLIGHTS]
     greys = np.array([_responses(camera, name)[0] for name in names])
@@ -233,8 +235,14 @@ def temperature_curve(camera: CameraModel, order: tuple[int, int, int]) -> Array
 def noise_profile(camera: CameraModel) -> tuple[float, float]:
     """Fit the noise model of libcamera, standard deviation = constant + slope · √signal, to the noise of a camera.
 
-    Standard deviation and signal are in DN at 16 bits. The fit is least squares over signals whose square roots are evenly
-    spaced. The constant is not negative.
+    The standard deviation and the signal are in DN at 16 bits. The least-squares fit uses signals whose square roots are
+    evenly spaced.
+
+    Returns
+    -------
+    constant : float
+        Not negative.
+    slope : float
     """
     scale = 2.0 ** (SIGNAL_BITS - camera.bits)
     root = np.linspace(1.0, np.sqrt((camera.white_level - camera.black_level) * scale), NOISE_LEVELS)
@@ -246,17 +254,17 @@ def noise_profile(camera: CameraModel) -> tuple[float, float]:
 
 
 def black_level_16(camera: CameraModel) -> int:
-    """Return the black level in DN at 16 bits, as in tuning files."""
+    """Return the black level in DN at 16 bits, rounded to an integer, for tuning files."""
     return round(camera.black_level * 2 ** (SIGNAL_BITS - camera.bits))
 
 
 def shading_tables(field: FlatField, order: tuple[int, int, int], target: Target) -> tuple[Array, Array, Array]:
     """Fit the shading tables of a Raspberry Pi to a flat field.
 
-    The image signal processor (ISP) assigns the values of a table to the centres of the cells, extends the outermost values
-    to the edge of the frame, and interpolates. If the tables contained the gains at the centres of the cells, the corrected
-    corners of a lens that halves the light there would have an error of 4 %. The tables are therefore smooth least-squares
-    fits, which take the interpolation of the ISP into account.
+    The image signal processor (ISP) interpolates between the values of a table, which it assigns to the centres of the
+    cells. From the outermost centres to the edges of the frame, the values are constant. If a table simply contained the
+    gains at the centres, a lens that halves the light in the corners would be corrected there with an error of 4 %. The
+    tables are therefore smooth least-squares fits that include the interpolation of the ISP.
 
     Parameters
     ----------
@@ -265,12 +273,12 @@ def shading_tables(field: FlatField, order: tuple[int, int, int], target: Target
     order : tuple of int
         Indices of the channels r, g and b.
     target : Target
-        ISP with the size of the tables.
+        The ISP, which determines the size of the tables.
 
     Returns
     -------
     green, red, blue : ndarray, (row, col)
-        Gain of g, and gains of r and b relative to g. The smallest value of each table is 1.
+        Gain of g, and gains of r and b relative to the gain of g. The smallest value of each table is 1.
     """
     ends = field.grid_row[-1] + 1, field.grid_col[-1] + 1
     fine = [length * _middles(4 * vertices) - 0.5 for length, vertices in zip(ends, target.vertices, strict=True)]
@@ -282,9 +290,9 @@ def shading_tables(field: FlatField, order: tuple[int, int, int], target: Target
 
 
 def _fit(cells: int, vertices: int) -> Array:
-    """Return the matrix (cell, place) that fits the values of table cells to gains at four places per vertex.
+    """Return the matrix (cell, sample) that fits the values of cells to gains along one axis of the frame.
 
-    The fit is regularised least squares along one axis of the frame.
+    The gains are sampled at four points per vertex of the ISP's grid. The fit is by regularised least squares.
     """
     places, middles = _middles(4 * vertices), _middles(cells)
     corners = np.linspace(0, 1, vertices)
@@ -295,12 +303,12 @@ def _fit(cells: int, vertices: int) -> Array:
 
 
 def _middles(count: int) -> Array:
-    """Divide the interval 0…1 into `count` equal parts, and return their centres."""
+    """Return the centres of `count` equal parts of the interval 0…1."""
     return (np.arange(count) + 0.5) / count
 
 
 def rgb_order(channels: Sequence[str]) -> tuple[int, int, int] | None:
-    """Return the indices of the channels r, g and b. None if the camera has other channels."""
+    """Return the indices of the channels r, g and b, or None unless the camera has exactly these three channels."""
     colours = [next((index for index, each in enumerate(RGB) if name.casefold() in each), None) for name in channels]
     if len(colours) != len(RGB) or set(colours) != {0, 1, 2}:
         return None
@@ -308,7 +316,7 @@ def rgb_order(channels: Sequence[str]) -> tuple[int, int, int] | None:
 
 
 def bayer_order(channels: Sequence[str], cfa: NDArray[np.integer]) -> tuple[int, int, int] | None:
-    """Return the indices of the channels r, g and b of a Bayer array, with g on a diagonal. None for other arrays."""
+    """Return the indices of the channels r, g and b, or None unless the array is a 2×2 Bayer array with g on a diagonal."""
     order = rgb_order(channels)
     if order is None or cfa.shape != (2, 2):
         return None
@@ -318,9 +326,10 @@ def bayer_order(channels: Sequence[str], cfa: NDArray[np.integer]) -> tuple[int,
 
 
 def datasheet(camera: CameraModel) -> list[Row]:
-    """Return the rows of a camera's data sheet. The columns are quantity, channel, value, unit and source.
+    """Return the rows of the data sheet of a camera, with the columns quantity, channel, value, unit and source.
 
-    The channel is empty if a quantity applies to the whole camera. The source is "measured", "declared" or "recipe".
+    The channel is empty if a quantity applies to the whole camera. The source of a value is "measured", "declared" (stated
+    by the user in the measurement file) or "recipe".
     """
     optics, source = camera.optics, "recipe" if camera.fit is None else "measured"
     given = "recipe" if camera.fit is None else "declared"
@@ -352,10 +361,10 @@ def datasheet(camera: CameraModel) -> list[Row]:
 
 
 def _polariser_rows(camera: CameraModel, peaks: NDArray[np.integer], given: str) -> list[Row]:
-    """Return the rows of the polarisers: angles and finite extinction ratios, with 95 % bands if they were measured.
+    """Return the rows about the polarisers: angles and finite extinction ratios, with 95 % bands if they were measured.
 
-    `peaks` contains the index of the peak wavelength of each channel, and `given` the source of values that were not
-    measured.
+    `peaks` contains the index of the peak wavelength of each channel. `given` is the source of values that were not
+    measured. The result is empty for a camera without polarisers.
     """
     polarisers, fit = camera.polarisers, camera.fit.polarisers if camera.fit else None
     rows: list[Row] = []
@@ -376,24 +385,24 @@ def _polariser_rows(camera: CameraModel, peaks: NDArray[np.integer], given: str)
 
 
 def _declared(name: str, camera: CameraModel) -> bool:
-    """Whether the calibration did not measure a quantity, but copied it from a data sheet or assumed it to be 0."""
+    """Return whether a quantity was not measured, but was copied from a data sheet or assumed to be 0."""
     known = DECLARED_AS.get(name, name)
     return known in camera.declared or (name in NOISE and "noise" in camera.declared)
 
 
 class Exported(NamedTuple):
-    """Files of a camera for other software."""
+    """The files of a camera for other software."""
 
-    files: dict[str, str]  # contents by file name
-    errors: dict[str, dict[str, dict[str, Any]]]  # for each illuminant, the colour errors of each matrix
-    note: str | None  # sentence that states which files are missing, and why
+    files: dict[str, str]  # file name → contents
+    errors: dict[str, dict[str, dict[str, Any]]]  # illuminant → name of a matrix → its colour errors (see `errors`)
+    note: str | None  # states which files could not be written, and why; None if all files are included
 
 
 def export(camera: CameraModel) -> Exported:
     """Return all files of a camera for other software.
 
-    Colour matrices need at least three channels with different responsivities, and tuning files need a Bayer array. If the
-    camera cannot have these files, the note says why.
+    Colour matrices are computed only for cameras with at least three channels with different responsivities, and tuning files
+    only for Bayer arrays. If these files are left out, the note states the reason.
     """
     camera = replace(camera, name=printable(camera.name))  # the name may contain unprintable bytes
     files = {**_curves(camera), DATASHEET: _datasheet_csv(camera)}
@@ -422,9 +431,9 @@ def export(camera: CameraModel) -> Exported:
 
 
 def _curves(camera: CameraModel) -> dict[str, str]:
-    """Return the files with the responsivities per energy: CSV at the camera's wavelengths, and JSON for rawtoaces.
+    """Return two files with the relative responsivities per energy: a CSV file, and a JSON file for rawtoaces.
 
-    The largest responsivity is 1.
+    The CSV file contains the wavelengths of the camera. The responsivities are scaled to a maximum of 1.
     """
     curves = camera.responsivity * camera.wavelength
     curves = curves / curves.max()
@@ -451,9 +460,9 @@ def _curves(camera: CameraModel) -> dict[str, str]:
 def _dcp_json(camera: CameraModel, known: Mapping[str, LightMatrices]) -> str:
     """Return a DCP in the JSON format of `dcamprof json2dcp`, with matrices for ILLUMINANTS.
 
-    Two keys are added that are not part of a DCP. Channels lists the names of the channels: r, g, b if the camera has these
-    channels, otherwise all channels in the order of the camera. AsShotNeutral contains the signals of a grey object under
-    each illuminant, for use in DNG files.
+    Two additional keys are not part of a DCP. Channels lists the names of the channels: r, g, b if the camera has exactly
+    these channels, otherwise the channels in the order of the camera. AsShotNeutral contains the signals of a grey surface
+    under each illuminant, for use in DNG files.
     """
     planes = list(rgb_order(camera.channels) or range(len(camera.channels)))
     lights = [known[light] for light in ILLUMINANTS]
@@ -479,15 +488,15 @@ def _raspberry_pi_json(
     camera : CameraModel
         The camera.
     corrections : mapping of int to ndarray, (3, 3)
-        Colour correction matrices by temperature in K, in increasing order.
+        Colour temperature in K, in increasing order → colour correction matrix.
     curve : ndarray, (temperature, 3), or None
-        Result of `temperature_curve`.
+        Result of `temperature_curve`. If it is None, the file contains no curve for the white balance.
     order : tuple of int
         Indices of the channels r, g and b.
     target : Target
-        Image signal processor.
+        Image signal processor, for which the shading tables are computed if the camera has a flat field.
     """
-    flat = {"priors": [{"lux": 0, "prior": [2000, 0.0, 13000, 0.0]}]}  # flat, because the illuminance is unknown
+    flat = {"priors": [{"lux": 0, "prior": [2000, 0.0, 13000, 0.0]}]}  # a flat prior, because the illuminance is unknown
     awb: dict[str, Any] = {"bayes": 0}
     missing = ["missing: ct_curve of rpi.awb, because the colour of greys does not change monotonically with temperature"]
     if curve is not None:
@@ -527,7 +536,7 @@ def _raspberry_pi_json(
 
 
 def _simple_yaml(camera: CameraModel, corrections: Mapping[int, Array]) -> str:
-    """Return a tuning file, SENSOR.yaml, for the simple pipeline of libcamera, the software ISP of laptops and phones."""
+    """Return the tuning file SENSOR.yaml for the simple pipeline of libcamera, the software ISP of laptops and phones."""
     black_level = black_level_16(camera)
     lines = [
         "# " + json.dumps(f"{camera.name}, l3cli {__version__}")[1:-1],
@@ -549,7 +558,7 @@ def _simple_yaml(camera: CameraModel, corrections: Mapping[int, Array]) -> str:
 
 
 def _datasheet_csv(camera: CameraModel) -> str:
-    """Return the data sheet as CSV with a row of headings."""
+    """Return the data sheet as CSV, with a row of headings."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     for row in (("quantity", "channel", "value", "unit", "source"), *datasheet(camera)):
@@ -558,7 +567,7 @@ def _datasheet_csv(camera: CameraModel) -> str:
 
 
 def _json(value: Any, indent: int = 0) -> str:
-    """Return ASCII JSON, indented by two spaces. Lists of numbers are on one line."""
+    """Convert a value to ASCII JSON, indented by two spaces per level. A list that contains only numbers is on one line."""
     inner = " " * (indent + 2)
     if isinstance(value, dict):
         lines = [f"{inner}{json.dumps(key)}: {_json(each, indent + 2)}" for key, each in value.items()]

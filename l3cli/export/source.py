@@ -1,7 +1,7 @@
-"""Export of a table as C99 source.
+"""Export a table as C99 source.
 
-The source consists of files in c/, and of macros and constant arrays with the numbers of the table. The code of optional
-class features is their OpenCL code, which becomes valid C when the types are renamed.
+The source consists of the files in c/, and of macros and constant arrays with the numbers of the table. The OpenCL code of
+optional class features is converted to C by renaming its types.
 """
 
 import json
@@ -51,11 +51,11 @@ from l3cli.rendering.white.source import usual_balance
 from l3cli.system.text import printable
 
 PIECES = Path(__file__).parent / "c"
-Words = Literal["float32", "int16"]  # type of the outputs, and of the last layer's weights and values
-PREFIX = "l3"  # default prefix of symbols
-MIN_BLOCK = 128  # smallest number of pixels that a loop processes at a time
-CODES = 256  # number of values of a picture
-LINEAR_BINS = 4096  # number of bins of linear values; so large that no bin contains the limits of two 8-bit sRGB values
+Words = Literal["float32", "int16"]  # type of the outputs, and of the weights and the inputs of the last layer
+PREFIX = "l3"  # default prefix of symbols and file names
+MIN_BLOCK = 128  # minimum number of pixels that a loop processes at a time
+CODES = 256  # number of values of an 8-bit picture
+LINEAR_BINS = 4096  # number of bins of linear values; each bin contains at most one threshold between 8-bit sRGB values
 DATA = (
     "/* The arrays of a transform table. l3_table.h declares them. Long arrays are strings of their bytes. */",
     '#include "l3_table.h"',
@@ -72,7 +72,7 @@ GUARD = ("#ifndef L3_TABLE_H", "#define L3_TABLE_H", "", "#include <stdint.h>", 
 def c_files(
     table: TransformTable, words: Words = "float32", balance: WhiteBalance | None = None, prefix: str = PREFIX
 ) -> dict[str, bytes]:
-    """Return the files of a table's C source, by file name.
+    """Return the contents of the C source files of a table, by file name.
 
     Parameters
     ----------
@@ -81,28 +81,31 @@ def c_files(
     words : {"float32", "int16"}
         Type of the outputs.
     balance : WhiteBalance, optional
-        White that pictures show as neutral, for tables with the outputs X, Y, Z. [default: the white of the table]
+        White balance of the pictures, which applies to tables with the outputs X, Y, Z only. [default: the white of the
+        table becomes neutral]
     prefix : str
-        Prefix of C symbols and file names.
+        Prefix of C symbols and file names: a lower-case letter and up to 30 lower-case letters, digits and "_".
 
     Raises
     ------
     InputFileError
-        If the C source does not support the table.
+        If the C source does not support the table, or does not support it with int16.
     RecipeError
         If the prefix is invalid.
     """
     require_known_layers(table)
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", prefix):
         raise RecipeError(
-            f'prefix "{shortened(prefix)}" is invalid; use a letter from a to z, followed by up to 30 of a-z, 0-9 and _'
+            f'prefix "{shortened(prefix)}" is invalid; use a letter from a to z, followed by up to 30 characters from a-z, '
+            "0-9 and _"
         )
     if prefix == "test":
         raise RecipeError('prefix "test" is reserved for the test program; choose another prefix')
     floats = "smooths spectra" if table.spectra else "corrects bands" if _corrects(table) else ""
     if floats and words == "int16":
         raise InputFileError(
-            f"the table {floats}, which the C source computes in floats; omit ‹words› or export the table as a folder"
+            f"the table {floats}, which the C source can only compute in floats; remove ‹words› int16, or export the table "
+            "as a folder"
         )
     short = short_words(table) if words == "int16" else None
     arrays, layers = table_arrays(table, short)
@@ -133,9 +136,9 @@ def c_files(
 
 
 def _named(text: str, prefix: str) -> str:
-    """Replace l3 with the prefix in symbols, macros, types and file names.
+    """Replace "l3" with the prefix in the symbols, macros, types and file names of a text.
 
-    Lines that begin with a string literal do not change, because they contain the bytes of arrays.
+    A line that begins with a string literal is unchanged, because it contains the bytes of an array.
     """
     if prefix == PREFIX:
         return text
@@ -152,7 +155,7 @@ def _piece(name: str) -> str:
 
 
 def _computation(table: TransformTable, words: Words) -> str:
-    """Return the text of l3.c."""
+    """Return the text of l3.c, which is composed of the files in c/ that the table needs."""
     coarse = "coarse_chroma.c" if _coarse_chroma(table) else "no_coarse_chroma.c"
     clips = "clipping.c" if table.later and table.later[-1].clipping else "no_clipping.c"
     corrections = "corrections.c" if _corrects(table) else "no_corrections.c"
@@ -167,7 +170,7 @@ def _computation(table: TransformTable, words: Words) -> str:
 
 
 def _features(rule: ClassRule) -> str:
-    """Convert the OpenCL snippets of the optional features of a class rule to C."""
+    """Return C code for the optional features of a class rule, which is converted from their OpenCL code."""
     modules = features_of(rule)
     if not modules:
         return _piece("no_features.c")
@@ -185,7 +188,7 @@ def _features(rule: ClassRule) -> str:
 
 
 def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
-    """Return the macros of l3_table.h, without their prefix: sizes of loops and arrays, and constants of formulas."""
+    """Return the macros of l3_table.h by name, without the prefix: sizes of loops and arrays, and constants of formulas."""
     rule, columns = table.first.rule, table.cfa.shape[1]
     group = math.lcm(columns, TAP_GROUP)
     values: dict[str, int | str] = {
@@ -253,9 +256,9 @@ def _coarse_chroma(table: TransformTable) -> CoarseChroma | None:
 
 
 def _clipped_white(table: TransformTable, fraction: int) -> dict[str, int | str]:
-    """Return the macros that limit outputs to the clipped white. Empty if the table has no clipped white.
+    """Return the macros for the step that limits the outputs to the clipped white. Empty if the table has no clipped white.
 
-    `fraction` is the number of fractional bits of an output, or 0 for floats.
+    `fraction` is the number of fractional bits of an output, or 0 if outputs are floats.
     """
     if table.clipped_white is None:
         return {}
@@ -267,7 +270,7 @@ def _clipped_white(table: TransformTable, fraction: int) -> dict[str, int | str]
 
 
 def _clipping_known(table: TransformTable) -> dict[str, float | int]:
-    """Return the constants of the formulas for uniform clipped areas, by name."""
+    """Return the constants in the formulas for uniform clipped areas, by name."""
     rows, columns = clipping.block_sides(table.cfa)
     return {
         "clip_rows": rows,
@@ -415,9 +418,9 @@ def _words_known(table: TransformTable, short: ShortWords) -> dict[str, str | in
 
 
 def _picture_source(table: TransformTable, balance: WhiteBalance | None, text: str) -> str:
-    """Insert the constants for a table with the outputs X, Y, Z into the template picture.c.
+    """Insert the constants of a table with the outputs X, Y, Z into `text`, the template picture.c.
 
-    If `balance` is None, pictures show the white of the table as neutral.
+    If `balance` is None, the white of the table becomes neutral.
     """
     balance = balance or usual_balance(table)
     matrix, gamut = linear_matrix(shown_adaptation(table, balance.adaptation), 1.0, SRGB), gamut_of(SRGB)
@@ -447,15 +450,15 @@ def _picture_source(table: TransformTable, balance: WhiteBalance | None, text: s
 def _page_facts(table: TransformTable, balance: WhiteBalance | None) -> str:
     """Return the properties of a table that the browser page needs, as JSON.
 
-    `neutral` contains the signals of a grey under the training illuminant. With these, the page can apply the white balance
-    that a file states. If the user chose a white for the export, `neutral` is null.
+    `neutral` contains the signals of a grey surface under the training illuminant, from which the page can compute the white
+    balance that a file states. If the user set a white for the export, or if the signals are unknown, `neutral` is null.
     """
     codes, trained = channel_codes(table.channels), Whites(table).trained
     facts = {
         "camera": printable(table.camera_name),
         "cfa": table.cfa.tolist(),
-        "codes": codes.tolist(),  # CFA colour codes of TIFF/EP; channels without a TIFF/EP code have an unused code
-        "names": [code_of(name) for name in table.channels],  # null for channels without a TIFF/EP code
+        "codes": codes.tolist(),  # TIFF/EP colour codes; a channel without such a code has a code that TIFF/EP does not use
+        "names": [code_of(name) for name in table.channels],  # TIFF/EP colour codes; null if a channel has none
         "black": table.black_level,
         "white": table.white_level,
         "layers": len(table.layers),
@@ -466,7 +469,7 @@ def _page_facts(table: TransformTable, balance: WhiteBalance | None) -> str:
 
 
 def _thresholds(curve: Curve) -> NDArray[np.float64]:
-    """Return the lowest linear value of each 8-bit value except 0."""
+    """Return the lowest linear value that is encoded as each of the 8-bit values 1 to 255."""
     encoded = (np.arange(1, CODES) - 0.5) / (CODES - 1)
     power = ((encoded + curve.offset) / curve.gain) ** (1 / curve.exponent)
     return np.where(encoded <= curve.slope * curve.knee, encoded / curve.slope, power)

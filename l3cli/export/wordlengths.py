@@ -1,9 +1,9 @@
-"""Fixed-point weights of the last layer with few bits, and the resulting change of the outputs of a synthetic mosaic.
+"""Convert the weights of the last layer to fixed point, and measure how much the outputs of a synthetic mosaic change.
 
     weight ≈ whole · 2^−F
 
-`whole` is a signed integer with a given number of bits. F is the largest number of fractional bits with which the largest
-weight of a class, or of the whole table, still fits.
+`whole` is a signed integer with a given number of bits. F is the largest number of fractional bits for which the largest
+weight of a class, or of the whole table, fits into this number of bits.
 
 Intercepts are not converted. All layers before the last layer always use 16-bit weights (docs/method.md#planes).
 """
@@ -33,36 +33,37 @@ from l3cli.rendering.reference import (
     smoothed_chroma,
 )
 
-# Rows and columns of the test vector: wider than a block of the C source, and not a multiple of the period of any array
+# Rows and columns of the test vector. It is wider than a block of pixels in the C source, and its width is not a multiple of
+# common CFA periods.
 VECTOR_SHAPE = (40, 150)
 VECTOR_SEED = 3
-OUTPUT_FRACTION = 12  # fractional bits of a 16-bit output, whose range is ±8
-OUTPUT_TOP = 2**15 - 1
-HIGH_BITS = 12  # bits of the high part of a value, including the sign
-# MAX_WEIGHT: largest weight before rounding. MAX_SUM: largest sum of products, to which the low part of the value and the
-# rounding constant are still added.
+OUTPUT_FRACTION = 12  # number of fractional bits of a 16-bit output, whose range is therefore ±8
+OUTPUT_TOP = 2**15 - 1  # largest 16-bit output
+HIGH_BITS = 12  # number of bits in the high part of a value, including the sign
+# Maximum of a weight before rounding, and maximum of a sum of products. The sum leaves a margin, because the low part of the
+# value and the rounding constant are added later.
 MAX_WEIGHT, MAX_SUM = 2.0**15 - 8, 2.0**31 - 2**26
 MAX_FRACTION = 24
-# Assumed correlation R of the values of two taps: exp(−distance / REACH), with the distance in pixels. For taps of different
-# channels, R is multiplied by OTHER. For a tap and itself, NOISE is added.
+# Assumed correlation R of the values of two taps: exp(−distance / REACH), where the distance is in pixels. R is multiplied
+# by OTHER for taps of different channels. NOISE is added to the correlation of a tap with itself.
 REACH, OTHER, NOISE = 8.0, 0.8, 0.2
-LENGTHS = (8, 10, 12, 14, 16)  # bits; word lengths whose accuracy is measured
-SHAPE, SEED = (64, 256), 4  # rows, columns and seed of the mosaic for which the accuracy is measured
-ENOUGH_PSNR_DB = 60.0  # dB; RMS error of a thousandth of an output of 1
-Scale = Literal["class", "table"]  # weights that share a binary point
+LENGTHS = (8, 10, 12, 14, 16)  # word lengths, in bits, whose accuracy is measured
+SHAPE, SEED = (64, 256), 4  # (rows, columns) and seed of the mosaic for which the accuracy is measured
+ENOUGH_PSNR_DB = 60.0  # sufficient PSNR, which corresponds to an RMS error of 0.001 for a peak of 1
+Scale = Literal["class", "table"]  # whether each class has its own binary point, or the whole table has one binary point
 
 
 @dataclass(frozen=True)
 class Vector:
-    """A test vector: a mosaic, with its classes in all layers and its outputs."""
+    """A test vector: a mosaic, its classes in all layers, and its outputs."""
 
-    raw: NDArray[np.uint16]  # (row, col) DN, with the black and white level of the table
-    phase: tuple[int, int]  # CFA row and column of the first pixel
-    labels: Integers  # (layer, row, col)
+    raw: NDArray[np.uint16]  # (row, col) mosaic in DN, with the black level and the white level of the table
+    phase: tuple[int, int]  # CFA row and CFA column of the first pixel
+    labels: Integers  # (layer, row, col) classes
     outputs: NDArray[np.float32]  # (output, row, col)
 
     def files(self) -> dict[str, bytes]:
-        """Return the arrays as little-endian files, row by row, by file name."""
+        """Return the arrays as the contents of little-endian files in row-major order, by file name."""
         return {
             "test_raw.bin": self.raw.astype("<u2").tobytes(),
             "test_labels.bin": self.labels.astype("<u4").tobytes(),
@@ -71,9 +72,9 @@ class Vector:
 
 
 def drawn_mosaic(table: TransformTable, shape: tuple[int, int], seed: int) -> NDArray[np.uint16]:
-    """Draw a random mosaic (row, col) with the black and white level of a table.
+    """Generate a random mosaic (row, col) with the black level and the white level of a table.
 
-    The mosaic contains uniform and textured areas. It is dark at the left and saturated at the right.
+    The mosaic contains uniform and textured areas. Its brightness increases from dark at the left to saturated at the right.
     """
     rng = np.random.default_rng(seed)
     level = np.geomspace(0.002, 1.5, shape[1]) * (table.white_level - table.black_level)
@@ -83,7 +84,10 @@ def drawn_mosaic(table: TransformTable, shape: tuple[int, int], seed: int) -> ND
 
 
 def make_vector(table: TransformTable) -> Vector:
-    """Make the test vector of a table. Its CFA phase is not (0, 0), so that the test also detects errors with phases."""
+    """Compute the test vector of a table.
+
+    The CFA phase of the mosaic is not (0, 0) if the period permits this, so that the test detects phase errors.
+    """
     phase = (1 % table.cfa.shape[0], 1 % table.cfa.shape[1])
     raw = drawn_mosaic(table, VECTOR_SHAPE, VECTOR_SEED)
     frame = RawFrame("test vector", raw, table.black_level, table.white_level, phase)
@@ -94,45 +98,45 @@ def make_vector(table: TransformTable) -> Vector:
 
 @dataclass(frozen=True)
 class ShortWords:
-    """Transforms of the last layer as 16-bit words. The taps are in the order of the table."""
+    """Transforms of the last layer as 16-bit words. The taps are in the same order as in the table."""
 
-    # (class, output, tap) All weights have at most 16 bits, except that the largest weight of a window may have more.
+    # (class, output, tap) Weights with at most 16 bits. Only the largest weight of a window may have more bits.
     whole: NDArray[np.int32]
     intercept: NDArray[np.int32]  # (class, output)
-    fraction: NDArray[np.uint8]  # (class, output) number of fractional bits of a weight, minus `split`
+    fraction: NDArray[np.uint8]  # (class, output) number of fractional bits of the weights, minus `split`
     split: int  # number of bits in the low part of a value
 
     def in_floats(self, table: TransformTable) -> NDArray[np.float32]:
-        """Convert the words back to float weights (class, output, tap) of the table's last layer."""
+        """Convert the words back to float weights (class, output, tap) for the last layer of the table."""
         shift = -(self.fraction.astype(np.int32) + self.split + OUTPUT_FRACTION)
         return np.ldexp(self.whole.astype(np.float64) / _value_step(table), shift[..., None]).astype(np.float32)
 
 
 def split_of(table: TransformTable) -> int:
-    """Return the number of bits in the low part of the values that the last layer of a table reads."""
+    """Return the number of bits in the low part of the input values of the last layer of a table."""
     return PLANE_TOP.bit_length() + 1 - HIGH_BITS if table.later else max(0, table.bits - HIGH_BITS)
 
 
 def offset_of(table: TransformTable) -> int:
-    """Return the offset that is subtracted from the values that the last layer of a table reads."""
+    """Return the offset that is subtracted from the input values of the last layer of a table."""
     return 0 if table.later else raw_middle(table.bits)
 
 
 def short_words(table: TransformTable) -> ShortWords:
-    """Convert the last layer of a table to 16-bit words.
+    """Convert the transforms of the last layer of a table to 16-bit words.
 
-    Each class and output has the largest number of fractional bits with which its weights and sums fit into the words.
-    Raises InputFileError if the transforms are too large.
+    Each class and output has the largest number of fractional bits for which its weights fit into 16 bits and its sums fit
+    into 32 bits. Raises InputFileError if the transforms are too large.
     """
     split, offset = split_of(table), offset_of(table)
     layer, black = table.layers[-1], 0.0 if table.later else table.black_level - offset
-    # in output steps per unit of a value
+    # The unit of these weights is one step of an output per step of an input value.
     weights = layer.weights.astype(np.float64) * (_value_step(table) * 2**OUTPUT_FRACTION)
     intercept = layer.intercept.astype(np.float64) * 2**OUTPUT_FRACTION - black * weights.sum(axis=-1)
     values = PLANE_TOP if table.later else max(2**table.bits - 1 - offset, offset)
     size = np.abs(weights)
     windows = weights.shape[-1] - (table.later[-1].ratio_taps if table.later else 0)
-    # Bilateral chroma is a difference of two values, so it can be twice as large as a value.
+    # Bilateral chroma is a difference between two values, so it can be twice as large as a value.
     twice = size[..., windows + RATIO_TAPS[1] :].sum(axis=-1)
     sums = (size.sum(axis=-1) + twice) * values + np.abs(intercept)
     second = np.sort(size[..., :windows], axis=-1)[..., -2:].min(axis=-1)
@@ -155,15 +159,15 @@ def short_words(table: TransformTable) -> ShortWords:
 
 
 def _value_step(table: TransformTable) -> float:
-    """Return the step of the values that the last layer reads, in the unit to which float weights apply."""
+    """Return the step of the integer input values of the last layer, in the unit in which float weights are applied."""
     return PLANE_STEP if table.later else 1 / (table.white_level - table.black_level)
 
 
 def _likenesses(table: TransformTable) -> list[tuple[NDArray[np.bool_], NDArray[np.float64]]]:
     """Return the assumed correlation R (tap, tap) of the window taps, for each group of classes of the last layer.
 
-    A layer that reads the mosaic has one group per CFA site. Later layers have a single group. Each item of the result
-    contains the mask of the classes in a group and their R.
+    In the first layer, the classes of each CFA site are a group. In a refinement layer, all classes are one group. Each item
+    of the result consists of a mask of the classes in the group and the matrix R of the group.
     """
     layer = table.layers[-1]
     if table.later:
@@ -177,7 +181,8 @@ def _likenesses(table: TransformTable) -> list[tuple[NDArray[np.bool_], NDArray[
 def _likeness(source: NDArray[np.int64], other: float) -> NDArray[np.float64]:
     """Return the assumed correlation R (tap, tap) of the taps of square windows.
 
-    `source` contains the channel or plane of each tap. `other` is the factor between different sources.
+    `source` contains the channel or the plane of each tap. The correlation of taps with different sources is multiplied by
+    `other`.
     """
     side = math.isqrt(len(source) if other else np.count_nonzero(source == source[0]))
     row, column = np.divmod(np.arange(len(source)) % side**2, side)
@@ -187,10 +192,14 @@ def _likeness(source: NDArray[np.int64], other: float) -> NDArray[np.float64]:
 
 
 def _rounded(weights: NDArray[np.float64], likeness: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Round weights (class, output, tap) to integers such that the error eᵀ R e is small. e is the rounding error."""
+    """Round weights (class, output, tap) to integers, so that the error eᵀ R e is small.
+
+    e is the vector of the rounding errors of all taps, and R is `likeness`. Starting from the nearest integers, the function
+    repeatedly changes the weight with which the error decreases most.
+    """
     flat = weights.reshape(-1, weights.shape[-1])
     whole = np.rint(flat)
-    slope = (whole - flat) @ likeness  # half the derivative of eᵀ R e with respect to each weight
+    slope = (whole - flat) @ likeness  # half of the derivative of eᵀ R e with respect to each weight
     own = np.diag(likeness)
     for _ in range(2 * flat.shape[1]):
         change = own - 2 * np.abs(slope)  # change of eᵀ R e if a weight changes by 1 in the better direction
@@ -210,7 +219,7 @@ class Words:
     """Fixed-point weights of the last layer."""
 
     whole: NDArray[np.int16]  # (class, output, tap)
-    fraction: NDArray[np.int8]  # (class) number of fractional bits, F
+    fraction: NDArray[np.int8]  # (class,) number of fractional bits, F
     bits: int  # word length
     scale: Scale
 
@@ -222,15 +231,15 @@ class Words:
 
 @dataclass(frozen=True)
 class Cost:
-    """Accuracy of the outputs of fixed-point weights, compared with float weights."""
+    """Accuracy of the outputs with fixed-point weights, compared with the outputs with float weights."""
 
     bits: int  # word length
     scale: Scale
-    psnr: float  # dB; the peak is an output of 1
+    psnr: float  # PSNR in dB for a peak of 1
 
 
 def in_words(weights: NDArray[np.float32], bits: int, scale: Scale) -> Words:
-    """Convert weights (class, output, tap) to fixed point with a given number of bits."""
+    """Convert weights (class, output, tap) to fixed point with `bits` bits, at most 16."""
     largest = np.abs(weights).max(axis=(1, 2)).astype(np.float64)
     if scale == "table":
         largest[:] = largest.max()
@@ -241,9 +250,9 @@ def in_words(weights: NDArray[np.float32], bits: int, scale: Scale) -> Words:
 
 
 def word_costs(table: TransformTable) -> tuple[Cost, ...]:
-    """Measure the accuracy of each word length in LENGTHS, with one binary point per class and with one for the whole table.
+    """Measure the accuracy of fixed-point weights for each word length in LENGTHS and for each type of binary point (Scale).
 
-    The outputs of a random mosaic are compared with the outputs of float weights.
+    The outputs of a random mosaic with fixed-point weights are compared with its outputs with float weights.
     """
     weights = table.layers[-1].weights
     outputs = _outputs(table)
@@ -263,11 +272,11 @@ def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
     Returns
     -------
     psnr : float
-        PSNR of the rounded outputs in dB. The peak is an output of 1. The errors include all steps after the last layer:
-        the replacement of clipped areas, the limit of the luminance, and the smoothing of chroma. If the table has coarse
-        chroma, the separate rounding of coarse chroma in two of three outputs is included, too.
+        PSNR of the rounded outputs in dB, for a peak of 1. The errors include all steps after the last layer: the
+        replacement of clipped areas, the limit of the luminance, and the smoothing of chroma. If the table has coarse
+        chroma, they also include the rounding of coarse chroma, which affects two of the three outputs.
     worst : float
-        Largest error of an output before rounding, in steps of a rounded output.
+        Largest error of an output before it is rounded, in steps of a rounded output.
     """
     outputs, step = _outputs(table), 2.0**-OUTPUT_FRACTION
     expected, short = outputs(table.layers[-1].weights), outputs(words.in_floats(table))
@@ -291,9 +300,9 @@ def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
 
 
 def chosen_words(table: TransformTable, costs: tuple[Cost, ...]) -> Words:
-    """Convert the weights of the last layer to the shortest word length whose PSNR reaches ENOUGH_PSNR_DB.
+    """Convert the weights of the last layer to the shortest words with a PSNR of at least ENOUGH_PSNR_DB.
 
-    Each class has its own binary point. If no word length reaches this PSNR, the longest word length is used.
+    Each class has its own binary point. If no word length in `costs` reaches this PSNR, the longest is used.
     """
     enough = [cost.bits for cost in costs if cost.scale == "class" and cost.psnr >= ENOUGH_PSNR_DB]
     return in_words(table.layers[-1].weights, min(enough, default=LENGTHS[-1]), "class")
@@ -304,7 +313,7 @@ def _drawn_frame(table: TransformTable) -> RawFrame:
 
 
 def _outputs(table: TransformTable) -> Callable[[NDArray[np.float32]], NDArray[np.float64]]:
-    """Return a function that computes the outputs (output, row, col) of a random mosaic from weights of the last layer."""
+    """Return a function that converts weights of the last layer to the outputs (output, row, col) of a random mosaic."""
     frame, reference = _drawn_frame(table), ReferenceRenderer(table)
     labels = reference.labels(frame, len(table.layers) - 1)
     if not table.later:

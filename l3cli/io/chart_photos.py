@@ -1,4 +1,4 @@
-"""Read photos of charts, with the illuminant and chart reflectances of each (docs/method.md#charts-in-photographs)."""
+"""Read photos of charts, and the illuminant and the chart of each photo (docs/method.md#charts-in-photographs)."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -22,26 +22,27 @@ from l3cli.recipes.faults import refuse_first
 from l3cli.spectra.file import names_file, read_table
 from l3cli.spectra.table import without_noise
 
-COVERED_NM = (400.0, 700.0)  # range that the spectrum of a measured illuminant must cover
-GRID = np.arange(380.0, 781.0, 5.0)  # nm, wavelengths of named illuminants and charts
+COVERED_NM = (400.0, 700.0)  # range in nm that the spectrum of a measured illuminant must cover
+GRID = np.arange(380.0, 781.0, 5.0)  # wavelengths in nm of named illuminants and charts
 Array = NDArray[np.float64]
-# Facts that raw files do not state: "black_level" and "white_level" in DN, and "opcodes" with the value "leave" to ignore
-# the opcodes of a DNG file that l3 does not support.
+# Settings for raw files: "black_level" and "white_level" in DN for files that do not state these levels, and "opcodes" with
+# the value "leave" to ignore opcodes of DNG files that l3 does not support.
 Levels = Mapping[str, Any]
 
 
 class Illuminant(NamedTuple):
     """The illuminant of a photo."""
 
-    wavelength: Array  # (wavelength) nm
-    radiance: Array  # (wavelength) relative photon radiance
+    wavelength: Array  # (wavelength,) nm
+    radiance: Array  # (wavelength,) relative photon radiance
 
 
 def illuminant_of(photo: PhotoRecipe, path: Path) -> Illuminant:
     """Return the illuminant of a photo in the measurement file `path`.
 
-    If the illuminant is to be estimated, this function returns an equal-energy placeholder. Raises RecipeError if the name
-    is unknown, and InputFileError if the file of a measured illuminant cannot be used.
+    If the measurement file specifies no illuminant, which must then be estimated, the result is a placeholder with a
+    constant spectrum. Raises RecipeError if the name of the illuminant is unknown, and InputFileError if the file with its
+    spectrum is unusable.
     """
     if photo.light is None:
         return Illuminant(GRID, np.ones_like(GRID))
@@ -53,10 +54,12 @@ def illuminant_of(photo: PhotoRecipe, path: Path) -> Illuminant:
     unit = None if any(table.units) else photo.unit
     radiance = without_noise(table.photons(unit, absolute=False))[0]
     if radiance.min() < 0:
-        raise InputFileError(f"{file}: the spectrum has negative values beyond noise; subtract the dark spectrum again")
+        raise InputFileError(
+            f"{file}: the spectrum contains negative values that are larger than noise; subtract the dark spectrum again"
+        )
     if table.wavelength[0] > COVERED_NM[0] or table.wavelength[-1] < COVERED_NM[1]:
         raise InputFileError(
-            f"{file} covers only {table.wavelength[0]:g}…{table.wavelength[-1]:g} nm; measure the light from "
+            f"{file} covers only {table.wavelength[0]:g}…{table.wavelength[-1]:g} nm; measure the spectrum from "
             f"{COVERED_NM[0]:g} to {COVERED_NM[1]:g} nm"
         )
     if radiance.max() <= 0:
@@ -67,8 +70,8 @@ def illuminant_of(photo: PhotoRecipe, path: Path) -> Illuminant:
 def chart_of(photo: PhotoRecipe, path: Path) -> Chart:
     """Return the chart of a photo in the measurement file `path`.
 
-    Raises RecipeError if the name is unknown or the layout wrong, and InputFileError if the file of reflectances cannot be
-    used.
+    Raises RecipeError if the name of the chart is unknown, or if its layout does not match its number of patches. Raises
+    InputFileError if the file with its reflectances is unusable.
     """
     if names_file(photo.chart):
         table = read_table(path.parent / photo.chart)
@@ -90,27 +93,29 @@ def capture_of(
     path: Path,
     read: Callable[[Path, Levels], RawContent] = raw_content,
 ) -> PhotoCapture:
-    """Read the raw files of a photo.
+    """Read the raw files of a photo: its frames, its dark frames and its white frames.
 
     Parameters
     ----------
     photo : PhotoRecipe
         The photo in a measurement file.
-    illuminant, chart
-        The illuminant of the photo, and the chart in the photo.
+    illuminant : Illuminant
+        The illuminant of the photo.
+    chart : Chart
+        The chart in the photo.
     body : Body
         The camera.
     levels : mapping
-        Levels to use if the raw files do not state them.
+        Levels for raw files that do not state them (see Levels). If the photo has dark frames, the black level is optional.
     path : Path
         The measurement file. File names are relative to its folder.
     read : callable
-        Reads a raw file, given the levels that the file need not state.
+        Function that reads a raw file with `levels`.
 
     Raises
     ------
     InputFileError
-        If a file is not a raw file of this camera, or if the files differ in size or phase.
+        If a file is not a raw file of this camera, if its black level is unknown, or if the files differ in size or phase.
     """
     known = {"black_level": 0.0, **levels} if photo.dark else levels  # dark frames determine the black level later
     frames, darks, whites = (
@@ -123,7 +128,7 @@ def capture_of(
 
 
 def _frame(path: Path, stated: RawContent, body: Body, levels: Levels) -> RawFrame:
-    """Convert the content of a raw file to a frame, with the levels that the file states.
+    """Convert the content of a raw file to a frame. Levels that the file states have precedence over `levels`.
 
     Raises InputFileError if the black level is unknown, or if the frame does not fit the sensor.
     """
@@ -144,10 +149,10 @@ def _frame(path: Path, stated: RawContent, body: Body, levels: Levels) -> RawFra
 
 
 def recipe_of_photos(paths: Sequence[Path], first: RawContent, light: str | None, levels: Levels) -> MeasurementRecipe:
-    """Return a measurement file for raw files that state their array, levels and size.
+    """Create a measurement file for raw files that state their colour filter array and their levels.
 
-    All files must be from one camera under one illuminant. Each file is a separate photo. Pixel pitch and optics are
-    placeholders, because responsivities do not depend on them.
+    All files must be from the same camera and under the same illuminant. Each file becomes a separate photo. The pixel pitch
+    and the optics are placeholders, because the responsivities do not depend on them.
 
     Parameters
     ----------
@@ -158,20 +163,20 @@ def recipe_of_photos(paths: Sequence[Path], first: RawContent, light: str | None
     light : str or None
         Name of the illuminant, or None to estimate it.
     levels : mapping
-        Levels to use if the raw files do not state them.
+        Levels for raw files that do not state them (see Levels).
 
     Raises
     ------
     InputFileError
-        If the first file does not state its array and levels, or if the array is too large.
+        If the first file does not state its colour filter array and its levels, or if the array is too large.
     RecipeError
-        If the facts in the first file are invalid for a camera.
+        If the properties that the first file states are invalid for a camera.
     """
     content = {**levels, **first}
     stated, white = content.get("pattern"), content.get("white_level")
     if stated is None or white is None or "black_level" not in content:
         raise InputFileError(
-            f"{paths[0]} does not state its colour filter array and levels; write a measurement file with [[photo]] "
+            f"{paths[0]} does not state its colour filter array and its levels; write a measurement file with [[photo]] "
             '(documentation, "Measure your camera")'
         )
     cfa = array_of(stated)
@@ -192,12 +197,15 @@ def recipe_of_photos(paths: Sequence[Path], first: RawContent, light: str | None
 
 
 def bits_of(white_level: float) -> int:
-    """Return the number of bits of a sensor with the given white level in DN."""
+    """Return the number of bits of a sensor with this white level in DN, at most MAX_BITS."""
     return min(int(np.ceil(np.log2(white_level + 1))), MAX_BITS)
 
 
 def array_of(codes: NDArray[np.integer]) -> CfaRecipe:
-    """Return the colour filter array for the colour codes (row, col) in a raw file. Channels are named by letters."""
+    """Convert the colour codes (row, col) in a raw file to a colour filter array with its smallest period.
+
+    The names of the channels are letters such as "r" for the codes of TIFF/EP, and "c" with the number for all other codes.
+    """
     pattern = least_period(codes)
     names = {int(code): LETTERS[code].lower() if code < FREE_CODE else f"c{code}" for code in np.unique(pattern)}
     return CfaRecipe(list(names.values()), [" ".join(names[int(code)] for code in row) for row in pattern])

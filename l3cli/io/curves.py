@@ -1,7 +1,7 @@
-"""Read and write curves over wavelength: CSV files, tables of sweeps, and JSON files of rawtoaces (camera sensitivities).
+"""Read and write curves over wavelength: CSV files, tables of wavelength sweeps, and rawtoaces JSON files.
 
-The module also reads the statistics of the measured curves of many cameras, which are included in l3 or computed from the
-files in a folder (docs/method.md#charts-in-photographs).
+The module also reads the statistics of the measured responsivities of many cameras that are included in l3, and the files of
+a folder from which such statistics are computed (docs/method.md#charts-in-photographs).
 """
 
 import csv
@@ -28,13 +28,27 @@ Array = NDArray[np.float64]
 
 
 def write_curves(path: Path, wavelength: NDArray, columns: NDArray, names: Sequence[str], unit: str = "") -> None:
-    """Write columns (column, wavelength) to a CSV file. The heading states `unit`, unless it is empty."""
+    """Write curves to a CSV file.
+
+    Parameters
+    ----------
+    path : Path
+        The file, which is replaced if it exists.
+    wavelength : ndarray, (wavelength,)
+        Wavelengths in nm.
+    columns : ndarray, (column, wavelength)
+        Values of the curves.
+    names : sequence of str
+        Column names.
+    unit : str
+        Unit that is appended to each column name in brackets. [default: none]
+    """
     write_whole(path, curve_text(wavelength, columns, names, unit))
 
 
 def curve_text(wavelength: NDArray, columns: NDArray, names: Sequence[str], unit: str = "") -> str:
-    """Return the text that `write_curves` writes."""
-    heading = io.StringIO()  # csv quotes names that contain a comma
+    """Return the CSV text that `write_curves` writes, with eight significant digits."""
+    heading = io.StringIO()  # the csv module writes names that contain a comma in quotation marks
     csv.writer(heading, lineterminator="").writerow(
         ["wavelength_nm", *(f"{name} ({unit})" if unit else name for name in names)]
     )
@@ -49,19 +63,22 @@ def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: in
     Parameters
     ----------
     path : Path
-        Table with these columns, in this order or with these names: wavelength, mean of each channel with light, mean of
-        each channel in the dark, reading of the photodiode with light, reading of the photodiode in the dark.
+        Table with the columns "wavelength_nm", "light CHANNEL" for the mean of each channel with light, "dark CHANNEL" for
+        the mean of each channel in the dark, "diode light" and "diode dark". Without a heading, the columns must be in this
+        order.
     photodiode : Path
         Table with the spectral responsivity of the photodiode. Values without a unit are relative responses per energy.
     channels : sequence of str
         Names of the channels.
     column : int or str
-        Name or number, counted from 1, of the column with the responsivity. 0 selects the only column.
+        Name or number (from 1) of the column with the responsivity in `photodiode`. 0 means that the file has only one such
+        column.
 
     Raises
     ------
     InputFileError
-        If the responsivity of the photodiode does not cover the wavelengths of the sweep.
+        If a table is invalid, if `column` is 0 and `photodiode` contains several curves, if the responsivity does not cover
+        the wavelengths of the sweep, or if the sweep has fewer than three wavelengths.
     """
     count = len(channels)
     wanted = [f"{kind} {channel}" for kind in ("light", "dark") for channel in channels] + ["diode light", "diode dark"]
@@ -70,16 +87,16 @@ def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: in
     diodes = read_table(photodiode)
     if not column and len(diodes.values) > 1:
         raise InputFileError(
-            f"{photodiode} contains {len(diodes.values)} curves; select one, for example with photodiode = "
+            f"{photodiode} contains {len(diodes.values)} curves; select a column, for example with photodiode = "
             f'{{file = "{photodiode.name}", column = 1}}'
         )
     grid, response = diodes.wavelength, diodes.column(column or 1).per_energy()
     if grid[0] > wavelength[0] or grid[-1] < wavelength[-1]:
         raise InputFileError(
             f"{photodiode} covers {grid[0]:g}…{grid[-1]:g} nm, but the sweep covers "
-            f"{wavelength[0]:g}…{wavelength[-1]:g} nm; use a response that covers the whole sweep"
+            f"{wavelength[0]:g}…{wavelength[-1]:g} nm; use a responsivity that covers the whole sweep"
         )
-    # Interpolation suffices, because the response is smooth and the light of each step has a narrow spectrum.
+    # Interpolation is sufficient, because the responsivity is smooth and the light of each step has a narrow spectrum.
     diode = np.interp(wavelength, grid, response[0])
     if wavelength.size < 3 or diode.min() <= 0:
         raise InputFileError(
@@ -92,43 +109,44 @@ def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: in
 def read_finished(
     path: Path, channels: Sequence[str], per_energy: bool, columns: Mapping[str, str] | None = None
 ) -> FinishedCurves:
-    """Read finished responsivities from a CSV file or from a JSON file of rawtoaces.
+    """Read responsivities that need no further processing, from a table of spectra or from a rawtoaces JSON file.
 
     Parameters
     ----------
     path : Path
-        CSV file with the wavelength in nm and one column per channel, or JSON file.
+        Table with one column per channel, or JSON file.
     channels : sequence of str
         Names of the channels.
     per_energy : bool
-        Whether the curves are per energy rather than per photon.
+        Whether the curves are per energy. Otherwise they are per photon.
     columns : mapping, optional
-        Channel → name of its column, if they differ.
+        Channel → name of its column, for channels whose column has a different name.
 
     Returns
     -------
     FinishedCurves
-        The curves per photon. Small negative values, which noise explains, are set to zero.
+        The curves per photon. Small negative values, which are probably noise, are set to zero.
 
     Raises
     ------
     InputFileError
-        If a channel has no column, or if the curves are not plausible.
+        If a channel has no column, if a curve has negative values or no positive value, or if the file contains fewer than
+        three wavelengths.
     """
     table = (_read_json(path) if path.suffix.lower() == ".json" else read_table(path)).channel_columns(channels, columns)
     grid, curves = table.wavelength, without_noise(table.responses(per_energy, "per_energy"))
     if grid.size < 3 or grid[0] <= 0 or curves.min() < 0 or (curves.max(axis=1) <= 0).any():
         raise InputFileError(
-            f"{path}: curves must have at least three wavelengths, no negative value, and a positive value in every "
+            f"{path}: curves must have at least three wavelengths, no negative values, and a positive value in every "
             "channel; correct the file"
         )
     return FinishedCurves(grid, curves / grid if per_energy else curves, table.note)
 
 
 def _read_json(path: Path) -> CurveTable:
-    """Return the curves of a rawtoaces file, with the names in its index.
+    """Read the curves in a rawtoaces JSON file, with the names in its index.
 
-    Raises InputFileError if the file has another structure, or if the wavelengths are not in nm.
+    Raises InputFileError if the file has a different structure, or if the wavelengths are not in nm.
     """
     try:
         content = json.loads(read_bounded(path, "use curves in CSV or rawtoaces JSON"))["spectral_data"]
@@ -136,11 +154,11 @@ def _read_json(path: Path) -> CurveTable:
         table = np.array([[float(key), *map(float, values)] for key, values in rows.items()])
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputFileError(
-            f"{path} is not a rawtoaces JSON file: spectral_data.data.main is missing or does not contain numbers; "
-            "export it from rawtoaces again"
+            f'{path} is not a rawtoaces JSON file: "spectral_data.data.main" is missing or does not contain numbers; '
+            "export the file from rawtoaces again"
         ) from error
     if table.ndim != 2 or table.shape[1] < 2:
-        raise InputFileError(f"{path} contains no curves; use a JSON file of rawtoaces with curves")
+        raise InputFileError(f"{path} contains no curves; use a rawtoaces JSON file with curves")
     table = table[np.argsort(table[:, 0])]
     if not (np.abs(table) <= MAX_NUMBER).all() or (np.diff(table[:, 0]) <= 0).any():
         raise InputFileError(
@@ -155,14 +173,14 @@ def _read_json(path: Path) -> CurveTable:
 
 # ---------------------------------------------------------------------------------- statistics of measured curves
 
-ROLES = ("r", "g", "b")  # channels of the included table and of the cameras in a folder
+ROLES = ("r", "g", "b")  # channels of the included statistics, and of the cameras in a folder
 CURVE_FILES = (".csv", ".json")
-MIN_CAMERAS = 8  # minimum number of cameras in a folder; fewer cameras do not represent the variation of curves
+MIN_CAMERAS = 8  # minimum number of cameras in a folder; the curves of fewer cameras do not represent the variation
 MAX_CAMERAS = 2000  # maximum number of cameras in a folder
 
 
 class PriorRecipe(Recipe):
-    """Statistics of the measured curves of many cameras."""
+    """Statistics of the measured responsivities of many cameras."""
 
     title: ClassVar[str] = "a table of curve statistics"
 
@@ -175,7 +193,7 @@ class PriorRecipe(Recipe):
 
 
 def shipped_statistics() -> CurveStatistics:
-    """Return the statistics of r, g and b curves that are included in l3."""
+    """Return the statistics of the responsivities of r, g and b that are included in l3."""
     recipe = load_recipe(recipe_folder() / "priors" / "rgb.toml", PriorRecipe)
     return CurveStatistics(
         np.array(recipe.wavelength_nm),
@@ -187,16 +205,22 @@ def shipped_statistics() -> CurveStatistics:
 
 
 def prior_files(folder: Path) -> list[Path]:
-    """Return the curve files in a folder. Raises InputFileError if there are too few or too many."""
+    """Return the files with curves (.csv and .json) in a folder, in alphabetical order.
+
+    Raises InputFileError if the number of files is not within MIN_CAMERAS…MAX_CAMERAS.
+    """
     files = sorted(path for path in folder.iterdir() if path.suffix.lower() in CURVE_FILES) if folder.is_dir() else []
     if not MIN_CAMERAS <= len(files) <= MAX_CAMERAS:
         raise InputFileError(
-            f"{folder} contains {len(files)} files of curves (CSV or rawtoaces JSON); use a folder with "
+            f"{folder} contains {len(files)} files with curves (CSV or rawtoaces JSON); use a folder with files of "
             f"{MIN_CAMERAS} to {MAX_CAMERAS} cameras"
         )
     return files
 
 
 def read_cameras(files: Sequence[Path]) -> tuple[FinishedCurves, ...]:
-    """Read the r, g and b curves of measured cameras, per energy. Raises InputFileError if a file is unsuitable."""
+    """Read the responsivities of r, g and b from the files of measured cameras.
+
+    The files must contain responsivities per energy. Raises InputFileError if a file is invalid.
+    """
     return tuple(read_finished(path, ROLES, per_energy=True) for path in files)

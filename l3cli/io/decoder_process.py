@@ -1,15 +1,15 @@
-"""The process that decodes untrusted files for isolated.py. It starts a worker process with restricted rights for each file.
+"""The process that decodes untrusted files for isolated.py. For each file, it forks a worker process with restricted rights.
 
 Three measures restrict a worker:
 
-* Resource limits restrict processor time, address space and file size.
-* Landlock, a security module of Linux (man 7 landlock), restricts file access. A worker can read only its input file, the
-  Python installation and the system's libraries. It cannot write files or start programs. On newer kernels it also cannot
-  open TCP connections or send signals to other processes.
-* seccomp denies system calls that affect anything outside the process. It is used if pyseccomp and libseccomp are installed.
+* Resource limits restrict the processor time, the address space and the size of files.
+* Landlock, a security module of Linux (man 7 landlock), restricts the access to files. A worker can read only its input
+  file, the Python installation and the libraries of the system. A worker cannot write files or start programs. On newer
+  kernels, a worker also cannot open TCP connections or send signals to other processes.
+* seccomp denies system calls that affect anything outside the process. This measure requires pyseccomp and libseccomp.
 
-The measures are independent. If one is not available, the others still apply. A worker can always use files and sockets that
-are already open.
+The measures are independent. If the system does not support a measure, the other measures still apply. A worker can always
+use files and sockets that are already open.
 """
 
 import contextlib
@@ -35,20 +35,20 @@ try:
 except (ImportError, RuntimeError):  # RuntimeError: libseccomp.so.2 is missing
     pyseccomp = None
 
-ABI, SECCOMP = "Landlock ABI ", "seccomp"  # names of the measures; the version number follows the first name
+ABI, SECCOMP = "Landlock ABI ", "seccomp"  # names of the measures; the version of Landlock is appended to the first name
 SET_NO_NEW_PRIVILEGES = 38  # option of prctl
-CREATE_RULESET, ADD_RULE, RESTRICT_SELF = 444, 445, 446  # Landlock system calls; the numbers are the same on all machines
-ASK_FOR_VERSION = 1  # flag of CREATE_RULESET; if it is set, the call returns the version of Landlock
-PATH_BENEATH = 1  # type of rule: rights for a file, or for everything below a folder
-FILE_RIGHTS, ADDED_IN = 13, (2, 3, 5)  # number of file rights in version 1, and the later versions that added one right each
+CREATE_RULESET, ADD_RULE, RESTRICT_SELF = 444, 445, 446  # Landlock system calls, which have the same numbers on all machines
+ASK_FOR_VERSION = 1  # flag of CREATE_RULESET with which the call returns the version of Landlock
+PATH_BENEATH = 1  # type of a rule that grants rights for a file, or for everything below a folder
+FILE_RIGHTS, ADDED_IN = 13, (2, 3, 5)  # number of file rights in version 1, and the versions that added one right each
 READ_FILE, READ_FOLDER = 1 << 2, 1 << 3
-TCP, TCP_SINCE = 0b11, 4  # the rights to bind and to connect, and the version of Landlock that added them
-SCOPES, SCOPES_SINCE = 0b11, 6  # restrictions for abstract Unix sockets and signals, and the version that added them
+TCP, TCP_SINCE = 0b11, 4  # rights to bind and to connect, and the version of Landlock that introduced these rights
+SCOPES, SCOPES_SINCE = 0b11, 6  # restrictions of abstract Unix sockets and signals, and the version that introduced them
 SYSTEM = ("/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/etc/localtime")
 PACKAGES = ("site-packages", "dist-packages")
-MAX_WORKERS = 8  # number of workers that are kept for further requests, because several files may be read alternately
+MAX_WORKERS = 8  # number of workers that stay alive after a request, because a stage may read several files alternately
 
-DENIED = {  # denied system calls, by what they affect outside the process
+DENIED = {  # what system calls affect outside the process → the denied system calls
     "sockets": "socket socketpair connect bind listen accept accept4",
     "programs": "execve execveat",
     "processes": "fork vfork setpgid setsid",
@@ -65,14 +65,14 @@ DENIED = {  # denied system calls, by what they affect outside the process
 }
 CLONE_THREAD = 0x10000  # flag of the system call clone
 
-_measures: tuple[str, ...] = ()  # names of the active sandbox measures, such as "seccomp"; resource limits are not listed
+_measures: tuple[str, ...] = ()  # names of the measures that are active in this worker, except resource limits
 
 
 def confine(files: Iterable[Path]) -> tuple[str, ...]:
     """Restrict this process permanently, so that it can only read `files` and the Python installation.
 
-    The process must have only one thread. Returns the names of the measures that are now active, such as ("Landlock ABI 7",
-    "seccomp"). A measure that the system does not support is left out.
+    The process must have only one thread. Returns the names of the active measures, such as ("Landlock ABI 7", "seccomp").
+    Measures that the system does not support are left out.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(SET_NO_NEW_PRIVILEGES, *map(ctypes.c_ulong, (1, 0, 0, 0))):
@@ -82,16 +82,16 @@ def confine(files: Iterable[Path]) -> tuple[str, ...]:
 
 
 def _installation() -> set[Path]:
-    """Return the folders from which Python and its libraries load code and data at run time."""
+    """Return the folders and files from which Python and its libraries load code and data at run time."""
     package = Path(__file__).parents[1]
     packages = [path for path in sys.path if Path(path).name in PACKAGES]
     return {package, *map(Path, (sys.prefix, sys.base_prefix, sys.exec_prefix, *packages, *SYSTEM))}
 
 
 def _restrict_files(libc: ctypes.CDLL, readable: Iterable[Path]) -> int:
-    """Deny TCP, signals to other processes, and all file access except reading `readable` files and folders.
+    """Deny all access to files, except reading the files and folders in `readable`. Also deny TCP and signals if possible.
 
-    Returns the version of Landlock in the kernel, or 0 if Landlock cannot be used.
+    Returns the version of Landlock in the kernel, or 0 if the kernel does not support Landlock.
     """
     version = libc.syscall(CREATE_RULESET, None, ctypes.c_size_t(0), ASK_FOR_VERSION)
     file_rights = (1 << FILE_RIGHTS + sum(version >= added for added in ADDED_IN)) - 1
@@ -116,7 +116,7 @@ def _restrict_files(libc: ctypes.CDLL, readable: Iterable[Path]) -> int:
 
 
 def _filter_system_calls() -> bool:
-    """Deny system calls that affect anything outside the process. Returns False if the system does not support this."""
+    """Deny system calls that affect anything outside the process. Return False if the system does not support seccomp."""
     if pyseccomp is None:
         return False
     itself, refuse = os.getpid(), pyseccomp.ERRNO(errno.EPERM)
@@ -125,7 +125,7 @@ def _filter_system_calls() -> bool:
         for name in " ".join(DENIED.values()).split():
             with contextlib.suppress(OSError):  # the installed libseccomp does not know the system call
                 rules.add_rule(refuse, name)
-        # A filter cannot read the flags of `clone3`. If `clone3` seems to be missing, the C library falls back to `clone`.
+        # A filter cannot read the flags of `clone3`. On the error ENOSYS, the C library calls `clone` instead of `clone3`.
         rules.add_rule(pyseccomp.ERRNO(errno.ENOSYS), "clone3")
         rules.add_rule(refuse, "clone", pyseccomp.Arg(0, pyseccomp.MASKED_EQ, CLONE_THREAD, 0))
         for name, own in (("kill", itself), ("tgkill", itself), ("prlimit64", 0)):
@@ -138,28 +138,28 @@ def _filter_system_calls() -> bool:
 
 @isolated()
 def measures(path: Path) -> tuple[str, ...]:
-    """Return the measures that restrict the worker of a file, in addition to resource limits. `confine` describes them."""
+    """Return the names of the measures that restrict the worker of a file, except resource limits (see `confine`)."""
     return _measures
 
 
 def serve(socket_descriptor: int, arrays: int, cpu_seconds: float, max_bytes: int) -> None:
-    """Process decoding requests until the caller closes the connection. A separate worker process decodes each file.
+    """Process requests for decoding until the caller closes the connection. A separate worker process decodes each file.
 
     Parameters
     ----------
     socket_descriptor : int
-        File descriptor of the socket to the caller.
+        File descriptor of the socket that is connected to the caller.
     arrays : int
         File descriptor of the file through which decoded arrays are returned.
     cpu_seconds : float
-        CPU time that a worker may use for one request, in s.
+        Maximum CPU time of a worker per request, in s.
     max_bytes : int
-        Maximum address space of a process, and maximum size of a file that it writes, in bytes.
+        Maximum address space of a process, and maximum size of a file that a process writes, in bytes.
     """
     limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_AS: max_bytes, resource.RLIMIT_FSIZE: max_bytes}
     for what, most in limits.items():
-        resource.setrlimit(what, 2 * (_allowed(what, most),))  # the hard limit too, so that no process can raise it again
-    workers: dict[str, _Worker] = {}  # by file and decoder, least recently used first
+        resource.setrlimit(what, 2 * (_allowed(what, most),))  # also sets the hard limit, which no process can raise again
+    workers: dict[str, _Worker] = {}  # file and decoder → worker; the least recently used worker is first
     with socket.socket(fileno=socket_descriptor) as connection:
         send(connection, READY)
         while True:
@@ -175,7 +175,7 @@ def serve(socket_descriptor: int, arrays: int, cpu_seconds: float, max_bytes: in
                     others = [connection, *(worker.socket for worker in workers.values())]
                     workers[task] = _Worker(Path(folder, path), arrays, cpu_seconds, others)
                 except OSError:
-                    problem = L3Error(f"the process that decodes {path} cannot be started; {MORE_MEMORY}, or add ‹trust›")
+                    problem = L3Error(f"the process that decodes {path} cannot start; {MORE_MEMORY}, or add ‹trust›")
                     send(connection, _problem(problem))
                     continue
             workers[task] = worker = workers.pop(task)
@@ -185,17 +185,17 @@ def serve(socket_descriptor: int, arrays: int, cpu_seconds: float, max_bytes: in
 
 
 def _import(module: str, name: str) -> None:
-    """Import a decoder and its libraries, so that forked workers need not import them again."""
-    with contextlib.suppress(Exception):  # the worker imports the decoder again and reports the error
+    """Import a decoder and its libraries, so that the workers, which are forked later, need not import them."""
+    with contextlib.suppress(Exception):  # the worker repeats a failed import and reports the error
         for library in getattr(importlib.import_module(module), name).libraries:
             importlib.import_module(library)
 
 
 class _Worker:
-    """A forked process that decodes one file and cannot read any other input."""
+    """A forked process that decodes a single file and can read no other input."""
 
     def __init__(self, path: Path, arrays: int, cpu_seconds: float, inherited: list[socket.socket]) -> None:
-        """Fork the worker, which closes the `inherited` sockets. Raises OSError if the process cannot be started."""
+        """Fork the worker, which closes the `inherited` sockets. Raises OSError if the process cannot start."""
         self.socket, theirs = socket.socketpair()
         with theirs:
             try:
@@ -212,7 +212,7 @@ class _Worker:
                     os._exit(1)
 
     def answer(self, request: bytes) -> bytes:
-        """Return the worker's reply. If the worker has died, end this process with the same signal or exit code."""
+        """Return the reply of the worker. If the worker has died, end this process with the same signal or exit code."""
         try:
             send(self.socket, request)
             return receive(self.socket)
@@ -232,9 +232,9 @@ class _Worker:
 
 
 def _decode(connection: socket.socket, path: Path, arrays: int, cpu_seconds: float) -> None:
-    """Restrict this process to one file, and answer requests for the file until the connection closes. Then exit.
+    """Restrict this process to one file, answer requests for this file until the connection closes, and exit.
 
-    Each request has its own CPU time limit.
+    The limit of the CPU time applies to each request separately.
     """
     global _measures
     _measures = confine([path])
@@ -243,7 +243,7 @@ def _decode(connection: socket.socket, path: Path, arrays: int, cpu_seconds: flo
             folder, _, module, name, path_there, *plain = json.loads(receive(connection))
         except EOFError:
             os._exit(0)
-        os.chdir(folder)  # the folder of the caller, so that relative paths work and messages contain them unchanged
+        os.chdir(folder)  # the working directory of the caller, so that relative paths are valid
         used = resource.getrusage(resource.RUSAGE_SELF)
         until = _allowed(resource.RLIMIT_CPU, int(used.ru_utime + used.ru_stime + cpu_seconds) + 1)
         resource.setrlimit(resource.RLIMIT_CPU, (until, resource.getrlimit(resource.RLIMIT_CPU)[1]))
@@ -251,7 +251,7 @@ def _decode(connection: socket.socket, path: Path, arrays: int, cpu_seconds: flo
 
 
 def _allowed(what: int, most: int) -> int:
-    """Return `most`, or the hard limit of this process for the resource `what` if that is smaller."""
+    """Return `most`, or the hard limit of this process for the resource `what` if the hard limit is smaller."""
     hard = resource.getrlimit(what)[1]
     return most if hard == resource.RLIM_INFINITY else min(most, hard)
 
@@ -264,13 +264,15 @@ def _answer(module: str, name: str, path: Path, plain: list[Any], arrays: int) -
             text = json.dumps(plain_of({"value": value}, stream)).encode()
         if len(text) <= MAX_REPLY:
             return text
-        return _problem(InputFileError(f"{path} contains too many parts, so it is probably damaged; copy it again"))
+        return _problem(InputFileError(f"{path} contains too many parts and is probably damaged; copy the file again"))
     except L3Error as error:
         return _problem(error)
     except MemoryError:
         return _problem(InputFileError(too_much(path)))
-    except OSError as error:  # raised by writing the arrays, because decoders convert their own errors to InputFileError
-        return _problem(InputFileError(f"{path}: its content cannot be passed on ({error.strerror or error})"))
+    except OSError as error:  # an error while the arrays are written; decoders convert their own errors to InputFileError
+        return _problem(
+            InputFileError(f"{path}: the decoded content cannot be stored ({error.strerror or error}); free some memory")
+        )
 
 
 def _problem(error: L3Error) -> bytes:

@@ -1,6 +1,7 @@
 """Destinations of rendered pictures: a file, the pages of a file, a folder, numbered files, a video or a stream.
 
-The module determines the destination from the name of the output, checks for existing files, and opens the writer of frames.
+The module derives the destination from the name of the output, checks whether files exist, and opens the function that
+writes the frames.
 """
 
 import contextlib
@@ -27,57 +28,57 @@ PICTURE_WRITERS = 2  # number of threads that compress picture files
 
 @dataclass(frozen=True)
 class Destination:
-    """The place where pictures are written.
+    """The place where rendered pictures are written.
 
     `kind` is "stream" (y4m on stdout), "video", "pattern" (numbered files), "folder", "file" (a single picture) or "pages"
-    (of a single TIFF file).
+    (the pages of a TIFF file).
     """
 
     path: Path
     kind: str
-    suffix: str  # suffix of the files in a folder
+    suffix: str  # suffix of the files in a folder, without a period
     bits: int = 8  # bits per value
-    shard: tuple[int, int] | None = None  # number of the shard from 1, and number of shards
+    shard: tuple[int, int] | None = None  # number of the shard (from 1), and number of all shards; None without shards
 
     @property
     def one_by_one(self) -> bool:
-        """Whether every frame is written to its own file."""
+        """Whether every frame is written to a separate file."""
         return self.kind in ("pattern", "folder", "file")
 
     @property
     def pictures(self) -> bool:
-        """Whether every frame becomes a separate picture, as a file or a page."""
+        """Whether every frame becomes a separate picture, either a file or a page of a file."""
         return self.one_by_one or self.kind == "pages"
 
     @property
     def linear(self) -> bool:
-        """Whether linear values are written rather than integer codes."""
+        """Whether the files contain linear values instead of integer codes."""
         return self.one_by_one and holds_linear(self.file(0, "frame"), self.bits)
 
     @property
     def raw(self) -> bool:
-        """Whether files for raw converters are written."""
+        """Whether the files are raw files (DNG), for raw converters."""
         return self.one_by_one and holds_raw(self.file(0, "frame"))
 
     @property
     def has_times(self) -> bool:
-        """Whether the destination stores an individual time for every frame."""
+        """Whether the destination stores the time of each frame, instead of a constant frame rate."""
         return self.kind == "video" and self.path.suffix.lower() != Y4M
 
     def file(self, number: int, stem: str) -> Path:
-        """Return the file to which a frame is written."""
+        """Return the file to which the frame with this number and this name is written."""
         if self.kind == "pattern":
             return numbered_name(self.path, number)
         return self.path / f"{stem}.{self.suffix}" if self.kind == "folder" else self.path
 
     @property
     def file_suffix(self) -> str | None:
-        """Suffix of the files if every frame is written to its own file, otherwise None."""
+        """Suffix of the files if every frame is written to a separate file, otherwise None."""
         return self.file(0, "frame").suffix if self.one_by_one else None
 
     @property
     def checkpoint(self) -> Path:
-        """The checkpoint file, which is in the folder of the pictures. Each shard has its own checkpoint file."""
+        """The checkpoint file in the folder of the pictures. Each shard has a separate checkpoint file."""
         ending = f"{self._of_shard}{UNFINISHED}"
         if self.kind == "folder":
             return self.path / ending
@@ -85,7 +86,7 @@ class Destination:
 
     @property
     def lock(self) -> tuple[Path, str]:
-        """Folder and name of the lock that excludes other runs. Each shard of a sequence has its own lock."""
+        """Folder and name of the lock that prevents other runs from writing. Each shard has a separate lock."""
         folder, name = (self.path, "") if self.kind == "folder" else (self.path.parent, self.path.name)
         return folder, name + self._of_shard
 
@@ -95,23 +96,28 @@ class Destination:
 
 
 def destination_of(output: Path, suffix: str, choice: VideoChoice, shard: tuple[int, int] | None) -> Destination:
-    """Return the destination for an output name.
+    """Derive the destination from the name of the output.
 
     Parameters
     ----------
     output : Path
-        The output name: a file, a folder, a pattern, or - for stdout.
+        Name of the output: a file, a folder, a pattern of numbered files, or - for stdout.
     suffix : str
-        Suffix of the files in a folder.
+        Suffix of the files in a folder, without a period.
     choice : VideoChoice
-        Bits, codec and other settings.
+        Bits per value, codec and other settings.
     shard : tuple of int, optional
-        Number of the shard from 1, and number of shards.
+        Number of the shard (from 1), and number of all shards.
+
+    Returns
+    -------
+    Destination
+        The destination. A TIFF file is a destination for a single picture (see `paged`).
 
     Raises
     ------
     RecipeError
-        If l3 cannot write the kind of output that the name implies, or not with these settings.
+        If l3 cannot write the type of output that the name implies, or cannot write it with these settings.
     """
     if choice.bits == FLOAT_BITS and (output == STDOUT or is_video(output)):
         raise RecipeError("videos cannot store 32 bits per value; write a .tif or .exr file, or remove ‹bits›")
@@ -120,7 +126,7 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice, shard: tuple[
         check_video(Path("stdout.y4m"), choice)
         if sys.stdout.isatty():
             raise RecipeError(
-                "a y4m stream cannot be shown in a terminal; pipe it to another program, or specify a file with -o"
+                "a y4m stream cannot be shown in a terminal; pipe the stream to another program, or specify a file with -o"
             )
     elif is_video(output):
         destination = Destination(output, "video", suffix, shard=shard)
@@ -135,17 +141,33 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice, shard: tuple[
 
 
 def paged(destination: Destination, sequence: FrameSequence) -> Destination:
-    """Return a destination with pages if it is a single TIFF file and there are several frames, otherwise `destination`."""
+    """Return a destination that writes one page per frame if `destination` is a TIFF file for several frames.
+
+    Any other destination is returned unchanged.
+    """
     if destination.kind == "file" and sequence.rendered != 1 and destination.path.suffix.lower() in PAGED:
         return replace(destination, kind="pages")
     return destination
 
 
 def guard_outputs(destination: Destination, may_exist: bool, guard: OutputGuard) -> None:
-    """Check a destination before any input is read.
+    """Check and lock a destination before any input is read.
 
-    Raises L3Error if the destination is not writable, if another run writes there, or if a video or single picture exists
-    and `may_exist` is False. Raises RecipeError if the output is also an input.
+    Parameters
+    ----------
+    destination : Destination
+        The destination.
+    may_exist : bool
+        Whether a video or a single picture may exist. Existing files in a folder are checked later by `refuse_outputs`.
+    guard : OutputGuard
+        Keeps the lock until the end of the stage.
+
+    Raises
+    ------
+    L3Error
+        If the destination is not writable, if another run is writing it, or if a file exists that must not exist.
+    RecipeError
+        If the output is also an input.
     """
     if destination.kind in ("video", "file"):
         guard.guard_file(destination.path, may_exist)
@@ -159,9 +181,26 @@ def guard_outputs(destination: Destination, may_exist: bool, guard: OutputGuard)
 def refuse_outputs(
     destination: Destination, sequence: FrameSequence, force: bool, is_ours: Callable[[Path], bool] = lambda file: False
 ) -> None:
-    """Raise RecipeError if the frames do not fit the destination or would replace an input.
+    """Raise an error if the frames cannot be written to the destination.
 
-    Raises L3Error if a frame would replace another existing file, unless `force` or `is_ours(file)` is true.
+    Parameters
+    ----------
+    destination : Destination
+        The destination.
+    sequence : FrameSequence
+        The frames.
+    force : bool
+        Whether existing files may be replaced.
+    is_ours : callable
+        Function that returns whether an existing file may be replaced even without `force`. [default: no file]
+
+    Raises
+    ------
+    RecipeError
+        If the destination can store only one of several frames, if two frames have the same file, or if a file would replace
+        an input.
+    L3Error
+        If a file exists and must not be replaced.
     """
     if destination.kind == "file" and sequence.rendered != 1:
         count = "a sequence" if sequence.rendered is None else f"{sequence.rendered} frames"
@@ -179,14 +218,14 @@ def refuse_outputs(
         pictures = (reference for place, reference in enumerate(sequence.frames) if sequence.renders(place))
         files = [destination.file(reference.number, reference.stem) for reference in pictures]
     if len(set(files)) < len(files):
-        raise RecipeError("two inputs have the same name and would be written to the same file; render them separately")
+        raise RecipeError("two inputs have the same name and the same output file; render these inputs separately")
     for file in files:
         refuse_protected(file)
         refuse_existing(file, force or is_ours(file))
 
 
 def _existing(destination: Destination, sequence: FrameSequence) -> list[Path]:
-    """Return the existing pictures that the frames of a stream would replace, without reading the stream."""
+    """Return the existing files that the frames of a stream could replace. The stream is not read."""
     if sequence.wanted is None:
         return _pictures(destination)
     wanted = sequence.wanted if sequence.part is None else sequence.wanted[sequence.part.start : sequence.part.stop]
@@ -198,7 +237,7 @@ def _existing(destination: Destination, sequence: FrameSequence) -> list[Path]:
 
 
 def _pictures(destination: Destination) -> list[Path]:
-    """Return the existing files in the folder or of the pattern."""
+    """Return all existing files that match the pattern of the destination, or the suffix in its folder."""
     if destination.kind == "pattern":
         return list(numbered_files(destination.path).values())
     return sorted(destination.path.glob(f"*.{destination.suffix}"))
@@ -209,10 +248,21 @@ def sink_of(
     destination: Destination, sequence: FrameSequence, choice: VideoChoice, pacing: Pacing,
     before_rename: Callable[[Path, Path, FrameReference | None], None],
 ) -> Iterator[tuple[Callable[[tuple[FrameReference, Any]], None], int]]:  # fmt: skip
-    """Open a destination for writing, as a context manager.
+    """Open a destination for writing during the block.
 
-    Each file is first written under a temporary name. Before the file is renamed, `before_rename` is called with the final
-    path, the temporary path and the frame. The frame is None if the file contains all frames.
+    Parameters
+    ----------
+    destination : Destination
+        The destination.
+    sequence : FrameSequence
+        The frames that will be written.
+    choice : VideoChoice
+        Settings of videos.
+    pacing : Pacing
+        Converts frame numbers to times in videos.
+    before_rename : callable
+        Function that is called when a file is complete but still has a temporary name. Its arguments are the final path, the
+        temporary path and the frame. The frame is None if the file contains all frames.
 
     Yields
     ------

@@ -1,4 +1,4 @@
-"""Find the files that a folder, a glob or a numbered pattern such as frame_%04d.tif or frame_####.tif refers to.
+"""Find the files to which a folder, a glob, or a numbered pattern such as frame_%04d.tif or frame_####.tif refers.
 
 The module also sorts numbered names, finds the clips in a folder, and derives the names of output files.
 """
@@ -15,25 +15,28 @@ from l3cli.io.raw.files import BY_SUFFIX, RawOverrides, format_of, holds_several
 from l3cli.system.files import STDIN
 
 RAW, IDEAL, MOTION = "_raw.tif", "_ideal.png", "_motion.exr"  # endings of the files of a simulated sequence
-MOST_WILD = 4  # maximum number of path components with wildcards; each multiplies the number of folders to search
-MOST_DIGITS = 18  # maximum number of digits of a frame number, which may be a time in microseconds and must fit in 64 bits
-PATTERN = re.compile(r"%(0[0-9]{1,2})?d|#{1,99}")  # placeholder of a number
-DIGITS = re.compile(r"[0-9]+")  # ASCII digits only, because Python cannot convert every digit that \d matches
+MOST_WILD = 4  # maximum number of parts of a path with wildcards; each part multiplies the number of folders to search
+MOST_DIGITS = 18  # maximum number of digits of a frame number, which may be a time in µs and must fit into 64 bits
+PATTERN = re.compile(r"%(0[0-9]{1,2})?d|#{1,99}")  # placeholder for the number in a file name
+DIGITS = re.compile(r"[0-9]+")  # only ASCII digits, because Python cannot convert every digit that \d matches
 
 
 def natural_order(path: Path) -> tuple[Any, ...]:
-    """Return a sort key that sorts file names by their numbers, so that frame_9 comes before frame_10."""
+    """Return a key for `sorted` with which numbers in file names are compared by value: frame_9 precedes frame_10."""
     return tuple((int(part), part) if DIGITS.fullmatch(part) else (0, part) for part in re.split(r"([0-9]+)", str(path)))
 
 
 def last_number(path: Path) -> int | None:
-    """Return the last number in the name of a file, or None if the name contains no number."""
+    """Return the last number in the name of a file, without its suffix.
+
+    The result is None if the name contains no number, or if the number has more than MOST_DIGITS digits.
+    """
     numbers = DIGITS.findall(path.stem)
     return int(numbers[-1]) if numbers and len(numbers[-1]) <= MOST_DIGITS else None
 
 
 def numbered_name(pattern: Path, number: int) -> Path:
-    """Return the file name that a pattern has for a number, which replaces %d, %04d or a sequence of #."""
+    """Replace the first placeholder in the file name of a pattern (%d, %04d or a sequence of #) with a number."""
 
     def digits(field: re.Match[str]) -> str:
         width = len(field[0]) if field[0][0] == "#" else int(field[1] or 0)
@@ -43,7 +46,7 @@ def numbered_name(pattern: Path, number: int) -> Path:
 
 
 def numbered_files(pattern: Path) -> dict[int, Path]:
-    """Return the existing files that match a numbered pattern, as a mapping from number to file in ascending order."""
+    """Return the existing files that match a numbered pattern, as a mapping from number to file in increasing order."""
     where = PATTERN.search(pattern.name)
     if where is None or not pattern.parent.is_dir():
         return {}
@@ -59,7 +62,7 @@ def numbered_files(pattern: Path) -> dict[int, Path]:
 
 
 def is_glob(path: Path) -> bool:
-    """Whether a path contains wildcards."""
+    """Return whether a path contains a wildcard: *, ? or [."""
     return any(letter in str(path) for letter in "*?[")
 
 
@@ -70,7 +73,7 @@ def globbed(path: Path) -> list[Path]:
 
 
 def of_one_kind(folder: Path, files: Iterable[Path]) -> list[Path]:
-    """Sort the files of a folder in natural order. Raises InputFileError if their suffixes differ."""
+    """Sort the files in a folder in natural order. Raises InputFileError if the suffixes of the files differ."""
     files = sorted(files, key=natural_order)
     kinds = sorted({path.suffix.lower() for path in files})
     if len(kinds) > 1:
@@ -81,26 +84,26 @@ def of_one_kind(folder: Path, files: Iterable[Path]) -> list[Path]:
 
 
 def find_scenes(pattern: str, folder: Path, folders: bool | None = False) -> list[Path]:
-    """Find the scene files that a name or glob in a recipe refers to.
+    """Find the scene files to which a name or a glob in a recipe refers.
 
     Parameters
     ----------
     pattern : str
-        Name or glob relative to `folder`.
+        Name or glob, relative to `folder`.
     folder : Path
         Folder of the recipe.
     folders : bool or None
-        Whether scenes are folders instead of files. None if they can be both.
+        Whether the scenes are folders instead of files. None if they can be both.
 
     Returns
     -------
     list of Path
-        The files, sorted by name.
+        The files or folders, sorted by name. At least one.
 
     Raises
     ------
     InputFileError
-        If no file matches.
+        If no file matches, if the glob is invalid, or if too many parts of the path contain wildcards.
     """
     wanted = {True: Path.is_dir, False: Path.is_file, None: Path.exists}[folders]
     single = folder / pattern
@@ -110,7 +113,7 @@ def find_scenes(pattern: str, folder: Path, folders: bool | None = False) -> lis
         raise InputFileError(f"{single} is a folder; specify the scene files in the folder")
     if sum(is_glob(Path(part)) for part in single.parts) > MOST_WILD:
         raise InputFileError(
-            f"{single} has wildcards in more than {MOST_WILD} parts of the path; write the upper folders without wildcards"
+            f"{single} has wildcards in more than {MOST_WILD} parts of the path; write the first folders without wildcards"
         )
     root = Path(single.anchor)  # "" for a relative folder
     try:
@@ -128,18 +131,18 @@ WILD = re.compile(r"\[[^]]*\]|[*?]")
 def name_of(source: Path) -> str:
     """Return the output name of a clip.
 
-    If the clip is an existing file or folder, the result is its name. If the clip is a pattern or glob, the result is the
-    pattern without placeholders or, if nothing remains, the name of its folder.
+    For an existing file or folder, the result is its name without a suffix. For a pattern or glob, it is the name without
+    placeholders and wildcards or, if nothing remains, the name of the folder.
     """
     if source.exists():
         name = source.resolve().name if source.is_dir() else source.stem
-        return PATTERN.sub("_", name) or "clip"  # otherwise the output name could be mistaken for a pattern
+        return PATTERN.sub("_", name) or "clip"  # a placeholder would turn the output name into a pattern
     plain = WILD.sub("", PATTERN.sub("", source.stem)).strip("_-. ")
     return plain or WILD.sub("", source.parent.resolve().name) or "clip"
 
 
 def refuse_one_name(sources: Sequence[Path]) -> None:
-    """Raise RecipeError if two clips would have the same output name, or if stdin is one of several inputs."""
+    """Raise RecipeError if two clips have the same output name, or if one of the clips is stdin."""
     named: dict[str, Path] = {}
     for source in sources:
         if source == STDIN:
@@ -152,24 +155,24 @@ def refuse_one_name(sources: Sequence[Path]) -> None:
 
 
 def clips_in(folder: Path, sensor: Callable[[], Sensor], known: RawOverrides, warn: Callable[[str], None]) -> list[Path]:
-    """Return the clips in a folder. A clip is a video, a file with several frames, a folder of frames, or a single frame.
+    """Find the clips in a folder. A clip is a video, a file with several frames, a folder of frames, or a single frame.
 
     Parameters
     ----------
     folder : Path
         The folder.
     sensor : callable
-        Returns the table or camera, which states the frame size of headerless files.
+        Function that returns the table or camera, whose size the headerless files have.
     known : RawOverrides
-        Facts about the raw files that the user states.
+        Properties of the raw files that the user set.
     warn : callable
-        Called with a warning if files are left out.
+        Function that is called with a warning if files are left out.
 
     Returns
     -------
     list of Path
-        The clips. The list is empty if the folder itself is one clip, that is, if its first readable file contains a single
-        frame.
+        The clips, in natural order. The list is empty if the folder itself is one clip, because its first readable file
+        contains a single frame.
     """
     paths = [path for path in folder.iterdir() if path.name[0] != "."]
     frames = {path.name for path in paths if is_frame(path)}
@@ -182,22 +185,22 @@ def clips_in(folder: Path, sensor: Callable[[], Sensor], known: RawOverrides, wa
                 break
     if several or (several is None and longer):
         return sorted(filter(_is_clip, paths), key=natural_order)
-    # HDF5 files are most likely artifacts, so they are not reported.
+    # HDF5 files are not reported, because they are most likely artifacts.
     left_out = sorted(path.name for path in longer if not format_of(path).wants_dataset)
     if left_out:
         more = f" and {len(left_out) - 1} more" if len(left_out) > 1 else ""
         warn(
             f"{folder} is rendered as one sequence of frames, without {left_out[0]}{more}; "
-            "to render these files, specify them as inputs"
+            "specify such files as inputs to render them"
         )
     return []
 
 
 def _is_clip(path: Path) -> bool:
-    """Whether a path is a raw file, or a folder that contains raw files."""
+    """Return whether a path is a file with the suffix of a raw format, or a folder that contains such a file."""
     try:
         if not path.is_dir():
             return path.suffix.lower() in BY_SUFFIX and path.is_file()
         return any(each.name[0] != "." and each.suffix.lower() in BY_SUFFIX for each in path.iterdir())
     except OSError:
-        return True  # the error is reported when the clip is rendered
+        return True  # rendering the clip will report the error

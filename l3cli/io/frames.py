@@ -1,6 +1,6 @@
-"""Read captured frames in DN from single-channel 16-bit pictures (TIFF, PNG, PGM) or from raw files.
+"""Read captured frames in DN from raw files or from single-channel 16-bit pictures (TIFF, PNG, PGM).
 
-The module also sorts the files in a folder of captures into raw frames, tables of spectra and other files.
+The module also lists the raw frames and the tables of spectra in a folder of captures.
 """
 
 import os
@@ -33,18 +33,33 @@ from l3cli.system.limits import require_picture
 
 TIFF = (".tif", ".tiff")
 RAW_FILE = "use a raw file from the camera (DNG, CR2, NEF, ARW…)"
-PICTURES = (".tif", ".png")  # formats whose bit depth is checked before pixels are read
-MOST_FILES, DEEPEST = 20_000, 8  # maximum number of files, and maximum depth of nested folders, that are searched
+PICTURES = (".tif", ".png")  # formats whose bit depth is checked before the pixels are read
+MOST_FILES, DEEPEST = 20_000, 8  # maximum number of files in a folder of captures, and maximum depth of its subfolders
 DEVELOPED = tuple(suffix for each in UNREAD if each.instead == unread.DEVELOPED for suffix in each.suffixes)
 PROSE = (".txt", ".asc", ".xml")  # suffixes of text files, which often contain no table
-FIGURES = re.compile(rb"^\s*[\d.]+[\s,;]+[\d.]", re.MULTILINE)  # beginning of a line of numbers in a table
+FIGURES = re.compile(rb"^\s*[\d.]+[\s,;]+[\d.]", re.MULTILINE)  # beginning of a row of numbers
 
 
 def raw_content(path: Path, answered: Container[str] = ()) -> RawContent:
     """Return the content of a raw file with one frame.
 
-    Raises InputFileError if the file is not a single-channel mosaic, or if it has a fault that the user has not resolved by
-    setting one of the `answered` parameters.
+    Parameters
+    ----------
+    path : Path
+        The file.
+    answered : container of str
+        Names of the parameters that the user set, such as "black_level". A fault of the file is ignored if one of these
+        parameters resolves it.
+
+    Returns
+    -------
+    RawContent
+        The content, with integer values (row, col) in DN.
+
+    Raises
+    ------
+    InputFileError
+        If the file is not a raw file with a single-channel mosaic, is too large, or has a fault that is not resolved.
     """
     require_regular(path, RAW_FILE)
     kind = format_of(path)
@@ -55,19 +70,19 @@ def raw_content(path: Path, answered: Container[str] = ()) -> RawContent:
         raise InputFileError(f"{path} is not a mosaic; {RAW_FILE}")
     require_picture(str(path), *content["values"].shape)
     refuse_faults(str(path), content, answered)
-    if content["values"].dtype not in (np.uint8, np.uint16):  # the callers check the bit depth of these two types
+    if content["values"].dtype not in (np.uint8, np.uint16):  # for these two types, the callers check the bit depth
         content["values"] = require_dn(str(path), content["values"])
     return content
 
 
 @dataclass(frozen=True)
 class FrameFiles:
-    """The frames in a list of files, which are read one by one during each iteration."""
+    """The frames in a list of files. Each iteration reads the frames again, one at a time."""
 
     paths: tuple[Path, ...]
-    shape: tuple[int, int]
-    bits: int
-    array: FilterArray | None = None  # CFA of the sensor, which the raw files must match
+    shape: tuple[int, int]  # required rows and columns of each frame
+    bits: int  # bit depth of the sensor
+    array: FilterArray | None = None  # CFA that the raw files must have; None to permit any CFA
 
     def __iter__(self) -> Iterator[NDArray[np.uint16]]:
         for path in self.paths:
@@ -81,9 +96,9 @@ class FrameFiles:
 
 @dataclass(frozen=True)
 class WholeFrames:
-    """Raw files with full frames of a known camera, which are read one by one during each iteration.
+    """The frames in raw files of a known camera. Each iteration reads the frames again, one at a time.
 
-    A frame with another size, another phase or values beyond the bit depth raises InputFileError.
+    The iteration raises InputFileError if the size, the CFA phase or the bit depth of a frame does not match the camera.
     """
 
     paths: tuple[Path, ...]
@@ -112,7 +127,7 @@ class WholeFrames:
 
 
 def pages_of(path: Path) -> Iterator[tuple[str, RawContent]] | None:
-    """Return the frames of a stack: a TIFF file with several pages, or a .npy or FITS file with three axes.
+    """Read the frames of a stack: a TIFF file with several pages, or a .npy or FITS file with three axes.
 
     Parameters
     ----------
@@ -122,12 +137,13 @@ def pages_of(path: Path) -> Iterator[tuple[str, RawContent]] | None:
     Returns
     -------
     iterator of (str, RawContent), or None
-        Name and content of each frame, or None if the file is not a stack.
+        Name and content of each frame. None if the file is not a stack.
 
     Raises
     ------
     InputFileError
-        If the pages differ in size or type.
+        If the file is damaged, or if its pages differ in size or type. A later frame may raise this error during the
+        iteration.
     """
     pages = _stack(path)
     if pages is None or pages.count is None:
@@ -136,7 +152,7 @@ def pages_of(path: Path) -> Iterator[tuple[str, RawContent]] | None:
 
 
 def _stack(path: Path) -> MultiFrameFile | None:
-    """Return the frames of a stack, or None for any other file."""
+    """Open a stack. Return None for any other file."""
     kind = BY_SUFFIX.get(path.suffix.lower())
     if kind is None or not kind.holds_frame or kind.wants_geometry:
         return None
@@ -147,16 +163,35 @@ def _stack(path: Path) -> MultiFrameFile | None:
 def _counted(pages: MultiFrameFile, number: int) -> RawContent:
     content = pages.read(number)
     assert content is not None  # a stack contains `count` frames
-    if content["values"].dtype.kind in "iu" and content["values"].dtype.itemsize > 2:  # integers of any size are allowed
+    if content["values"].dtype.kind in "iu" and content["values"].dtype.itemsize > 2:
         content["values"] = require_dn(pages.name(number), content["values"])
     return content
 
 
 def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray | None = None) -> NDArray[np.uint16]:
-    """Read a frame (row, col) in DN from a raw file or a single-channel 16-bit picture.
+    """Read a frame from a raw file or from a single-channel 16-bit picture.
 
-    The picture may have 8 bits if the sensor has at most 8 bits. Raises InputFileError if the file is neither a raw file nor
-    such a picture, if its size differs from `shape`, if values exceed `bits`, or if its CFA or phase contradicts `array`.
+    Parameters
+    ----------
+    path : Path
+        The file. A picture may also have 8 bits if `bits` is at most 8.
+    shape : tuple of int
+        Required numbers of rows and columns.
+    bits : int
+        Bit depth of the sensor.
+    array : FilterArray, optional
+        CFA of the sensor. If a raw file states its CFA, it must be this CFA in the same phase.
+
+    Returns
+    -------
+    ndarray of uint16, (row, col)
+        Values in DN.
+
+    Raises
+    ------
+    InputFileError
+        If the file is neither a raw file nor such a picture, if the size, the bit depth or the CFA does not match, or if the
+        file cannot be read.
     """
     if path.suffix.lower() in BY_SUFFIX and format_of(path).suffixes[0] not in PICTURES:
         content = raw_content(path, ("black_level",))
@@ -170,13 +205,14 @@ def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray
 def _whole_frame(
     path: Path, content: RawContent, shape: tuple[int, int], bits: int, array: FilterArray | None
 ) -> NDArray[np.uint16]:
-    """Return the values of a full frame. Raises InputFileError in the same cases as `read_frame`."""
+    """Check the content of a file, and return its values as uint16. The arguments and errors are as in `read_frame`."""
     values, pattern = content["values"], content.get("pattern")
     if array is not None and pattern is not None:
         phase = phase_of(path, pattern, array)
         if not np.array_equal(shifted_cfa(array.cfa, phase), array.cfa):
             raise InputFileError(
-                f'{path} begins at row {phase[0]}, column {phase[1]} of "cfa.pattern"; begin the pattern with this site'
+                f'{path} begins at row {phase[0]}, column {phase[1]} of "cfa.pattern"; write a pattern that begins with '
+                "this site"
             )
     _check(path, str(values.dtype), 1, values.shape, shape, bits)
     require_bits(path, values, bits)
@@ -187,7 +223,7 @@ def require_bits(path: Path, values: NDArray, bits: int) -> None:
     """Raise InputFileError if a value needs more than `bits` bits."""
     if values.max() >= 2**bits:
         raise InputFileError(
-            f'{path} contains the value {values.max()} DN, which does not fit in {bits} bits; correct "sensor.bits"'
+            f'{path} contains the value {values.max()} DN, which does not fit into {bits} bits; correct "sensor.bits"'
         )
 
 
@@ -199,9 +235,9 @@ def _read_picture(path: Path, rows: int, cols: int, bits: int) -> NDArray:
 
 
 def phase_of(path: Path, pattern: NDArray[np.int64], array: FilterArray) -> tuple[int, int]:
-    """Return the site of the sensor's CFA at the first pixel of a file whose CFA is `pattern`.
+    """Return the CFA row and CFA column of the first pixel of a file, from the colour codes `pattern` that the file states.
 
-    Raises InputFileError if `pattern` does not fit the sensor's CFA.
+    Raises InputFileError if `pattern` is not the CFA of the sensor in any phase.
     """
     try:
         return find_phase(str(path), pattern, array)
@@ -226,9 +262,10 @@ def _check(path: Path, depth: str, channels: int, size: tuple[int, ...], shape: 
 
 
 def list_captures(folder: Path) -> CaptureFolder:
-    """List the raw frames and tables in a folder and its subfolders.
+    """List the raw frames and the tables of spectra in a folder and its subfolders, by their suffixes.
 
-    Raises InputFileError if `folder` is not a folder, or if it contains too many files.
+    Hidden files are ignored. The result also contains notes about the files that were left out. Raises InputFileError if
+    `folder` is not a folder, or if it contains more than MOST_FILES files.
     """
     if not folder.is_dir():
         raise InputFileError(f"{folder} is not a folder; specify the folder that contains the captures")
@@ -261,9 +298,9 @@ def list_captures(folder: Path) -> CaptureFolder:
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """Yield the regular files in a folder and its subfolders, sorted by name.
+    """Yield the files in a folder and in its subfolders up to the depth DEEPEST, sorted by name in each folder.
 
-    Hidden files and folders are skipped, and symbolic links to folders are not followed.
+    Hidden files and folders are left out, and symbolic links to folders are not followed.
     """
     for place, folders, names in os.walk(folder):
         deep = len(Path(place).relative_to(folder).parts)
@@ -275,9 +312,9 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def read_capture(path: Path) -> RawFile:
-    """Read a raw frame without changing its values. If the file is a stack, only the first frame is read.
+    """Read a raw frame and the properties that its file states. If the file is a stack, only the first frame is read.
 
-    Raises InputFileError if the file is damaged, or is a developed picture rather than a raw file.
+    Raises InputFileError if the file is damaged or is not a raw file.
     """
     pages = _stack(path)
     content = raw_content(path) if pages is None else _counted(pages, 0)
@@ -292,9 +329,10 @@ def read_capture(path: Path) -> RawFile:
 
 
 def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, CurveTable]]:
-    """Read the tables of spectra in a folder. For each file that is left out, a line is added to `notes`.
+    """Read the tables of spectra in a folder of captures, and return the name and the content of each table.
 
-    Text files that contain no lines of numbers are left out without a note.
+    For each file that cannot be read as a table, a line is appended to `notes`. Text files without rows of numbers are left
+    out without a note.
     """
     found = []
     for name in folder.tables:
@@ -309,7 +347,7 @@ def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, Cur
 
 
 def _has_numbers(path: Path) -> bool:
-    """Whether a text file contains at least three lines of numbers, so that a user may expect l3 to read it as a table."""
+    """Return whether a text file contains at least three rows of numbers, so that a user may expect it to be a table."""
     try:
         with open(path, "rb") as stream:
             return len(FIGURES.findall(stream.read(65536))) >= 3

@@ -1,4 +1,4 @@
-"""Dark frames with the glare that the calibration found in photos of charts (docs/method.md#charts-in-photographs)."""
+"""Write dark frames with the glare that a calibration found in photos of charts (docs/method.md#charts-in-photographs)."""
 
 import io
 from pathlib import Path
@@ -10,26 +10,26 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.physics.mosaic import shifted_cfa, tiled
 
 LARGEST_DN = 65535  # largest 16-bit value
-# Number of identical pages. `l3 render` estimates the noise of dark frames from differences between pages, which are zero
-# here.
+# Number of identical pages in a file. `l3 render` estimates the noise of dark frames from the differences between pages, and
+# identical pages have no noise.
 PAGES = 2
 
 
 def glare_files(camera: CameraModel) -> dict[str, bytes]:
     """Return a dark frame for each photo of a chart from which the camera was calibrated.
 
-    A dark frame contains the black level and the glare of each channel. `l3 render --dark` subtracts it from the photo, or
-    from another picture taken in the same place.
+    A dark frame contains the black level plus the glare of each channel. `l3 render --dark` subtracts the dark frame from
+    the photo, or from another photo that was taken in the same place.
 
     Parameters
     ----------
     camera : CameraModel
-        The camera model. If it was not calibrated from photos of a chart, the result is empty.
+        The camera model.
 
     Returns
     -------
     dict of str to bytes
-        Contents of the TIFF files, by file name.
+        File name → content of the TIFF file. Empty if the camera was not calibrated from photos of a chart.
     """
     photo = camera.fit.photo if camera.fit else None
     if photo is None:

@@ -1,4 +1,4 @@
-"""Read pictures, including pictures with linear values, in any format that OpenImageIO supports."""
+"""Read pictures in any format that OpenImageIO supports, including pictures with linear values."""
 
 import contextlib
 import re
@@ -15,14 +15,14 @@ from l3cli.io.isolated import isolated
 from l3cli.io.tags import UPRIGHT, flip_of
 from l3cli.system.limits import VALUE_BYTES, require_picture
 
-EXPOSURE_TIME = "ExposureTime"  # OpenImageIO's name of the Exif tag
+EXPOSURE_TIME = "ExposureTime"  # name of the Exif tag in OpenImageIO
 
 
 @isolated("OpenImageIO")
 def read_image(path: Path) -> tuple[NDArray, tuple[str, ...]]:
-    """Read the pixels (row, col, channel) as stored, and the names of the channels.
+    """Read the pixels (row, col, channel) of a picture in the stored data type, and the names of its channels.
 
-    Raises InputFileError if the file cannot be read.
+    Raises InputFileError if the file cannot be read, is too large, or contains several pictures.
     """
     with opened(path) as (source, spec):
         return pixels_of(path, source, spec), tuple(spec.channelnames)
@@ -30,22 +30,22 @@ def read_image(path: Path) -> tuple[NDArray, tuple[str, ...]]:
 
 @isolated("OpenImageIO")
 def picture_flip(path: Path) -> int:
-    """Return the LibRaw flip code that turns the stored pixels upright, from the tag Orientation."""
+    """Return the LibRaw flip code that rotates the stored pixels to the upright picture, from the tag Orientation."""
     with opened(path) as (_, spec):
         return flip_of(path, spec.get_int_attribute("Orientation", UPRIGHT))
 
 
 @isolated("OpenImageIO")
 def picture_size(path: Path) -> tuple[int, int]:
-    """Return the number of rows and columns of a picture from its header. Raises InputFileError if it cannot be read."""
+    """Return the numbers of rows and columns from the header of a picture. Raises InputFileError if it cannot be read."""
     with opened(path) as (_, spec):
         return spec.height, spec.width
 
 
 def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[Any], float | None]:
-    """Return the values (row, col) of a single-channel picture as stored, and its exposure time in s.
+    """Return the stored values (row, col) of a single-channel picture, and its exposure time in s.
 
-    Values of 8 or 16 bits are returned as uint16. The exposure time is None if the file does not state it. Raises
+    Values with up to 16 bits are returned as uint16. The exposure time is None if the file does not state it. Raises
     InputFileError if the picture has several channels.
     """
     if spec.nchannels != 1:
@@ -55,7 +55,7 @@ def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[Any], float | N
     values = pixels_of(path, source, spec)[..., 0]
     if values.dtype not in (np.uint8, np.uint16):
         return values, spec.get_float_attribute(EXPOSURE_TIME, 0.0) or None
-    # OpenImageIO scales values with, for example, 12 bits up to 16 bits. The upper bits are the stored value.
+    # OpenImageIO scales, for example, 12-bit values to 16 bits. The upper 12 bits are then the stored value.
     depth = 8 * values.dtype.itemsize
     unused = np.uint16(depth - spec.get_int_attribute("oiio:BitsPerSample", depth))
     return values.astype(np.uint16) >> unused, spec.get_float_attribute(EXPOSURE_TIME, 0.0) or None
@@ -63,9 +63,10 @@ def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[Any], float | N
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[tuple[Any, Any]]:
-    """Open a file with OpenImageIO, and yield its ImageInput and ImageSpec.
+    """Open a file with OpenImageIO during the block, and yield its ImageInput and ImageSpec.
 
-    Raises InputFileError if the file contains several pictures or a picture that is too large.
+    Raises InputFileError if OpenImageIO cannot read the file, or if the file contains several pictures or a picture that is
+    too large.
     """
     with contextlib.closing(open_image(path)) as source:
         spec = source.spec()
@@ -73,14 +74,16 @@ def opened(path: Path) -> Iterator[tuple[Any, Any]]:
         require_whole_stack(path, spec, 1)
         if source.seek_subimage(1, 0):
             what = "page" if source.format_name() == "tiff" else "part"
-            raise InputFileError(f"{path} has more than one {what}; use files with one picture, or pass this file alone")
-        source.geterror()  # clear the error that the file has no second picture
+            raise InputFileError(
+                f"{path} has more than one {what}; use files with one picture, or specify this file as the only input"
+            )
+        source.geterror()  # clears the error that the file has no second picture
         source.seek_subimage(0, 0)
         yield source, spec
 
 
 def open_image(path: Path) -> Any:
-    """Return OpenImageIO's ImageInput of a file. Raises InputFileError if OpenImageIO cannot read the file."""
+    """Return the OpenImageIO ImageInput of a file. Raises InputFileError if OpenImageIO cannot read the file."""
     import OpenImageIO as oiio
 
     source = oiio.ImageInput.open(str(path))
@@ -92,7 +95,7 @@ def open_image(path: Path) -> Any:
 
 
 def require_bearable(path: Path, spec: Any) -> None:
-    """Raise InputFileError if a picture is too large, is a volume, or has deep samples."""
+    """Raise InputFileError if the ImageSpec of a picture shows that it is too large, is a volume, or has deep samples."""
     require_picture(str(path), spec.height, spec.width, spec.nchannels * max(spec.format.size() // VALUE_BYTES, 1))
     if spec.deep or spec.depth != 1:
         raise InputFileError(
@@ -101,9 +104,9 @@ def require_bearable(path: Path, spec: Any) -> None:
 
 
 def require_whole_stack(path: Path, spec: Any, pages: int) -> None:
-    """Raise InputFileError if the description of a picture states more frames than the file has pages.
+    """Raise InputFileError if the description of a TIFF file states more frames than the file has pages.
 
-    ImageJ and tifffile may store only the first frame of a stack as a page, and the other frames behind that page.
+    ImageJ and tifffile may store only the first frame of a stack as a page, and append the other frames without pages.
     """
     text = spec.get_string_attribute("ImageDescription")
     count = re.search(r"^images=([0-9]{1,9})$", text, re.MULTILINE) if text.startswith("ImageJ=") else None
@@ -115,18 +118,20 @@ def require_whole_stack(path: Path, spec: Any, pages: int) -> None:
     if frames > pages * spec.nchannels:
         have = f"{pages} page{'s' if pages > 1 else ''}"
         raise InputFileError(
-            f"{path} has only {have}, but its description states {frames} frames; save each frame as a page"
+            f"{path} has only {have}, but its description states {frames} frames; save each frame as a separate page"
         )
 
 
 def pixels_of(path: Path, source: Any, spec: Any) -> NDArray:
-    """Read the pixels (row, col, channel) of an open picture.
+    """Read the pixels (row, col, channel) of an open picture in the stored data type.
 
     Raises InputFileError if the file is truncated or damaged.
     """
     pixels = source.read_image(spec.format)
     if pixels is None:
-        raise InputFileError(f"{path} is truncated or damaged ({_reason(source.geterror(), str(path))}); copy it again")
+        raise InputFileError(
+            f"{path} is truncated or damaged ({_reason(source.geterror(), str(path))}); copy the file again"
+        )
     return pixels.reshape(spec.height, spec.width, spec.nchannels)
 
 

@@ -1,13 +1,13 @@
 """Decode untrusted files in an isolated process with limited time and memory.
 
-If a third-party decoder crashes, only the isolated process ends, and this process continues. The isolated process is started
-when the first file is read. It forks a worker process for each file (decoder_process.py). A worker can only read its file,
-as far as the kernel can restrict it. If a worker dies, the isolated process also ends, and a new process decodes the next
-file.
+If a third-party decoder crashes, only the isolated process ends, and this process continues. The isolated process starts
+when the first file is read, and forks a worker process for each file (decoder_process.py). As far as the kernel supports
+this, a worker can read only its own file. If a worker dies, the isolated process also ends, and a new isolated process is
+started for the next file.
 
-Requests and replies are JSON. Arrays are passed through a memory file and copied after their sizes have been checked, so
-that no data from a worker are executed or trusted. Users who trust their files (`--trust`, or L3_TRUST=1) can have them
-decoded in the caller's process.
+Requests and replies are JSON. Arrays are passed through a file in memory, and are copied after their sizes have been
+checked. No data from a worker are executed or trusted. With `--trust` or L3_TRUST=1, files are decoded in the current
+process.
 """
 
 import atexit
@@ -32,12 +32,12 @@ from l3cli.system.files import require_regular, stamp
 from l3cli.system.limits import MEGAPIXELS, ONE_BLAS_THREAD, SECONDS, TRUST, decode_seconds, most_bytes, trusted
 from l3cli.system.locks import ThreadLock
 
-WALL_PER_CPU_TIME = 5  # limit of the wall-clock time as a multiple of the CPU time, which allows for slow disks
-PROGRAM_BYTES = 1 << 30  # address space for the interpreter, the libraries and their buffers
-COPIES = 2  # additional address space, as a multiple of the maximum content of a file
+WALL_PER_CPU_TIME = 5  # limit of the wall-clock time as a multiple of the limit of the CPU time, because disks may be slow
+PROGRAM_BYTES = 1 << 30  # address space for the interpreter, the libraries and their buffers, in bytes
+COPIES = 2  # additional address space, as a multiple of the maximum size of the content of a file
 MORE_MEMORY = "free some memory, or raise the memory limit of the shell (ulimit -v)"
-READY = b"ready"  # first message of the process
-MAX_REPLY = 64 << 20  # bytes, maximum size of a reply without its arrays
+READY = b"ready"  # first message of the isolated process
+MAX_REPLY = 64 << 20  # maximum size of a reply without its arrays, in bytes
 LENGTH = struct.Struct("<I")
 KINDS = {kind.__name__: kind for kind in (L3Error, RecipeError, InputFileError)}
 ONE_THREAD = ONE_BLAS_THREAD | {"OPENIMAGEIO_THREADS": "1"}
@@ -46,12 +46,12 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def isolated(*libraries: str) -> Callable[[F], F]:
-    """Decorate a decoder of untrusted files so that it runs in the isolated process.
+    """Return a decorator for a decoder of untrusted files, which then runs in the isolated process.
 
     Parameters
     ----------
     libraries : str
-        Modules that the decoder imports. They are imported once, before workers are forked.
+        Modules that the decoder imports. The isolated process imports them once, before it forks workers.
 
     Returns
     -------
@@ -60,9 +60,9 @@ def isolated(*libraries: str) -> Callable[[F], F]:
 
     Notes
     -----
-    The function must be at module level. Its first parameter is a path. The other parameters are text, numbers or None. It
-    returns arrays of numbers, text, numbers or None, or tuples, lists and dictionaries of such values. It can read only this
-    file. Exceptions that are not L3Error become an InputFileError whose message contains the file name.
+    The decorated function must be at module level. Its first parameter is the path of the file, and its other parameters are
+    text, numbers or None. It may read only this file. It returns arrays of numbers, text, numbers or None, or tuples, lists
+    and dictionaries of such values. Exceptions other than L3Error become an InputFileError with the name of the file.
     """
 
     def made(function: F) -> F:
@@ -82,24 +82,24 @@ def isolated(*libraries: str) -> Callable[[F], F]:
 
 
 def start() -> None:
-    """Start the isolated process before it is needed."""
+    """Start the isolated process before it is needed, unless files are trusted."""
     if not trusted():
         with _lock:
             _the_child()
 
 
 def _require_utf8(path: Path) -> None:
-    """Raise InputFileError if a file name is not UTF-8, because the libraries cannot open such files."""
+    """Raise InputFileError if a path is not UTF-8, because the libraries cannot open such files."""
     try:
         str(path).encode()
     except UnicodeEncodeError:
-        raise InputFileError(f"{path}: the file name is not UTF-8; rename the file or its folder") from None
+        raise InputFileError(f"{path}: the name of the file or of a folder is not UTF-8; rename it") from None
 
 
 def _decoded(function: Callable[..., Any], path: Path, *plain: Any) -> Any:
-    """Call the decoder in this process.
+    """Call a decoder in this process, and convert its exceptions.
 
-    Exceptions of third-party libraries become an InputFileError. If a library cannot be imported, L3Error is raised instead.
+    An ImportError becomes an L3Error, and any other exception becomes an InputFileError.
     """
     try:
         return function(path, *plain)
@@ -114,19 +114,19 @@ def _decoded(function: Callable[..., Any], path: Path, *plain: Any) -> Any:
             raise InputFileError(f"{path}: {error.strerror}") from error
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise InputFileError(
-            f"{path} cannot be decoded ({reason}) and may be damaged; copy it again, or use another format"
+            f"{path} cannot be decoded ({reason}) and may be damaged; copy the file again, or use another format"
         ) from error
 
 
 def too_much(path: Path) -> str:
     return (
-        f"{path} needs more memory than the {most_bytes() / 1e9:.3g} GB of content that a file may have; "
+        f"{path} needs more memory to decode than the limit of {most_bytes() / 1e9:.3g} GB; "
         f"if the file is intact, increase the environment variable {MEGAPIXELS} or add ‹trust›"
     )
 
 
 class _Child:
-    """The isolated process, and the socket to it."""
+    """The isolated process, with the socket through which this process communicates with it."""
 
     def __init__(self, limits: tuple[float, int]) -> None:
         self.limits = limits
@@ -144,17 +144,17 @@ class _Child:
                 stderr=subprocess.DEVNULL,  # decoders print messages to stderr
                 pass_fds=inherited,
                 env=os.environ | ONE_THREAD | {"MALLOC_ARENA_MAX": "2", TRUST: "1"},
-                process_group=0,  # Ctrl-C reaches only the caller, which then ends the isolated process
+                process_group=0,  # Ctrl-C sends SIGINT only to this process, which then ends the isolated process
             )
         self._open, self._ready = True, False
 
     @property
     def usable(self) -> bool:
-        """Whether the process runs and was started by this process rather than by a parent that forked."""
+        """Whether the isolated process is running and belongs to this process. After a fork, it belongs to the parent."""
         return self._open and self.owner == os.getpid() and self._process.poll() is None
 
     def end(self) -> None:
-        """Kill the process and its workers immediately."""
+        """Kill the isolated process and its workers immediately."""
         if not self._open:
             return
         self._open = False
@@ -166,10 +166,10 @@ class _Child:
         self._arrays.close()
 
     def ask(self, path: Path, module: str, name: str, plain: tuple[Any, ...]) -> Any:
-        """Run the function `name` in `module` on a file in the isolated process, and return its result.
+        """Call the function `name` in `module` for a file in the isolated process, and return its result.
 
-        Errors of the function are raised again. If the process takes too long, crashes or returns an invalid reply, it is
-        killed and InputFileError is raised.
+        Errors of the function are raised again. If the isolated process takes too long, crashes or returns an invalid reply,
+        it is killed, and InputFileError is raised.
         """
         try:
             self._wait_until_ready()
@@ -184,51 +184,51 @@ class _Child:
         except L3Error:
             raise
         except BaseException as error:
-            self.end()  # otherwise a late reply could be mistaken for the reply to the next request
+            self.end()  # otherwise, a late reply could be read as the reply to the next request
             if isinstance(error, TimeoutError):
                 raise InputFileError(self._timeout_message(path)) from error
             if isinstance(error, EOFError | ConnectionError):
                 raise InputFileError(self._crash_message(path)) from error
             if isinstance(error, ValueError | TypeError | KeyError | RecursionError):
                 raise InputFileError(
-                    f"{path}: the decoder returned an invalid reply, so the file may be damaged; copy it again"
+                    f"{path}: the decoder returned an invalid reply, so the file may be damaged; copy the file again"
                 ) from error
             raise
 
     def _wait_until_ready(self) -> None:
-        """Wait until the process is ready. Raises L3Error if the process cannot be started."""
+        """Wait until the isolated process is ready. Raises L3Error if it ends before it is ready."""
         if self._ready:
             return
         try:
             self._ready = receive(self._socket, time.monotonic() + WALL_PER_CPU_TIME * self.limits[0]) == READY
         except (EOFError, ConnectionError) as error:
             self.end()
-            raise L3Error(f"the process that decodes files cannot be started; {MORE_MEMORY}, or add ‹trust›") from error
+            raise L3Error(f"the process that decodes files cannot start; {MORE_MEMORY}, or add ‹trust›") from error
 
     def _timeout_message(self, path: Path) -> str:
         """Return the message for a file whose decoding exceeds the time limit."""
         return (
-            f"{path} takes longer than {self.limits[0]:g} s to decode, so it may be damaged; "
+            f"{path} takes longer than {self.limits[0]:g} s to decode and may be damaged; "
             f"if the file is intact, increase the environment variable {SECONDS} or add ‹trust›"
         )
 
     def _crash_message(self, path: Path) -> str:
-        """Return the message for a file whose decoding has ended the process, according to the exit code of the process."""
+        """Return the message for a file whose decoding ended the isolated process, from the exit code of this process."""
         code = self._process.returncode
         if code == -signal.SIGXCPU:
             return self._timeout_message(path)
         if code == -signal.SIGKILL:
             return too_much(path)
         ended = signal.Signals(-code).name if code < 0 else f"exit code {code}"
-        return f"{path} crashes its decoder ({ended}), so it is probably damaged; copy it again"
+        return f"{path} crashes its decoder ({ended}) and is probably damaged; copy the file again"
 
 
 _child: _Child | None = None
-_lock = ThreadLock()  # one request at a time
+_lock = ThreadLock()  # the isolated process handles one request at a time
 
 
 def _the_child() -> _Child:
-    """Return the isolated process. If it has died or if the limits have changed, a new process is started."""
+    """Return the isolated process. A new process is started if none is running or if the limits have changed."""
     global _child
     wanted = decode_seconds(), PROGRAM_BYTES + COPIES * most_bytes()
     if _child is None or not _child.usable or _child.limits != wanted:
@@ -239,7 +239,7 @@ def _the_child() -> _Child:
 
 @atexit.register
 def _end_child() -> None:
-    """Kill the isolated process, if there is one."""
+    """Kill the isolated process if it exists."""
     if _child is not None:
         _child.end()
 
@@ -248,7 +248,7 @@ def _end_child() -> None:
 
 
 def arrays_back(answer: Any, file: BinaryIO) -> Any:
-    """Convert a reply back to values, with arrays copied from `file`.
+    """Convert a reply in JSON types back to values. Arrays are copied from the memory file `file`.
 
     Raises ValueError, TypeError or KeyError if the reply is invalid.
     """
@@ -264,7 +264,7 @@ def arrays_back(answer: Any, file: BinaryIO) -> Any:
 
 
 def _array(description: list[Any], file: BinaryIO) -> np.ndarray:
-    """Return the array that a reply describes. Raises ValueError if the description does not fit the memory file."""
+    """Copy an array from the memory file, given its [dtype, shape, offset]. Raises ValueError if these are invalid."""
     kind, shape, offset = description
     dtype = np.dtype(kind)
     if dtype.kind not in "biuf" or any(type(n) is not int or n < 0 for n in (*shape, offset)):
@@ -276,9 +276,9 @@ def _array(description: list[Any], file: BinaryIO) -> np.ndarray:
 
 
 def plain_of(value: Any, file: BinaryIO) -> Any:
-    """Convert a value to JSON types. Arrays are written to `file`.
+    """Convert a value to JSON types. Arrays are written to the memory file `file`.
 
-    Raises TypeError if the value has a type that cannot be converted.
+    Raises TypeError if the type of the value is not supported.
     """
     if isinstance(value, np.ndarray):
         offset = file.tell()
@@ -296,15 +296,15 @@ def plain_of(value: Any, file: BinaryIO) -> Any:
 
 
 def send(connection: socket.socket, text: bytes) -> None:
-    """Send a message, preceded by its length."""
+    """Send the length of a message, and the message."""
     connection.sendall(LENGTH.pack(len(text)) + text)
 
 
 def receive(connection: socket.socket, until: float | None = None) -> bytes:
-    """Receive a message.
+    """Receive a message that `send` sent.
 
-    Raises TimeoutError if the message is not complete at the time `until` of time.monotonic(), EOFError if the connection is
-    closed first, and ValueError if the message is too long.
+    Raises TimeoutError if the message is not complete when time.monotonic() reaches `until`, EOFError if the connection is
+    closed before, and ValueError if the message is longer than MAX_REPLY. If `until` is None, the time is not limited.
     """
     (length,) = LENGTH.unpack(_exactly(connection, LENGTH.size, until))
     if length > MAX_REPLY:

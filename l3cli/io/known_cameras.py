@@ -1,4 +1,4 @@
-"""Included cameras: the measured curves of 52 cameras (configs/priors/cameras.csv) and published facts (cameras.toml)."""
+"""The 52 included cameras: measured responsivities (configs/priors/cameras.csv) and published properties (cameras.toml)."""
 
 import functools
 from typing import ClassVar, Literal
@@ -15,21 +15,21 @@ from l3cli.recipes.toml import Count, Positive, Recipe
 from l3cli.spectra.file import read_table
 
 ROLES = ("r", "g", "b")
-USUAL_ROWS, USUAL_COLS, USUAL_BITS = 1080, 1920, 14  # assumed for cameras whose data are not published
+USUAL_ROWS, USUAL_COLS, USUAL_BITS = 1080, 1920, 14  # assumed values for cameras whose properties are not published
 FULL_SCALE_PER_BLACK = 32  # assumed ratio of full scale to black level
-ARRAYS = {  # each array in one phase; raw files may have any phase
+ARRAYS = {  # colour filter arrays in one phase; a raw file may have any phase
     "bayer": ("r g", "g b"),
     "xtrans": ("g b g g r g", "r g r b g b", "g b g g r g", "g r g g b g", "b g b r g r", "g r g g b g"),
 }
-# Words in the names of manufacturers that are ignored when names are compared
+# Words in the names of manufacturers that are ignored when names are compared.
 COMPANY = {"corporation", "corp", "company", "co", "ltd", "inc", "imaging"}
 
 
 class KnownCamera(Recipe):
-    """Published facts about a camera."""
+    """Published properties of a camera."""
 
     name: str  # make and model
-    also: list[str] = msgspec.field(default_factory=list)  # other names, and other cameras with the same sensor and filters
+    also: list[str] = msgspec.field(default_factory=list)  # other names, and cameras with the same sensor and filters
     array: Literal["bayer", "xtrans"] = "bayer"
     rows: Count | None = None
     cols: Count | None = None
@@ -39,7 +39,7 @@ class KnownCamera(Recipe):
 
     @property
     def body(self) -> Body:
-        """Sensor, array and optics, with typical values for unpublished facts."""
+        """Sensor, colour filter array and optics, with typical values for unpublished properties."""
         cfa = np.array([[ROLES.index(site) for site in row.split()] for row in ARRAYS[self.array]], np.uint8)
         pitch, optics = (self.pixel_pitch_um or PITCH_UM) * 1e-6, Optics(FOCAL_MM / 1000, F_NUMBER, 0.0)
         size = self.rows or USUAL_ROWS, self.cols or USUAL_COLS
@@ -47,13 +47,13 @@ class KnownCamera(Recipe):
 
     @property
     def levels(self) -> tuple[float, float]:
-        """Typical black level and maximum value in DN. They are replaced by the levels that a raw file states."""
+        """Typical black level and white level in DN, for raw files that do not state these levels."""
         values = 2.0 ** (self.bits or USUAL_BITS)
         return values / FULL_SCALE_PER_BLACK, values - 1
 
     @property
     def stated(self) -> Stated:
-        """The published facts, in the same type as facts from a raw file."""
+        """The published properties, in the same type as the properties that a raw file states."""
         return Stated(self.name, (), None, self.iso, self.pixel_pitch_um, None, None)
 
 
@@ -68,21 +68,21 @@ class KnownCameras(Recipe):
 
 @functools.cache
 def known_cameras() -> KnownCameras:
-    """Return the published facts about the included cameras."""
+    """Return the published properties of the included cameras."""
     return load_recipe(recipe_folder() / "priors" / "cameras.toml", KnownCameras)
 
 
 def known_curves(slug: str) -> FinishedCurves:
-    """Return the measured curves r, g and b of an included camera. `slug` is its key in cameras.toml."""
+    """Return the measured responsivities of r, g and b of an included camera. `slug` is its key in cameras.toml."""
     table = read_table(recipe_folder() / "priors" / "cameras.csv")
     chosen = table.channel_columns(ROLES, {role: f"{slug} {role}" for role in ROLES})
     return FinishedCurves(chosen.wavelength, chosen.values)
 
 
 def known_as(stated: str) -> str | None:
-    """Return the key of the included camera whose make and model a raw file states, or None if it is not included."""
+    """Return the key in cameras.toml of the camera whose make and model a raw file states, or None if it is not included."""
     words = [word for word in slug_of(stated).split("_") if word not in COMPANY]
-    model = "_".join(dict.fromkeys(words))  # without a repeated make, as in "NIKON CORPORATION", "NIKON D810"
+    model = "_".join(dict.fromkeys(words))  # without a repeated make, as in "NIKON CORPORATION NIKON D810"
     return next(
         (slug for slug, each in known_cameras().camera.items() if model in map(slug_of, (each.name, *each.also))), None
     )

@@ -14,9 +14,9 @@ from l3cli.system.text import array_lines, counted, seconds_text
 
 
 def measurement_faults(recipe: MeasurementRecipe | CorrectionRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults in the keys of a measurement file and in every file that it lists.
+    """Yield the faults in the keys of a measurement file, and in the tables and other files that it lists.
 
-    Photos and other frames are not opened here.
+    The values of raw frames are not read.
     """
     yield from key_faults(recipe)
     faults: list[Fault] = []
@@ -25,9 +25,9 @@ def measurement_faults(recipe: MeasurementRecipe | CorrectionRecipe, source: Rec
 
 
 def measurement_summary(recipe: MeasurementRecipe | CorrectionRecipe, measured: Measurements) -> dict[str, Any]:
-    """Return a summary of a measurement file: its array, its channels, and the contents of each section.
+    """Return a summary of a measurement file as JSON types: its array, its channels, and the contents of each section.
 
-    For each section, these are the numbers of captures and frames, and the range of exposure times.
+    The contents of a section of captures are the numbers of captures and frames, and the range of exposure times in s.
     """
     body, sections = measured.body, _captures(recipe)
     array = [row.split() for row in array_rows(body.channels, body.cfa)]
@@ -52,7 +52,7 @@ def measurement_summary(recipe: MeasurementRecipe | CorrectionRecipe, measured: 
 
 
 def _captures(recipe: MeasurementRecipe | CorrectionRecipe) -> dict[str, Any]:
-    """Return the number of captures, the number of frames and the range of exposure times of each section."""
+    """Return, for each section, the number of captures, the number of frames and the range of exposure times in s."""
     sections: dict[str, list[CaptureRecipe]] = {}
     for section, _, capture in captures_of(recipe):
         sections.setdefault(section, []).append(capture)
@@ -67,7 +67,7 @@ def _captures(recipe: MeasurementRecipe | CorrectionRecipe) -> dict[str, Any]:
 
 
 def measurement_lines(measured: dict[str, Any], width: int | None) -> list[str]:
-    """Format the result of `measurement_summary` as lines of text."""
+    """Format the result of `measurement_summary` as lines of text. `width` is not used."""
     lines = [f"{measured['name']}: channels {', '.join(measured['channels'])}", "", *array_lines(measured["array"]), ""]
     for name, section in measured["sections"].items():
         texts = (

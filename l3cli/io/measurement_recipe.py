@@ -1,10 +1,10 @@
-"""The measurement file and its keys (docs/own-lab.md, docs/method.md#calibration).
+"""The keys of a measurement file (docs/own-lab.md, docs/method.md#calibration).
 
-The spectral responsivity is determined from exactly one of [[mono]], [sweep], [curves], [[band]] and [photo]. [[chart]]
-captures determine the absolute scale of the responsivity. Noise and levels of the sensor are determined from [[dark]] and
-[[white]] frames, or copied from a [datasheet]. A measurement file may also contain only [[dark]] and [[white]] frames. All
-other properties are then copied from `base`, a camera model or camera recipe. File names are relative to the folder of the
-measurement file.
+Exactly one of [[mono]], [sweep], [curves], [[band]] and [photo] determines the spectral responsivity. [[chart]] captures
+determine the absolute scale of the responsivity. The noise and the levels of the sensor are measured in [[dark]] and
+[[white]] frames, or copied from a [datasheet]. A measurement file with the key `base` contains only [[dark]], [[white]] and
+[[polariser]] captures. All other properties are then copied from `base`, a camera model or camera recipe. File names are
+relative to the folder of the measurement file.
 """
 
 from collections.abc import Iterator
@@ -38,14 +38,14 @@ from l3cli.system.limits import MEGAPIXELS, most_pixels
 
 EXPOSURES = ("exposure_s", "exposure_ms", "exposure_us")
 CAPTURES = ("mono", "band", "chart", "white", "dark", "polariser")  # sections whose entries list frames
-# A monitor reading without a reference must be a ratio. It counts as a ratio if neither it nor its inverse exceeds this
-# value.
+# Without a reference, a monitor reading must be the ratio of two lamp readings. Neither this ratio nor its inverse may
+# exceed this limit.
 MOST_UNREFERENCED = 2.0
-MOST_MONITOR = 10.0  # maximum ratio of two lamp readings, and of its inverse; a larger change indicates a different lamp
+MOST_MONITOR = 10.0  # maximum ratio of two lamp readings, in both directions; a larger ratio indicates a different lamp
 Below1 = Annotated[float, msgspec.Meta(ge=0, lt=1)]
 Names = Annotated[list[str], msgspec.Meta(min_length=1)]
 Corners = Annotated[list[tuple[float, float]], msgspec.Meta(min_length=4, max_length=4)]
-SITE_PIXELS = 8  # minimum number of CFA periods along rows and columns, needed for local means
+SITE_PIXELS = 8  # minimum number of CFA periods along rows and along columns, because noise analysis needs local means
 
 
 class BodyRecipe(Recipe):
@@ -58,34 +58,35 @@ class BodyRecipe(Recipe):
 class MonitorRecipe(Recipe):
     """A table with readings of a lamp monitor during a sweep, one row per wavelength."""
 
-    file: str  # table with the wavelength and readings in any unit
-    column: int | str = 1  # readings during the captures; column name, or number from 1 without the wavelength column
-    reference: int | str | None = None  # readings when the spectra were measured; default: `column` contains the ratios
+    file: str  # table with a column of wavelengths and columns of readings in any unit
+    column: int | str = 1  # readings during the captures: column name, or number from 1 without the wavelength column
+    # column with the readings during the measurement of the spectra; default: `column` contains ratios of the two readings
+    reference: int | str | None = None
 
 
 class CaptureRecipe(Recipe, kw_only=True):
     """Dark or white frames with the same exposure."""
 
     frames: Names
-    exposure_s: Positive | None = None  # exactly one of these three keys must be set
+    exposure_s: Positive | None = None  # exactly one of the three keys for the exposure time must be set
     exposure_ms: Positive | None = None
     exposure_us: Positive | None = None
-    # reading of a lamp monitor during the capture, relative to the reading when the spectrum was measured;
-    # [[mono]] captures may use a table of readings instead
+    # reading of a lamp monitor during the capture, relative to its reading during the measurement of the spectrum;
+    # [[mono]] captures may refer to a table of readings instead
     monitor: Annotated[float, msgspec.Meta(ge=1 / MOST_MONITOR, le=MOST_MONITOR)] | MonitorRecipe = 1.0
 
     @property
     def seconds(self) -> float | None:
-        """The exposure in seconds, or None unless exactly one of the three keys is set."""
+        """The exposure time in s, or None unless exactly one of the three keys is set."""
         exposures = [(self.exposure_s, 1.0), (self.exposure_ms, 1e3), (self.exposure_us, 1e6)]
         seconds = [value / parts for value, parts in exposures if value is not None]
         return seconds[0] if len(seconds) == 1 else None
 
 
 class SensorCaptureRecipe(CaptureRecipe, kw_only=True):
-    """Dark or white frames at an ISO speed. The gain of the camera is the gain at the lowest ISO speed."""
+    """Dark or white frames at an ISO speed. The gain of the camera model is the gain at the lowest ISO speed."""
 
-    iso: float | None = None  # must be set for all dark and white captures or for none
+    iso: float | None = None  # must be set either for all dark and white captures or for none
 
 
 class MonoRecipe(CaptureRecipe, kw_only=True):
@@ -93,42 +94,42 @@ class MonoRecipe(CaptureRecipe, kw_only=True):
 
     spectrum: str  # CSV file of measured radiances, including bandwidth and stray light
     column: int | str = 1  # column name, or number from 1 without the wavelength column
-    unit: str | None = None  # unit of the radiances, if the CSV file states none; default: photons/s/sr/m²/nm
+    unit: str | None = None  # unit of the radiances, if the CSV file does not state it; default: photons/s/sr/m²/nm
 
 
 class ChartRecipe(CaptureRecipe, kw_only=True):
-    """A ColorChecker under one illuminant. In [[band]], it is seen through a filter, and radiances may be relative."""
+    """A ColorChecker under one illuminant. In [[band]], the light passes a filter, and the radiances may be relative."""
 
     illuminant: str
     corners: Corners  # (col, row) in pixels of the outer corners of patches 1, 6, 24 and 19 (clockwise)
-    radiance: str  # CSV of measured radiances: 24 columns with the names of patches, or row by row from dark skin to black
+    radiance: str  # CSV of measured radiances: 24 columns with the names of the patches, or in order from dark skin to black
     unit: str | None = None  # as in [[mono]]
 
 
 class PolariserRecipe(CaptureRecipe, kw_only=True):
     """Frames of a uniform light behind a rotating linear polariser."""
 
-    # angle of the transmission axis, counter-clockwise from the horizontal axis of the picture, plus rotator.offset_deg
+    # reading of the scale: angle of the transmission axis, counter-clockwise from horizontal, plus rotator.offset_deg
     angle_deg: Annotated[float, msgspec.Meta(ge=-360, le=360)]
 
 
 class RotatorRecipe(Recipe):
     """The rotating polariser of the [[polariser]] captures."""
 
-    extinction: Annotated[float, msgspec.Meta(gt=1)] | None = None  # extinction ratio; default: the polariser is ideal
+    extinction: Annotated[float, msgspec.Meta(gt=1)] | None = None  # extinction ratio; default: ideal polariser
     # standard deviation of each angle_deg
     angle_error_deg: Annotated[float, msgspec.Meta(ge=0, le=10)] = 0.1
-    offset_deg: Annotated[float, msgspec.Meta(ge=-180, le=180)] = 0.0  # reading of the scale when the axis is horizontal
-    reference: str | None = None  # channel whose polariser_deg is true, if the zero of the scale is unknown
+    offset_deg: Annotated[float, msgspec.Meta(ge=-180, le=180)] = 0.0  # reading of the scale if the axis is horizontal
+    reference: str | None = None  # channel whose polariser_deg is exact; set it if the zero of the scale is unknown
 
 
 class CommonRecipe(Recipe):
     """Defaults for keys that [[mono]] and [[band]] captures do not set."""
 
-    exposure_s: Positive | None = None  # at most one of these three keys may be set
+    exposure_s: Positive | None = None  # at most one of the three keys for the exposure time may be set
     exposure_ms: Positive | None = None
     exposure_us: Positive | None = None
-    unit: str | None = None  # unit of radiances, if a CSV file states none
+    unit: str | None = None  # unit of radiances, if a CSV file does not state it
     monitor: MonitorRecipe | None = None  # for [[mono]] captures
 
 
@@ -143,32 +144,32 @@ class SweepRecipe(Recipe):
     """A monochromator sweep as a table of mean values."""
 
     table: str  # CSV: nm, light r, light g, …, dark r, dark g, … (mean of each channel in DN), diode light, diode dark
-    photodiode: str | ColumnRecipe  # CSV: nm, response of the photodiode per energy, for example in A/W
+    photodiode: str | ColumnRecipe  # CSV: nm, responsivity of the photodiode per energy, for example in A/W
 
     @property
     def response(self) -> ColumnRecipe:
-        """The table and column with the response of the photodiode. Column 0 stands for the only column."""
+        """Table and column with the responsivity of the photodiode. Column 0 means that the table has only one column."""
         return ColumnRecipe(self.photodiode, 0) if isinstance(self.photodiode, str) else self.photodiode
 
 
 class CurvesRecipe(Recipe):
-    """Finished responsivities from another source."""
+    """Responsivities that were measured or computed before, outside l3."""
 
-    file: str  # CSV file with nm and one column per channel, or JSON file of rawtoaces
-    columns: dict[str, str] = msgspec.field(default_factory=dict)  # channel → column, if their names differ
-    per_energy: bool = True  # False if the curves are per photon
+    file: str  # CSV file with nm and one column per channel, or rawtoaces JSON file
+    columns: dict[str, str] = msgspec.field(default_factory=dict)  # channel → column, if the names differ
+    per_energy: bool = True  # false if the curves are per photon
 
 
 class PhotoRecipe(Recipe):
     """Raw files that show a chart under one illuminant."""
 
-    frames: Names  # one scene at one exposure; differences between two or more frames determine the noise
-    light: str | None = None  # "D65", "3200K", or a CSV file with the spectrum; None to estimate the illuminant
+    frames: Names  # raw files of the same scene with the same exposure; two or more files also determine the noise
+    light: str | None = None  # "D65", "3200K", or a CSV file with the spectrum; default: the illuminant is estimated
     column: int | str = 1  # column of the spectrum, as in [[mono]]
-    unit: str = "relative power"  # unit of the spectrum, if the CSV file states none
+    unit: str = "relative power"  # unit of the spectrum, if the CSV file does not state it
     chart: str = "classic"  # name of a chart, or CSV file of reflectances with one column per patch, row by row
     layout: tuple[Count, Count] = (4, 6)  # rows and columns of patches
-    corners: Corners | None = None  # (col, row), as in [[chart]]; None to search for the chart
+    corners: Corners | None = None  # (col, row), as in [[chart]]; default: l3 searches for the chart
     dark: list[str] = msgspec.field(default_factory=list)  # raw files without light, with the same exposure
     white: list[str] = msgspec.field(default_factory=list)  # raw files of a uniform white target in place of the chart
 
@@ -178,15 +179,15 @@ class DatasheetRecipe(NoiseRecipe, kw_only=True):
 
     black_level_dn: float
     white_level_dn: float
-    gain_dn_per_e: Positive | None = None  # default: the full well corresponds to the white level
+    gain_dn_per_e: Positive | None = None  # system gain; default: the full-well capacity reaches the white level
 
 
 class UncertaintyRecipe(Recipe):
-    """Uncertainties (one standard deviation) of the light, which widen the confidence band."""
+    """Uncertainties of the light (one standard deviation), which widen the confidence bands."""
 
-    lamp_drift: Below1 = 0.0  # relative drift of the lamp spectrum that remains after correction with the monitor signal
-    photodiode: Below1 = 0.0  # relative error of the response of the photodiode in [sweep], at each wavelength
-    wavelength_nm: Annotated[float, msgspec.Meta(ge=0, lt=100)] = 0.0  # wavelength error of spectrometer or monochromator
+    lamp_drift: Below1 = 0.0  # relative drift of the lamp spectrum that remains after the correction with the monitor
+    photodiode: Below1 = 0.0  # relative error of the responsivity of the photodiode in [sweep], at each wavelength
+    wavelength_nm: Annotated[float, msgspec.Meta(ge=0, lt=100)] = 0.0  # error of the spectrometer or monochromator
 
 
 class MeasurementRecipe(Recipe):
@@ -203,7 +204,7 @@ class MeasurementRecipe(Recipe):
     sweep: SweepRecipe | None = None
     curves: CurvesRecipe | None = None
     photo: PhotoRecipe | list[PhotoRecipe] = msgspec.field(default_factory=list)
-    prior: str | None = None  # folder with measured r, g and b curves of cameras, for photos; default: the included table
+    prior: str | None = None  # for photos: folder with measured responsivities of cameras; default: the included cameras
     band: list[ChartRecipe] = msgspec.field(default_factory=list)
     chart: list[ChartRecipe] = msgspec.field(default_factory=list)
     white: list[SensorCaptureRecipe] = msgspec.field(default_factory=list)
@@ -211,7 +212,7 @@ class MeasurementRecipe(Recipe):
     polariser: list[PolariserRecipe] = msgspec.field(default_factory=list)
     rotator: RotatorRecipe | None = None
     datasheet: DatasheetRecipe | None = None
-    # exposures or gains that differ by channel; stated angles of polarisers
+    # exposures or gains that differ between channels, and stated angles of polarisers
     channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)
     uncertainty: UncertaintyRecipe = msgspec.field(default_factory=UncertaintyRecipe)
 
@@ -227,30 +228,31 @@ class MeasurementRecipe(Recipe):
 
     @property
     def photos(self) -> list[PhotoRecipe]:
-        """The entries of [photo] or [[photo]], as a list."""
+        """The entry of [photo], or the entries of [[photo]], as a list."""
         return self.photo if isinstance(self.photo, list) else [self.photo]
 
     def photo_key(self, number: int) -> KeyPath:
-        """Return the TOML key of a photo."""
+        """Return the path of the photo with this index in the recipe."""
         return ("photo", number) if isinstance(self.photo, list) else ("photo",)
 
 
 class CorrectionRecipe(Recipe):
-    """A measurement file that adds defects and flat field, or measured polarisers, to a known camera."""
+    """A measurement file that adds the defects and the flat field, or measured polarisers, to a known camera."""
 
     title: ClassVar[str] = MeasurementRecipe.title
 
     base: str  # camera model or camera recipe, relative to this file
     # captures with the lens cap on, at one or more exposures
     dark: Annotated[list[CaptureRecipe], msgspec.Meta(min_length=1)]
-    # captures of a uniform white target, neither clipped nor dark, for the defects and the flat field
+    # captures of a uniform white target, neither clipped nor dark, which determine the defects and the flat field
     white: list[CaptureRecipe] = msgspec.field(default_factory=list)
-    polariser: list[PolariserRecipe] = msgspec.field(default_factory=list)  # for polarisers
+    # captures behind a rotating polariser, which determine the polarisers of the channels
+    polariser: list[PolariserRecipe] = msgspec.field(default_factory=list)
     rotator: RotatorRecipe | None = None
 
 
 def captures_of(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[tuple[str, int, CaptureRecipe]]:
-    """Yield the section, number and contents of every capture."""
+    """Yield the name of the section, the index in the section, and the contents of every capture."""
     for section in CAPTURES:
         for number, capture in enumerate(getattr(recipe, section, [])):
             yield section, number, capture
@@ -260,12 +262,12 @@ def captures_of(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[tuple[
 
 
 def key_faults(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[Fault]:
-    """Yield the faults in numbers and names that can be found without reading other files."""
+    """Yield all faults in a measurement file that can be found without reading other files."""
     if isinstance(recipe, MeasurementRecipe):
         yield from _sensor_faults(recipe)
         yield from _source_faults(recipe)
     elif not recipe.white and not recipe.polariser:
-        yield fault("the file measures nothing; add [[white]] or [[polariser]] captures", ("dark",))
+        yield fault("[[dark]] captures alone determine no correction; add [[white]] or [[polariser]] captures", ("dark",))
     for section, number, capture in captures_of(recipe):
         yield from _capture_faults(capture, (section, number))
     yield from _polariser_faults(recipe)
@@ -274,9 +276,11 @@ def key_faults(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[Fault]:
 
 
 def _polariser_faults(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[Fault]:
-    """Yield the faults in [[polariser]] and [rotator], except for the faults of single captures."""
+    """Yield the faults in [[polariser]] and [rotator], except the faults of individual captures."""
     if recipe.rotator is not None and not recipe.polariser:
-        yield fault("[rotator] describes the polariser of [[polariser]] captures; add the captures, or remove it", "rotator")
+        yield fault(
+            "[rotator] applies only to [[polariser]] captures; add [[polariser]] captures, or remove [rotator]", "rotator"
+        )
     elif recipe.rotator is not None and recipe.rotator.reference is not None:
         name = recipe.rotator.reference
         if recipe.rotator.offset_deg:
@@ -288,11 +292,14 @@ def _polariser_faults(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[
                 message = f'the channel "{name}" of "rotator.reference" has no angle; set channel.{name}.polariser_deg'
                 yield fault(message, "rotator.reference")
     if isinstance(recipe, MeasurementRecipe) and recipe.polariser and not (recipe.dark or recipe.datasheet or recipe.photos):
-        yield fault("[[polariser]] captures need [[dark]] captures or a [datasheet]; add one of them", "polariser")
+        yield fault(
+            "[[polariser]] captures need [[dark]] captures or a [datasheet]; add [[dark]] captures or a [datasheet]",
+            "polariser",
+        )
 
 
 def _section_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
-    """Yield a fault if sections are missing, or if they exclude each other."""
+    """Yield a fault for each section that is missing or cannot be combined with another section."""
     sources = [name for name in ("mono", "sweep", "curves", "band", "photo") if getattr(recipe, name)]
     rules = (
         (
@@ -300,10 +307,10 @@ def _section_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
             f"the file contains {' and '.join(sources) or 'no source of responsivity'}; specify exactly one of "
             "[[mono]], [sweep], [curves], [[band]] and [photo]",
         ),
-        (recipe.prior and not recipe.photos, 'the key "prior" applies only to [photo]; remove it'),
+        (recipe.prior and not recipe.photos, 'the key "prior" applies only to [photo]; remove this key'),
         (
             bool(recipe.white) == (recipe.datasheet is not None) and (recipe.white or not recipe.photos),
-            "the sensor must be described either by [[white]] captures or by a [datasheet]; specify exactly one of them",
+            "the sensor must be described either by [[white]] captures or by a [datasheet]; specify exactly one of the two",
         ),
         (recipe.white and not recipe.dark, "[[white]] captures need [[dark]] captures; add [[dark]] captures"),
         (
@@ -312,15 +319,18 @@ def _section_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
         ),
         (
             None in (speeds := {each.iso for each in recipe.dark}) and len(speeds) > 1,
-            'only some [[dark]] and [[white]] captures state "iso"; state it for all of them, or for none',
+            'only some [[dark]] and [[white]] captures contain the key "iso"; set "iso" for all of these captures, or for '
+            "none",
         ),
         (
             recipe.mono and recipe.datasheet,
-            "[[mono]] captures cannot be combined with a [datasheet]; replace it with [[white]] and [[dark]] captures",
+            "[[mono]] captures cannot be combined with a [datasheet]; replace [datasheet] with [[white]] and [[dark]] "
+            "captures",
         ),
         (
             recipe.band and recipe.white,
-            "[[band]] captures cannot be combined with [[white]] captures; replace them with a [datasheet]",
+            "[[band]] captures cannot be combined with [[white]] captures; replace the [[white]] captures with a "
+            "[datasheet]",
         ),
         (
             recipe.chart and not recipe.white,
@@ -328,7 +338,7 @@ def _section_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
         ),
         (
             len(recipe.chart) == 1 or (recipe.mono and not recipe.chart),
-            "gain and light cannot be separated with fewer than two [[chart]] captures; add charts under two illuminants",
+            "fewer than two [[chart]] captures cannot separate the gain from the light; add charts under two illuminants",
         ),
     )
     yield from (fault(message, ()) for holds, message in rules if holds)
@@ -342,8 +352,8 @@ def _sensor_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
     size = "sensor.rows", "sensor.cols"
     if sensor.rows * sensor.cols > most_pixels():
         yield fault(
-            f"{sensor.rows}×{sensor.cols} pixels are more than an input may have; increase the environment variable "
-            f"{MEGAPIXELS}",
+            f"a sensor with {sensor.rows}×{sensor.cols} pixels exceeds the limit of inputs; increase the environment "
+            f"variable {MEGAPIXELS}",
             *size,
         )
     elif not array:
@@ -359,7 +369,7 @@ def _sensor_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
 
 
 def _datasheet_faults(declared: DatasheetRecipe, most: int) -> Iterator[Fault]:
-    """Yield the faults in numbers from a data sheet. `most` is the maximum DN."""
+    """Yield the faults in [datasheet]. `most` is the largest raw value in DN."""
     if not 0 <= declared.black_level_dn < declared.white_level_dn <= most:
         yield fault(
             f"[datasheet] must satisfy 0 ≤ black_level_dn < white_level_dn ≤ {most}; correct these keys", "datasheet"
@@ -370,15 +380,17 @@ def _datasheet_faults(declared: DatasheetRecipe, most: int) -> Iterator[Fault]:
 def _source_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
     """Yield the faults in [uncertainty] and in the columns of [curves]."""
     if recipe.uncertainty.photodiode and recipe.sweep is None:
-        yield fault('"uncertainty.photodiode" applies only to a [sweep]; remove it', "uncertainty.photodiode")
+        yield fault('"uncertainty.photodiode" applies only to a [sweep]; remove this key', "uncertainty.photodiode")
     if recipe.curves is not None:
         yield from column_faults(recipe.curves.columns, recipe.cfa.channels, "curves.columns")
 
 
 def _capture_faults(capture: CaptureRecipe, key: KeyPath) -> Iterator[Fault]:
-    """Yield the faults in the exposure and the monitor of a capture."""
+    """Yield the faults in the exposure and the monitor of a capture, whose path in the recipe is `key`."""
     if isinstance(capture.monitor, MonitorRecipe) and not isinstance(capture, MonoRecipe):
-        message = f'only [[mono]] captures may have a table as "monitor"; set it to a number for the [[{key[0]}]] capture'
+        message = (
+            f'"monitor" may be a table only for [[mono]] captures; set "monitor" of this [[{key[0]}]] capture to a number'
+        )
         yield fault(message, (*key, "monitor"))
     if capture.seconds is None:
         message = f'a [[{key[0]}]] capture needs exactly one of the keys "exposure_s", "exposure_ms" and "exposure_us"'
@@ -389,7 +401,7 @@ def _capture_faults(capture: CaptureRecipe, key: KeyPath) -> Iterator[Fault]:
 
 
 def frames_named(recipe: MeasurementRecipe | CorrectionRecipe) -> list[tuple[KeyPath, str]]:
-    """Return the key and the file name of every frame in a measurement file, in order."""
+    """Return the path in the recipe and the file name of every frame in a measurement file, in order."""
     lists: list[tuple[KeyPath, list[str]]] = [
         ((section, number, "frames"), capture.frames) for section, number, capture in captures_of(recipe)
     ]
@@ -401,7 +413,7 @@ def frames_named(recipe: MeasurementRecipe | CorrectionRecipe) -> list[tuple[Key
 
 
 def spectrum_names(recipe: MeasurementRecipe) -> list[str]:
-    """Return the names of all files with spectra, tables or curves in a measurement file, each once, in order."""
+    """Return the names of all files with spectra, tables or curves in a measurement file, in order, without duplicates."""
     names = [step.spectrum for step in recipe.mono] + [chart.radiance for chart in [*recipe.band, *recipe.chart]]
     names += [step.monitor.file for step in recipe.mono if isinstance(step.monitor, MonitorRecipe)]
     names += [recipe.sweep.table, recipe.sweep.response.file] if recipe.sweep else []
@@ -411,16 +423,21 @@ def spectrum_names(recipe: MeasurementRecipe) -> list[str]:
 
 
 def describe(camera: CameraModel, uncertainty: UncertaintyRecipe, **captures: Any) -> MeasurementRecipe:
-    """Return a measurement file for captures of a known camera.
+    """Create a measurement file for captures of a known camera.
 
     Parameters
     ----------
     camera : CameraModel
-        The camera that the captures come from.
+        The camera with which the captures were taken.
     uncertainty : UncertaintyRecipe
         Uncertainties of the light.
     **captures
-        Lists of captures: `mono`, `chart`, `white`, `dark` and `polariser`.
+        Lists of captures, by section: `mono`, `chart`, `white`, `dark` and `polariser`.
+
+    Returns
+    -------
+    MeasurementRecipe
+        The measurement file, with the geometry of the camera and without its responsivities and noise.
     """
     return MeasurementRecipe(
         name=camera.name,
@@ -434,7 +451,7 @@ def describe(camera: CameraModel, uncertainty: UncertaintyRecipe, **captures: An
 
 
 def _channels(camera: CameraModel) -> dict[str, ChannelRecipe]:
-    """Return the sections [channel.NAME]: the readout, and the angles of the polarisers rounded as in a data sheet."""
+    """Return the sections [channel.NAME]: the readout, and the polariser angles rounded to degrees as in a data sheet."""
     sections = settings_of(camera.readout, camera.channels)
     if camera.polarisers is not None:
         stated = zip(camera.channels, camera.polarisers.polariser_deg, camera.polarisers.present, strict=True)
@@ -444,12 +461,12 @@ def _channels(camera: CameraModel) -> dict[str, ChannelRecipe]:
 
 
 def write_measurements(recipe: MeasurementRecipe, path: Path) -> None:
-    """Write a measurement file."""
+    """Write a measurement file. An existing file is replaced."""
     write_whole(path, _toml(msgspec.to_builtins(recipe)))
 
 
 def _toml(table: dict[str, Any], prefix: str = "") -> str:
-    """Convert a table of numbers, texts, lists, tables and lists of tables to TOML. `prefix` is the key of the table."""
+    """Convert a table to TOML text. `prefix` is the key of the table with a period at the end. None and [] are left out."""
 
     def is_table(value: Any) -> bool:
         return isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))

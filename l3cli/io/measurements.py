@@ -1,7 +1,7 @@
-"""Read a measurement file and all files that it refers to (docs/architecture.md#the-path-of-a-measurement).
+"""Read a measurement file and all files to which it refers (docs/architecture.md#the-path-of-a-measurement).
 
 The keys of the file are read first (measurement_recipe.py), then the tables of spectra, then the photos. All other frames
-are read later, one by one, because a lab captures more frames than fit in memory.
+are read later, one at a time, because a lab captures more frames than fit into memory.
 """
 
 import contextlib
@@ -81,32 +81,34 @@ from l3cli.system.files import sha256, stamp
 Array = NDArray[np.float64]
 ReadTable = Callable[[Path], CurveTable]
 AnyRecipe = MeasurementRecipe | CorrectionRecipe
-At = Callable[..., AbstractContextManager[None]]  # at(*keys): context of a block whose errors concern these keys
+At = Callable[..., AbstractContextManager[None]]  # at(*keys) is a context manager that handles errors about these keys
 
 
 @dataclass(frozen=True)
 class MeasurementFiles:
-    """Measurements, the files that contain the measurements, and the state of these files before l3 read them."""
+    """Measurements, the files that contain these measurements, and the state of the files before l3 read them."""
 
     measurements: Measurements
-    recipe: str  # text of the measurement file; "" for photos without a measurement file
-    files: dict[str, list[Path]]  # role → files
-    stamps: dict[Path, tuple[int, ...]]  # size, times and inode of each file
+    recipe: str  # text of the measurement file; empty for photos without a measurement file
+    files: dict[str, list[Path]]  # role, such as "frames" → files
+    stamps: dict[Path, tuple[int, ...]]  # file → its device, inode, size and modification time (see `stamp`)
 
     def history(self, options: dict[str, Any]) -> Stage:
-        """Return the history stage of a calibration: its options, the measurement file, and the SHA-256 of every file.
+        """Return the history entry of a calibration: its options, the measurement file, and the SHA-256 of every file.
 
-        Raises InputFileError if a file has changed since it was read, because its digest would then be wrong.
+        Raises InputFileError if a file has changed since l3 read it, because its digest would not match the measurements.
         """
         digests = {role: [sha256(file) for file in files] for role, files in self.files.items()}
         for file, before in self.stamps.items():
             if stamp(file) != before:
-                raise InputFileError(f"{file} changed while l3 was reading it; run again when no program writes to it")
+                raise InputFileError(
+                    f"{file} changed while l3 was reading it; run the command again when no program writes to the file"
+                )
         return Stage("calibrate", options, self.recipe, digests)
 
 
 def read_measurements(path: Path) -> MeasurementFiles:
-    """Read a measurement file and all files that it refers to.
+    """Read a measurement file and all files to which it refers.
 
     Parameters
     ----------
@@ -116,14 +118,14 @@ def read_measurements(path: Path) -> MeasurementFiles:
     Returns
     -------
     MeasurementFiles
-        The measurements. Frames other than photos are read later, one by one.
+        The measurements. Frames other than photos are read later, one at a time.
 
     Raises
     ------
     RecipeError
         If the measurement file is invalid.
     InputFileError
-        If a spectrum or a frame is missing or damaged.
+        If a file is missing, or if a table or a photo is damaged.
     """
     before = stamp(path)
     text = read_text(path, MeasurementRecipe.title)
@@ -143,12 +145,14 @@ def read_photos(photos: Sequence[Path], light: str | None, levels: Levels | None
     light : str or None
         Name of the illuminant, or None to estimate it.
     levels : mapping, optional
-        Levels to use if the raw files do not state them.
+        Levels for raw files that do not state them (see chart_photos.Levels). [default: none]
 
     Raises
     ------
     InputFileError
-        If `levels` and the files together do not state all that is needed.
+        If a file is not a raw file with a CFA, if its levels are unknown, or if it cannot be read.
+    RecipeError
+        If the illuminant is unknown.
     """
     levels = levels or {}
     stamps = {file: stamp(file) for file in photos}
@@ -163,7 +167,7 @@ def read_photos(photos: Sequence[Path], light: str | None, levels: Levels | None
 
 
 def parse_measurements(text: str, path: Path) -> AnyRecipe:
-    """Parse the text of a measurement file. Raises RecipeError with `path` in the message if a key is wrong."""
+    """Parse the text of the measurement file `path`. Raises RecipeError if the text has a fault."""
     name, based = str(path), "base" in parse_toml(text, str(path))
     recipe = parse_recipe(text, CorrectionRecipe, name) if based else parse_recipe(text, MeasurementRecipe, name)
     refuse_first(key_faults(recipe), path)
@@ -171,25 +175,32 @@ def parse_measurements(text: str, path: Path) -> AnyRecipe:
 
 
 def measurements_of(recipe: AnyRecipe, path: Path) -> Measurements:
-    """Read all files that a measurement file refers to.
+    """Read all files to which a measurement file refers.
 
     Parameters
     ----------
     recipe : MeasurementRecipe or CorrectionRecipe
-        The content of the measurement file, as `parse_measurements` returns it.
+        The content of the measurement file, from `parse_measurements`.
     path : Path
-        The path of the measurement file. The file need not exist, but file names are relative to its folder.
+        The path of the measurement file, to whose folder file names are relative. The file itself is not read.
+
+    Returns
+    -------
+    Measurements
+        The measurements. Frames other than photos are read later, one at a time.
 
     Raises
     ------
-    RecipeError, InputFileError
-        As in `read_measurements`.
+    RecipeError
+        If a name or a column in the measurement file does not exist.
+    InputFileError
+        If a file is missing, or if a table or a photo is damaged.
     """
     return _assembled(recipe, path, read_contents(recipe, path), None, raw_content)
 
 
 def _files_named(recipe: AnyRecipe, path: Path) -> dict[str, list[Path]]:
-    """Return the files that a measurement file refers to, by role."""
+    """Return the files to which a measurement file refers, by role."""
     folder = path.parent
     if isinstance(recipe, CorrectionRecipe):
         frames = [folder / name for _, _, capture in captures_of(recipe) for name in capture.frames]
@@ -205,22 +216,25 @@ def _files_named(recipe: AnyRecipe, path: Path) -> dict[str, list[Path]]:
 class MonoLight(NamedTuple):
     """The light measured at one monochromator step."""
 
-    wavelength: Array  # (wavelength) nm
-    radiance: Array  # (wavelength) photons/s/sr/m²/nm
+    wavelength: Array  # (wavelength,) nm
+    radiance: Array  # (wavelength,) photons/s/sr/m²/nm
     absolute: bool  # whether the absolute scale of the radiance is known
-    monitor: float  # lamp output during the capture, relative to the output when the spectrum was measured
+    monitor: float  # lamp output during the capture, relative to the output during the measurement of the spectrum
 
 
 class PatchRadiances(NamedTuple):
     """The measured radiances of the patches of a chart."""
 
-    wavelength: Array  # (wavelength) nm
+    wavelength: Array  # (wavelength,) nm
     radiance: Array  # (24, wavelength) photons/s/sr/m²/nm
 
 
 @dataclass(frozen=True)
 class Contents:
-    """The contents of all listed files except frames. Each tuple is in the order of the measurement file."""
+    """The contents of all files that a measurement file lists, except frames.
+
+    Each tuple is in the order of the measurement file.
+    """
 
     base: CameraModel | None = None
     mono: tuple[MonoLight, ...] = ()
@@ -232,7 +246,7 @@ class Contents:
 
 
 def _raised(*keys: KeyPath) -> AbstractContextManager[None]:
-    """Return a context that catches no errors, so that reading stops at the first error."""
+    """Return a context manager that catches no errors, so that the first error is raised."""
     return contextlib.nullcontext()
 
 
@@ -246,21 +260,24 @@ def read_contents(recipe: AnyRecipe, path: Path, at: At = _raised) -> Contents:
     path : Path
         The path of the measurement file. File names are relative to its folder.
     at : callable
-        Returns a context manager for a block of code whose errors concern the given keys. `l3 check` passes a function that
-        collects errors, and faulty entries are then missing from the result. By default, the first error ends the reading.
+        Function that returns a context manager for a block of code. Its arguments are the keys that errors in the block
+        concern. `l3 check` passes a function whose context manager collects errors, and the result then lacks the entries
+        with errors. [default: errors are raised]
 
     Raises
     ------
     RecipeError
         If a column or a name does not exist.
     InputFileError
-        If a file is missing or has unsuitable content.
+        If a file is missing or its content is unsuitable.
     """
     folder, read = path.parent, functools.cache(read_table)  # many captures share a table
     for key, name in frames_named(recipe):
         with at(key):
             if not os.path.isfile(folder / name):
-                raise InputFileError(f"{folder / name} does not exist; copy the frame there, or correct its name")
+                raise InputFileError(
+                    f"{folder / name} does not exist; copy the frame to this folder, or correct its file name"
+                )
     if isinstance(recipe, CorrectionRecipe):
         with at(("base",)):
             return Contents(base=load_camera(folder / recipe.base))
@@ -315,63 +332,64 @@ def _mono_lights(steps: Sequence[MonoRecipe], path: Path, read: ReadTable, at: A
 
 
 def monitor_at(monitor: MonitorRecipe, nm: float, folder: Path, read: ReadTable = read_table) -> float:
-    """Return the lamp output during a capture, relative to the output when the spectrum was measured.
+    """Return the lamp output during a capture, relative to the output during the measurement of the spectrum.
 
     Parameters
     ----------
     monitor : MonitorRecipe
-        The table of readings.
+        Description of the table of readings.
     nm : float
-        Wavelength in nm of the maximum of the capture's spectrum.
+        Peak wavelength of the capture in nm.
     folder : Path
         The folder of the measurement file, to which the name of the table is relative.
     read : callable
-        Reads a table.
+        Function that reads a table.
 
     Returns
     -------
     float
-        Ratio of the readings, interpolated at the wavelength.
+        Ratio of the two readings, each interpolated linearly at `nm`.
 
     Raises
     ------
     InputFileError
-        If the table does not cover the wavelength, if the ratio is implausible, or if a column without a reference contains
-        readings instead of ratios.
+        If the table does not cover `nm`, if the units of the two columns differ, if the ratio is implausible, or if the
+        column contains readings instead of ratios although no reference is set.
     """
     table = read(folder / monitor.file)
     first, last = table.wavelength[0], table.wavelength[-1]
     if not first - 1 <= nm <= last + 1:
         raise InputFileError(
-            f"{table.path} covers only {first:g}…{last:g} nm, but a capture is at {nm:g} nm; add a reading at this "
-            "wavelength"
+            f"{table.path} covers only {first:g}…{last:g} nm, but the wavelength of a capture is {nm:g} nm; add a reading "
+            "at this wavelength"
         )
     reading, unit = _reading(table, monitor.column, nm)
     if monitor.reference is None:
         if unit or not 1 / MOST_UNREFERENCED <= reading <= MOST_UNREFERENCED:
             with_unit = " (with a unit)" if unit else ""
             raise InputFileError(
-                f"{table.path}: {reading:.4g}{with_unit} at {nm:g} nm is not a ratio near 1 of two lamp readings; "
-                'set "reference" to the column with the readings before the captures'
+                f"{table.path}: the reading {reading:.4g}{with_unit} at {nm:g} nm is not a ratio near 1 of two lamp "
+                'readings; set "reference" to the column with the readings during the measurement of the spectra'
             )
         return reading
     before, other = _reading(table, monitor.reference, nm)
     if unit != other:
         raise InputFileError(
-            f'{table.path}: the columns of "monitor" have different units; specify two columns with readings of one detector'
+            f'{table.path}: the columns of "monitor" have different units; specify two columns with readings of the same '
+            "detector"
         )
     ratio = reading / before if before > 0 else math.inf
     if not 1 / MOST_MONITOR <= ratio <= MOST_MONITOR:
         raise InputFileError(
-            f"{table.path}: at {nm:g} nm, the reading {reading:.4g} differs from its reference {before:.4g} by more than a "
-            f'factor of {MOST_MONITOR:g}; set "reference" to the column with the readings from the measurement of the '
+            f"{table.path}: at {nm:g} nm, the reading {reading:.4g} differs from the reference {before:.4g} by more than a "
+            f'factor of {MOST_MONITOR:g}; set "reference" to the column with the readings during the measurement of the '
             "spectra"
         )
     return ratio
 
 
 def _reading(table: CurveTable, column: int | str, nm: float) -> tuple[float, dict[str, int]]:
-    """Return the value of a column at a wavelength, and the powers of its SI units. Without a unit, the powers are {}."""
+    """Return the value of a column at a wavelength, in base units, and the powers of these units (empty without a unit)."""
     found = table.column(column)
     unit = None if found.units[0] is None else units.parse(found.units[0])
     value = float(np.interp(nm, found.wavelength, found.values[0]))
@@ -383,7 +401,7 @@ def _patch_radiances(
 ) -> tuple[PatchRadiances, ...]:
     """Return the radiances of the patches in each [[chart]] or [[band]] capture, in the order of the ColorChecker.
 
-    Raises InputFileError if the radiances are relative in a [[chart]] capture, or if a patch has no light.
+    Raises InputFileError if the radiances of a [[chart]] capture are relative, or if no radiance of a patch is positive.
     """
     radiances = []
     for number, capture in enumerate(captures):
@@ -392,20 +410,20 @@ def _patch_radiances(
             measured = read(file).ordered(PATCH_NAMES, patch_name)
             if section == "chart" and {capture.unit, *measured.units} & set(RELATIVE):
                 raise InputFileError(
-                    f"{file} contains relative radiances, but [[chart]] captures determine the scale; "
-                    "measure absolute radiances"
+                    f"{file} contains relative radiances, but [[chart]] captures determine the absolute scale of the "
+                    "responsivity; measure absolute radiances"
                 )
             radiance = measured.photons(capture.unit, absolute=section == "chart")
             if radiance.max(axis=1).min() <= 0:
-                raise InputFileError(f"{file}: a patch has no light; measure the chart again")
+                raise InputFileError(f"{file}: the radiance of a patch is 0; measure the chart again")
             radiances.append(PatchRadiances(measured.wavelength, radiance))
     return tuple(radiances)
 
 
 def patch_name(heading: str) -> str:
-    """Return the name of the patch for a heading such as "patch 13", "13", "blue" or "white 9.5 (.05 D)".
+    """Convert a heading such as "patch 13", "13", "Blue" or "white 9.5 (.05 D)" to the name of a patch.
 
-    Other headings are returned in lower case, without text in brackets at the end.
+    Headings without a number of a patch are converted to lower case, without text in brackets at the end.
     """
     number = re.fullmatch(r"(?:patch|p|no|#)?[ ._-]*0*(\d{1,2})", heading.strip(), re.IGNORECASE)
     if number and 1 <= int(number[1]) <= PATCHES:
@@ -414,7 +432,7 @@ def patch_name(heading: str) -> str:
 
 
 def _curve(recipe: MeasurementRecipe, folder: Path) -> SweepTable | FinishedCurves | None:
-    """Return the curves of [sweep] or [curves], or None if the measurement file has neither."""
+    """Read the curves of [sweep] or [curves]. The result is None if the measurement file has neither section."""
     if recipe.sweep is not None:
         response = recipe.sweep.response
         return read_sweep(folder / recipe.sweep.table, folder / response.file, recipe.cfa.channels, response.column)
@@ -425,7 +443,10 @@ def _curve(recipe: MeasurementRecipe, folder: Path) -> SweepTable | FinishedCurv
 
 
 def _cameras(recipe: MeasurementRecipe, folder: Path) -> CurveStatistics | tuple[FinishedCurves, ...] | None:
-    """Return the curves of other cameras or their statistics, which photos need, or None if there are no photos."""
+    """Return the measured responsivities of other cameras or their statistics, from which photos are evaluated.
+
+    The result is None if the measurement file contains no photos.
+    """
     if not recipe.photos:
         return None
     return shipped_statistics() if recipe.prior is None else read_cameras(prior_files(folder / recipe.prior))
@@ -441,9 +462,9 @@ def _assembled(
     levels: Levels | None,
     read: Callable[[Path, Levels], RawContent],
 ) -> Measurements:
-    """Combine a recipe and the contents of its files into measurements, and read the photos.
+    """Combine a recipe and the contents of its files to measurements, and read the photos with the function `read`.
 
-    `levels` is used for photos that do not state their own levels. If `levels` is None, the levels in [datasheet] are used.
+    `levels` applies to photos that do not state their levels. If `levels` is None, the levels in [datasheet] apply.
     """
     if isinstance(recipe, CorrectionRecipe):
         assert contents.base is not None
@@ -484,7 +505,7 @@ def _assembled(
 
 
 def _corrections(recipe: CorrectionRecipe, camera: CameraModel, folder: Path) -> Measurements:
-    """Return the dark, white and polariser captures of a measurement file that has a `base`, for the known camera."""
+    """Return the measurements of a file with the key `base`: the dark, white and polariser captures of a known camera."""
     geometry = camera.name, camera.rows, camera.cols, camera.pixel_pitch, camera.bits, camera.channels, camera.cfa
 
     def frames(capture: CaptureRecipe) -> dict[str, Any]:
@@ -501,7 +522,10 @@ def _corrections(recipe: CorrectionRecipe, camera: CameraModel, folder: Path) ->
 
 
 def _polarisers(recipe: AnyRecipe, frames: Callable[[CaptureRecipe], dict[str, Any]]) -> dict[str, Any]:
-    """Return the keyword arguments for captures behind a rotating polariser. `frames` returns those for all captures."""
+    """Return the arguments of Measurements for the captures behind a rotating polariser.
+
+    `frames` is a function that returns the arguments of Capture for a capture of any type.
+    """
     stated = recipe.rotator or RotatorRecipe()
     return {
         "polariser": tuple(
@@ -544,7 +568,7 @@ def _figures(declared: DatasheetRecipe) -> SensorFigures:
 
 
 def _by_speed(recipes: Sequence[SensorCaptureRecipe], body: Body, folder: Path) -> dict[float | None, tuple[Capture, ...]]:
-    """Return the captures at each ISO speed. The key is None for captures that do not state a speed."""
+    """Group captures by ISO speed. The key is None for captures that do not state an ISO speed."""
     found: dict[float | None, tuple[Capture, ...]] = {}
     for each in recipes:
         found[each.iso] = (*found.get(each.iso, ()), Capture(**_frames(each, body, folder)))
@@ -552,12 +576,12 @@ def _by_speed(recipes: Sequence[SensorCaptureRecipe], body: Body, folder: Path) 
 
 
 def _frames(capture: CaptureRecipe, body: Body, folder: Path) -> dict[str, Any]:
-    """Return the keyword arguments for a capture of any type. The frames are read later."""
+    """Return the arguments of Capture for a capture of any type. The frames are read later."""
     files = FrameFiles(tuple(folder / name for name in capture.frames), (body.rows, body.cols), body.bits, body)
     return {"name": capture.frames[0], "exposure": capture.seconds, "frames": files, "monitor": capture.monitor}
 
 
 def _chart(chart: ChartRecipe, patches: PatchRadiances, body: Body, folder: Path) -> dict[str, Any]:
-    """Return the keyword arguments for a chart capture."""
+    """Return the arguments of ChartCapture or BandCapture for a capture of a chart."""
     corners = np.array(chart.corners, dtype=np.float64)
     return {**_frames(chart, body, folder), "illuminant": chart.illuminant, "corners": corners, **patches._asdict()}

@@ -49,26 +49,27 @@ class CalibrateOptions(ForceOptions, JobsOptions):
     )
     truth: OnePath = option(
         None,
-        "Virtual labs only: camera that was measured. l3 compares the model with it.",
+        "Virtual labs only: recipe of the simulated camera. l3 compares the calibrated model with this camera.",
         Recipe("cameras"),
         metavar="CAMERA",
         bytes=False,
     )
     accept: bool = option(
-        False, "Write the model even if it fails its checks, for example because its predictions of the charts are poor."
+        False, "Write the model even if it fails a check, for example if its predictions of the test charts are poor."
     )
 
 
 @options
 class DraftOptions(CalibrateOptions):
-    """Options of l3 calibrate. They also include the options for drafting a measurement file."""
+    """Options of l3 calibrate, including the options that draft a measurement file."""
 
     draft: OnePath = option(
-        None, "Do not calibrate: write a measurement file for the captures or tables in FOLDER.", metavar="FOLDER"
+        None, "Do not calibrate. Write a measurement file for the captures or tables in FOLDER.", metavar="FOLDER"
     )
     camera: OnePath = option(
         None,
-        "Drafts only: camera whose sensor, filter array and optics are copied into the measurement file.",
+        "With ‹draft› only: camera recipe from which the sensor, filter array and optics are copied into the measurement "
+        "file.",
         Recipe("cameras"),
         metavar="CAMERA",
     )
@@ -95,9 +96,9 @@ class SimulateOptions(ForceOptions, WorkerOptions, SeedOptions):
 
 
 class Shares(Reader):
-    """Proportions of several training sets, such as "1,0.7,0.4" or a sequence of numbers.
+    """Proportions of several training sets, as text such as "1,0.7,0.4" or as a sequence of numbers.
 
-    At least one proportion must be above zero.
+    At least one proportion must be above zero. The proportions need not add up to 1.
     """
 
     number = Number(0, 1e6)
@@ -125,29 +126,29 @@ class TrainOptions(ForceOptions, WorkerOptions, SeedOptions):
 
     classes: OnePath = option(
         None,
-        "Class recipe, or the name of an included recipe, such as best [default: default].",
+        "Class recipe: a file, or the name of an included recipe, such as best [default: default].",
         Recipe("classes"),
         metavar="TOML",
     )
     shares: Given[Sequence[float | Fraction] | str | None, tuple[Fraction, ...] | None] = option(
         None,
-        "Several training sets only: proportion of the patches from each set [default: proportional to its frames].",
+        "Several training sets only: relative number of patches from each set [default: its number of frames].",
         Shares(),
         metavar="A,B…",
     )
     draft: bool = option(
         False,
-        "Train in seconds, to try a CFA: one layer and a ninth of the samples. Pictures are 0.7 to 1.4 ΔE00 worse than with "
-        "the recipe default.",
+        "Train in seconds, to try a CFA, with one layer and a ninth of the samples. The error of the pictures is 0.7 to 1.4 "
+        "ΔE00 larger than with the recipe default.",
     )
 
 
 @options
 class ShardOptions(TrainOptions):
-    """Options of l3 train. They also include the options for training in shards."""
+    """Options of l3 train, including the options for training in shards."""
 
     shard: Given[PAIR | str | None, PAIR | None] = option(
-        None, "Compute only the partial sums of shard I of N (from 1), for ‹merge›.", Shard(), metavar="I/N", bytes=False
+        None, "Compute only the partial sums of shard I (1 to N), for ‹merge›.", Shard(), metavar="I/N", bytes=False
     )
     first: OnePath = option(None, "Shards only: table of the previous pass.", metavar="FIRST.h5")
     merge: bool = option(
@@ -157,27 +158,29 @@ class ShardOptions(TrainOptions):
 
 @options
 class EvaluateOptions(ForceOptions, BackendOptions):
-    """Options for evaluating a table on a training set."""
+    """Options for the evaluation of a table on a training set."""
 
     viewing: float = option(
         50.0, "Pixels per degree of visual angle, for S-CIELAB.", Number(2, 1000, "samples/degree"), metavar="2…1000"
     )
     border: int | None = option(
         None,
-        "Pixels to ignore at each edge of a frame [default: pixels whose neighbourhood extends beyond the frame].",
+        "Number of pixels to ignore at each edge of a frame [default: all pixels whose neighbourhood extends beyond the "
+        "frame].",
         Number(0, 1000, "pixels", whole=True),
         metavar="0…1000",
     )
     pictures: OnePath = option(
         None,
-        "Also write PNG files for every frame to this folder: the rendered, the ideal and the basic picture, and an error "
-        "map (black: ΔE00 0, white: 10).",
+        "Also write four PNG files per frame to this folder: the rendered picture, the ideal picture, the picture of basic "
+        "demosaicing, and an error map (black: ΔE00 0, white: ΔE00 10).",
         Output(),
         metavar="DIR",
     )
     rivals: Paths = option(
         (),
-        "sRGB pictures of the same frames from another pipeline, in order: a folder, pattern or glob. May be repeated.",
+        "sRGB pictures of the same frames, in the same order, from another pipeline: a folder, pattern or glob. May be "
+        "repeated.",
         flag="rival",
         metavar="PICTURES",
         several=True,
@@ -187,11 +190,11 @@ class EvaluateOptions(ForceOptions, BackendOptions):
 
 @options
 class SequenceOptions(EvaluateOptions):
-    """Options of l3 evaluate. They also include the options for evaluating a sequence."""
+    """Options of l3 evaluate, including the options for the evaluation of a sequence."""
 
     sequence: OnePath = option(
         None,
-        "Instead of a table: evaluate rendered pictures (folder, pattern, glob or video) over time.",
+        "Evaluate rendered pictures (folder, pattern, glob or video) over time, instead of a table.",
         metavar="PICTURES",
     )
     ideal: OnePath = option(
@@ -202,9 +205,10 @@ class SequenceOptions(EvaluateOptions):
 
 
 class Brightness(Reader):
-    """An illuminance or luminance with its unit, such as "5 lux". It is stored as the luminance of a perfect white in cd/m².
+    """An illuminance, or the luminance of a perfect white, with its unit, such as "5 lux" or "20 cd/m2".
 
-    In Python, a number without a unit is also permitted. It is a luminance in cd/m².
+    The stored value is the luminance of the perfect white in cd/m². In Python, a number without a unit is a luminance in
+    cd/m².
     """
 
     number = Number(1e-9, 1e9)
@@ -247,9 +251,9 @@ class CompareOptions(ForceOptions):
 class InfoOptions(Options):
     """Options of l3 info."""
 
-    verify: bool = option(False, "Verify every byte of FILE, and that FILE was made from the given INPUTs.")
+    verify: bool = option(False, "Verify every byte of FILE, and that l3 made FILE from these INPUTs.")
     version: bool = option(
-        False, "Without FILE: show the versions of l3, Python and its libraries, the OpenCL devices and the decoder."
+        False, "Without FILE: list the OpenCL devices and the versions of l3, Python, its libraries and the decoder."
     )
 
 
@@ -261,20 +265,20 @@ class ExportOptions(ForceOptions):
         None, "Tables only: write C99 source (c), or arrays with a JSON description (folder) [default: c].", flag="to"
     )
     words: Literal["float32", "int16"] | None = option(
-        None, "C source only: outputs as floats, or as integers in steps of 2^-12 [default: float32]."
+        None, "C source only: type of the outputs: float32, or int16 in steps of 2^-12 [default: float32]."
     )
     white: str | None = option(
         None,
-        "C source only: scene white that becomes neutral; the transforms of several illuminants are interpolated for it "
-        "[default: the white of the table].",
+        "C source only: white of the scene, which becomes neutral. If the table has transforms for several illuminants, l3 "
+        "interpolates between them for this white [default: the white of the table].",
         metavar="LIGHT|X,Y|R,G,B",
     )
     gain: float | None = option(
-        None, "Tables only: analog gain of the transforms, as a multiple of the gain of the camera [default: 1].",
+        None, "Tables only: analog gain of the frames to render, as a multiple of the gain of the camera [default: 1].",
         Number(1 / 1024, 1024, "times"),
         metavar="TIMES",
     )  # fmt: skip
-    prefix: str | None = option(None, "C source only: prefix of symbols and files [default: l3].", metavar="NAME")
+    prefix: str | None = option(None, "C source only: prefix of all symbols and file names [default: l3].", metavar="NAME")
     which: Literal["usual", "low-noise"] | None = option(
         None, "C source of tables with two sets of transforms only: the set to write [default: usual].", flag="set"
     )
@@ -284,7 +288,7 @@ class ExportOptions(ForceOptions):
 class BenchOptions(DeviceOptions):
     """Options of l3 bench."""
 
-    list: bool = option(False, "List the OpenCL devices, or say why there are none, without measuring anything.")
+    list: bool = option(False, "Only list the OpenCL devices. If l3 finds no device, it states the reason.")
 
 
 @options
@@ -301,7 +305,7 @@ class LabOptions(ForceOptions, JobsOptions, SeedOptions):
     """Options of l3 lab."""
 
     recipe: OnePath = option(
-        None, "Lab recipe, or the name of an included recipe [default: default].", Recipe("lab"), metavar="LAB.toml"
+        None, "Lab recipe: a file, or the name of an included recipe [default: default].", Recipe("lab"), metavar="LAB.toml"
     )
 
 
@@ -327,13 +331,13 @@ class DesignOptions(PartsOptions, SeedOptions):
 
     truth: int | None = option(
         None,
-        "Train this many of the best arrays and a Bayer array, and evaluate them on the same unseen scenes. This takes "
-        "minutes per array.",
+        "Train tables for this many of the best arrays and for a Bayer array, and evaluate the tables on the same unseen "
+        "scenes. This takes minutes per array.",
         Number(1, 100, "arrays", whole=True),
         metavar="1…100",
     )
 
-    moments: OnePath = option(None, 'Moments of scenes, which "l3 design moments" wrote.', metavar="SCENES.h5")
+    moments: OnePath = option(None, 'Statistics of scenes that "l3 design moments" wrote.', metavar="SCENES.h5")
 
 
 @options
@@ -348,16 +352,16 @@ class InitOptions(ForceOptions):
         metavar="RAW",
         several=True,
     )
-    named: bool = option(False, "List the included cameras. RECIPE is then a word to search for.", flag="list")
+    named: bool = option(False, "List the included cameras. RECIPE is then a word in their names.", flag="list")
     light: str | None = option(
         None,
-        'Raw files only: illuminant of the ColorChecker in them, such as "D65" or "3200K" [default: estimated].',
+        'Raw files only: illuminant of the ColorChecker, such as "D65" or "3200K" [default: estimated].',
         metavar="LIGHT",
     )
     phase: Given[PAIR | str | None, PAIR | None] = option(
         None,
-        "Raw files only: position of the first pixel in the colour filter array that the file states, as row and column "
-        "from 0. Set 0,0 to confirm the array as stated.",
+        "Raw files only: row and column, from 0, of the first pixel within the filter array that the file states. Set 0,0 "
+        "to confirm that the array starts at the first pixel.",
         SITE,
         metavar="ROW,COL",
     )
@@ -366,8 +370,8 @@ class InitOptions(ForceOptions):
     )
     pattern: str | None = option(
         None,
-        'Raw files only: filter array, if the array in the file is wrong. Rows from the first pixel on, such as "gg rr/gg '
-        'rr/bb gg/bb gg", or the name of a recipe.',
+        "Raw files only: filter array, if the array in the file is wrong. Write its rows, starting at the first pixel, such "
+        'as "gg rr/gg rr/bb gg/bb gg", or the name of a camera recipe.',
         metavar="ROWS|RECIPE",
     )
     white_level: float | None = option(

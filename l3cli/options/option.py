@@ -1,9 +1,9 @@
-"""Declaration of options, and the options that several commands share.
+"""Declare options, and define the options that several commands share.
 
-An option is declared once, as a field of a frozen dataclass with a reader, a default and a help text. From this declaration,
-l3 derives the command-line option (cli/options.py), the keyword of the Python function (api/stages.py), and the contribution
-of the option to the key with which `--resume` recognises a run. Every command imports this module first, so it must not
-import slow modules.
+Each option is declared once, as a field of a frozen dataclass with a reader, a default and a help text. l3 derives three
+things from the declaration: the command-line option (cli/options.py), the keyword of the Python function (api/stages.py),
+and the contribution of the option to the key by which `--resume` recognises a run. Every command imports this module first,
+so this module must not import slow modules.
 """
 
 import hashlib
@@ -29,9 +29,10 @@ T = TypeVar("T")
 
 
 class Given(Generic[TypeGiven, TypeStored]):
-    """Annotation of a field that accepts one type and stores another type.
+    """Annotation of a field that accepts one type and stores a different type.
 
-    For example, a field with the annotation Given[Name | None, Path | None] accepts a string or a path, and stores a path.
+    For example, a field with the annotation Given[Name | None, Path | None] accepts a string, a path or None, and stores a
+    path or None.
     """
 
     if TYPE_CHECKING:  # these methods exist only for type checkers; at run time, a field is an ordinary attribute
@@ -41,13 +42,16 @@ class Given(Generic[TypeGiven, TypeStored]):
 
 
 class Reader:
-    """Base class of the objects that check the value of an option and convert it to the type that is stored.
+    """Base class of the readers, which check the value of an option and convert it to the stored type.
 
-    Values come from the command line as text, and from Python as any type.
+    A value from the command line is text. A value from Python can have any type.
     """
 
     def read(self, given: Any) -> Any:
-        """Return the value to store. Raises ValueError if `given` is invalid. The message says how to correct the value."""
+        """Check `given`, and return the value to store.
+
+        Raises ValueError if `given` is invalid. The message says how to correct the value.
+        """
         raise NotImplementedError
 
     def written(self, stored: Any) -> Any:
@@ -74,7 +78,7 @@ class Text(Reader):
 class File(Reader):
     """Path of an input file.
 
-    The file is checked only when l3 opens it, because the error message can then be more specific.
+    The reader does not check whether the file exists, because the message is more specific when l3 opens the file.
     """
 
     def read(self, given: Any) -> Path:
@@ -87,7 +91,7 @@ class Output(File):
 
 @dataclass(frozen=True)
 class Recipe(File):
-    """A recipe file, or the name of a recipe that comes with l3 in the folder `kind` of configs/."""
+    """A recipe: the path of a file, or the name of a recipe in the subfolder `kind` of configs/."""
 
     kind: str
 
@@ -98,7 +102,7 @@ class Recipe(File):
 
 
 class Choice(Reader):
-    """One of several permitted values. A value can also be written as text."""
+    """One of several permitted values, which can also be written as text, such as "16" for 16."""
 
     def __init__(self, *values: Any) -> None:
         self.values = values
@@ -134,8 +138,10 @@ class Declaration:
     shared: bool = False  # whether several commands have the option; --help lists such options last
 
     def stored(self, given: Any) -> Any:
-        """Return the value to store. If `given` is None, this is the default. If the option may be repeated, it is
-        a tuple."""
+        """Convert `given`, or the default if `given` is None, to the value to store.
+
+        The result is a tuple if the option may be repeated, and None if the default is also None.
+        """
         given = self.default if given is None else given
         if given is None:
             return None
@@ -147,8 +153,7 @@ class Declaration:
 def option(default: Any, help: str, reader: Reader | None = None, **about: Any) -> Any:
     """Return a dataclass field that declares an option.
 
-    An option that is off by default should have the default None. All other defaults, even 0, become part of the key of a
-    run.
+    Use the default None for an option that is off by default. Any other default, even 0, becomes part of the key of a run.
 
     Parameters
     ----------
@@ -165,7 +170,7 @@ def option(default: Any, help: str, reader: Reader | None = None, **about: Any) 
 
 
 def declarations(cls: "type[Options]") -> dict[str, Declaration]:
-    """Return the declarations of the options of a command by name. Options that several commands have come last."""
+    """Return the declaration of each option of a command, by name. Options that several commands share come last."""
     declared = {}
     for each in fields(cls):
         if "option" in each.metadata:
@@ -175,7 +180,7 @@ def declarations(cls: "type[Options]") -> dict[str, Declaration]:
 
 
 def _reader_of(type: Any) -> Reader:
-    """Return the reader for the type of a field."""
+    """Return the usual reader for the annotation of a field."""
     if get_origin(type) is Given:
         return _reader_of(get_args(type)[1])
     if get_origin(type) is Literal:
@@ -187,9 +192,9 @@ def _reader_of(type: Any) -> Reader:
 
 @dataclass_transform(kw_only_default=True)
 def options(cls: type[T]) -> type[T]:
-    """Class decorator that turns a class of options into a frozen dataclass with keyword arguments.
+    """Class decorator that turns a class of options into a frozen dataclass with keyword-only arguments.
 
-    The class is not declared as frozen for type checkers, because mypy would then lose the stored types of inherited fields.
+    Type checkers do not see that the dataclass is frozen. Otherwise, mypy would ignore the types of inherited Given fields.
     """
     return dataclass(frozen=True, kw_only=True)(cls)
 
@@ -202,8 +207,8 @@ _SILENT = Silent()
 class Options:
     """Base class of the options of a command.
 
-    The constructor checks and converts all values. It raises RecipeError if a value is invalid. Without a console, messages
-    are discarded.
+    The constructor checks and converts all values, and raises RecipeError if a value is invalid. If `console` is None,
+    messages are discarded.
     """
 
     console: Given[Console | None, Console] = _NOT_GIVEN  # on the command line, set by --quiet, --log and --json
@@ -217,17 +222,20 @@ class Options:
                 raise RecipeError(f"‹{declared.flag or name}›: {error}") from None
 
     def chosen(self) -> dict[str, Any]:
-        """Return the options that affect outputs, by name and as JSON types. Options that are None or off are left out.
+        """Return the values, as JSON types, of the options that affect the bytes of outputs.
 
-        Input files are also left out, because `run_key` identifies them by their bytes.
+        Options that are None or off are left out. Input files are also left out, because `run_key` identifies a file by its
+        content.
         """
         declared = declarations(type(self)).items()
         stored = {name: (each, getattr(self, name)) for name, each in declared if each.bytes and not _is_file(each)}
         return {name: each.reader.written(value) for name, (each, value) in stored.items() if _is_chosen(value)}
 
     def inputs(self, all: bool = True) -> dict[str, tuple[Path, ...]]:
-        """Return the input files among the options, by name. If `all` is False, return only the files that affect
-        outputs."""
+        """Return the input files of each option, by the name of the option.
+
+        If `all` is False, leave out the options that do not affect the bytes of outputs.
+        """
         read = {
             name: getattr(self, name)
             for name, each in declarations(type(self)).items()
@@ -236,16 +244,22 @@ class Options:
         return {name: stored if isinstance(stored, tuple) else (stored,) for name, stored in read.items() if stored}
 
     def run_key(self, *facts: Any, files: Callable[[Path], Iterable[Path]] | None = None) -> str:
-        """Return a digest of everything that affects the bytes of the outputs of a run: version of l3, options, input files
-        and `facts`.
+        """Return a digest of everything that affects the bytes of the outputs of a run.
+
+        The digest depends on the version of l3, the options, the contents of the input files, and `facts`.
 
         Parameters
         ----------
         *facts
-            Facts about the other inputs of the run, as JSON types.
+            JSON types that identify inputs of the run which are not options.
         files : callable, optional
-            Function that returns the files to which the path in an option refers. [default: the files of a sequence of
+            Function that lists the files to which the path in an option refers. [default: the files of a sequence of
             frames]
+
+        Returns
+        -------
+        str
+            SHA-256 digest in hexadecimal.
         """
         from l3cli.io.sequences import frame_files
 
@@ -272,7 +286,7 @@ OnePath = Given[Name | None, Path | None]
 
 
 class Pair(Reader):
-    """Two whole numbers with a separator, such as "2,0" for ROW,COL, or a tuple of two numbers."""
+    """Two whole numbers, as text with a separator, such as "2,0" for ROW,COL, or as a tuple."""
 
     def __init__(self, shape: str, separator: str, number: Number) -> None:
         self._shape, self._separator, self._number = shape, separator, number
@@ -293,7 +307,7 @@ SITE = Pair("ROW,COL", ",", Number(0, 65535, "rows or columns", whole=True))
 
 
 class Shard(Pair):
-    """A shard I/N, which is part I of N parts of a run. I is counted from 1."""
+    """A shard I/N of a run, where I is the number of the shard, from 1 to N, the number of all shards."""
 
     def __init__(self) -> None:
         super().__init__("I/N, such as 1/4", "/", Number(0, 1_000_000, "shards", whole=True))
@@ -321,7 +335,8 @@ class DeviceOptions(Options):
 
     device: str | None = option(
         None,
-        'OpenCL device: part of its name, or its number in the list of "l3 bench" [default: L3_DEVICE].',
+        'OpenCL device: part of its name, or its number in the list of "l3 bench" [default: the environment variable '
+        "L3_DEVICE].",
         metavar="NAME|INDEX",
         shared=True,
     )
@@ -339,20 +354,20 @@ class SeedOptions(Options):
 
 @options
 class SchedulerOptions(Options):
-    """Options for workers on other machines. The options for TLS are permitted only with a scheduler."""
+    """Options for workers on other machines. The TLS options are permitted only with a scheduler."""
 
     scheduler: str | None = option(
         None, "Run on the workers of this dask scheduler (tcp://HOST:PORT).", metavar="ADDRESS", bytes=False, shared=True
     )
     tls_ca: OnePath = option(
         None,
-        "tls:// only: certificate of the authority that signed the certificate of the scheduler.",
+        "tls:// only: certificate of the authority that signed the scheduler's certificate.",
         metavar="PEM",
         bytes=False,
         shared=True,
     )
     tls_cert: OnePath = option(
-        None, "tls:// only: certificate of this machine, for the scheduler.", metavar="PEM", bytes=False, shared=True
+        None, "tls:// only: certificate that this machine presents.", metavar="PEM", bytes=False, shared=True
     )
     tls_key: OnePath = option(None, "tls:// only: private key of ‹tls_cert›.", metavar="PEM", bytes=False, shared=True)
 
@@ -362,8 +377,8 @@ class SchedulerOptions(Options):
             raise RecipeError("‹tls_ca›, ‹tls_cert› and ‹tls_key› need ‹scheduler›; set ‹scheduler› to its tls:// address")
 
     def cluster(self) -> "Scheduler | None":
-        """Return the scheduler, or None if no address is set. Raises an error if the address or a TLS file cannot
-        be used."""
+        """Return the scheduler, or None if no address is set. Raises an L3Error if the address or a TLS file is
+        unusable."""
         if self.scheduler is None:
             return None
         from l3cli.parallel.cluster import Scheduler
@@ -380,7 +395,7 @@ class JobsOptions(Options):
 
 @options
 class WorkerOptions(JobsOptions, SchedulerOptions):
-    """Options for processes on this machine or on other machines. The two cannot be combined."""
+    """Options for processes on this machine, or for workers on other machines. The options cannot be combined."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -390,6 +405,6 @@ class WorkerOptions(JobsOptions, SchedulerOptions):
 
 @options
 class ForceOptions(Options):
-    """Option that permits replacing outputs."""
+    """Option that permits the command to replace existing outputs."""
 
     force: bool = option(False, "Replace the output if it exists.", bytes=False, shared=True)

@@ -33,16 +33,19 @@ GAIN = Number(1 / 1024, 1024, "times")
 
 
 class Exposure(NamedTuple):
-    """The exposure of rendered pictures."""
+    """The value of the option `exposure`."""
 
-    factor: float | None  # factor of Y; None for automatic exposure
-    stops: float = 0.0  # EV by which pictures are brighter than with the automatic exposure
+    factor: float | None  # number by which Y is multiplied; None for automatic exposure
+    stops: float = 0.0  # EV relative to the automatic exposure; positive values make pictures brighter
     stated: bool = False  # whether `factor` multiplies the exposure that each file states (BaselineExposure)
 
 
 class ExposureReader(Reader):
-    """Exposure of pictures: a factor of Y, "auto", EV relative to "auto" (such as "+1EV"), or "camera" for the exposure in
-    each file."""
+    """Exposure of pictures, in one of four forms.
+
+    A number is a factor by which Y is multiplied. "auto" is the automatic exposure. "+1EV" is an exposure relative to
+    "auto". "camera" is the exposure that each file states.
+    """
 
     factor, stops = Number(1e-9, 1e9, "times Y"), Number(-20, 20, "EV")
 
@@ -61,7 +64,10 @@ class ExposureReader(Reader):
         except ValueError as error:
             raise ValueError(f"{error}, auto, camera, or EV relative to auto such as -1EV") from None
         if text.startswith("+"):  # factors are written without a sign, so the user may have meant EV
-            raise ValueError(f"{text} is ambiguous; write {text[1:]} (factor of Y) or {text}EV (brighter than auto)")
+            raise ValueError(
+                f"{text} is ambiguous; write {text}EV for {text[1:]} EV more than auto, or {text[1:]} to multiply Y by "
+                "this factor"
+            )
         return Exposure(factor)
 
 
@@ -85,7 +91,10 @@ class FrameRange(Reader):
 
 
 class Rate(Reader):
-    """Frame rate in frames/s, as a number or a fraction. It is rounded to a rate that videos can store."""
+    """Frame rate in frames/s, as a number or a fraction such as "30000/1001".
+
+    The stored rate is rounded to a fraction that videos can store.
+    """
 
     number, part = Number(0.001, 1000, "frames/s"), Number(1, 10**12, whole=True)
 
@@ -119,7 +128,7 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
 
     format: str = option(
         "png",
-        "Folders only: suffix of the pictures. With the suffix of a video, each INPUT becomes one video.",
+        "Output folders only: suffix of the pictures. If it is the suffix of a video, each INPUT becomes one video.",
         metavar="SUFFIX",
     )
     frames: Given[range | str | None, range | None] = option(
@@ -141,7 +150,7 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     crf: float | None = option(
         None,
-        "h264 and h265 only: constant rate factor; lower values mean better quality [default: as the encoder sets it].",
+        "h264 and h265 only: constant rate factor. Lower values mean better quality [default: the encoder's default].",
         Number(0, 51),
         metavar="0…51",
     )
@@ -150,8 +159,8 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     exposure: Given[Exposure | float | str | None, Exposure] = option(
         "auto",
-        "VALUE: multiply Y by this number, where 1 is display white. auto: show the 99th percentile of Y as white. "
-        "+1EV: twice as bright as auto. camera: the exposure that the file states.",
+        "VALUE: multiply Y by this number, where Y = 1 is display white. auto: show the 99th percentile of Y as white. "
+        "+1EV: twice as bright as auto. camera: use the exposure that the file states.",
         ExposureReader(),
         metavar="auto|camera|VALUE|±NEV",
     )
@@ -161,23 +170,23 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     tone: Literal["aces"] | None = option(
         None,
-        "Tone curve. aces: Narkowicz's fit (2016) of the ACES film curve, which shows up to 2.9 EV above "
+        "Tone curve. aces: Narkowicz's approximation (2016) of the ACES film curve, which retains detail up to 2.9 EV above "
         "white [default: linear, clipped at white].",
     )
     white: str | None = option(
         None,
         "White of the scene, which becomes neutral: an illuminant, a chromaticity, one multiplier per channel, the white of "
-        "the table or of the file (camera), an estimate (auto), the white of a ColorChecker (chart), or a grey area of the "
-        "picture [default: camera if the file is a camera raw that states a white, otherwise table].",
+        "the table (table) or of the file (camera), an estimate from the frame (auto), the white of a ColorChecker (chart), "
+        "or a grey area of the picture [default: camera for camera raw files that state a white, otherwise table].",
         metavar="NAME|x,y|R,G,B|table|camera|auto|chart|ROW,COL[,SIZE]",
     )
     show: Literal["dolp", "aolp", "stokes"] | None = option(
         None,
-        "Polarisation cameras only: show the degree of polarisation, its angle, or all Stokes parameters in colours, with a "
-        "colour bar [default: the intensity or colour picture].",
+        "Polarisation cameras only: show the degree of linear polarisation (dolp), its angle (aolp), or all Stokes "
+        "parameters (stokes) in colours, with a colour bar [default: the intensity or colour picture].",
     )
     space: Literal["srgb", "display-p3", "rec2020", "acescg", "xyz"] | None = option(
-        None, "Colour space [default: srgb; for .exr files and 32 bits, the outputs of the table, unchanged]."
+        None, "Colour space [default: srgb, but the unchanged outputs of the table for .exr files and 32 bits]."
     )
     remosaic: Literal["bayer"] | None = option(
         None, "DNG output only: write a Bayer mosaic [default: three channels at every pixel]."
@@ -215,11 +224,12 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     camera: OnePath = option(
         None,
-        "Camera model, or table that contains one. l3 corrects its defective pixels and its shading.",
+        "Camera model, or table that contains a camera model. l3 corrects the defective pixels and the shading that the "
+        "model describes.",
         metavar="CAMERA.h5",
     )
     hot: Literal["auto", "off"] = option(
-        "off", "Find and correct hot pixels in each frame, in addition to those that the camera model lists."
+        "off", "Find and correct hot pixels in each frame, in addition to the pixels that the camera model lists."
     )
     phase: Given[PAIR | str | None, PAIR | None] = option(
         None,
@@ -238,8 +248,8 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     packing: str | None = option(
         None,
-        "Headerless files only: packing: u16, u8, raw10 or raw12 (MIPI), or a PFNC name such as Mono10p, Mono12Packed, "
-        "BayerRG8 or PolarizeMono12p [default: MIPI for .raw10 and .raw12, otherwise u16].",
+        "Headerless files only: packing of the values. Use u16, u8, raw10 or raw12 (MIPI), or a PFNC name such as Mono10p, "
+        "Mono12Packed, BayerRG8 or PolarizeMono12p [default: MIPI for .raw10 and .raw12, otherwise u16].",
         PackingName(),
         metavar="NAME",
     )
@@ -254,23 +264,23 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     stride: int | None = option(
         None,
-        "Headerless files only: bytes from the start of a row to the start of the next [default: rows without padding].",
+        "Headerless files only: bytes from the start of a row to the start of the next row [default: no padding].",
         Number(1, 100_000_000, "bytes", whole=True),
         metavar="BYTES",
     )
     uncertainty: OnePath = option(
         None,
-        "Single frames only: also write the standard deviation of each output due to noise, and a mask, to this .exr file.",
+        "Single frames only: also write an .exr file with the standard deviation of each output due to noise, and a mask.",
         Output(),
         metavar="FILE",
         bytes=False,
     )
     temporal: bool = option(
-        False, "Sequences only: reduce noise by blending each frame with the previous ones where the scene has not changed."
+        False, "Sequences only: reduce noise by blending each frame with previous frames wherever the scene is unchanged."
     )
     shard: Given[PAIR | str | None, PAIR | None] = option(
         None,
-        "Sequences only: render shard I of N (from 1). All shards together give the same pictures as one run.",
+        "Sequences only: render only shard I (1 to N). All shards together produce the same pictures as one run.",
         Shard(),
         metavar="I/N",
         bytes=False,
@@ -278,11 +288,11 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     skip_bad: bool = option(False, "Skip missing and damaged frames. The exit code is 1 if a frame is skipped.", bytes=False)
     resume: bool = option(
         False,
-        "Continue an interrupted run over a sequence of pictures. With several clips, render only new or changed clips.",
+        "Continue an interrupted run on a sequence of pictures. With several clips, render only new or changed clips.",
         bytes=False,
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.gain is not None and self.gains is not None:
-            raise RecipeError("‹gain› sets one gain for all frames, and ‹gains› one gain per frame; remove one of them")
+            raise RecipeError("‹gain› sets one gain for all frames, and ‹gains› sets one gain per frame; remove one option")

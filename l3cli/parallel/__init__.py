@@ -1,7 +1,7 @@
-"""Pools of worker processes and of workers on other machines.
+"""Pools of worker processes on this machine, and of workers on other machines.
 
-Results are in the order of the items and do not depend on the workers. Modules that start processes are imported only when
-processes are needed.
+The results are in the order of the items and do not depend on the number of workers. To save start-up time, the modules that
+start processes are imported only when they are needed.
 """
 
 import contextlib
@@ -21,10 +21,10 @@ R = TypeVar("R")
 
 
 def one_blas_thread() -> None:
-    """Limit BLAS to one thread in this process and its children. Must be called before numpy is first imported.
+    """Limit BLAS to one thread in this process and its children. Call this function before numpy is first imported.
 
-    With several threads, small matrix products are slower, idle threads slow down video encoders, and the rounding of
-    results depends on the number of cores.
+    With several BLAS threads, the rounding of results would depend on the number of cores. Small matrix products would be
+    slower, and idle threads would slow down video encoders.
     """
     os.environ.update(ONE_BLAS_THREAD)
 
@@ -32,18 +32,19 @@ def one_blas_thread() -> None:
 def without_plots() -> None:
     """Prevent colour-science from importing matplotlib and pandas, which l3 does not use.
 
-    If they are installed, importing colour-science would take 4.8 instead of 2.4 s of processor time (on a slow core) in
-    each process that simulates or trains.
+    If these packages are installed, they would double the processor time for importing colour-science, from 2.4 s to 4.8 s
+    on a slow core, in each process that simulates or trains.
     """
     for name in ("matplotlib", "pandas"):
-        sys.modules.setdefault(name, None)  # type: ignore[arg-type] # None makes imports fail
+        sys.modules.setdefault(name, None)  # type: ignore[arg-type] # with the value None, imports of the module fail
 
 
 def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> Iterator[R]:
-    """Yield function(item) for each item, in order, computed by `jobs` processes. If `jobs` is 1, this process is used.
+    """Compute function(item) for each item in `jobs` processes, and yield the results in the order of the items.
 
-    At most 2·jobs results are stored, so that memory does not grow with the number of items. Processes are spawned rather
-    than forked, because a forked process hangs if an OpenCL context exists. Each process uses one BLAS thread.
+    If `jobs` is 1, the current process computes the results. Otherwise, at most 2·jobs results are stored, so that the
+    memory does not grow with the number of items. New processes are spawned, because a forked process hangs if an OpenCL
+    context exists. Each new process uses one BLAS thread.
     """
     with workers(jobs) as pool:
         yield from pool(function, items)
@@ -51,7 +52,11 @@ def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> It
 
 @contextlib.contextmanager
 def workers(jobs: int, scheduler: "Scheduler | None" = None) -> Iterator[WorkerPool]:
-    """Yield a pool that consists of `jobs` processes or, if there is a scheduler, of the workers of the scheduler."""
+    """Yield a pool of workers.
+
+    If `scheduler` is not None, the pool consists of the workers of the scheduler. Otherwise it consists of `jobs` processes,
+    or of the current process if `jobs` is 1.
+    """
     if scheduler is not None:
         from l3cli.parallel.cluster import workers_of
 

@@ -29,25 +29,26 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 ANSWER_SECONDS = 10.0  # time limit for an answer from the scheduler
-WORKERLESS_SECONDS = 60.0  # time without any worker after which a run fails
+WORKERLESS_SECONDS = 60.0  # a run fails if the scheduler has had no worker for this time
 CHECK_SECONDS = 1.0  # interval between checks of the number of workers
 INSTALL = '‹scheduler› needs dask; install it with: pip install "l3cli[cluster]"'
 WITHOUT_TLS = (
     "the scheduler accepts connections from other machines without TLS, so other users can run programs under your account; "
     "use a tls:// address with ‹tls_ca›"
 )
-REPORTED = (L3Error, OSError, MemoryError)  # errors of a worker that are raised again, because l3 reports them in one line
+REPORTED = (L3Error, OSError, MemoryError)  # errors of a worker that l3 raises again and reports in one line
 _one_at_a_time = threading.Lock()
 
 
 @dataclass(frozen=True)
 class Scheduler:
-    """The address of a dask.distributed scheduler, with PEM files if the scheduler uses TLS.
+    """The address of a dask.distributed scheduler, and the PEM files with which l3 connects to it over TLS.
 
     Raises
     ------
     RecipeError
-        If the address is invalid, or if PEM files are missing or not needed.
+        If the address is invalid, if it starts with tls:// and one of the three PEM files is not set, or if it starts with
+        tcp:// and a PEM file is set.
     InputFileError
         If a PEM file does not exist.
     """
@@ -56,7 +57,7 @@ class Scheduler:
     ca: Path | None = None  # certificate of the authority that both sides trust
     certificate: Path | None = None  # certificate of this machine
     key: Path | None = None  # private key of the certificate
-    warn: Callable[[str], None] = lambda message: None  # called if other machines can reach the scheduler without TLS
+    warn: Callable[[str], None] = lambda message: None  # is called if other machines can connect without TLS
 
     def __post_init__(self) -> None:
         match = re.fullmatch(r"(tcp|tls)://\S+:(\d{1,5})", self.address, re.ASCII)
@@ -76,25 +77,26 @@ class Scheduler:
 
 @contextlib.contextmanager
 def workers_of(scheduler: Scheduler) -> Iterator[WorkerPool]:
-    """Yield the workers of a scheduler as a pool.
+    """Connect to a scheduler, and yield its workers as a pool.
 
-    If the block fails, items that have not started are discarded, and each worker finishes its current item.
+    If the block fails, each worker finishes its current item, and the other items are discarded.
 
     Raises
     ------
     L3Error
-        If dask is not installed, if the scheduler does not answer, or if there is no worker.
+        If dask is not installed, if the scheduler does not answer, or if it has no worker for WORKERLESS_SECONDS.
     """
     try:
         import dask
         import distributed
     except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
-    for name in ("distributed", "distributed.client", "tornado", "tornado.application", "asyncio"):  # dask sets each level
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # l3 reports errors itself, in one line
+    # dask sets the level of each of these loggers.
+    for name in ("distributed", "distributed.client", "tornado", "tornado.application", "asyncio"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # l3 reports each error in one line
     settings = {
         "distributed.comm.timeouts.connect": f"{ANSWER_SECONDS} s",
-        # dask recommends scattering large data, but scattered data are lost if the worker that stores them dies.
+        # For large items, dask warns that data should be scattered. But if a worker dies, the data that it stores are lost.
         "distributed.admin.large-graph-warning-threshold": "1 GiB",
     }
     with dask.config.set(settings):
@@ -118,7 +120,7 @@ def _connected(distributed: Any, scheduler: Scheduler) -> Any:
             security.get_connection_args("client")
         except OSError as error:
             raise InputFileError(
-                f"‹tls_ca›, ‹tls_cert› or ‹tls_key› cannot be used ({error}); use valid PEM files"
+                f"‹tls_ca›, ‹tls_cert› or ‹tls_key› is not a valid PEM file ({error}); correct these options"
             ) from error
     try:
         return distributed.Client(scheduler.address, security=security, timeout=ANSWER_SECONDS, set_as_default=False)
@@ -136,12 +138,12 @@ def _is_loopback(address: str) -> bool:
 
 
 class _Workers:
-    """The number of workers of a scheduler. It is updated at most every CHECK_SECONDS."""
+    """Counts the workers of a scheduler, at most once per CHECK_SECONDS."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
         self._checked = -CHECK_SECONDS
-        self._seen = time.monotonic()  # last time at which there was a worker
+        self._seen = time.monotonic()  # last time at which the scheduler had a worker
         self._count = 0
 
     def first(self) -> int:
@@ -153,7 +155,7 @@ class _Workers:
     def count(self) -> int:
         """Return the number of workers.
 
-        Raises L3Error if there has been no worker for WORKERLESS_SECONDS, or if the scheduler does not answer.
+        Raises L3Error if the scheduler has had no worker for WORKERLESS_SECONDS, or if it does not answer.
         """
         if time.monotonic() - self._checked >= CHECK_SECONDS:
             try:
@@ -177,21 +179,21 @@ _GONE = "the scheduler has stopped; start it and its workers again"
 def _sent_out(
     client: Any, workers: _Workers, function: Callable[[T], R], items: Iterable[T], fits: Callable[[T, R], bool]
 ) -> Iterator[R]:
-    """Apply a function to items on the workers, and yield the results in the order of the items.
+    """Compute function(item) for each item on the workers, and yield the results in the order of the items.
 
-    At most two items per worker are sent at a time. The workers keep the results until they are needed. If the caller stops
-    early, the unfinished items are cancelled.
+    At most two items per worker are submitted at a time. Each result stays on its worker until the caller needs it. If the
+    caller stops early, the unfinished items are cancelled.
 
     Raises
     ------
     L3Error
-        If the scheduler or all workers are gone, if a worker has other software, if the function fails, or if `fits` rejects
-        a result.
+        If the scheduler or all workers have stopped, if the software of a worker has another version, if the function fails,
+        or if `fits` rejects a result.
     """
 
     def work(versions: dict[str, str], content: bytes) -> bytes:
-        # A local function is sent by value instead of by name, so that a worker without l3cli can report that l3cli is
-        # missing. The scheduler only forwards bytes and does not need l3cli.
+        # dask sends the code of a local function instead of its name. A worker without l3cli can therefore report that the
+        # package is missing. The scheduler needs no l3cli, because it only forwards bytes.
         from l3cli.parallel.cluster import work_elsewhere
 
         return work_elsewhere(versions, content)
@@ -216,10 +218,10 @@ def _sent_out(
 
 
 def _answer(client: Any, workers: _Workers, future: Any) -> Any:
-    """Wait for the answer of a worker. If a worker dies, dask repeats its item.
+    """Wait for the answer of a worker. If the worker dies, dask computes the item on another worker.
 
-    Raises L3Error if the scheduler or all workers are gone, if a worker cannot import a module, if several workers died at
-    the same item, or if dask cannot read the answer.
+    Raises L3Error if the scheduler or all workers have stopped, if a worker cannot import a module, if several workers died
+    during the computation of this item, or if dask cannot read the answer.
     """
     from distributed import KilledWorker
     from distributed.comm import CommClosedError
@@ -237,7 +239,8 @@ def _answer(client: Any, workers: _Workers, future: Any) -> Any:
         raise _missing(error) from error
     except KilledWorker as error:
         raise L3Error(
-            "several workers died at the same item, perhaps for lack of memory; use workers with more memory"
+            "several workers died during the computation of the same item, perhaps because memory ran out; use workers with "
+            "more memory"
         ) from error
     except L3Error:
         raise
@@ -248,21 +251,22 @@ def _answer(client: Any, workers: _Workers, future: Any) -> Any:
 
 
 def _opened(answer: Any, fits: Callable[[Any], bool], worker: Callable[[], str]) -> Any:
-    """Return the result that an answer of `work_elsewhere` contains.
+    """Return the result in an answer of `work_elsewhere`.
 
     Parameters
     ----------
     answer : bytes
-        The answer. A worker that runs other code may also send anything else.
+        The answer. A worker with different code may send an object of any other type.
     fits : callable
-        Returns whether a result has the expected types and shapes, or raises an exception if not.
+        Function that returns whether a result has the expected types and shapes. It may raise an exception for a result of
+        a wrong type.
     worker : callable
-        Returns the name of the worker, for messages.
+        Function that returns the address of the worker, for messages.
 
     Raises
     ------
-    L3Error
-        If the worker failed, or if its answer cannot be read or does not fit.
+    L3Error, OSError or MemoryError
+        If the worker failed, if its answer cannot be read, or if `fits` rejects the result.
     """
     try:
         failed, value = pickle.loads(answer)
@@ -276,14 +280,14 @@ def _opened(answer: Any, fits: Callable[[Any], bool], worker: Callable[[], str])
         raise L3Error(f"worker {worker()} failed ({value}); its log contains the traceback")
     try:
         expected = fits(value)
-    except Exception:  # a value of a wrong type can fail in any way
+    except Exception:  # for a value of a wrong type, `fits` can raise any exception
         expected = False
     if not expected:
         raise L3Error(f"worker {worker()} returned a result of the wrong type {type(value).__name__}; {_REPLACE}")
     return value
 
 
-_REPLACE = "stop this worker, or start it again with the same version of l3cli, and run the command again"
+_REPLACE = "install the same version of l3cli on this worker, restart it, and run the command again"
 
 
 def _missing(error: ImportError) -> L3Error:
@@ -295,7 +299,7 @@ def _line(error: Exception) -> str:
 
 
 def _worker_of(client: Any, future: Any) -> str:
-    """Return the address of the worker that stores a result."""
+    """Return the address of the worker that stores a result, for messages."""
     try:
         return str(next(iter(client.who_has([future])[future.key])))
     except (OSError, RuntimeError, LookupError, StopIteration, CancelledError):  # the worker has gone
@@ -303,7 +307,7 @@ def _worker_of(client: Any, future: Any) -> str:
 
 
 def _versions() -> dict[str, str]:
-    """Return the versions that must agree on all machines, so that results have the same bytes."""
+    """Return the versions of software that must be the same on all machines, because they affect the bytes of results."""
     python = platform.python_version().rpartition(".")[0]
     return {"l3cli": __version__, "numpy": importlib.metadata.version("numpy"), "Python": python}
 
@@ -311,12 +315,19 @@ def _versions() -> dict[str, str]:
 def work_elsewhere(versions: dict[str, str], content: bytes) -> bytes:
     """Compute function(item) in a worker.
 
+    Parameters
+    ----------
+    versions : dict of str to str
+        Versions of the software on the main machine, from `_versions`.
+    content : bytes
+        The pickled pair (function, item).
+
     Returns
     -------
     bytes
-        Pickle of (whether the function failed, its result or error). dask does not pickle the result or the error itself,
-        because a run would stop or wait if the main process could not read them. An error that is not `REPORTED` is sent as
-        text, because only the worker may know its class.
+        The pickled pair (failed, value). `value` is the result or, if `failed` is true, the error. An error whose class is
+        not in REPORTED is converted to text, because the class may be missing in the main process. The pair is pickled here
+        because dask could wait forever if the main process failed to unpickle an object.
     """
     try:
         return pickle.dumps((False, _computed(versions, content)))
@@ -328,10 +339,10 @@ def work_elsewhere(versions: dict[str, str], content: bytes) -> bytes:
 
 
 def _computed(versions: dict[str, str], content: bytes) -> Any:
-    """Return function(item). `content` is the pickled pair (function, item).
+    """Compute function(item) for the pickled pair (function, item) in `content`.
 
-    One item is computed at a time, because not all functions are thread-safe. Raises L3Error if a version on this worker
-    differs from `versions`, or if the worker uses several BLAS threads.
+    A worker computes one item at a time, because not all functions are thread-safe. Raises L3Error if a version on this
+    worker differs from `versions`, or if the worker uses several BLAS threads.
     """
     for name, theirs in versions.items():
         if (ours := _versions()[name]) != theirs:
@@ -346,7 +357,7 @@ def _computed(versions: dict[str, str], content: bytes) -> Any:
 
 @contextlib.contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """Yield a temporary folder in a worker. If the worker is killed, dask removes the folder."""
+    """Create a temporary folder in a worker for the duration of the block. If the worker is killed, dask removes it."""
     from distributed import get_worker
 
     with tempfile.TemporaryDirectory(dir=get_worker().local_directory) as folder:

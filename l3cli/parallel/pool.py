@@ -1,4 +1,4 @@
-"""The common interface of all pools of workers."""
+"""The interface that all pools of workers share."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -22,22 +22,22 @@ class WorkerPool:
     def __call__(
         self, function: Callable[[T], R], items: Iterable[T], fits: Callable[[T, R], bool] = _accepted
     ) -> Iterator[R]:
-        """Yield function(item) for each item, in order.
+        """Compute function(item) for each item, and yield the results in the order of the items.
 
         Parameters
         ----------
         function : callable
-            Function at the top level of a module.
+            Function at the top level of a module, because workers import it by name.
         items : iterable
-            Arguments of the function.
+            Arguments of the function, which must be picklable.
         fits : callable, optional
-            Function of an item and its result. It returns whether the result has the types and shapes that `function`
-            returns for this item. For a result of a wrong type, it may also raise an exception. Only results from other
-            machines are checked, because the workers there may run other code.
+            Function of an item and its result, which returns whether the types and shapes of the result are correct. For a
+            result of a wrong type, it may raise any exception. It is called only for results from other machines, because
+            the workers there may run different code. [default: accept every result]
 
         Raises
         ------
         L3Error
-            If a worker on another machine returns a result that does not fit.
+            If a worker on another machine returns a result that `fits` rejects.
         """
         return self._map(function, items, fits)

@@ -25,9 +25,10 @@ R = TypeVar("R")
 
 @contextlib.contextmanager
 def several(jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]]:
-    """Yield a `map` function that uses `jobs` new processes and stores at most two results per process.
+    """Start `jobs` processes, and yield a function like `map` that computes in these processes.
 
-    The processes end at the end of the block, or immediately if the block fails or is interrupted.
+    At most two results per process are stored. The processes end at the end of the block, or immediately if the block fails
+    or is interrupted.
     """
     with environment(ONE_BLAS_THREAD):
         pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _begin)
@@ -38,10 +39,10 @@ def several(jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]
             for child in multiprocessing.active_children():
                 if child not in before:
                     child.terminate()
-            # Without this, Ctrl-C would hang while a worker sends a large result, such as the sums of a training. Half of
-            # the result is in the pipe, and the thread of the pool waits for the rest until every writing end is closed.
-            # This process closes its own end. Before Python 3.11.5, the thread that sends items waits for readers in the
-            # same way (python/cpython#94777).
+            # If a worker is terminated while it sends a large result, the result thread of the pool waits for the rest of
+            # the data until all writing ends of the pipe are closed. This process must close its own writing end, or Ctrl-C
+            # would hang. Before Python 3.11.5, the thread that sends items waits in the same way until all reading ends are
+            # closed (python/cpython#94777).
             pool._result_queue._writer.close()  # type: ignore[attr-defined]
             if sys.version_info < (3, 11, 5):
                 pool._call_queue._reader.close()  # type: ignore[attr-defined]
@@ -51,10 +52,11 @@ def several(jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]
 
 
 def _submit(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> "Future[R]":
-    """Submit an item to the pool, which may start a process.
+    """Submit an item to the pool. This may start a process.
 
-    Signals are blocked while the process starts, because a half-started process would print a traceback. In the new process,
-    SIGINT stays blocked. Ctrl-C reaches the whole process group, but only the parent reacts.
+    Signals are blocked while the process starts, because an interrupted start would print a traceback. The new process
+    inherits the blocked signals and unblocks only SIGTERM. Ctrl-C sends SIGINT to all processes, but only the parent handles
+    it.
     """
     old = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
@@ -66,10 +68,9 @@ def _submit(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> "
 
 @contextlib.contextmanager
 def _script_left_alone(function: Callable[..., object]) -> Iterator[None]:
-    """Prevent new processes from importing the running script.
+    """Prevent new processes from importing the running script, unless the script defines `function`.
 
-    If a script calls `l3cli` at its top level, every process that imports the script would start the work again. The import
-    is only needed for functions that are defined in the script.
+    If a script calls l3cli outside a function, each process that imports the script would start the whole work again.
     """
     script = sys.modules["__main__"]
     if getattr(function, "__module__", None) == "__main__":
@@ -84,15 +85,14 @@ def _script_left_alone(function: Callable[..., object]) -> Iterator[None]:
 
 
 def _begin() -> None:
-    """Set up a worker process: SIGTERM ends it, colour-science imports no plotting library, and it ends when its
-    parent ends."""
+    """Initialise a worker process: unblock SIGTERM, prevent the import of plotting libraries, and watch the parent."""
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
     without_plots()
     _end_with_parent()
 
 
 def _end_with_parent() -> None:
-    """End the worker process as soon as its parent process ends, even if the parent is killed."""
+    """Start a thread that ends this worker process as soon as its parent process has ended, even if it was killed."""
     parent: Any = multiprocessing.parent_process()
 
     def watch() -> None:
@@ -112,4 +112,4 @@ def _pooled(pool: ProcessPoolExecutor, most: int, function: Callable[[T], R], it
         while waiting:
             yield waiting.popleft().result()
     except BrokenProcessPool as error:
-        raise L3Error("a worker process was killed, perhaps for lack of memory; reduce ‹jobs›") from error
+        raise L3Error("a worker process was killed, perhaps because memory ran out; reduce ‹jobs›") from error

@@ -1,4 +1,4 @@
-"""Threads that read in advance, write in the background, or run a task in the background."""
+"""Threads that read items in advance, write items in the background, or run a task in the background."""
 
 import contextlib
 import os
@@ -10,31 +10,36 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
-READ_SECONDS, WORK_SECONDS, WRITE_SECONDS = 1.0, 5.0, 25.0  # time limits for the current item after an interrupt
+# Time limits, after an interrupt, for the current item of `prefetched`, of BackgroundTask and of WriteBehind.
+READ_SECONDS, WORK_SECONDS, WRITE_SECONDS = 1.0, 5.0, 25.0
 
 
 class _End(Exception):
-    """Marks the end of a queue."""
+    """Item of a queue that marks its end."""
 
 
 @contextlib.contextmanager
 def threaded(count: int) -> Iterator[Callable[[Callable[[T], R], Iterable[T]], Iterable[R]]]:
-    """Yield a `map` function that uses up to `count` threads, at most one per core. Results are in order."""
+    """Yield a function like `map` that uses up to `count` threads, but at most one thread per core.
+
+    The results are in the order of the items. For a single thread, the function is the built-in `map`.
+    """
     if (count := min(count, os.cpu_count() or 1)) < 2:
         yield map
         return
-    from concurrent.futures import (
-        ThreadPoolExecutor,
-    )  # imported here, because rendering does not need it
+    from concurrent.futures import ThreadPoolExecutor  # a slow import that rendering does not need
 
     with ThreadPoolExecutor(count) as pool:
         yield pool.map
 
 
 def prefetched(items: Iterable[T], depth: int) -> Iterator[T]:
-    """Yield the items of an iterable. Another thread computes up to `depth` items in advance."""
+    """Yield the items of an iterable, while a thread computes up to `depth` items in advance.
+
+    An exception of the iterable is raised after the items that precede it.
+    """
     ready: queue.Queue[Any] = queue.Queue()
-    free = threading.Semaphore(depth)  # number of further items that may be computed
+    free = threading.Semaphore(depth)  # number of items that the thread may still compute
     stopped = threading.Event()
 
     def work() -> None:
@@ -45,7 +50,7 @@ def prefetched(items: Iterable[T], depth: int) -> Iterator[T]:
         except BaseException as error:
             ready.put((None, error))
 
-    # The thread is a daemon, because a thread that waits for input must not prevent the program from ending.
+    # A daemon thread does not prevent the program from ending while the thread waits for input.
     thread = threading.Thread(target=work, daemon=True)
     thread.start()
     try:
@@ -60,14 +65,14 @@ def prefetched(items: Iterable[T], depth: int) -> Iterator[T]:
     finally:
         stopped.set()
         free.release()
-        with contextlib.suppress(RuntimeError):  # at interpreter exit, Python 3.14 does not permit waiting for threads
-            thread.join(READ_SECONDS)  # a thread inside a C library could crash the program at exit
+        with contextlib.suppress(RuntimeError):  # at interpreter exit, Python 3.14 raises it for `join`
+            thread.join(READ_SECONDS)  # otherwise, a thread inside a C library could crash the program at exit
 
 
 def _while_free(items: Iterable[T], free: threading.Semaphore, stopped: threading.Event) -> Iterator[T]:
     iterator = iter(items)
     while True:
-        free.acquire()  # before an item is computed, because `depth` includes unfinished items
+        free.acquire()  # here and not after the item is computed, because `depth` includes unfinished items
         if stopped.is_set():
             return
         try:
@@ -78,9 +83,10 @@ def _while_free(items: Iterable[T], free: threading.Semaphore, stopped: threadin
 
 
 class BackgroundTask:
-    """Context manager that runs `work` in another thread during the block.
+    """Context manager that runs `work` in a thread during the block, and waits for the thread at the end.
 
-    Errors are ignored. `work` only prepares results that the main thread needs later, and the error occurs again there.
+    Errors of `work` are ignored. `work` only prepares results that the main thread needs later. If this fails, the same
+    error occurs again in the main thread.
     """
 
     def __init__(self, work: Callable[[], object]) -> None:
@@ -106,11 +112,12 @@ class BackgroundTask:
 
 
 class WriteBehind:
-    """Calls function(item) in other threads, at most `depth` items later. A single thread preserves the order.
+    """Context manager that calls function(item) in background threads, for example to write files.
 
-    At the end of the context, WriteBehind waits for the last item, even if the block failed. If an item fails, waiting items
-    are discarded, and the next `put` or the end of the context raises the error. The current item is always finished, but
-    after an interrupt, the wait is limited to WRITE_SECONDS.
+    At most `depth` items wait at a time, and `put` blocks while the queue is full. With one thread, the items are processed
+    in their order. At the end of the block, WriteBehind waits until all items are processed, even if the block failed. If
+    the function raises an error, the waiting items are discarded, and the next call of `put` or the end of the block raises
+    the error again. After an interrupt, only the current items are finished, in at most WRITE_SECONDS.
     """
 
     def __init__(self, function: Callable[[T], object], depth: int, threads: int = 1) -> None:
@@ -118,7 +125,7 @@ class WriteBehind:
         self._items: queue.Queue[Any] = queue.Queue(depth)
         self._error: BaseException | None = None
         self._complete = False  # whether all items have been put
-        # Thread.join is not used: in Python 3.11, a thread whose join is interrupted counts as ended while it still works.
+        # Events replace Thread.join. In Python 3.11, after an interrupted `join`, a running thread counts as ended.
         self._ended = [threading.Event() for _ in range(threads)]
         self._threads = [threading.Thread(target=self._run, args=(ended,), daemon=True) for ended in self._ended]
 
@@ -148,10 +155,10 @@ class WriteBehind:
             raise self._error
 
     def _drop(self, interruption: BaseException) -> None:
-        """Discard waiting items, and wait until the items in progress are finished.
+        """Discard the waiting items, and wait until the current items are finished.
 
-        Without this wait, a thread that is still inside a C library could crash the program at exit. The wait is limited to
-        WRITE_SECONDS, because a write to a pipe that nobody reads never returns.
+        Without this wait, a thread inside a C library could crash the program at exit. The wait is limited to WRITE_SECONDS,
+        because a write to a full pipe without a reader never returns.
         """
         self._error = self._error or interruption
         self._wake_one()
@@ -160,7 +167,7 @@ class WriteBehind:
             ended.wait(max(end - time.monotonic(), 0))
 
     def _wake_one(self) -> None:
-        with contextlib.suppress(queue.Full):  # a thread that takes an item from a full queue then notices `_complete`
+        with contextlib.suppress(queue.Full):  # if the queue is full, no thread waits for an item
             self._items.put_nowait(_End)
 
     def _run(self, ended: threading.Event) -> None:
@@ -173,9 +180,9 @@ class WriteBehind:
         while not (self._complete and self._items.empty()):
             item = self._items.get()
             if item is _End or self._error is not None:
-                continue  # after an error, the queue is emptied so that `put` does not block
+                continue  # after an error, items are removed from the queue but not processed, so that `put` does not block
             try:
                 self._function(item)
             except BaseException as error:
                 self._error = error
-        self._wake_one()  # another thread may be waiting for items
+        self._wake_one()  # the next thread may be waiting for an item

@@ -1,4 +1,4 @@
-"""Colour charts with known reflectances."""
+"""Reflectances of the patches of ColorChecker charts."""
 
 import functools
 import re
@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from l3cli.errors import RecipeError, suggestion
 from l3cli.physics import spectra
 
-CLASSIC = (4, 6)  # numbers of rows and columns of patches
+CLASSIC = (4, 6)  # rows and columns of patches on the classic ColorChecker
+# Names of data sets in colour-science: two sets of spectra, and the colours that the manufacturer states for newer charts.
 AVERAGE, STANDARD = "BabelColor Average", "ISO 17321-1"
 SINCE_2014 = "ColorChecker24 - After November 2014"
-CHARTS = {  # name → name of the measured spectra, and name of the manufacturer's colours for newer charts or None
+CHARTS = {  # name of a chart → name of its measured spectra, and name of the stated colours or None
     "classic": (AVERAGE, None),
     "classic ISO 17321": (STANDARD, None),
     "classic 2014": (AVERAGE, SINCE_2014),
@@ -20,20 +21,21 @@ CHARTS = {  # name → name of the measured spectra, and name of the manufacture
     "passport 2": (AVERAGE, SINCE_2014),
 }
 NO_SPECTRA = (
-    "the reflectances of this chart are not published; set chart to a CSV file with the wavelength and one column of "
-    'reflectances per patch, row by row: chart = "sg.csv", layout = [10, 14]'
+    "the reflectances of this chart are not published; set chart to a CSV file with a column of wavelengths and one column "
+    'of reflectances per patch, in row order: chart = "sg.csv", layout = [10, 14]'
 )
-CORRECTION_NM = 60.0  # correlation length of the correction for the dyes of newer charts, in nm
+CORRECTION_NM = 60.0  # correlation length of the correction of the spectra of newer charts, in nm
 Array = NDArray[np.floating]
 
 
 def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
     """Return the names and reflectances of the patches of a ColorChecker, row by row.
 
-    The charts "classic" and "passport" were made before November 2014. Their spectra are the average of thirty charts
-    (BabelColor), and those of "classic ISO 17321" are from the chart in ISO 17321-1. Later charts have different dyes, whose
-    spectra are not published. For "classic 2014" and "passport 2", the older spectra are therefore multiplied by smooth
-    factors so that their colours are those that the manufacturer states.
+    "classic" and "passport" are charts from before November 2014. Their spectra are the average of thirty charts
+    (BabelColor). The spectra of "classic ISO 17321" are from ISO 17321-1. Later charts ("classic 2014", "passport 2") have
+    different dyes, whose spectra are not published. Their spectra are computed from the average of the older charts: a
+    smooth factor of the wavelength is applied to each spectrum, so that its colour becomes the colour that the manufacturer
+    states.
 
     Parameters
     ----------
@@ -47,7 +49,7 @@ def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
     names : tuple of str
         Names of the patches.
     reflectance : ndarray, (patch, wavelength)
-        Reflectances.
+        Reflectances, interpolated linearly. Beyond the measured range, a reflectance is constant.
 
     Raises
     ------
@@ -65,7 +67,7 @@ def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
 
 
 def _corrected(reflectance: Array, wavelength: Array, stated: str) -> Array:
-    """Multiply reflectances by the smoothest factors that reproduce the colours that the manufacturer states."""
+    """Multiply each reflectance by the smoothest factor of the wavelength that results in the stated colour."""
     target = _stated_xyz(stated)
     light = spectra.illuminant("D50", wavelength)
     weights = spectra.xyz_weights(wavelength) * light
@@ -82,7 +84,7 @@ def _corrected(reflectance: Array, wavelength: Array, stated: str) -> Array:
 
 @functools.cache
 def _stated_xyz(stated: str) -> Array:
-    """Return the colours (patch, 3) that the manufacturer states, as XYZ under D50. A perfect white has Y = 1."""
+    """Return the colours (patch, 3) that the manufacturer states, as XYZ under D50, where a perfect white has Y = 1."""
     colour = spectra.colour_science()
     table = colour.CCS_COLOURCHECKERS[stated]
     assert np.allclose(table.illuminant, colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D50"], atol=2e-3)

@@ -1,7 +1,7 @@
-"""Estimates the illuminant of a scene from its white point, or from the camera signals of a grey
+"""Estimate the illuminant of a scene from its white point, or from the camera signals of a grey surface
 (docs/method.md#scene-white).
 
-Illuminants are modelled as black bodies or daylight with a green or magenta tint.
+Illuminants are modelled as black bodies or CIE daylight with a green or magenta tint.
 """
 
 import functools
@@ -14,14 +14,14 @@ from l3cli.physics import spectra
 
 Array = NDArray[np.floating]
 
-WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # visible wavelengths in nm
-# Reciprocal colour temperatures in mired (10^6/K), from 25 000 K to 1600 K.
+WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # wavelengths of light, in nm, from which XYZ is computed
+# Reciprocal colour temperatures of the model illuminants in mired (10^6/K), from 25 000 K to 1600 K.
 MIREDS = np.concatenate([np.arange(40.0, 250.0, 10.0), np.arange(250.0, 631.0, 10.0)])
-DAYLIGHT_MIRED = 250.0  # limit in mired (4000 K); hotter illuminants are modelled as daylight, cooler as black bodies
-GREENS = np.arange(-0.8, 1.01, 0.1)  # tints: natural logarithm of the factor by which green light is increased
-GREEN_NM, GREEN_WIDTH = 545.0, 45.0  # centre and width of the tint in nm, as in the spectra of fluorescent lamps
+DAYLIGHT_MIRED = 250.0  # model illuminants up to this value (from 4000 K) are daylight; all others are black bodies
+GREENS = np.arange(-0.8, 1.01, 0.1)  # tints: natural logarithm of the factor at GREEN_NM; negative values are magenta
+GREEN_NM, GREEN_WIDTH = 545.0, 45.0  # centre and width of the tint in nm, near the green line of fluorescent lamps
 SAME_MIRED = 1.0  # difference in mired (42 K at 6500 K) below which two colour temperatures look the same
-FINER = 10  # number of steps of the second, finer search within one step of the first search
+FINER = 10  # the second search divides each step of the first search into this number of steps
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class CorrelatedLight:
 
     xyz: NDArray[np.float64]  # (3,) XYZ of a perfect white, with Y = 1
     kelvin: float  # correlated colour temperature in K
-    duv: float  # distance from the black-body locus in CIE 1960 uv, which is positive for greenish illuminants
-    misfit: float  # RMS difference between the logarithms of the modelled and of the measured signals
-    radiance: Array | None  # (wavelength,) relative photon radiance on the wavelength grid of the camera, or None if unknown
+    duv: float  # distance from the black-body locus in CIE 1960 uv; positive for greenish illuminants
+    misfit: float  # RMS difference between the logarithms of the modelled signals and of the measured signals
+    radiance: Array | None  # (wavelength,) relative photon radiance at the wavelengths of the camera; None if unknown
 
 
 def radiance(mired: float, green: float, wavelength: Array) -> Array:
@@ -43,13 +43,14 @@ def radiance(mired: float, green: float, wavelength: Array) -> Array:
     mired : float
         Reciprocal correlated colour temperature in mired (10^6/K).
     green : float
-        Tint, in the unit of GREENS.
+        Tint: the natural logarithm of the factor by which light at 545 nm is increased. Negative values are magenta.
     wavelength : ndarray, (wavelength,)
         Wavelengths in nm.
 
     Returns
     -------
     ndarray, (wavelength,)
+        The radiance. Without a tint, its mean is 1.
     """
     kelvin = 1e6 / mired
     plain = spectra.illuminant(f"{'D' if mired <= DAYLIGHT_MIRED else ''}{kelvin:.6f}K", wavelength)
@@ -57,14 +58,14 @@ def radiance(mired: float, green: float, wavelength: Array) -> Array:
 
 
 def _greener(green: float, wavelength: Array) -> Array:
-    """Return the factor, for each wavelength, that gives an illuminant a green tint."""
+    """Return the factor of the tint at each wavelength."""
     return np.asarray(np.exp(green * np.exp(-(((wavelength - GREEN_NM) / GREEN_WIDTH) ** 2))))
 
 
 def light_of_neutral(weights: Array, wavelength: Array, neutral: Array) -> CorrelatedLight:
-    """Find the illuminant under which a grey surface has the given camera signals.
+    """Find the model illuminant under which a grey surface best has the measured camera signals.
 
-    The illuminant minimises the squared error of the logarithms of the signals.
+    The illuminant minimises the squared differences between the logarithms of the modelled and the measured signals.
 
     Parameters
     ----------
@@ -73,11 +74,12 @@ def light_of_neutral(weights: Array, wavelength: Array, neutral: Array) -> Corre
     wavelength : ndarray, (wavelength,)
         Wavelengths in nm.
     neutral : ndarray, (channel,)
-        Signals of a grey surface, in any unit. Channels without a positive signal are ignored.
+        Signals of a grey surface, in any unit. Channels whose signal is not positive are ignored.
 
     Returns
     -------
     CorrelatedLight
+        The illuminant, with its radiance at `wavelength`.
     """
     mired, green, misfit = _nearest(weights, wavelength, neutral)
     xyz = spectra.xyz_weights(WAVELENGTH) @ radiance(mired, green, WAVELENGTH)
@@ -85,26 +87,27 @@ def light_of_neutral(weights: Array, wavelength: Array, neutral: Array) -> Corre
 
 
 def light_of_white(white: Array, wavelength: Array) -> CorrelatedLight:
-    """Find the illuminant with a given white point.
+    """Find the model illuminant that best has a given white point.
 
     Parameters
     ----------
     white : ndarray, (3,)
         XYZ of the white point, at any luminance.
     wavelength : ndarray, (wavelength,)
-        Wavelengths of the camera in nm, at which the radiance is returned.
+        Wavelengths of the camera in nm.
 
     Returns
     -------
     CorrelatedLight
-        The illuminant, whose `misfit` is computed from X, Y and Z.
+        The illuminant, with its radiance at `wavelength`. Its `misfit` is computed from X, Y and Z instead of camera
+        signals.
     """
     mired, green, misfit = _nearest(spectra.xyz_weights(WAVELENGTH), WAVELENGTH, white)
     return CorrelatedLight(white / white[1], *temperature(white), misfit, radiance(mired, green, wavelength))
 
 
 def _nearest(weights: Array, wavelength: Array, neutral: Array) -> tuple[float, float, float]:
-    """Return the mired value, tint and misfit of the illuminant under which a grey best has the signals `neutral`."""
+    """Return the mired value, the tint and the misfit of the illuminant under which grey best has the signals `neutral`."""
     used = neutral > 0
     wanted = _centred(np.log(neutral[used]))
     mireds, greens = MIREDS, GREENS
@@ -120,15 +123,24 @@ def _nearest(weights: Array, wavelength: Array, neutral: Array) -> tuple[float, 
 
 
 def light_of(white: Array) -> CorrelatedLight:
-    """Return an illuminant of unknown spectrum with the white point `white`, given as XYZ."""
+    """Return an illuminant with an unknown spectrum. `white` is the XYZ (3,) of its white point, at any luminance."""
     return CorrelatedLight(np.asarray(white / white[1], np.float64), *temperature(white), 0.0, None)
 
 
 def temperature(xyz: Array) -> tuple[float, float]:
-    """Return the correlated colour temperature, in K, of a white given as XYZ, and its distance from the black-body locus.
+    """Return the correlated colour temperature of a white, and its distance from the black-body locus.
 
-    The temperature is limited to the range from 1600 K to 25 000 K. The distance is in CIE 1960 uv. It is positive if the
-    white is greener than a black body.
+    Parameters
+    ----------
+    xyz : ndarray, (3,)
+        XYZ of the white, at any luminance.
+
+    Returns
+    -------
+    kelvin : float
+        Correlated colour temperature in K, limited to 1600…25 000 K.
+    duv : float
+        Distance in CIE 1960 uv. It is positive if the white is greener than a black body.
     """
     mireds, locus = _black_bodies()
     point = uv(xyz)
@@ -142,7 +154,7 @@ def temperature(xyz: Array) -> tuple[float, float]:
 
 
 def mired_of(xyz: Array) -> float:
-    """Return the reciprocal colour temperature, in mired, of a white given as XYZ, limited as in `temperature`."""
+    """Return the reciprocal colour temperature of the white `xyz` in mired, limited to 40…625 mired (see `temperature`)."""
     return 1e6 / temperature(xyz)[0]
 
 
@@ -154,7 +166,7 @@ def uv(xyz: Array) -> NDArray[np.float64]:
 
 @functools.cache
 def _black_bodies() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the reciprocal colour temperatures, in mired, and the CIE 1960 uv coordinates of a series of black bodies."""
+    """Return points of the black-body locus: the reciprocal colour temperatures in mired, and the CIE 1960 uv (point, 2)."""
     mireds = np.arange(MIREDS[0], MIREDS[-1] + 1, 5.0)
     lights = np.array([spectra.illuminant(f"{1e6 / each:.6f}K", WAVELENGTH) for each in mireds])
     return mireds, uv(lights @ spectra.xyz_weights(WAVELENGTH).T)

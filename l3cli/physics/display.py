@@ -1,7 +1,7 @@
-"""Conversion between XYZ and displayed pictures, and colour differences (docs/method.md#display).
+"""Convert between XYZ and displayed pictures, and compute colour differences (docs/method.md#display).
 
-XYZ means CIE 1931. A picture is an array (row, col, 3) of linear sRGB values, where 1 is display white. Integer values of a
-picture file are called *codes*.
+XYZ is CIE 1931 XYZ. A picture is an array (row, col, 3) of linear sRGB values, where 1 is display white. The integer values
+of a picture file are called *codes*.
 """
 
 import functools
@@ -18,14 +18,14 @@ from l3cli.system.text import Quantity
 
 Array = NDArray[np.floating]
 XYZ = ("X", "Y", "Z")  # names of the outputs if they are CIE 1931 tristimulus values
-CHROMATICITY = Quantity(0.001, 0.999)  # range of x and y of a white
-WHITE_PERCENTILE = 99  # percentile of Y that is displayed as white, as in the pictures of the L3 paper
+CHROMATICITY = Quantity(0.001, 0.999)  # permitted range of x and y of a white
+WHITE_PERCENTILE = 99  # percentile of Y that becomes display white, as in the pictures of the L3 paper
 LUMA = np.array([0.2126, 0.7152, 0.0722])  # luminance weights of the sRGB primaries (Rec. 709)
 FLOAT_BITS = 32  # bits per value of linear pictures in floating point
-CODES = {8: np.uint8, 16: np.uint16}  # bits per code → type
-AT_ONCE = 1 << 13  # number of colour differences that are computed together, so that they fit into the processor cache
-TONE_LIMIT = 1e6  # linear values are clipped to this limit, far above the value at which tone curves reach white
-PRECISION = 1e-3  # tolerance of the gradient in the optimisation; a smaller tolerance does not change the results
+CODES = {8: np.uint8, 16: np.uint16}  # bits per code → data type
+AT_ONCE = 1 << 13  # number of colours per block whose differences are computed together, to fit into the processor cache
+TONE_LIMIT = 1e6  # linear values are clipped here before the tone curve; this is far above the value that becomes white
+PRECISION = 1e-3  # the optimisation ends when the gradient is smaller; a smaller tolerance does not change the results
 
 
 # ------------------------------------------------------------------------------------------- white and exposure
@@ -33,28 +33,29 @@ PRECISION = 1e-3  # tolerance of the gradient in the optimisation; a smaller tol
 
 @functools.cache
 def daylight() -> Array:
-    """Return the XYZ of D65, the white of displays, with Y = 1."""
+    """Return the XYZ (3,) of D65, the white of displays, with Y = 1."""
     return white_point("D65")
 
 
 def display_white() -> Array:
-    """Return the XYZ of display white according to the rounded matrix of sRGB, which equals D65 to four digits."""
+    """Return the XYZ (3,) of display white according to the rounded matrix of sRGB. It equals D65 to four digits."""
     return np.linalg.solve(SRGB_FROM_XYZ, np.ones(3))
 
 
 def white_luminance(luminance: Array) -> float:
-    """Return the luminance that is displayed as white: the 99th percentile of `luminance` (row, col).
+    """Return the luminance that becomes display white: the 99th percentile of `luminance` (row, col).
 
-    If the scene is completely dark, the result is 1.
+    If the percentile is not positive, the result is 1.
     """
     bright = white_percentile(luminance)
     return bright if bright > 0 else 1.0
 
 
 def white_percentile(values: Array) -> float:
-    """Return the 99th percentile of `values` as np.percentile does, up to the rounding of float32 in its versions.
+    """Return the 99th percentile of an array, or NaN if it contains NaN.
 
-    np.percentile would import numpy's masked arrays, which takes a twentieth of the time for rendering a picture.
+    The result is that of np.percentile, except that rounding in float32 differs between versions of numpy. np.percentile is
+    not used because it imports numpy's masked arrays, which takes 5 % of the time for rendering a picture.
     """
     flat = values.ravel()
     place = (flat.size - 1) * (WHITE_PERCENTILE / 100)
@@ -68,12 +69,12 @@ def white_percentile(values: Array) -> float:
 
 
 def exposure_scale(luminance: Array) -> float:
-    """Return the factor that maps the 99th percentile of `luminance` (row, col) to 1. It is 1 if the scene is dark."""
+    """Return the factor that maps the 99th percentile of `luminance` (row, col) to 1, or 1 if it is not positive."""
     return 1.0 / white_luminance(luminance)
 
 
 def scene_white(text: str) -> NDArray[np.float64]:
-    """Parse a white, which is either a chromaticity "x,y" or the name of an illuminant.
+    """Convert the chromaticity "x,y" of a white, or the name of an illuminant, to XYZ.
 
     Returns
     -------
@@ -83,7 +84,7 @@ def scene_white(text: str) -> NDArray[np.float64]:
     Raises
     ------
     RecipeError
-        If the text is neither a chromaticity nor the name of an illuminant.
+        If the text is neither a valid chromaticity nor the name of an illuminant.
     """
     if "," not in text:
         return np.asarray(white_point(text), np.float64)
@@ -102,12 +103,12 @@ def scene_white(text: str) -> NDArray[np.float64]:
 
 
 def xyz_from_srgb_matrix() -> Array:
-    """Return the matrix (3, 3) that converts linear sRGB to XYZ. White has Y = 1."""
+    """Return the matrix (3, 3) that converts linear sRGB to XYZ, where white has Y = 1."""
     return np.linalg.inv(SRGB_FROM_XYZ)
 
 
 def srgb_curve(linear: Array) -> Array:
-    """Encode linear values as non-linear sRGB (IEC 61966-2-1). The values are first clipped to 0…1."""
+    """Clip linear values to 0…1, and encode them as non-linear sRGB (IEC 61966-2-1)."""
     return SRGB_CURVE.encoded(linear)
 
 
@@ -119,19 +120,19 @@ def srgb_decoded(encoded: Array) -> Array:
 def codes(encoded: Array, bits: int = 8) -> NDArray[Any]:
     """Convert encoded values in 0…1 to the codes of a picture file: round((2^bits − 1) · value).
 
-    `bits` is 8 or 16.
+    `bits` is 8 or 16, and the result is uint8 or uint16. Values outside 0…1 are not clipped.
     """
     return np.floor(encoded * (2**bits - 1) + 0.5).astype(CODES[bits])
 
 
 def srgb_codes(linear: Array, bits: int = 8) -> NDArray[Any]:
-    """Encode linear sRGB as the codes of a picture file."""
+    """Convert linear sRGB values, which are clipped to 0…1, to the codes of a picture file with 8 or 16 bits."""
     return codes(srgb_curve(linear), bits)
 
 
 @dataclass(frozen=True)
 class Tone:
-    """A tone curve for linear values x: x (a x + b) / (x (c x + d) + e), limited to 0…1."""
+    """A tone curve x (a x + b) / (x (c x + d) + e) for linear values x, limited to 0…1."""
 
     a: float
     b: float
@@ -140,12 +141,12 @@ class Tone:
     e: float
 
     def toned(self, linear: Array) -> Array:
-        """Apply the tone curve. The result is still linear, without a transfer curve."""
+        """Apply the tone curve to linear values. The result is also linear, and needs a transfer curve for display."""
         x = np.clip(linear, 0.0, TONE_LIMIT)
         return np.minimum(x * (self.a * x + self.b) / (x * (self.c * x + self.d) + self.e), 1.0)
 
 
-# A fit to the output transform of ACES, from K. Narkowicz, "ACES Filmic Tone Mapping Curve", 2016.
+# An approximation of the output transform of ACES, from K. Narkowicz, "ACES Filmic Tone Mapping Curve", 2016.
 TONES = {"aces": Tone(2.51, 0.03, 2.43, 0.59, 0.14)}
 
 
@@ -153,16 +154,16 @@ TONES = {"aces": Tone(2.51, 0.03, 2.43, 0.59, 0.14)}
 
 
 def displayed(xyz: Array, white: Array, scale: float) -> Array:
-    """Convert XYZ to a picture.
+    """Convert the XYZ of a scene to a picture, with chromatic adaptation to D65.
 
     Parameters
     ----------
     xyz : ndarray, (3, row, col)
         CIE 1931 XYZ.
     white : ndarray, (3,)
-        XYZ of the white of the scene, which is adapted to D65.
+        XYZ of the scene white, at any luminance. Its chromaticity becomes neutral.
     scale : float
-        Luminance Y that becomes display white.
+        Luminance Y that becomes display white, in the unit of `xyz`.
 
     Returns
     -------
@@ -174,18 +175,18 @@ def displayed(xyz: Array, white: Array, scale: float) -> Array:
 
 
 def scene_xyz(linear: Array, white: Array, scale: float) -> Array:
-    """Convert a picture to XYZ (3, row, col). This function is the inverse of `displayed`, except for clipped values."""
+    """Convert a picture to the XYZ (3, row, col) of the scene. Inverse of `displayed`, except for clipped values."""
     matrix = adaptation_matrix(daylight(), white) @ xyz_from_srgb_matrix() * scale
     return np.einsum("co,rko->crk", matrix, linear)
 
 
 def displayed_xyz(linear: Array) -> Array:
-    """Convert a picture to the XYZ (row, col, 3) that a display emits. White has Y = 1."""
+    """Convert a picture to the XYZ (row, col, 3) that a display emits, where display white has Y = 1."""
     return linear @ xyz_from_srgb_matrix().T
 
 
 def lab(xyz: Array, white: Array) -> Array:
-    """Convert XYZ (…, 3) to CIE L*a*b* (CIE 15). `white` is the XYZ of white in the same unit."""
+    """Convert XYZ (…, 3) to CIE L*a*b* (CIE 15), in float64. `white` is the XYZ (3,) of white in the same unit."""
     share = np.asarray(xyz, np.float64) / white
     root = np.where(share > (6 / 29) ** 3, np.cbrt(share), share * (29 / 6) ** 2 / 3 + 4 / 29)
     x, y, z = np.moveaxis(root, -1, 0)
@@ -193,19 +194,30 @@ def lab(xyz: Array, white: Array) -> Array:
 
 
 def lightness(linear: Array) -> Array:
-    """Convert a picture to CIE L* (row, col), from 0 to 100."""
+    """Return the CIE L* (row, col) of a picture, from 0 for black to 100 for display white."""
     return np.asarray(colour_science().lightness(100.0 * (linear @ LUMA), method="CIE 1976"))
 
 
 def srgb_from_lab(lab_values: Array) -> Array:
-    """Convert CIE L*a*b* (…, 3) relative to D65 to linear sRGB (…, 3), without clipping."""
+    """Convert CIE L*a*b* (…, 3) with the white D65 to linear sRGB (…, 3), without clipping."""
     colour = colour_science()
     white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
     return np.asarray(colour.Lab_to_XYZ(lab_values, white) @ SRGB_FROM_XYZ.T)
 
 
 def delta_e_2000(lab_a: Array, lab_b: Array) -> Array:
-    """Return the CIEDE2000 colour differences (…) between two arrays of L*a*b* values (…, 3)."""
+    """Return the CIEDE2000 colour differences between two arrays of L*a*b* values.
+
+    Parameters
+    ----------
+    lab_a, lab_b : ndarray, (…, 3)
+        The colours. The shapes are broadcast.
+
+    Returns
+    -------
+    ndarray, (…)
+        Differences, in float64.
+    """
     one, other = np.broadcast_arrays(lab_a, lab_b)
     flat = one.reshape(-1, 3), other.reshape(-1, 3)
     difference = np.empty(len(flat[0]))
@@ -218,8 +230,8 @@ def delta_e_2000(lab_a: Array, lab_b: Array) -> Array:
 def _delta_e_2000(one: Array, other: Array) -> Array:
     """Return the CIEDE2000 differences between two arrays of L*, a*, b* (3, colour), as in Sharma, Wu and Dalal (2005).
 
-    A hue is represented by a unit vector, and the mean of two hues by the bisector of their vectors. The formula then needs
-    one angle instead of two angles and their cosines.
+    To avoid trigonometric functions, each hue is a unit vector, and the mean of two hues is the bisector of their vectors.
+    Only one angle, that of the mean hue, is computed.
     """
     (light_1, a_1, b_1), (light_2, a_2, b_2) = one, other
     stretch = 1.5 - 0.5 * _vivid((_length(a_1, b_1) + _length(a_2, b_2)) / 2)
@@ -230,7 +242,7 @@ def _delta_e_2000(one: Array, other: Array) -> Array:
     far = np.copysign(np.sqrt(np.maximum(2 * (both - dot), 0)), cross)
     hue = np.where(opposed, far, cross * np.sqrt(2 / np.where(opposed, 1, both + dot)))  # 2 √(C₁C₂) sin(Δh/2)
     x, y = (np.where(both > 0, p * chroma_2 + q * chroma_1, p + q) for p, q in ((a_1, a_2), (b_1, b_2)))
-    sign = np.where((b_1 > 0) | (b_1 == 0) & (a_1 > 0), 1, -1)  # opposite hues have two bisectors; this selects one
+    sign = np.where((b_1 > 0) | (b_1 == 0) & (a_1 > 0), 1, -1)  # selects one of the two bisectors of opposite hues
     x, y = (np.where((x == 0) & (y == 0), each, of) for of, each in ((x, -sign * b_1), (y, sign * a_1)))
     length = _length(x, y)
     mean = (x + 1j * y) / np.where(length > 0, length, 1) + (length == 0)
@@ -247,7 +259,7 @@ def _delta_e_2000(one: Array, other: Array) -> Array:
 
 
 def _length(x: Array, y: Array) -> Array:
-    """Return √(x² + y²). np.hypot would take five times as long, because it avoids overflows that colours cannot cause."""
+    """Return √(x² + y²). np.hypot is five times slower, because it avoids overflows, which colours cannot cause."""
     return np.sqrt(x * x + y * y)
 
 
@@ -258,26 +270,26 @@ def _vivid(chroma: Array) -> Array:
 
 
 def displayed_delta_e(one: Array, other: Array) -> Array:
-    """Return the CIEDE2000 differences (row, col) between two pictures on a display."""
+    """Return the CIEDE2000 differences (row, col) between two pictures of the same size."""
     labs = [lab(displayed_xyz(picture), daylight()) for picture in (one, other)]
     return delta_e_2000(*labs)
 
 
 def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, noise: Array | float = 0.0) -> Array:
-    """Fit a matrix M by least squares, with the constraint M @ known = answer.
+    """Fit a matrix M that converts inputs to outputs by least squares, with the constraint M @ known = answer.
 
     Parameters
     ----------
     inputs : ndarray, (surface, input)
-        Inputs.
+        Inputs, such as the signals of a camera.
     outputs : ndarray, (surface, output)
-        Outputs to approximate.
+        Wanted outputs, such as XYZ.
     known : ndarray, (input,)
-        Input that must be mapped exactly.
+        Input that must be converted exactly, such as the signals of white.
     answer : ndarray, (output,)
-        Output for this input.
+        Output for the input `known`.
     noise : ndarray, (input,), or float
-        Noise variances of the inputs, which limit the amplification of noise.
+        Noise variance of each input. Larger variances make the elements of M smaller, so that M amplifies noise less.
 
     Returns
     -------
@@ -294,37 +306,37 @@ def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, nois
     return free + np.outer(answer - free @ known, towards / (known @ towards))
 
 
-DERIVATIVE_STEP = 2.0**-26  # step of numerical derivatives: the square root of the precision of float64
+DERIVATIVE_STEP = 2.0**-26  # step of numerical derivatives, which is the square root of the precision of float64
 
 
 def refinement(xyz: Array, wanted: Array, white: Array) -> Array:
-    """Find a matrix R that minimises the squared CIEDE2000 errors of R @ xyz and preserves white.
+    """Find the matrix R that minimises the mean squared CIEDE2000 errors of R @ xyz and leaves white unchanged.
 
     Parameters
     ----------
     xyz : ndarray, (surface, 3)
         XYZ of the colours to correct.
     wanted : ndarray, (surface, 3)
-        XYZ of the correct colours.
+        Correct XYZ of the same colours.
     white : ndarray, (3,)
-        XYZ of white.
+        XYZ of white, in the same unit.
 
     Returns
     -------
     ndarray, (3, 3)
-        The matrix R, which is near the identity.
+        The matrix R. The search starts at the identity and finds a local minimum.
     """
     from scipy.optimize import minimize
 
-    goal, free = lab(wanted, white), np.linalg.svd(white[None])[2][1:]  # `free`: two directions orthogonal to white
+    goal, free = lab(wanted, white), np.linalg.svd(white[None])[2][1:]  # `free` contains two vectors orthogonal to white
 
     def turned(changes: Array) -> Array:
         return np.eye(3) + changes.reshape(-1, 3, 2) @ free
 
-    def errors(changes: Array) -> Array:  # squares are smooth functions even at an error of 0
+    def errors(changes: Array) -> Array:  # squared errors, which are smooth functions even at an error of 0
         return np.square(delta_e_2000(lab(xyz @ turned(changes).swapaxes(1, 2), white), goal)).mean(axis=1)
 
-    def sloped(change: Array) -> tuple[float, Array]:  # evaluating all steps together takes a fifth of the time
+    def sloped(change: Array) -> tuple[float, Array]:  # all steps are computed together, which is five times faster
         first, *others = errors(change + np.vstack([np.zeros(6), DERIVATIVE_STEP * np.eye(6)]))
         return float(first), (np.array(others) - first) / DERIVATIVE_STEP
 

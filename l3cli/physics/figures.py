@@ -1,4 +1,4 @@
-"""Quality metrics: their names, units, and whether larger values are better (docs/method.md#quality-metrics)."""
+"""Names and units of the quality metrics, and whether larger values are better (docs/method.md#quality-metrics)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,12 +12,14 @@ class Figure:
 
     heading: str  # name and unit in reports
     short: str  # heading of a column in the terminal
-    unit: str = ""  # unit with a leading space, for differences in sentences
+    unit: str = ""  # unit for sentences, with a leading space if necessary
     more_is_better: bool = False  # whether larger values are better
     digits: int = 2  # number of decimal places
 
 
-FIGURES = {  # metrics of frames in the order in which they are displayed, then metrics of standards (docs/measurement.md)
+# Name of each metric → its description. Metrics of frames come first, in the order of reports. Metrics that standards define
+# for test charts follow (docs/measurement.md).
+FIGURES = {
     "mean_delta_e": Figure("mean ΔE00", "ΔE00 mean", " ΔE00"),
     "median_delta_e": Figure("median ΔE00", "median", " ΔE00"),
     "p95_delta_e": Figure("95 % ΔE00", "95 %", " ΔE00"),
@@ -54,23 +56,23 @@ FIGURES = {  # metrics of frames in the order in which they are displayed, then 
 
 
 def figure_text(figure: str, value: float | None) -> str:
-    """Format the value of a metric, without its unit. A missing value becomes a dash."""
+    """Format the value of a metric without its unit. None, NaN and infinity become a dash."""
     return "–" if value is None else number(value, f".{FIGURES[figure].digits}f")
 
 
 def known_mean(values: Sequence[float | None]) -> float | None:
-    """Return the mean of the values that are not None, or None if there are none."""
+    """Return the mean of all values that are not None, or None if every value is None."""
     known = [value for value in values if value is not None]
     return sum(known) / len(known) if known else None
 
 
 def sign(figure: str) -> float:
-    """Return 1 if larger values of a metric are better, and −1 otherwise or if the metric is unknown."""
+    """Return 1 if larger values of a metric are better. Otherwise, or if the metric is unknown, return −1."""
     known = FIGURES.get(figure)
     return 1.0 if known and known.more_is_better else -1.0
 
 
 def in_words(value: float, figure: str) -> str:
-    """Format a difference of a metric with its unit."""
+    """Format a difference between two values of a metric, with its unit. Unknown metrics have no unit."""
     unit = FIGURES[figure].unit if figure in FIGURES else ""
     return f"{value:.2g}{unit}" if value < 10 else f"{value:.0f}{unit}"

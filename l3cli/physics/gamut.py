@@ -1,15 +1,15 @@
-"""Maps colours outside the gamut of a colour space into the gamut, along lines of constant hue (docs/method.md#gamut).
+"""Map colours outside the gamut of a colour space into the gamut, along lines of constant hue (docs/method.md#gamut).
 
 Let c be the vector of the linear values of a colour. Its OkLab cone responses are s = (A c)^(1/3), where the rows of A are
 scaled so that white has s = (1, 1, 1). Its lightness is L = λ · s. Greys have s = (L, L, L), so all colours with the same
 lightness and hue are on the line s(t) = L + t (s − L). Along this line, each linear value is a cubic polynomial in t.
 
-1. **Negative values.** The colour moves towards grey until no value is negative. The position t is the smallest root of the
-   cubics. The root is approximated by one step of Halley's method. The step starts at the zero of a straight line, which
-   connects the ends of the cubic with the lowest value at t = 1.
-2. **Values above 1.** The colour is darkened until no value is above 1, which preserves the OkLab hue. As the luminance Y
-   approaches 1, darkening is gradually replaced by clipping of each value, with the weight Y⁴. Highlights therefore become
-   as bright as possible and end in white.
+1. **Negative values.** The colour moves towards grey until no linear value is negative. Its position t is the smallest root
+   of the three cubics. One step of Halley's method approximates the root of each cubic. The step starts at the root of the
+   straight line through the ends of the cubic that is lowest at t = 1.
+2. **Values above 1.** The colour is darkened until no linear value is above 1. This preserves the OkLab hue. A second
+   solution clips each value to 1. The result is a mixture of the two solutions, in which clipping has the weight Y⁴. Bright
+   highlights therefore become as bright as possible and end in white.
 
 References
 ----------
@@ -34,19 +34,19 @@ CONES_FROM_XYZ = np.array(
     ]
 )
 LIGHTNESS = np.array([0.2104542553, 0.7936177850, -0.0040720468])  # weights λ of the cube roots of the cone responses
-LEAST_CONE = 1e-12  # smallest cone response, which black has
-CONE_SHARE = 0.02  # smaller cone responses are raised to this fraction of the largest; real colours have at least 0.07
+LEAST_CONE = 1e-12  # smaller cone responses, as of black, are raised to this value
+CONE_SHARE = 0.02  # minimum of each cone response, as a fraction of the largest; real colours have at least 0.07
 LEAST_LIGHTNESS = 1e-4  # avoids a division by zero
 MIN_DIVISOR = 1e-30  # avoids a division by zero
 
 
 @dataclass(frozen=True)
 class Gamut:
-    """Matrices between the linear values of a colour space and cone responses."""
+    """Matrices that convert between the linear values of a colour space and cone responses."""
 
-    cones: NDArray[np.float64]  # (3, 3) converts linear values to cone responses; white has (1, 1, 1)
+    cones: NDArray[np.float64]  # (3, 3) converts linear values to cone responses, which are (1, 1, 1) for white
     linear: NDArray[np.float64]  # (3, 3) inverse of `cones`
-    luminance: NDArray[np.float64]  # (3,) weights of the linear values in Y; white has Y = 1
+    luminance: NDArray[np.float64]  # (3,) weights of the linear values in Y, where white has Y = 1
 
 
 @functools.cache
@@ -68,7 +68,7 @@ def into_gamut(linear: NDArray[np.float64], gamut: Gamut, bounded: bool = True) 
     gamut : Gamut
         Gamut of the colour space.
     bounded : bool
-        Whether to map values above 1. Set this to False if a tone curve follows, which maps these values itself.
+        Whether to map colours with values above 1. Use False if a tone curve follows, because it also maps these colours.
 
     Returns
     -------
@@ -93,7 +93,7 @@ def _less_chromatic(linear: NDArray[np.float64], gamut: Gamut) -> NDArray[np.flo
     lightness = np.maximum(roots @ LIGHTNESS, LEAST_LIGHTNESS)[:, None]
     chroma = roots / lightness - 1
     first, second, third = (scale * chroma**power @ gamut.linear.T for scale, power in ((3, 1), (3, 2), (1, 3)))
-    ends = np.minimum(linear / lightness**3, 0)  # values of the cubics at t = 1; at t = 0 they are 1
+    ends = np.minimum(linear / lightness**3, 0)  # values of the cubics at t = 1, if negative; all cubics are 1 at t = 0
     t = 1 / (1 - ends.min(axis=1, keepdims=True))
     value = 1 + t * (first + t * (second + t * third))
     slope = first + t * (2 * second + t * (3 * third))
@@ -105,7 +105,7 @@ def _less_chromatic(linear: NDArray[np.float64], gamut: Gamut) -> NDArray[np.flo
 
 
 def _darker(linear: NDArray[np.float64], gamut: Gamut) -> NDArray[np.float64]:
-    """Darken colours (colour, 3) until no value is above 1. Colours near white are clipped instead of darkened."""
+    """Mix darkened and clipped colours (colour, 3), both without values above 1. Clipping has the weight Y⁴."""
     square = np.square(np.clip(linear @ gamut.luminance, 0, 1))[:, None]
     clipped, scaled = np.minimum(linear, 1), linear / linear.max(axis=1, keepdims=True)
     return scaled + square * square * (clipped - scaled)

@@ -1,7 +1,6 @@
 """Lens optics: camera equation, cos⁴ falloff, and blur by diffraction and defocus (docs/method.md#optics).
 
-The formulas are the same as in ISETCam, with whose results they are compared in tests. Lengths are in m unless stated
-otherwise.
+The formulas are those of ISETCam, and tests compare the results with ISETCam. Lengths are in m unless stated otherwise.
 """
 
 import numpy as np
@@ -13,7 +12,7 @@ Array = NDArray[np.floating]
 def image_distance(focal_length: float, object_distance: float) -> float:
     """Return the distance from the lens to the sensor for an object in focus: f d / (d − f).
 
-    An `object_distance` of 0 means an object at infinity, for which the result is the focal length.
+    An `object_distance` d of 0 means an object at infinity, for which the result is the focal length f.
     """
     if object_distance > 0:
         return focal_length * object_distance / (object_distance - focal_length)
@@ -23,21 +22,37 @@ def image_distance(focal_length: float, object_distance: float) -> float:
 def magnification(focal_length: float, object_distance: float) -> float:
     """Return the magnification |m| of an object in focus: f / (d − f).
 
-    An `object_distance` of 0 means an object at infinity, for which the result is 0.
+    An `object_distance` d of 0 means an object at infinity, for which the result is 0.
     """
     return focal_length / (object_distance - focal_length) if object_distance > 0 else 0.0
 
 
 def irradiance_per_radiance(f_number: float, magnification: float) -> float:
-    """Return the ratio of sensor irradiance to scene radiance on the optical axis, in sr: π / (1 + 4 N² (1 + |m|)²)."""
+    """Return the ratio of the irradiance of the sensor to the radiance of the scene: π / (1 + 4 N² (1 + |m|)²).
+
+    The ratio is in sr and applies on the optical axis. N is the f-number, and m is the magnification.
+    """
     return float(np.pi / (1.0 + 4.0 * f_number**2 * (1.0 + magnification) ** 2))
 
 
 def relative_illumination(image_distance: float, pixel_pitch: float, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the illumination (row, col) of the sensor by a uniform scene, relative to the centre of the frame.
+    """Return the illuminance of each pixel under a uniform scene, relative to the centre of the frame (cos⁴ law).
 
-    By the cos⁴ law, the illumination is (D² / (D² + r²))², where D is the image distance and r is the distance of a pixel
-    from the centre.
+    The relative illuminance is (D² / (D² + r²))², where D is the image distance and r is the distance of the pixel from the
+    centre.
+
+    Parameters
+    ----------
+    image_distance : float
+        Distance D from the lens to the sensor, in m.
+    pixel_pitch : float
+        Pixel pitch in m.
+    shape : tuple of int
+        Numbers of rows and columns.
+
+    Returns
+    -------
+    ndarray, (row, col)
     """
     down, across = ((np.arange(length) - (length - 1) / 2) * pixel_pitch for length in shape)
     squared = image_distance**2
@@ -59,6 +74,7 @@ def diffraction_transfer(frequency: Array, wavelength: Array, f_number: float) -
     Returns
     -------
     ndarray, (frequency, wavelength)
+        MTF, which is 0 beyond the cut-off frequency 1 / (λ N).
     """
     u = np.minimum(frequency[:, None] * (wavelength * 1e-9) * f_number, 1.0)
     return 2.0 / np.pi * (np.arccos(u) - u * np.sqrt(1.0 - u**2))

@@ -1,4 +1,4 @@
-"""Colour filter arrays, as arrays of channel numbers for one period."""
+"""Functions for colour filter arrays (CFAs). A CFA is an array (row, col) of channel numbers that covers one period."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 
 def tiled(pattern: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-    """Repeat a pattern over an area of the given shape, starting with the first element of the pattern."""
+    """Repeat a pattern (row, col) over an area of the given shape. The first element of the area is pattern[0, 0]."""
     rows, cols = pattern.shape
     return pattern[np.arange(shape[0])[:, None] % rows, np.arange(shape[1]) % cols]
 
 
 def shifted_cfa(cfa: NDArray[np.uint8], phase: tuple[int, int]) -> NDArray[np.uint8]:
-    """Shift a CFA so that it begins with the site `phase`, which is the site of the first pixel of a frame."""
+    """Shift a CFA so that it begins with its site `phase` = (row, col), the site of the first pixel of a frame."""
     return np.roll(cfa, (-phase[0], -phase[1]), axis=(0, 1))
 
 
@@ -34,7 +34,7 @@ def _near(pattern: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
 
 
 def least_period(pattern: NDArray[Any]) -> NDArray[Any]:
-    """Return the smallest part of a pattern (row, col) whose repetition gives the whole pattern."""
+    """Return the smallest rectangle at the start of a pattern (row, col) whose repetition results in the pattern."""
     lengths = []
     for axis, length in enumerate(pattern.shape):
         periods = (each for each in range(1, length + 1) if length % each == 0)
@@ -43,5 +43,5 @@ def least_period(pattern: NDArray[Any]) -> NDArray[Any]:
 
 
 def array_rows(channels: Sequence[str], cfa: NDArray[np.integer], between: str = " ") -> list[str]:
-    """Return the rows of a CFA as text, in which the channel names are separated by `between`."""
+    """Return each row of a CFA as text, with `between` as the separator of the channel names."""
     return [between.join(channels[site] for site in row) for row in cfa]

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.floating]
 XY: TypeAlias = tuple[float, float]  # chromaticity x, y
 
-# colour-science contains both matrices, too, but its import would take longer than rendering a frame.
+# colour-science also contains these two matrices, but its import would take longer than rendering a frame.
 SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])  # IEC 61966-2-1
-BRADFORD = np.array(
-    [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
-)  # XYZ to cone responses
+# Bradford matrix, which converts XYZ to cone responses.
+BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 D65: XY = (0.3127, 0.3290)
 
 
@@ -25,7 +24,7 @@ D65: XY = (0.3127, 0.3290)
 class Curve:
     """A transfer curve for linear values x in 0…1.
 
-    The curve is slope · x up to `knee`, and gain · x^exponent − offset above.
+    The encoded value is slope · x for x ≤ knee, and gain · x^exponent − offset for larger x.
     """
 
     knee: float
@@ -35,7 +34,7 @@ class Curve:
     exponent: float
 
     def encoded(self, linear: Array) -> Array:
-        """Encode linear values, which are first clipped to 0…1."""
+        """Clip linear values to 0…1, and encode them."""
         clipped = np.clip(linear, 0.0, 1.0)
         power = self.gain * np.maximum(clipped, 1e-9) ** self.exponent - self.offset
         return np.where(clipped <= self.knee, self.slope * clipped, power)
@@ -50,11 +49,11 @@ class Space:
     """A colour space with three components, such as RGB or XYZ."""
 
     name: str  # value of the option that selects the colour space
-    title: str  # name for users
+    title: str  # name in messages and reports
     primaries: tuple[XY, XY, XY]  # chromaticities of the components
     white: XY  # chromaticity of a colour with three equal components
-    curve: Curve | None  # transfer curve, or None if values are linear and not clipped
-    neutral: XY | None = None  # chromaticity of a white surface, if it differs from `white`
+    curve: Curve | None  # transfer curve; None if values are linear and not clipped
+    neutral: XY | None = None  # chromaticity of a white surface; None if it is `white`
 
     @property
     def neutral_xyz(self) -> Array:
@@ -69,7 +68,7 @@ class Space:
 
     @property
     def from_xyz(self) -> Array:
-        """Matrix (3, 3) that converts XYZ to linear values. For sRGB, this is the rounded matrix of the standard."""
+        """Matrix (3, 3) that converts XYZ to linear values. For sRGB, it is the rounded matrix of IEC 61966-2-1."""
         return SRGB_FROM_XYZ.copy() if self.name == SRGB.name else np.linalg.inv(self.to_xyz)
 
 
@@ -90,24 +89,24 @@ SPACES = {
 
 
 def xyz_of(chromaticity: XY) -> Array:
-    """Return the XYZ of a chromaticity x, y, with Y = 1."""
+    """Return the XYZ (3,) of a chromaticity x, y, with Y = 1."""
     x, y = chromaticity
     return np.array([x, y, 1 - x - y]) / y
 
 
 def chromaticity_of(xyz: Array) -> XY:
-    """Return the chromaticity x, y of a colour, given as XYZ."""
+    """Return the chromaticity x, y of the colour `xyz`."""
     x, y, _ = np.asarray(xyz, np.float64) / np.sum(xyz)
     return float(x), float(y)
 
 
 def adaptation_matrix(white: Array, to: Array) -> Array:
-    """Return the Bradford matrix that adapts XYZ from one white to another white.
+    """Return the matrix that adapts XYZ from one white to another (Bradford transform).
 
     Parameters
     ----------
     white, to : ndarray, (3,)
-        XYZ of the original white and of the new white, at any luminance.
+        XYZ of the original white and of the new white. Their luminances are ignored.
 
     Returns
     -------

@@ -1,6 +1,7 @@
-"""Wavelength grids, illuminants, observers and reflectances. All other modules use colour-science through this module.
+"""Wavelength grids, illuminants, observers and reflectances.
 
-Spectra are arrays on a wavelength grid in nm. Radiance is in photons/s/sr/m²/nm unless stated otherwise.
+A spectrum is an array of values at the wavelengths of a grid, which are in nm. Radiance is in photons/s/sr/m²/nm unless
+stated otherwise. All other modules access colour-science through this module.
 """
 
 import functools
@@ -17,18 +18,21 @@ from l3cli.system.text import NoSuchNumber, Quantity
 PLANCK = 6.62607015e-34  # J s
 LIGHT_SPEED = 299792458.0  # m/s
 LUMINOUS_EFFICACY = 683.0  # lm/W
-BLACK_BODY = Quantity(500, 100_000, "K")  # colour temperatures of black bodies that emit visible light
+BLACK_BODY = Quantity(500, 100_000, "K")  # permitted colour temperatures of black bodies
 DAYLIGHT = Quantity(4000, 25_000, "K")  # colour temperatures for which CIE daylight is defined
-# Correlated colour temperatures of CIE daylight in K, with the present value of the second radiation constant (CIE 15).
+# Correlated colour temperatures of CIE daylight in K, for the current value of the second radiation constant (CIE 15).
 DAYLIGHT_KELVIN = {f"D{hundreds}": hundreds * 100 * 1.4388 / 1.4380 for hundreds in (50, 55, 65, 75)}
-UNSEEN = 1e-9  # light is invisible if its luminance is below this fraction of the luminance of equal power at 555 nm
-LONGEST_NM = 20_000  # largest wavelength of any spectrum
-SPRAGUE_STEP = 20.0  # largest band spacing, in nm, at which reflectances are interpolated by Sprague polynomials
+UNSEEN = 1e-9  # light is invisible if its luminance is below this fraction of that of light with equal power at 555 nm
+LONGEST_NM = 20_000  # maximum wavelength of a spectrum
+SPRAGUE_STEP = 20.0  # Sprague polynomials interpolate reflectances whose bands are at most this distance apart, in nm
 Array = NDArray[np.floating]
 
 
 def colour_science() -> Any:
-    """Import colour-science without its warnings. The import takes two seconds, so it is delayed until the first use."""
+    """Import colour-science without warnings, and return the module.
+
+    The import takes two seconds, so it is delayed until the module is needed.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import colour
@@ -36,7 +40,7 @@ def colour_science() -> Any:
 
 
 def photons_from_energy(wavelength: Array, energy: Array) -> Array:
-    """Convert a spectrum (…, wavelength) from power to photons per second, by division by the energy of a photon."""
+    """Convert a spectrum (…, wavelength) from power in W to photons/s, by division by the energy of a photon."""
     return energy * (wavelength * 1e-9) / (PLANCK * LIGHT_SPEED)
 
 
@@ -57,20 +61,23 @@ def bin_edges(wavelength: Array) -> Array:
 
 
 def bin_widths(wavelength: Array) -> Array:
-    """Return the width of the bin around each sample of a wavelength grid, in nm. Σ f·Δλ is then the integral of f."""
+    """Return the bin width Δλ of each sample of a wavelength grid in nm, with which Σ f·Δλ is the integral of f.
+
+    A single sample has a width of 1 nm.
+    """
     return np.abs(np.gradient(wavelength)) if wavelength.size > 1 else np.ones(1)
 
 
 def ascending(wavelength: NDArray[np.float64], values: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[Any]]:
-    """Reverse a decreasing wavelength grid and its values (…, wavelength). Any other grid is returned unchanged."""
+    """Return a wavelength grid and values (…, wavelength), both reversed if the grid is decreasing, otherwise unchanged."""
     falls = wavelength.size > 1 and (np.diff(wavelength) < 0).all()
     return (wavelength[::-1], values[..., ::-1]) if falls else (wavelength, values)
 
 
 def _neighbours(grid: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the two samples of an increasing grid around each wavelength in `at`, and their weights, as arrays (2, at).
+    """Return the indices (2, at) of the two samples of an increasing grid around each wavelength in `at`, and their weights.
 
-    The weights are those of linear interpolation. Beyond the ends of the grid, the outermost sample has the weight 1.
+    The weights (2, at) interpolate linearly. Beyond the ends of the grid, the first or the last sample has the weight 1.
     """
     if grid.size == 1:
         return np.zeros((2, at.size), np.intp), np.array([[1.0], [0.0]]) * np.ones(at.size)
@@ -80,12 +87,18 @@ def _neighbours(grid: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
 
 
 def light_grid(seen: Array) -> Array:
-    """Return a wavelength grid with steps of 1 nm that covers the CIE observer and the wavelengths `seen` of a camera."""
+    """Return a wavelength grid with steps of 1 nm for an illuminant.
+
+    The grid covers the range of the CIE observer (360…830 nm) and the increasing wavelengths `seen` of a camera.
+    """
     return np.arange(np.floor(min(360.0, seen[0])), max(830.0, seen[-1]) + 1.0)
 
 
 def interpolation_matrix(source: Array, grid: Array) -> Array:
-    """Return the matrix (grid, source) that interpolates linearly. The result is zero outside the range of `source`."""
+    """Return the matrix (grid, source) that interpolates values linearly from the wavelengths `source` to `grid`.
+
+    Outside the range of `source`, the interpolated values are zero. `source` must be increasing.
+    """
     matrix = np.zeros((grid.size, source.size))
     samples, shares = _neighbours(source, grid)
     inside = (grid >= source[0]) & (grid <= source[-1])
@@ -100,11 +113,11 @@ def _step_matrix(source: Array, grid: Array, extended: bool) -> Array:
 
     Notes
     -----
-    The spectrum is assumed to be linear between its samples, and constant in the outer halves of its first and last bin.
-    Beyond these bins, the spectrum is zero, or constant if `extended` is true. The samples of both grids divide the range
-    into pieces. The integral over each piece is divided between the two nearest samples of `grid`, with the weights of
-    linear interpolation. This preserves the power and the mean wavelength. If both grids are equal, the matrix is the
-    identity.
+    The spectrum is assumed to be linear between its samples, and constant in the outer halves of its first and last bins.
+    Beyond these bins, the spectrum is constant if `extended` is true, otherwise zero. The samples of both grids divide the
+    range into intervals. The integral over each interval is distributed to the two nearest samples of `grid`, with the
+    weights of linear interpolation. This preserves the total power and the mean wavelength. If both grids are equal, the
+    matrix is the identity.
     """
     rising, aim = np.argsort(source), np.argsort(grid)
     low, high = source[rising], grid[aim]
@@ -125,33 +138,34 @@ def _step_matrix(source: Array, grid: Array, extended: bool) -> Array:
 def sampling_matrix(source: Array, grid: Array) -> Array:
     """Return the matrix (grid, source) that resamples a spectral density, such as power per nm or photons per nm.
 
-    Each resampled value is a mean over a bin of `grid`. The integral is preserved even if spectral lines are between the
-    samples of `grid`. If `grid` is finer than `source`, the matrix interpolates linearly. If both grids are equal, it is the
-    identity. The density is zero beyond the bins of `source`. The wavelengths of both grids may be in any order.
+    Each resampled value is a mean over a bin of `grid`. The integral is therefore preserved even if a spectral line is
+    between two samples of `grid`. If `grid` is finer than `source`, the matrix interpolates linearly. If both grids are
+    equal, the matrix is the identity. Beyond the bins of `source`, the density is assumed to be zero. The wavelengths of
+    each grid may be in any order, but a ValueError is raised if a wavelength occurs twice.
     """
     return _step_matrix(source, grid, extended=False)
 
 
 def resample(spectrum: Array, source: Array, grid: Array) -> Array:
-    """Resample a spectral density (…, source) to the wavelengths `grid` with `sampling_matrix`."""
+    """Resample a spectral density (…, source) from the wavelengths `source` to `grid` (see `sampling_matrix`)."""
     return spectrum @ sampling_matrix(source, grid).T
 
 
 def average(curve: Array, source: Array, grid: Array) -> NDArray[np.float64]:
-    """Average a ratio, such as a transmittance or a responsivity, over the bins of another grid.
-
-    A bin that extends beyond the known range is averaged over its known part. Outside the known range, the result is zero.
+    """Average a ratio, such as a transmittance or a responsivity, over the bins of a wavelength grid.
 
     Parameters
     ----------
     curve : ndarray, (…, source)
         Values of the ratio.
     source, grid : ndarray
-        Wavelengths of the values and of the result, in nm.
+        Wavelengths of the values and of the result, in nm. A wavelength must not occur twice.
 
     Returns
     -------
     ndarray, (…, grid)
+        Means. If a bin extends beyond the range of `source`, the curve is constant there. At wavelengths of `grid` outside
+        the range of `source`, the result is zero.
     """
     inside = (grid >= source.min()) & (grid <= source.max())
     return np.asarray(curve @ (_step_matrix(source, grid, extended=True) * inside[:, None]).T, dtype=np.float64)
@@ -160,9 +174,9 @@ def average(curve: Array, source: Array, grid: Array) -> NDArray[np.float64]:
 def held_interpolation(bands: Array, wavelength: Array) -> Array:
     """Return the matrix (wavelength, band) that interpolates a reflectance and averages it over wavelength bins.
 
-    Evenly spaced bands with steps of at most 20 nm are interpolated with Sprague polynomials, as in CIE 167 and
-    colour-science. Other bands are interpolated linearly. Beyond the first and the last band, the reflectance is constant
-    (CIE 15).
+    If the bands are evenly spaced in steps of at most 20 nm and there are at least six bands, the interpolation is by
+    Sprague polynomials, as in CIE 167 and colour-science. Otherwise it is linear. Beyond the first and the last band, the
+    reflectance is constant (CIE 15).
     """
     return _held_interpolation(tuple(bands), tuple(wavelength))
 
@@ -184,17 +198,33 @@ def _held_interpolation(bands: tuple[float, ...], wavelength: tuple[float, ...])
 OBSERVERS = {"CIE 1931": "CIE 1931 2 Degree Standard Observer", "CIE 1964": "CIE 1964 10 Degree Standard Observer"}
 
 
-INFRARED = 740.0, 780.0, 1000.0  # wavelengths at which `near_infrared` begins, reaches its full sensitivity, and ends
-LUMINOUS_WIDTH = 106.86  # integral of ȳ of CIE 1931, in nm
+INFRARED = 740.0, 780.0, 1000.0  # wavelengths at which `near_infrared` begins, reaches its maximum, and ends, in nm
+LUMINOUS_WIDTH = 106.86  # integral of the CIE 1931 function ȳ, in nm
 SAMPLED = np.arange(400.0, 701.0, 10.0)  # wavelengths of spectral outputs, in nm
-# Names as in OpenEXR files (Fichet, Pacanowski and Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10, 2021).
+# Names of spectral outputs, as in OpenEXR (Fichet, Pacanowski and Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10,
+# 2021).
 REFLECTANCES, RADIANCES = (tuple(f"{kind}.{each:g}nm" for each in SAMPLED) for kind in ("T", "S0"))
 
 
 def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931") -> Array:
-    """Return the colour-matching functions x̄ ȳ z̄ (3, wavelength) of an observer, which is a key of OBSERVERS.
+    """Return the colour-matching functions x̄, ȳ and z̄ of an observer.
 
-    The functions are interpolated linearly from tables with steps of 1 nm. Raises RecipeError if the observer is unknown.
+    Parameters
+    ----------
+    wavelength : ndarray, (wavelength,)
+        Wavelengths in nm.
+    observer : str
+        A key of OBSERVERS.
+
+    Returns
+    -------
+    ndarray, (3, wavelength)
+        The functions, interpolated linearly from tables with steps of 1 nm. They are zero outside the tables.
+
+    Raises
+    ------
+    RecipeError
+        If the observer is unknown.
     """
     if observer not in OBSERVERS:
         raise RecipeError(f'observer "{observer}" is unknown; {suggestion(observer, OBSERVERS)}')
@@ -203,41 +233,44 @@ def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931") -> 
 
 
 def near_infrared(wavelength: Array) -> Array:
-    """Return the sensitivity, at each wavelength, of an output for the near infrared.
+    """Return the sensitivity of the near-infrared output at each wavelength, on the same scale as ȳ.
 
-    The sensitivity rises between 740 nm, the end of the visible range, and 780 nm, the beginning of CIE IR-A. It is zero
-    beyond 1000 nm. Light with equal power at all wavelengths up to 830 nm has the same value in this output as in Y.
+    The sensitivity rises from zero at 740 nm, the end of the visible range, to its maximum at 780 nm, the beginning of CIE
+    IR-A. It is zero beyond 1000 nm. Light with equal power at all wavelengths up to 830 nm has the same value in this output
+    as in Y.
     """
     band = np.clip((wavelength - INFRARED[0]) / (INFRARED[1] - INFRARED[0]), 0.0, 1.0) * (wavelength <= INFRARED[2])
     return np.asarray(band * (LUMINOUS_WIDTH / (830.0 - (INFRARED[0] + INFRARED[1]) / 2)))
 
 
 def sampled_radiance(wavelength: Array) -> Array:
-    """Return the functions (output, wavelength) of the outputs RADIANCES, which are means over the bins of SAMPLED.
+    """Return the matching functions (output, wavelength) of the spectral outputs RADIANCES.
 
-    Light with equal power at all wavelengths has the same value in each of these outputs as in Y.
+    Each output is the mean radiance in a bin of SAMPLED. It is scaled so that light with equal power at all wavelengths has
+    the same value in this output as in Y.
     """
     return np.asarray(LUMINOUS_WIDTH * sampling_matrix(wavelength, SAMPLED) / bin_widths(wavelength))
 
 
 def is_spectrum(outputs: tuple[str, ...], channels: tuple[str, ...]) -> bool:
-    """Return whether the outputs are a spectrum: reflectances, radiances, or the channels of the camera."""
+    """Return whether the outputs of a table are a spectrum: reflectances, radiances, or the channels of the camera."""
     return outputs in (channels, REFLECTANCES, RADIANCES)
 
 
 def matching_weights(functions: Array, wavelength: Array) -> Array:
     """Convert matching functions (output, wavelength) to weights (output, wavelength) for a photon radiance.
 
-    The outputs of a radiance in photons/s/sr/m²/nm are weights @ radiance. With the functions x̄ ȳ z̄, they are in cd/m².
+    For a radiance in photons/s/sr/m²/nm, the outputs are weights @ radiance. For the functions x̄, ȳ and z̄, the outputs are
+    XYZ in cd/m².
     """
     energy_per_photon = PLANCK * LIGHT_SPEED / (wavelength * 1e-9)
     return LUMINOUS_EFFICACY * functions * energy_per_photon * bin_widths(wavelength)
 
 
 def xyz_weights(wavelength: Array) -> Array:
-    """Return weights (3, wavelength) with which XYZ = weights @ radiance, for CIE 1931.
+    """Return weights (3, wavelength) that convert a radiance to CIE 1931 XYZ: XYZ = weights @ radiance.
 
-    XYZ is in cd/m², and the radiance is in photons/s/sr/m²/nm.
+    The radiance is in photons/s/sr/m²/nm, and XYZ is in cd/m².
     """
     return matching_weights(colour_matching_functions(wavelength), wavelength)
 
@@ -247,16 +280,16 @@ USUAL_LIGHTS = 'A, D50, D65, F2, F11, LED-B3, "3200K" (a black body) and "D6000K
 
 @functools.cache
 def illuminant_names() -> tuple[str, ...]:
-    """Return the names of all illuminants whose spectra are tabulated.
+    """Return the names of all illuminants whose spectra are tabulated, in alphabetical order.
 
-    The aliases "F1" to "F12" of FL1 to FL12 are not included, and neither are black bodies such as "3200K" and daylight such
-    as "D6000K", whose spectra are computed.
+    Three types of valid names are not included: the aliases "F1" to "F12" of FL1 to FL12, black bodies such as "3200K", and
+    daylight such as "D6000K".
     """
     return tuple(sorted(colour_science().SDS_ILLUMINANTS))
 
 
 def illuminant(name: str, wavelength: Array) -> Array:
-    """Return the relative photon radiance of an illuminant. Its mean over the wavelengths is 1.
+    """Return the relative photon radiance of an illuminant.
 
     Parameters
     ----------
@@ -268,6 +301,7 @@ def illuminant(name: str, wavelength: Array) -> Array:
     Returns
     -------
     ndarray, (wavelength,)
+        Radiance, whose mean over the wavelengths is 1. Beyond the ends of a tabulated spectrum, the power is constant.
 
     Raises
     ------
@@ -297,8 +331,8 @@ def illuminant(name: str, wavelength: Array) -> Array:
 def known_range(name: str) -> tuple[float, float]:
     """Return the first and the last wavelength, in nm, at which the spectrum of an illuminant is known.
 
-    The spectra of illuminants that are defined by a formula are known at all wavelengths. Beyond the ends of a tabulated
-    spectrum, `illuminant` uses the outermost value.
+    An illuminant that is defined by a formula is known at all wavelengths, from 0 to infinity. Raises RecipeError if the
+    name is unknown.
     """
     if name in ("A", "E") or re.fullmatch(r"\d+(?:\.\d+)? ?K", name, re.ASCII):
         return 0.0, np.inf
@@ -314,24 +348,24 @@ def require_illuminant(name: str) -> None:
 
 
 def _illuminant_a(wavelength: Array) -> Array:
-    """Return the energy spectrum of CIE illuminant A at each wavelength, by its defining formula (ISO/CIE 11664-2)."""
+    """Return the power spectrum of CIE illuminant A at each wavelength, from its definition (ISO/CIE 11664-2)."""
     return 100.0 * (560.0 / wavelength) ** 5 * np.expm1(1.435e7 / (2848 * 560)) / np.expm1(1.435e7 / (2848 * wavelength))
 
 
 def _tabulated(name: str, wavelength: Array) -> Array:
-    """Return the energy spectrum of a tabulated CIE illuminant at each wavelength.
+    """Return the power spectrum of a tabulated CIE illuminant, averaged over the bin of each wavelength.
 
-    The spectrum is interpolated linearly. Beyond the ends of the table, it has the outermost value.
+    The table is interpolated linearly. Beyond its ends, the spectrum is constant.
     """
     source, values = _illuminant_table(name)
     return np.asarray(values @ _step_matrix(source, wavelength, extended=True).T)
 
 
 def _illuminant_table(name: str) -> tuple[Array, Array]:
-    """Return the wavelengths and the energy spectrum of a CIE illuminant. Raises a RecipeError if the name is unknown.
+    """Return the wavelengths and the power spectrum of a CIE illuminant. Raises a RecipeError if the name is unknown.
 
-    In colour-science, all tables end at 780 nm, but CIE tabulates daylight up to 830 nm. The tables of daylight are
-    therefore extended with the components of CIE daylight.
+    All tables in colour-science end at 780 nm, but CIE tabulates daylight up to 830 nm. The tables of daylight are therefore
+    extended with the formula for CIE daylight.
     """
     key = f"FL{name[1:]}" if re.fullmatch(r"F\d+", name) else name
     if key not in illuminant_names():
@@ -349,13 +383,13 @@ def _illuminant_table(name: str) -> tuple[Array, Array]:
 
 
 def _daylight(temperature: float, wavelength: Array) -> Array:
-    """Return the energy spectrum of CIE daylight (CIE 15) at each wavelength. `temperature` is in the range DAYLIGHT."""
+    """Return the power spectrum of CIE daylight (CIE 15) at each wavelength. `temperature` must be within DAYLIGHT."""
     source, values = _daylight_table(temperature)
     return np.asarray(values @ _step_matrix(source, wavelength, extended=True).T)
 
 
 def _daylight_table(temperature: float) -> tuple[Array, Array]:
-    """Return the wavelengths and the energy spectrum of CIE daylight with a correlated colour temperature in K."""
+    """Return the wavelengths and the power spectrum of CIE daylight with the correlated colour temperature in K."""
     colour = colour_science()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -364,18 +398,21 @@ def _daylight_table(temperature: float) -> tuple[Array, Array]:
 
 
 def at_luminance(radiance: Array, wavelength: Array, luminance: float) -> Array:
-    """Scale a radiance to a luminance in cd/m². Raises an InputFileError if the light is invisible."""
+    """Scale a relative photon radiance (wavelength,) to a luminance in cd/m².
+
+    Raises an InputFileError if the light is invisible.
+    """
     seen = xyz_weights(wavelength)[1] @ radiance
     if not seen > UNSEEN * (matching_weights(np.ones_like(wavelength), wavelength) @ radiance):
         ends = f"{wavelength.min():g}…{wavelength.max():g} nm"
         raise InputFileError(
-            f"light at {ends} has no luminance, from which l3 computes exposures; include wavelengths from 380 to 780 nm"
+            f"light at {ends} has no luminance, but l3 computes the exposure from it; include wavelengths from 380 to 780 nm"
         )
     return radiance * (luminance / seen)
 
 
 def white_point(name: str) -> NDArray[np.float64]:
-    """Return the XYZ of a perfect white under an illuminant, with Y = 1."""
+    """Return the XYZ (3,) of a perfect white under an illuminant, with Y = 1. Raises RecipeError if it is unknown."""
     wavelength = np.arange(380.0, 781.0, 5.0)
     xyz = xyz_weights(wavelength) @ illuminant(name, wavelength)
     return xyz / xyz[1]
@@ -385,7 +422,10 @@ COLORCHECKER_WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # wavelengths at which t
 
 
 def colorchecker(wavelength: Array) -> tuple[tuple[str, ...], Array]:
-    """Return the names and the reflectances (24, wavelength) of the ColorChecker patches in ISO 17321-1, row by row."""
+    """Return the names and the reflectances (24, wavelength) of the ColorChecker patches in ISO 17321-1, row by row.
+
+    The reflectances are interpolated linearly, and are constant beyond 380…780 nm.
+    """
     chart = colour_science().SDS_COLOURCHECKERS["ISO 17321-1"]
     reflectance = [np.interp(wavelength, patch.wavelengths, patch.values) for patch in chart.values()]
     return tuple(chart), np.array(reflectance)
@@ -393,7 +433,7 @@ def colorchecker(wavelength: Array) -> tuple[tuple[str, ...], Array]:
 
 @functools.cache
 def _reflectance_tables() -> tuple[tuple[Array, Array], ...]:
-    """Return all sets of measured reflectances in colour-science except the ColorChecker.
+    """Return the sets of measured reflectances in colour-science that l3 uses, without the ColorChecker.
 
     Each set consists of its wavelengths and its reflectances (sample, wavelength).
     """
@@ -410,13 +450,13 @@ def _reflectance_tables() -> tuple[tuple[Array, Array], ...]:
     return tuple(tables)
 
 
-SURFACES_MEASURED = 380.0, 780.0  # range of all measurements in nm; beyond it, reflectances have their outermost values
+SURFACES_MEASURED = 380.0, 780.0  # range of the measured reflectances in nm; beyond this range they are constant
 
 
 def reflectance_library(wavelength: Array) -> Array:
-    """Return measured reflectances (sample, wavelength) of surfaces, clipped to 0.003–0.999.
+    """Return measured reflectances (sample, wavelength) of surfaces, clipped to 0.003…0.999.
 
-    The result contains values at the given wavelengths, as `held_interpolation` expects, and not means over bins, which
+    The values are interpolated linearly at the wavelengths, as `held_interpolation` expects. Means over wavelength bins
     would flatten the curves (docs/method.md#procedural-scenes).
     """
     library = np.concatenate(
@@ -436,10 +476,10 @@ def with_saturation(reflectance: Array, saturation: float, drawn: NDArray[np.boo
     reflectance : ndarray, (…, band)
         Reflectances.
     saturation : float
-        Saturation of the result: 1 leaves reflectances unchanged, and 0 makes them grey, with the geometric mean of the
-        bands.
+        Exponent of the ratio between each reflectance and the geometric mean of the bands. 1 leaves reflectances unchanged,
+        and 0 makes them grey.
     drawn : ndarray of bool, (band,), or slice
-        Bands from which the mean is computed.
+        Bands from which the geometric mean is computed. [default: all bands]
 
     Returns
     -------
@@ -452,8 +492,9 @@ def with_saturation(reflectance: Array, saturation: float, drawn: NDArray[np.boo
 def with_titanium_white(reflectance: Array, wavelength: Array, edge: float, width: float) -> Array:
     """Add the absorption edge of titanium white (rutile, 3.0 eV, 413 nm) to reflectances.
 
-    Within about 20 nm of this edge, materials with titanium white become dark. Cameras and the eye differ in their
-    sensitivity in this range. If the training scenes had no such materials, a table would render white paint as yellow.
+    Below this edge, the reflectance of materials with titanium white falls within about 20 nm. In this range, the
+    sensitivities of cameras and of the eye differ. If the training scenes contained no such materials, a table would render
+    white paint as yellow.
 
     Parameters
     ----------
@@ -462,9 +503,9 @@ def with_titanium_white(reflectance: Array, wavelength: Array, edge: float, widt
     wavelength : ndarray, (band,)
         Wavelengths in nm.
     edge : float
-        Increase of the ratio K/S (Kubelka–Munk) at 405 nm. About 0.2 is typical.
+        Increase of the ratio K/S (Kubelka–Munk) at 405 nm, typically 0.2.
     width : float
-        Decay length of the exponential tail (Urbach's rule), in nm. From 5 to 11 is typical.
+        Decay length of the exponential tail (Urbach's rule) in nm, typically 5 to 11.
 
     Returns
     -------

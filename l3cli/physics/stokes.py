@@ -1,7 +1,7 @@
-"""Linear polarisation: Stokes parameters, degree and angle, and Malus's law (docs/polarisation.md).
+"""Linear polarisation: Stokes parameters, degree and angle of polarisation, and Malus's law (docs/polarisation.md).
 
-S0 is the intensity. S1 and S2 are the differences of the intensities behind ideal polarisers at 0° and 90°, and at 45° and
-135°. Angles are counter-clockwise from the horizontal axis of the frame.
+S0 is the intensity. S1 is the intensity behind an ideal polariser at 0° minus the intensity at 90°. S2 is the intensity at
+45° minus the intensity at 135°. Angles are counter-clockwise from the horizontal axis of the frame.
 """
 
 import functools
@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.floating]
 
-# Outputs of a table for a monochrome polarisation camera. Luminance is the second of three outputs, as in X, Y, Z, so that
-# refinement layers treat S1 and S2 like chroma, which is 0 for unpolarised light.
+# Outputs of a table for a monochrome polarisation camera. The luminance is the second output, as in X, Y, Z. Refinement
+# layers therefore treat S1 and S2 like chroma: both are 0 for unpolarised light, as chroma is 0 for grey.
 STOKES = ("S1", "S0", "S2")
 IN_ORDER = ("S0", "S1", "S2")  # order in files and pictures
 FEATURES = ("DoLP", "AoLP")
-DARKEST = 1e-6  # smallest S0 that ratios are divided by
-MAX_CORRELATION = 0.95  # of the noise of S0 and of polarised light; estimated covariances can exceed it by chance
-MAX_DOLP_SIGMA = 0.5  # largest standard deviation that a value between 0 and 1 can have
+DARKEST = 1e-6  # minimum of S0 as a divisor
+MAX_CORRELATION = 0.95  # between the noise of S0 and of polarised light; estimated covariances can exceed it by chance
+MAX_DOLP_SIGMA = 0.5  # maximum possible standard deviation of values between 0 and 1
 CLEAR_SIGNAL = 12.0  # ratio of polarised light to noise above which the noise of degree and angle is Gaussian
 
 
@@ -29,23 +29,35 @@ def has_stokes(outputs: Sequence[str]) -> bool:
 
 
 def luminance_name(outputs: Sequence[str]) -> str:
-    """Return the name of the output that contains the luminance: S0, or Y of tables with colours."""
+    """Return the name of the luminance output: S0 for tables of monochrome polarisation cameras, otherwise Y."""
     return "S0" if "S0" in outputs else "Y"
 
 
 def stokes_of(planes: Array, outputs: Sequence[str]) -> Array:
-    """Return S0, S1 and S2, (3, …), of the outputs (output, …) of a table."""
+    """Select S0 (or Y, for tables with colours), S1 and S2 from the outputs of a table.
+
+    Parameters
+    ----------
+    planes : ndarray, (output, …)
+        Values of all outputs.
+    outputs : sequence of str
+        Names of the outputs, which must include S1 and S2.
+
+    Returns
+    -------
+    ndarray, (3, …)
+    """
     names = (luminance_name(outputs), "S1", "S2")
     return np.stack([planes[outputs.index(name)] for name in names])
 
 
 def dolp(stokes: Array) -> Array:
-    """Return the degree of linear polarisation, between 0 and 1, of S0, S1 and S2, (3, …)."""
+    """Return the degree of linear polarisation, clipped to 0…1, from the Stokes parameters (3, …)."""
     return np.clip(np.hypot(stokes[1], stokes[2]) / np.maximum(stokes[0], DARKEST), 0, 1)
 
 
 def aolp(stokes: Array) -> Array:
-    """Return the angle of linear polarisation of S0, S1 and S2, (3, …), in degrees from 0 to below 180."""
+    """Return the angle of linear polarisation in degrees, 0 ≤ angle < 180, from the Stokes parameters (3, …)."""
     return np.degrees(0.5 * np.arctan2(stokes[2], stokes[1])) % 180
 
 
@@ -120,7 +132,7 @@ def polarisation_sigma(stokes: Array, covariance: Array) -> Array:
 
 
 def behind(stokes: Array, angle: float) -> Array:
-    """Return the intensity of S0, S1 and S2, (3, …), behind an ideal polariser at `angle` degrees."""
+    """Return the intensity behind an ideal polariser at `angle` degrees, from the Stokes parameters (3, …)."""
     double = 2 * np.radians(angle)
     return 0.5 * (stokes[0] + np.cos(double) * stokes[1] + np.sin(double) * stokes[2])
 
@@ -155,7 +167,7 @@ def fit_stokes(intensities: Array, angles: Sequence[float]) -> tuple[Array, Arra
 
 
 def angle_difference(degrees: Array, others: Array | float) -> Array:
-    """Return the difference between directions of polarisation, from −90° to 90°. Directions repeat after 180°."""
+    """Return the differences `degrees` − `others` between angles of polarisation, reduced to −90…90°."""
     return np.asarray((degrees - others + 90.0) % 180.0 - 90.0)
 
 

@@ -1,4 +1,4 @@
-"""The recipes that come with l3 (in configs/), and the files of the folders that `l3 init` creates from these recipes."""
+"""Find the recipes that come with l3 in configs/, and list the files with which `l3 init` fills a new folder."""
 
 import itertools
 import os
@@ -11,10 +11,10 @@ from pathlib import Path
 from l3cli.errors import InputFileError, RecipeError, suggestion
 from l3cli.system.text import counted
 
-# Subfolder of configs/ → type of the recipes in the subfolder, for messages.
+# Subfolder of configs/ → type of the recipes that it contains, as messages call it.
 KIND_OF_FOLDER = {"cameras": "camera", "lab": "lab", "scenes": "scene", "classes": "class", "designs": "design"}
-CURVES = "curves.csv"  # name of the file with the responsivities of the camera in a new folder
-# The files of a new folder in addition to camera.toml: name in the new folder → path inside configs/.
+CURVES = "curves.csv"  # file of a new folder that contains the responsivities of the camera
+# The files of a new folder, except camera.toml: name in the new folder → path inside configs/.
 COMMON = {
     "lab.toml": "lab/default.toml",
     "scenes.toml": "scenes/default.toml",
@@ -27,62 +27,68 @@ COMMON = {
     "slurm.sh": "pipelines/slurm.sh",
 }
 SCENES = ("scenes.toml", "bands_scenes.toml", "unseen.toml")  # the scene recipes in COMMON
-# Replacements in the pipelines for a real camera: the camera recipe replaces the camera model from the virtual lab.
+# Pipeline file → (text, replacement) for a real camera. The pipeline then starts from the camera recipe instead of a camera
+# model that the virtual lab measured.
 KNOWN = {
     "Makefile": ("CAMERA ?= camera.h5", "CAMERA ?= camera.toml"),
     "Snakefile": ('config.get("camera", "snakemake/camera.h5")', 'config.get("camera", "camera.toml")'),
     "slurm.sh": ("${CAMERA:-camera.h5}", "${CAMERA:-camera.toml}"),
 }
-# Replacements in the scene recipe and in the class recipe to train a table for two illuminants.
+# (text, replacement) in the scene recipe and in the class recipe, to train a table for two illuminants.
 LIGHTS = '["A", "D65"]'
 ILLUMINANTS = 'illuminants = ["D65"]\n', f"illuminants = {LIGHTS}\n"
 LEARNING = (
     "[learning]\n",
     f"[learning]\nlights = {LIGHTS}    # trains transforms for each illuminant; the white of a frame selects them\n",
 )
-POLARISED = ("polarised", "polarised_colour")  # cameras whose scene recipes have the same names, for training and for tests
-# Camera recipe → class recipe, if the camera does not use the class recipe `default`.
+# Cameras with scene recipes of their own: configs/scenes/NAME.toml for training and NAME_unseen.toml for tests.
+POLARISED = ("polarised", "polarised_colour")
+# Camera recipe → class recipe, for the cameras that do not use the class recipe `default`.
 CLASSES = {"nona_bayer_hdr": "blocks", "rccb": "clear", "rgbir4x4": "long_period"}
 
 
 def recipe_folder() -> Path:
-    """Return the folder configs/, which is inside the installed package or next to the package in a repository."""
+    """Return the folder configs/. It is inside an installed package, but next to the package in a repository."""
     package = Path(__file__).parents[1]
     inside = package / "configs"
     return inside if inside.is_dir() else package.parent / "configs"
 
 
 def known_benchmarks() -> dict[str, Path]:
-    """Return the benchmarks that come with l3: name → folder."""
+    """Return the folder of each benchmark that comes with l3, by the name of the benchmark ("benchmark-…")."""
     return {f"benchmark-{path.name}": path for path in sorted((recipe_folder() / "benchmarks").iterdir()) if path.is_dir()}
 
 
 def known_recipes(kind: str) -> dict[str, Path]:
-    """Return the recipes of one type that come with l3: name → file. `kind` is a key of KIND_OF_FOLDER."""
+    """Return the file of each recipe in a subfolder of configs/, by the name of the recipe.
+
+    `kind` is the name of the subfolder, such as "cameras". The result is empty if the subfolder does not exist.
+    """
     return {path.stem: path for path in sorted((recipe_folder() / kind).glob("*.toml"))}
 
 
 def find_recipe(text: str, kind: str) -> Path:
-    """Return the path of a recipe, which is given by its path or by its name if it comes with l3.
+    """Convert the path or the name of a recipe to a path.
 
     Parameters
     ----------
     text : str
-        A path, or the name of a recipe.
+        The path of a recipe file, or the name of a recipe that comes with l3. An existing file has precedence over a
+        recipe of the same name.
     kind : str
-        A key of KIND_OF_FOLDER.
+        Type of the recipe: a subfolder of configs/, which is a key of KIND_OF_FOLDER.
 
     Returns
     -------
     Path
-        Path of the recipe. A path of a missing file is also returned, so that an attempt to open the file fails.
+        Path of the recipe. The file may be missing, and the caller then fails to open it.
 
     Raises
     ------
     RecipeError
-        If `text` is a name, and no recipe has this name.
+        If `text` is a word without a suffix, but neither a file nor a recipe has this name.
     InputFileError
-        If `text` is the path of a missing file, but l3 comes with a recipe of this name.
+        If `text` is the path of a missing .toml file, but a recipe of this name comes with l3.
     """
     if os.path.isfile(text):
         return Path(text)
@@ -99,12 +105,12 @@ def find_recipe(text: str, kind: str) -> Path:
 
 
 def starters() -> dict[str, Path]:
-    """Return everything from which `l3 init` can create a folder: name → camera recipe or benchmark folder."""
+    """Return the camera recipes and the benchmark folders from which `l3 init` can create a folder, by name."""
     return known_recipes("cameras") | known_benchmarks()
 
 
 def slug_of(name: str) -> str:
-    """Return the command-line form of a camera name: lower case, with underscores."""
+    """Convert the name of a camera to its form on the command line, such as "Nikon D80" to "nikon_d80"."""
     return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
 
 
@@ -114,12 +120,12 @@ def cameras_by_name(text: str = "") -> dict[str, tuple[str, ...]]:
     Parameters
     ----------
     text : str
-        Words that must all occur in the names of the camera, in upper or lower case. [default: all cameras]
+        Words, all of which must occur in the names of a camera. Letter case is ignored. [default: find all cameras]
 
     Returns
     -------
     dict of str to tuple of str
-        Name for the command line → all names of the camera.
+        Name on the command line → all names of the camera. Empty if no camera matches.
     """
     known = tomllib.loads((recipe_folder() / "priors" / "cameras.toml").read_text(encoding="utf-8"))["camera"]
     names = {slug: (each["name"], *each.get("also", ())) for slug, each in known.items()}
@@ -128,7 +134,7 @@ def cameras_by_name(text: str = "") -> dict[str, tuple[str, ...]]:
 
 
 def known_camera(contents: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Change the pipelines in `contents` so that they use the camera recipe in place of a model from the virtual lab."""
+    """Return the pipeline files in `contents`, changed for a real camera (see KNOWN)."""
     known = {}
     for name, (usual, recipe) in KNOWN.items():
         text = contents[name].decode()
@@ -138,9 +144,9 @@ def known_camera(contents: Mapping[str, bytes]) -> dict[str, bytes]:
 
 
 def common_files(rows: int, cols: int) -> dict[str, bytes]:
-    """Return the contents of the files in a new folder, except the camera recipe, for a real camera.
+    """Return the contents of the files of a new folder for a real camera, by file name, without the camera recipe.
 
-    The scenes are limited to the size of the sensor, `rows` × `cols`.
+    The scenes are limited to `rows` × `cols` pixels, the size of the sensor.
     """
     files = {name: (recipe_folder() / source).read_bytes() for name, source in COMMON.items()}
     files |= known_camera(files) | for_lights(files)
@@ -150,15 +156,16 @@ def common_files(rows: int, cols: int) -> dict[str, bytes]:
 def for_several_lights(starter: Path) -> bool:
     """Return whether the table of a new folder is trained for several illuminants.
 
-    The tables of benchmarks are trained as their files say, and tables with Stokes outputs can have one illuminant only.
+    This is false for benchmarks, because their files specify the illuminants, and for polarisation cameras, because a table
+    with Stokes outputs supports one illuminant only.
     """
     return not starter.is_dir() and starter.stem not in POLARISED
 
 
 def for_lights(contents: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Change the scene recipe and the class recipe in `contents` to train for daylight and incandescent light.
+    """Return the scene recipe and the class recipe in `contents`, changed to train for the illuminants A and D65.
 
-    The original recipes use one illuminant, so that either recipe can be used without the other.
+    The recipes in configs/ use one illuminant, so that a user can combine each of them with any other recipe.
     """
     changed = {}
     for name, (before, after) in {"scenes.toml": ILLUMINANTS, "classes.toml": LEARNING}.items():
@@ -169,9 +176,9 @@ def for_lights(contents: Mapping[str, bytes]) -> dict[str, bytes]:
 
 
 def fitting_scenes(text: str, rows: int, cols: int) -> str:
-    """Limit all scenes in the text of a scene recipe to `rows` × `cols` pixels.
+    """Limit the size of every scene in the text of a scene recipe to `rows` × `cols` pixels.
 
-    The number of random scenes is increased, so that the total number of pixels does not become smaller.
+    The number of random scenes is increased, so that their total number of pixels does not decrease.
     """
 
     def fitted(scene: re.Match[str]) -> str:
@@ -184,9 +191,10 @@ def fitting_scenes(text: str, rows: int, cols: int) -> str:
 
 
 def summary(starter: Path) -> str:
-    """Summarise a camera recipe, or the camera of a benchmark, in one line.
+    """Describe a camera recipe, or the camera of a benchmark folder, in one line.
 
-    The line contains the period of the CFA, the number of channels, and the first sentence of the comment at the top.
+    The line contains the period of the CFA, the number of channels, and the first sentence of the comment at the start of
+    the file.
     """
     camera = starter / "camera.toml" if starter.is_dir() else starter
     text = camera.read_text(encoding="utf-8")
@@ -201,12 +209,12 @@ def summary(starter: Path) -> str:
 
 
 def classes_of(camera: Path) -> str:
-    """Return the name of the class recipe that suits a camera recipe."""
+    """Return the name of the class recipe for a new folder with this camera recipe."""
     return CLASSES.get(camera.stem, "default")
 
 
 def folder_files(starter: Path) -> dict[str, Path]:
-    """Return the files of a new folder: name in the folder → source file."""
+    """Return the source file of each file in a new folder, by its name in the folder."""
     if starter.is_dir():
         return {path.name: path for path in sorted(starter.iterdir())}
     sources = COMMON | {"classes.toml": f"classes/{classes_of(starter)}.toml"}
@@ -217,13 +225,13 @@ def folder_files(starter: Path) -> dict[str, Path]:
 
 
 def _base(camera: Path) -> Path | None:
-    """Return the camera recipe on which a camera recipe is based (key `base`), or None."""
+    """Return the camera recipe to which the key `base` refers, or None without this key."""
     named = tomllib.loads(camera.read_text(encoding="utf-8")).get("base")
     return None if named is None else camera.parent / named
 
 
 def curves_of(starter: Path) -> Path | None:
-    """Return the file with the responsivities that a camera recipe uses, or None."""
+    """Return the file with the responsivities of a camera recipe. None for a benchmark, or a recipe without such a file."""
     if starter.is_dir():
         return None
     named = tomllib.loads((_base(starter) or starter).read_text(encoding="utf-8"))["responsivity"].get("file")
@@ -231,13 +239,12 @@ def curves_of(starter: Path) -> Path | None:
 
 
 def _extinctions(camera: Path) -> list[Path]:
-    """Return the files with extinction ratios that a camera recipe uses, each once."""
+    """Return the files with extinction ratios to which a camera recipe refers, without duplicates."""
     recipe = tomllib.loads((_base(camera) or camera).read_text(encoding="utf-8"))
     named = [one.get("extinction") for one in recipe.get("channel", {}).values()]
     return list(dict.fromkeys(camera.parent / name for name in named if isinstance(name, str)))
 
 
 def _named(camera: Path) -> list[Path]:
-    """Return the files that a camera recipe refers to: the recipe on which it is based, its curves, and its
-    extinction ratios."""
+    """Return all files to which a camera recipe refers: its base recipe, its responsivities and its extinction ratios."""
     return [path for path in (_base(camera), curves_of(camera), *_extinctions(camera)) if path is not None]

@@ -1,7 +1,8 @@
-"""Collects all faults of a recipe, each with the keys that cause it.
+"""Collect the faults of a recipe, each with the keys that cause it.
 
-This module finds values that contradict the declared types. Generators in other modules check the meaning of the values. A
-command stops at the first fault (`refuse_first`), and `l3 check` lists all faults.
+This module finds values whose type or range differs from the declaration. Other modules check the meaning of the values, for
+example whether two values contradict each other. A command stops at the first fault (`refuse_first`). `l3 check` lists all
+faults.
 """
 
 import functools
@@ -16,20 +17,23 @@ from l3cli.recipes.messages import place, plain
 from l3cli.recipes.toml import KeyPath, Recipe, refusals
 
 R = TypeVar("R", bound=Recipe)
-LISTED_FAULTS = 100  # maximum number of faults that are reported individually; further faults are only counted
+LISTED_FAULTS = 100  # maximum number of faults that are listed; the remaining faults are only counted
 _fields = functools.cache(msgspec.structs.fields)
 UNIONS = (Union, types.UnionType)
 
 
 class Fault(NamedTuple):
-    """A fault, reported at the first of the keys that cause it. A fault with an empty message is only counted."""
+    """A fault of a recipe and the keys that cause it.
+
+    The fault is reported at the line of its first key. If the message is empty, the fault is counted but not listed.
+    """
 
     message: str
     keys: tuple[KeyPath, ...]
 
 
 def fault(message: str, *keys: str | KeyPath) -> Fault:
-    """Return a fault. A key may be written as text such as "scene.1.size", in which list entries are counted from 0."""
+    """Return a fault. A key is a KeyPath, or text such as "scene.1.size", in which list entries are counted from 0."""
     return Fault(message, tuple(_path(key) for key in keys))
 
 
@@ -38,18 +42,25 @@ def _path(key: str | KeyPath) -> KeyPath:
 
 
 def inside(faults: Iterable[Fault], *table: str | int) -> Iterator[Fault]:
-    """Yield the faults of a table in a recipe, with the position `table` of the table prepended to each key."""
+    """Convert faults of a table to faults of the recipe, by prepending the path `table` of the table to each key."""
     return (Fault(message, tuple((*table, *key) for key in keys)) for message, keys in faults)
 
 
 def refuse_first(faults: Iterable[Fault], name: object = None) -> None:
-    """Raise a RecipeError for the first fault, if there is one. If `name` is given, the message begins with `name`."""
+    """Raise a RecipeError for the first fault. Do nothing if `faults` is empty.
+
+    If `name` is not None, the message starts with it.
+    """
     for message, _ in faults:
         raise RecipeError(message if name is None else f"{name}: {message}")
 
 
 def about_others(faults: Iterable[Fault], known: Iterable[Fault]) -> Iterator[Fault]:
-    """Yield only faults whose keys have no other fault, neither in `known` nor earlier in `faults`."""
+    """Yield the faults whose keys are free of earlier faults.
+
+    A fault is left out if `known`, or a fault that was yielded before, concerns one of its keys, a table that contains the
+    key, or a value inside the key. Such a fault is probably a consequence of the earlier fault.
+    """
     broken: set[KeyPath] = set()
     above: set[KeyPath] = set()  # tables and lists that contain broken keys
 
@@ -73,15 +84,17 @@ def typed(content: dict[str, Any], recipe: type[R]) -> tuple[R | None, list[Faul
     Parameters
     ----------
     content : dict
-        Content of the file.
+        Content of the file, as tomllib returns it.
     recipe : type
-        Structure of the recipe.
+        Class of the recipe.
 
     Returns
     -------
     recipe : Recipe or None
-        The recipe, in which invalid values are replaced by valid examples, or None if this is not possible.
+        The recipe, in which valid examples replace the invalid values, so that the caller can check the other values. None
+        if msgspec rejects even the repaired content.
     faults : list of Fault
+        The faults, in the order in which they were found. Empty if the recipe is valid.
     """
     faults = list(refusals(content))
     judge = _Judge(recipe, content, [Fault(message, (key,)) for key, message in faults])
@@ -93,14 +106,14 @@ def typed(content: dict[str, Any], recipe: type[R]) -> tuple[R | None, list[Faul
 
 
 class _Judge:
-    """Compares the content of a recipe with the declared types, and replaces invalid values by valid examples."""
+    """Compares the content of a recipe with the declared types, and replaces invalid values with valid examples."""
 
     def __init__(self, recipe: type[Recipe], content: dict[str, Any], faults: list[Fault]) -> None:
         self.recipe, self.content, self.faults = recipe, content, faults
         self._faulty = {key for fault in faults for key in fault.keys}
 
     def table(self, kind: type[Recipe], given: dict[str, Any], path: KeyPath) -> dict[str, Any]:
-        """Check a table, and return a copy in which invalid values are replaced by valid examples."""
+        """Check a table, and return a copy in which valid examples replace the invalid and the missing values."""
         fields = {field.encode_name: field for field in _fields(kind)}
         tag = kind.__struct_config__.tag_field
         repaired: dict[str, Any] = {tag: kind.__struct_config__.tag} if tag else {}
@@ -116,9 +129,9 @@ class _Judge:
         return repaired
 
     def value(self, kind: Any, value: Any, path: KeyPath) -> Any:
-        """Check a value, including the entries of a list or table, and collect the faults.
+        """Check a value and, if it is a list or a table, all its entries.
 
-        Return the value, in which invalid parts are replaced by valid examples.
+        Return the value, in which valid examples replace the invalid parts.
         """
         if path in self._faulty:
             return example(kind)
@@ -142,7 +155,7 @@ class _Judge:
         return value
 
     def _add(self, what: str, where: KeyPath, key: KeyPath) -> None:
-        """Add a fault with a message from msgspec, unless the key already has a fault."""
+        """Add a fault with a message of msgspec, unless the key already has a fault."""
         if key in self._faulty:
             return
         self._faulty.add(key)
@@ -155,7 +168,7 @@ class _Judge:
 
 
 def _plain_types(kind: Any) -> list[Any]:
-    """Return the types of which `kind` is a union, or `kind` itself, without the declared ranges of values."""
+    """Return the members of a union, or `[kind]` if `kind` is not a union. Declared ranges (Annotated) are removed."""
     if get_origin(kind) is Annotated:
         return _plain_types(get_args(kind)[0])
     if get_origin(kind) in UNIONS:
@@ -164,7 +177,10 @@ def _plain_types(kind: Any) -> list[Any]:
 
 
 def _table(kind: Any, value: Any) -> type[Recipe] | None:
-    """Return the declared structure of a table, which its tag selects if there are several, or None if there is none."""
+    """Return the class that is declared for a table. If several classes are permitted, the tag of the table selects one.
+
+    The result is None if `value` is not a table, if no class is declared, or if the tag is unknown.
+    """
     tables = [each for each in _plain_types(kind) if isinstance(each, type) and issubclass(each, Recipe)]
     if not isinstance(value, dict) or not tables:
         return None
@@ -175,7 +191,7 @@ def _table(kind: Any, value: Any) -> type[Recipe] | None:
 def _entries(kind: Any, value: Any) -> dict[str, Any] | list[Any] | None:
     """Return the declared type of each entry of a list, or of each entry of a table with arbitrary keys.
 
-    The result is None if `value` is something else, or a list of the wrong length.
+    The result is None if `value` is neither, if `kind` does not permit it, or if the list has the wrong length.
     """
     for each in _plain_types(kind):
         origin, arguments = get_origin(each), get_args(each)
@@ -189,7 +205,7 @@ def _entries(kind: Any, value: Any) -> dict[str, Any] | list[Any] | None:
 
 
 def example(kind: Any) -> Any:
-    """Return any valid value of a declared type."""
+    """Return a valid value of a declared type, as TOML would contain it."""
     if get_origin(kind) is Annotated:
         kind, *marks = get_args(kind)
         (meta,) = (mark for mark in marks if isinstance(mark, msgspec.Meta))

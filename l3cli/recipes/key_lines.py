@@ -1,4 +1,4 @@
-"""Find the line number of each key in a TOML document. tomllib does not report line numbers."""
+"""Find the line number of each key in a TOML document, because tomllib does not report line numbers."""
 
 import re
 import tomllib
@@ -12,11 +12,14 @@ STRING = (
     r'|"[^"\\\n]*(?:\\.[^"\\\n]*)*"'
     r"|'[^'\n]*'"
 )
-TOKEN = re.compile(rf"{STRING}|#[^\n]*|[^\"'#.,\[\]{{}}=\n]+|.", re.DOTALL)  # a TOML token, with adjacent blanks
+TOKEN = re.compile(rf"{STRING}|#[^\n]*|[^\"'#.,\[\]{{}}=\n]+|.", re.DOTALL)  # a TOML token, including adjacent blanks
 
 
 def line_of(path: KeyPath, lines: Mapping[KeyPath, int]) -> int:
-    """Return the line number of a key. If the key is missing, return the line of its table, or 1 if there is no table."""
+    """Return the line number of a key from the result of `key_lines`.
+
+    If the key is missing, the result is the line of the innermost table around the key, or 1 if no such table exists.
+    """
     return next((lines[path[:length]] for length in range(len(path), 0, -1) if path[:length] in lines), 1)
 
 
@@ -32,11 +35,11 @@ class _Scanner:
         self.text, self.tokens = text, TOKEN.finditer(text)
         self.token, self.start, self.line = "", 0, 1
         self.lines: dict[KeyPath, int] = {}
-        self.entries: dict[KeyPath, int] = {}  # list of tables → index of its latest table
+        self.entries: dict[KeyPath, int] = {}  # path of a list of tables → index of the latest table in the list
         self._next()
 
     def _next(self) -> str:
-        """Return the current token, and advance to the next token, which is "" at the end of the text."""
+        """Advance to the next token, and return the previous token. At the end of the text, the new token is ""."""
         before, self.token = self.token, ""
         for found in self.tokens:
             token = found.group().strip(" \t")

@@ -1,4 +1,4 @@
-"""Reads TOML recipes into typed structures."""
+"""Read TOML recipes into instances of their classes."""
 
 from pathlib import Path
 from typing import TypeVar
@@ -19,7 +19,7 @@ def load_recipe(path: Path, recipe: type[R]) -> R:
     path : Path
         The file.
     recipe : type
-        Structure of the recipe.
+        Class of the recipe.
 
     Returns
     -------
@@ -30,14 +30,33 @@ def load_recipe(path: Path, recipe: type[R]) -> R:
     ------
     RecipeError
         If the file has a fault. The message contains the file, the line and the first fault.
+    InputFileError
+        If the file does not exist or is not UTF-8 text.
     """
     return parse_recipe(read_text(path, recipe.title), recipe, str(path))
 
 
 def parse_recipe(text: str, recipe: type[R], name: str) -> R:
-    """Convert a TOML text to a recipe, in the same way as `load_recipe`. `name` is the name of the file for messages.
+    """Convert the text of a TOML file to a recipe.
 
-    Raises RecipeError if the text has a fault, or contains keys that only another type of recipe has.
+    Parameters
+    ----------
+    text : str
+        Text of the file.
+    recipe : type
+        Class of the recipe.
+    name : str
+        Name of the file, for messages.
+
+    Returns
+    -------
+    Recipe
+        An instance of `recipe`.
+
+    Raises
+    ------
+    RecipeError
+        If the text has a fault, or if its keys belong to another type of recipe.
     """
     content = parse_toml(text, name)
     given = {kind for kind, keys in KIND_KEYS.items() if any(key in content for key in keys)}

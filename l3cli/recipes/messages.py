@@ -1,4 +1,4 @@
-"""Converts the messages of msgspec about recipes to messages in terms of TOML, with suggestions for misspelled words."""
+"""Rewrite the messages of msgspec about recipes in terms of TOML, with suggestions for misspelled words."""
 
 import re
 from collections.abc import Sequence
@@ -15,14 +15,14 @@ BOUNDS = {">=": "use at least", "<=": "use at most", ">": "use more than", "<": 
 
 
 def plain(message: str, recipe: type[Recipe], content: Any) -> str:
-    """Rewrite a message of msgspec.
+    """Rewrite a message of msgspec in terms of TOML.
 
     Parameters
     ----------
     message : str
         Message of msgspec.
     recipe : type
-        Structure of the recipe.
+        Class of the recipe.
     content : dict
         Content of the TOML file.
 
@@ -56,33 +56,33 @@ def plain(message: str, recipe: type[Recipe], content: Any) -> str:
 
 
 def place(message: str) -> KeyPath:
-    """Return the key to which a message of msgspec refers, or the table if the message is about a missing key."""
+    """Return the path of the key to which a message of msgspec refers, or of the table if a key is missing in the table."""
     what, _, where = message.partition(" - at ")
     unknown = re.findall("unknown field `(.*)`", what, re.DOTALL)
     return (*(int(number) if number else key for key, number in re.findall(PATH_PART, where)), *unknown)
 
 
 def _written(where: str) -> str:
-    """Convert a path from a message of msgspec to text in which list entries are counted from 1."""
+    """Convert a path in a message of msgspec, such as `$.scene[1].size`, to text that counts list entries from 1."""
     inner = re.sub(r"^`\$\.?|`$", "", where)
     return re.sub(r"\[(\d+)\]", lambda number: f"[{int(number[1]) + 1}]", inner)
 
 
 def _value_at(content: Any, where: str) -> Any:
-    """Return the value at a path from a message of msgspec. The result is useless if a key contains a period."""
+    """Return the value at a path in a message of msgspec. Keys that contain a period are not supported."""
     for key, number in re.findall(PATH_PART, where):
         content = content[int(number)] if number else content.get(key, {})
     return content
 
 
 def _keys(tables: Sequence[type[Recipe]]) -> tuple[str, ...]:
-    """Return all keys that a table may have if its structure is one of `tables`."""
+    """Return all keys of a table that is an instance of one of the classes `tables`."""
     tags = [each.__struct_config__.tag_field for each in tables if each.__struct_config__.tag_field]
     return tuple(dict.fromkeys(tags + [field.encode_name for each in tables for field in msgspec.structs.fields(each)]))
 
 
 def _values(tables: Sequence[type[Recipe]], name: str) -> tuple[str, ...]:
-    """Return all words that are allowed for the key `name` in a table whose structure is one of `tables`."""
+    """Return all words that the key `name` permits in a table that is an instance of one of the classes `tables`."""
     words = [str(each.__struct_config__.tag) for each in tables if each.__struct_config__.tag_field == name]
     for each in tables:
         for field in msgspec.structs.fields(each):
@@ -94,10 +94,10 @@ def _values(tables: Sequence[type[Recipe]], name: str) -> tuple[str, ...]:
 
 
 def _tables(recipe: type[Recipe], content: Any, path: KeyPath) -> list[type[Recipe]]:
-    """Return the structures that the table at `path` of a recipe can have.
+    """Return the classes that the table at `path` of a recipe can have.
 
-    If a tag such as `source` selects one of several structures, the result contains only this structure. If the tag is
-    missing or unknown, the result contains all structures.
+    If a tag such as `source` selects one of several classes, the result contains only this class. If the tag is missing or
+    unknown, the result contains all classes.
     """
     tables = [recipe]
     for part in path:

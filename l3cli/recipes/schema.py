@@ -1,4 +1,4 @@
-"""JSON schemas (2020-12) of recipes, for editors that check TOML. They are derived from the declared types."""
+"""Derive JSON schemas (2020-12) of recipes from the declared types, for editors that check TOML files."""
 
 import ast
 import functools
@@ -18,24 +18,24 @@ PLACE = "#/$defs/{name}"
 
 
 def schema_of(recipes: Sequence[type[Recipe]], title: str) -> dict[str, Any]:
-    """Return the schema of a recipe file.
+    """Return the JSON schema of a recipe file.
 
-    The description of a key is the comment at its declaration in the source text.
+    The description of each key is the comment at its declaration in the source code.
 
     Parameters
     ----------
     recipes : sequence of type
-        Structures that the file can have.
+        Classes, one of which describes the whole file.
     title : str
         Title of the schema.
 
     Returns
     -------
     dict
-        The schema, ready for JSON.
+        The schema, which `json.dumps` can write.
     """
     roots, tables = msgspec.json.schema_components(recipes, ref_template=PLACE)
-    # msgspec uses the name of the class, or the names of the module and the class if several classes have the same name.
+    # msgspec calls a table like its class. If several classes have the same name, msgspec prepends the name of the module.
     classes = {name: kind for kind in _structures(recipes) for name in (kind.__name__, f"{kind.__module__}.{kind.__name__}")}
     for name, table in tables.items():
         if "description" in table:
@@ -51,7 +51,7 @@ def schema_of(recipes: Sequence[type[Recipe]], title: str) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Simplify a property: without null, which TOML does not have, and without keywords that old schema versions lack."""
+    """Simplify the schema of a property: remove null, which TOML lacks, and keywords that older schema versions lack."""
     if isinstance(value, list | tuple):
         return [_plain(each) for each in value]
     if not isinstance(value, dict):
@@ -61,16 +61,16 @@ def _plain(value: Any) -> Any:
         kinds = [each for each in value.pop("anyOf") if each != {"type": "null"}]
         value = (kinds[0] if len(kinds) == 1 else {"anyOf": kinds}) | value
     first, *others = value.get("prefixItems", [None])
-    if first is not None and all(each == first for each in others):  # a tuple whose entries have the same type
+    if first is not None and all(each == first for each in others):  # a tuple whose entries all have the same type
         del value["prefixItems"]
         value["items"] = first
     return value
 
 
 def _structures(recipes: Sequence[type[Recipe]]) -> list[type[Recipe]]:
-    """Return the structures in `recipes`, and all structures of their tables."""
+    """Return the classes in `recipes`, and the classes of all tables that these recipes can contain."""
     found = list(recipes)
-    for kind in found:  # the loop also reaches the structures that are appended below
+    for kind in found:  # the loop also reaches the classes that are appended below
         inner = [each for field in msgspec.structs.fields(kind) for each in tables_in(field.type)]
         found += [each for each in dict.fromkeys(inner) if each not in found]
     return found
@@ -78,7 +78,10 @@ def _structures(recipes: Sequence[type[Recipe]]) -> list[type[Recipe]]:
 
 @functools.cache
 def _comments(kind: type) -> dict[str, str]:
-    """Return the comment of each key of a structure, which is above its declaration or at the end of a line."""
+    """Return the comment of each key of a class, from the lines above its declaration and the ends of its lines.
+
+    The result is empty if the source code is not available.
+    """
     try:
         source = textwrap.dedent(inspect.getsource(kind))
     except (OSError, TypeError):
@@ -97,7 +100,7 @@ def _comments(kind: type) -> dict[str, str]:
 
 
 def _comment_lines(source: str) -> dict[int, tuple[bool, str]]:
-    """Return the comment of each line that has a comment, and whether the line contains only this comment."""
+    """Return, for each line with a comment, whether the line contains only the comment, and the text of the comment."""
     tokens = tokenize.generate_tokens(io.StringIO(source).readline)
     return {
         token.start[0]: (token.line.strip().startswith("#"), token.string.lstrip("# "))

@@ -1,6 +1,6 @@
-"""The base class of recipe structures, the types of their keys, and functions to read and write TOML.
+"""The base class of all recipes, the types of their keys, and functions that read and write TOML.
 
-Every key is declared in a structure, and unknown keys are an error. The name of a key contains its unit.
+Every key is declared in a class, and an unknown key is an error. If a value has a unit, the name of its key contains it.
 """
 
 import json
@@ -16,8 +16,8 @@ from l3cli.errors import MOST_SHOWN, InputFileError, RecipeError, shortened
 from l3cli.system.limits import read_bounded
 from l3cli.system.text import LARGEST_WHOLE
 
-MAX_NUMBER = 1e24  # largest number in a recipe, which is above any photon flux and far below an overflow
-DEEPEST = 100  # largest depth of nested tables and lists
+MAX_NUMBER = 1e24  # largest number in a recipe; larger than any photon flux, but too small to overflow in calculations
+DEEPEST = 100  # maximum depth of nested tables and lists
 MAX_COUNT = 1_000_000  # largest value of a key that counts something
 Count = Annotated[int, msgspec.Meta(ge=1, le=MAX_COUNT)]
 CountOrNone = Annotated[int, msgspec.Meta(ge=0, le=MAX_COUNT)]
@@ -25,13 +25,13 @@ Seed = Annotated[int, msgspec.Meta(ge=0, le=LARGEST_WHOLE)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
-KeyPath = tuple[str | int, ...]  # keys and list indices (counted from 0) that lead to a value, such as ("scene", 1, "size")
+KeyPath = tuple[str | int, ...]  # path of a value: keys and list indices (from 0), such as ("scene", 1, "size")
 
 
 class Recipe(msgspec.Struct, forbid_unknown_fields=True):
-    """Base class of all recipe structures. A field without a default is a required key."""
+    """Base class of recipes and of the tables in recipes. A field without a default is a required key."""
 
-    title: ClassVar[str] = "a recipe"  # name of this type of file in messages
+    title: ClassVar[str] = "a recipe"  # the type of the file, as messages call it
 
 
 KIND_KEYS = {  # type of file → top-level keys that no other type of file has
@@ -48,14 +48,14 @@ KIND_KEYS = {  # type of file → top-level keys that no other type of file has
 
 
 def read_text(path: Path, title: str = Recipe.title) -> str:
-    """Return the text of a recipe file, without a byte order mark and carriage returns.
+    """Return the text of a recipe file, without a byte order mark, and with Unix line ends.
 
     Parameters
     ----------
     path : Path
         The file.
     title : str
-        Name of the expected type of file, for messages.
+        The expected type of file, such as "a camera recipe", for messages.
 
     Raises
     ------
@@ -69,7 +69,10 @@ def read_text(path: Path, title: str = Recipe.title) -> str:
 
 
 def parse_toml(text: str, name: str) -> dict[str, Any]:
-    """Parse a TOML text. `name` is the name of the file for messages. Raises a RecipeError if the text is not valid TOML."""
+    """Parse the text of a TOML file.
+
+    `name` is the name of the file, for messages. The function raises a RecipeError if the text is not valid TOML.
+    """
     try:
         return tomllib.loads(text)
     except ValueError as error:  # a syntax error, or a number with too many digits
@@ -81,7 +84,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
 
 
 def toml_value(value: Any) -> str:
-    """Write a number, string, list or table as TOML. In file names, bytes that are not UTF-8 become "?"."""
+    """Write a number, string, list or table as TOML. Surrogates, which file names that are not UTF-8 contain, become "?"."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{toml_key(name)} = {toml_value(each)}" for name, each in value.items()) + "}"
     if isinstance(value, Sequence) and not isinstance(value, str):
@@ -95,9 +98,10 @@ def toml_key(name: str) -> str:
 
 
 def refusals(value: Any, key: KeyPath = ()) -> Iterator[tuple[KeyPath, str]]:
-    """Yield the key and the fault of each value that no recipe may contain.
+    """Yield (key, message) for each value that no recipe may contain.
 
-    Such values are huge or infinite numbers, strings with null characters, and tables or lists that are nested too deeply.
+    These values are integers beyond 64 bits, floats that are not finite or beyond ±MAX_NUMBER, strings with a null
+    character, and tables or lists that are nested more than DEEPEST levels deep.
     """
     if len(key) > DEEPEST:
         yield key, f"tables and lists are nested more than {DEEPEST} levels deep; use fewer levels"
@@ -122,12 +126,12 @@ def _named(key: KeyPath) -> str:
 
 
 def tables_in(kind: Any) -> list[type[Recipe]]:
-    """Return all recipe structures that are part of a declared type."""
+    """Return all subclasses of Recipe that occur in a declared type, for example as members of a union."""
     return [each for each in member_types(kind) if isinstance(each, type) and issubclass(each, Recipe)]
 
 
 def member_types(kind: Any) -> Iterator[Any]:
-    """Yield a declared type and all its parts, such as the types of list entries and the members of unions."""
+    """Yield a declared type and all types inside it, such as the types of list entries and the members of unions."""
     yield kind
     if get_origin(kind) is not Literal:
         for part in get_args(kind):

@@ -1,8 +1,9 @@
-"""The section of a camera model in a report.
+"""The section of a report about a camera model.
 
-The section shows the colour filter array, the responsivities and the noise. If the camera was fitted to charts, the section
-also shows how well the model predicts these charts. If the noise was measured, it includes a data sheet with the operation
-point, the values of each channel and the plots of EMVA 1288, release 4.0 (docs/measurement.md#data-sheet).
+The section shows the colour filter array, the responsivities and the noise. If the model was fitted to charts, the section
+also shows how accurately the model predicts the signals of these charts. If the noise was measured, the section contains a
+data sheet with the operation point, the values of each channel and the plots of EMVA 1288, release 4.0
+(docs/measurement.md#data-sheet).
 """
 
 from typing import Any
@@ -20,10 +21,10 @@ from l3cli.report.parts import Block, Data, Details, Figure, Figures, Section, S
 from l3cli.report.validation import BANDS, photo_lead, photo_subsections, table_of, validation_blocks
 from l3cli.system.text import counted, tidy, unit
 
-CELL_HEIGHT, MAX_CELL_WIDTH = 44, 104  # px; height and maximum width of a filter in the drawing of the array
-HEADROOM = 1.06  # upper end of the axis divided by the maximum of the curves; leaves space for labels
-MAX_LABEL_CHARACTERS = 24  # if the channel names together have more characters, the curves are not labelled
-# A point of the photon transfer counts as saturated if its variance is below this fraction of the variance on the line.
+CELL_HEIGHT, MAX_CELL_WIDTH = 44, 104  # height and maximum width of a filter in the drawing of the array, in px
+HEADROOM = 1.06  # ratio of the upper end of the axis to the maximum of the curves, which leaves space for labels
+MAX_LABEL_CHARACTERS = 24  # maximum total length of the channel names for which the curves are labelled
+# A point of the photon transfer is saturated if its variance is below this fraction of the variance on the fitted line.
 SATURATED_VARIANCE = 0.9
 Array = NDArray[np.floating]
 LINEAR_RANGE = (0.05, 0.95)  # range of the linear fit, as a fraction of the saturation capacity
@@ -38,23 +39,23 @@ MEANINGS = (
 
 
 def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> Section:
-    """Build the section of a camera model.
+    """Build the section about a camera model.
 
     Parameters
     ----------
     camera : CameraModel
         The camera.
     figures : dict
-        Output of `l3 calibrate --json` for this camera, with the additional key "shortfall": the reason why the model should
-        not be trusted, or an empty string.
+        Output of `l3 calibrate --json` for this camera, with the additional key "shortfall". Its value is the reason why the
+        model is not reliable, or an empty string.
     name : str
-        Name of the file that contains the camera.
+        Name of the file that contains the model.
 
     Returns
     -------
     Section
-        Subsections for the sensor, the responsivities and the noise, and, if the measurements exist, the data sheet, the
-        photos and the validation.
+        Subsections about the sensor, the responsivities and the noise. If the model was measured, subsections with the data
+        sheet, the polarisers, the photos and the validation are added, as far as these measurements exist.
     """
     parts = [
         Subsection("Sensor and colour filter array", (Figures((array_figure(camera),)), _facts(camera))),
@@ -74,7 +75,7 @@ def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> S
 
 
 def _lead(camera: CameraModel, figures: dict[str, Any]) -> str:
-    """Summarize the sensor and the quality of the calibration in a few sentences."""
+    """Summarise the sensor and the quality of the calibration in a few sentences."""
     rows, cols = camera.cfa.shape
     text = (
         f"{len(camera.channels)} channels in a {rows} × {cols} colour filter array on {camera.cols} × {camera.rows} pixels, "
@@ -96,25 +97,26 @@ def _lead(camera: CameraModel, figures: dict[str, Any]) -> str:
 
 
 def drift_note(camera: CameraModel) -> str:
-    """Return a sentence, with a leading space, if the lamps drifted more than declared. Otherwise return an empty string."""
+    """Return a sentence, with a leading space, about an unexpected lamp drift. Empty if the measurements show none."""
     if camera.fit is None or camera.fit.drift is None:
         return ""
     return (
-        f" The measurements of the charts contradict each other by as much as a lamp drift of "
-        f"{tidy(100 * camera.fit.drift.deviation, 2)} % would explain. The confidence bands include this drift."
+        f" The measurements of the charts contradict each other. A lamp drift of "
+        f"{tidy(100 * camera.fit.drift.deviation, 2)} % would explain this. The confidence bands include the drift."
     )
 
 
 def polariser_figure(camera: CameraModel, fit: PolariserFit) -> Figure:
-    """Plot the signals behind the rotating polariser, and Malus's law as it was fitted.
+    """Plot the signals behind the rotating polariser and the fitted curves of Malus's law.
 
-    The signals are divided by the brightness of the light, so that all captures of a channel lie on one curve.
+    The signals are divided by the brightness of the light in each capture, so that a single curve fits all captures of a
+    channel.
     """
     law = fit.gain, fit.angle, fit.leakage, fit.light_polarisation
     light = np.linspace(0.0, 180.0, 181)
     curves, bright = malus(light, *law), fit.brightness[:, None]
     largest = curves.max()
-    unit_signal = (fit.predicted / bright).sum() / malus(fit.light_angle, *law).sum()  # DN/s for a gain of 1
+    unit_signal = (fit.predicted / bright).sum() / malus(fit.light_angle, *law).sum()  # signal at a value of 1, in DN/s
     curves, signal = curves / largest, fit.measured / bright / unit_signal / largest
     plot = Plot(
         spanning("angle of the rotating polariser (°)", light),
@@ -143,7 +145,7 @@ def polariser_figure(camera: CameraModel, fit: PolariserFit) -> Figure:
 def array_figure(camera: CameraModel) -> Figure:
     """Draw one period of the colour filter array.
 
-    Each site shows the name of its channel on the colour that daylight has behind the filter.
+    Each site shows the name of its channel. The background has the colour of daylight behind the filter.
     """
     rows, cols = camera.cfa.shape
     light = colours.channel_light(camera)
@@ -164,7 +166,8 @@ def array_figure(camera: CameraModel) -> Figure:
     counts = np.bincount(camera.cfa.ravel(), minlength=len(camera.channels))
     sites_of = ", ".join(f"{name} {count}" for name, count in zip(camera.channels, counts, strict=True))
     finding = (
-        f"Super-pixel of {rows} × {cols} sites. Sites per channel: {sites_of}. The colours are daylight through filters."
+        f"Super-pixel of {rows} × {cols} sites. Sites per channel: {sites_of}. Each colour is that of daylight behind the "
+        "filter."
     )
     svg = sheet(cols * wide + 2, rows * CELL_HEIGHT + 2, "".join(items), finding, fixed_size=True)
     sites = tuple((str(row), str(col), camera.channels[channel]) for (row, col), channel in np.ndenumerate(camera.cfa))
@@ -188,7 +191,10 @@ def _facts(camera: CameraModel) -> Table:
 
 
 def _declared_from(camera: CameraModel) -> str:
-    """State the origin of values that were not measured. In a model from photos, values that need dark frames are 0."""
+    """State the origin of the values that were not measured.
+
+    They are from the data sheet or, in a model from photos without dark frames, 0.
+    """
     return "not measured, assumed to be 0" if "dark current" in camera.declared else "from the data sheet"
 
 
@@ -196,9 +202,9 @@ def _declared_from(camera: CameraModel) -> str:
 
 
 def responsivity_figures(camera: CameraModel) -> tuple[Figure, ...]:
-    """Plot the responsivity curves, with their confidence bands if the camera has bands.
+    """Plot the responsivities of the channels.
 
-    The second figure, which exists only for cameras with bands, shows the half widths of the bands.
+    If the camera has confidence bands, the plot includes the bands, and a second figure shows their half widths.
     """
     label = "quantum efficiency (e⁻/photon)" if camera.absolute else "relative responsivity (1)"
     upper, measured = camera.responsivity + camera.responsivity_band, bool(camera.responsivity_band.any())
@@ -219,7 +225,7 @@ def responsivity_figures(camera: CameraModel) -> tuple[Figure, ...]:
 
 
 def _band_figure(camera: CameraModel) -> Figure:
-    """Plot the half widths of the confidence bands, because the bands of a good calibration are too narrow to see."""
+    """Plot the half widths of the confidence bands. The bands of a good calibration are too narrow for the first plot."""
     shares = 100 * camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     plot = Plot(spanning("wavelength (nm)", camera.wavelength), spanning("half width (% of peak)", shares, zero=True))
     keys = colours.channel_keys(camera)
@@ -264,7 +270,7 @@ def _noise_blocks(camera: CameraModel, figures: dict[str, Any]) -> tuple[Block, 
 
 
 def transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
-    """Plot the photon transfer: temporal variance against mean signal, with one line per channel whose slope is its gain."""
+    """Plot the photon transfer: temporal variance against mean signal. The slope of a channel's line is its system gain."""
     mean, variance = noise.photon_transfer_mean, noise.photon_transfer_variance
     plot = Plot(
         spanning("mean signal above black (DN)", mean, zero=True), spanning("temporal variance (DN²)", variance, zero=True)
@@ -273,7 +279,7 @@ def transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
     for channel, key in enumerate(keys):
         gain = float(noise.conversion_gain[channel])
         dark = (gain * float(noise.read_noise[channel])) ** 2 + QUANTISATION
-        end = float(mean[int(variance[:, channel].argmax()), channel])  # the channel saturates above this signal
+        end = float(mean[int(variance[:, channel].argmax()), channel])  # above this signal, the channel saturates
         plot.line(np.array([0.0, end]), np.array([dark, dark + gain * end]), key.colour, key.mark, 1.2)
         plot.dots(mean[:, channel], variance[:, channel], key.colour, colours.MARKS[key.mark], series=key.label)
     gains = ", ".join(
@@ -288,7 +294,7 @@ def transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
 
 
 def data_sheet(camera: CameraModel, noise: NoiseFit) -> Subsection:
-    """Build the EMVA 1288 data sheet of a camera: operation point, values per channel and plots."""
+    """Build the EMVA 1288 data sheet of a camera: the operation point, the values of each channel, and plots."""
     plots = (transfer_figure, linearity_figure, deviation_figure, snr_figure)
     figures = Figures(tuple(plot(camera, noise) for plot in plots))
     blocks = (operation_point(camera, noise), figures_table(camera, noise), Text(MEANINGS), figures)
@@ -316,7 +322,7 @@ def operation_point(camera: CameraModel, noise: NoiseFit) -> Table:
 
 
 def figures_table(camera: CameraModel, noise: NoiseFit) -> Table:
-    """Make a table of the EMVA 1288 quantities with one column per channel."""
+    """Make a table of the EMVA 1288 quantities, with one column per channel."""
     gain, capacity = noise.conversion_gain, noise.saturation_capacity
     least = sensitivity_threshold(noise.read_noise, gain)
     peak = camera.responsivity.argmax(axis=1)
@@ -367,17 +373,17 @@ def _line_noise_rows(noise: NoiseFit) -> list[tuple[str, Array]]:
 
 
 def _lit(camera: CameraModel, noise: NoiseFit, channel: int) -> tuple[Array, Array, Array]:
-    """Fit a line to the signal of a channel as a function of the exposure time.
+    """Fit a straight line to the signal of a channel as a function of the exposure time.
 
     Returns
     -------
     exposure : ndarray, (exposure,)
-        Exposure times in seconds, ascending.
+        Exposure times in s, in increasing order.
     signal : ndarray, (exposure,)
         Mean signal above the dark signal, in DN.
     line : ndarray, (exposure,)
-        Values of the line in DN. The fit minimizes relative deviations over LINEAR_RANGE. NaN if fewer than two exposures
-        are in that range.
+        Values of the line in DN. The fit minimises the relative deviations of the signals within LINEAR_RANGE. All values
+        are NaN if fewer than two signals are within this range.
     """
     gain = noise.conversion_gain[channel]
     order = np.argsort(noise.exposure, kind="stable")
@@ -402,12 +408,12 @@ def linearity_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
         inside = np.isfinite(line) & (line <= 1.1 * signal.max())
         plot.line(exposure[inside], line[inside], key.colour, key.mark, 1.2)
         plot.dots(exposure, signal, key.colour, colours.MARKS[key.mark], series=key.label)
-    finding = "The lines minimize the relative deviations between 5 % and 95 % of saturation."
+    finding = "The lines minimise the relative deviations between 5 % and 95 % of saturation."
     return plot.figure("Linearity", finding, keys)
 
 
 def deviation_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
-    """Plot the relative deviation of the signal from the fitted line against the signal."""
+    """Plot the relative deviation of the mean signal from the fitted line against the signal."""
     keys, drawn = colours.channel_keys(camera), []
     for channel in range(len(keys)):
         _, signal, line = _lit(camera, noise, channel)
@@ -435,8 +441,8 @@ def deviation_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
 def snr_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
     """Plot the temporal signal-to-noise ratio against the signal in electrons.
 
-    The points are measured. The lines are computed from the read noise and the gain of each channel. The dotted line is an
-    ideal sensor, which has photon noise only.
+    The points are measured. The lines are computed from the read noise and the gain of each channel. The dotted line
+    represents an ideal sensor, which has photon noise only.
     """
     most = float(noise.saturation_capacity.max())
     electrons = np.geomspace(most * SNR_CURVE_START, most, 60)

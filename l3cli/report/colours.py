@@ -1,6 +1,6 @@
-"""Colours and marks of channels in drawings, and chromaticities.
+"""Choose the colours and the marks of channels in drawings, and compute chromaticities.
 
-Channel colours are computed from the responsivities and not from channel names.
+The colour of a channel depends on its responsivity, not on its name.
 """
 
 from dataclasses import replace
@@ -16,19 +16,20 @@ from l3cli.report.parts import Key
 Array = NDArray[np.floating]
 
 
-# Luminance of all lines as a fraction of white. The contrast ratio to a white page and to a dark page is above 4.
+# Luminance of all lines as a fraction of white. The contrast ratio to both a white page and a dark page is above 4.
 LINE_LUMINANCE = 0.18
-MARKS = {"line": "dot", "dashed": "plus", "dotted": "cross"}  # mark for the points of a channel, by its line style
-CONFUSABLE_DIFFERENCE = 170  # 8-bit sRGB, absolute differences summed over r, g and b; closer colours are easily confused
+MARKS = {"line": "dot", "dashed": "plus", "dotted": "cross"}  # line style of a channel → mark of its points
+# Two colours are easily confused if the sum of the absolute differences of their 8-bit sRGB values is below this limit.
+CONFUSABLE_DIFFERENCE = 170
 
 
 def channel_light(camera: CameraModel) -> NDArray[np.float64]:
-    """Compute a display colour for each channel: the colour of daylight (D65) multiplied by the responsivity.
+    """Compute a colour for each channel: the colour of daylight (D65) whose spectrum is multiplied by the responsivity.
 
     Returns
     -------
     ndarray, (channel, 3)
-        Linear sRGB. The largest of the three values is 1. A channel that does not respond to visible light is grey (0.5).
+        Linear sRGB, with a maximum of 1 per channel. A channel that does not respond to visible light is grey (0.5).
     """
     seen = camera.responsivity * spectra.illuminant("D65", camera.wavelength)
     linear = np.maximum(seen @ spectra.xyz_weights(camera.wavelength).T @ SRGB_FROM_XYZ.T, 0.0)
@@ -39,8 +40,8 @@ def channel_light(camera: CameraModel) -> NDArray[np.float64]:
 def channel_keys(camera: CameraModel) -> tuple[Key, ...]:
     """Return one legend entry per channel, with the colour and the style of its line.
 
-    All colours have the same luminance, so that lines are visible on a white page and on a dark page. Channels whose colours
-    are easily confused have different line styles.
+    All colours have the same luminance, so that the lines are visible on a white page and on a dark page. Channels with
+    similar colours have different line styles. If more than three channels are similar, the styles repeat.
     """
     keys: list[Key] = []
     for name, linear in zip(camera.channels, channel_light(camera), strict=True):
@@ -51,7 +52,7 @@ def channel_keys(camera: CameraModel) -> tuple[Key, ...]:
 
 
 def point_keys(camera: CameraModel) -> tuple[Key, ...]:
-    """Return one legend entry per channel, with the colour and the mark of its points."""
+    """Return one legend entry per channel, with the colour and the mark of its points instead of its line."""
     return tuple(replace(key, mark=MARKS[key.mark]) for key in channel_keys(camera))
 
 
@@ -61,7 +62,7 @@ def _codes(colour: str) -> NDArray[np.int64]:
 
 
 def _at_luminance(linear: Array) -> Array:
-    """Change the luminance of a linear sRGB colour to LINE_LUMINANCE, by scaling it down or by mixing it with white."""
+    """Darken a linear sRGB colour, or mix it with white, so that its luminance becomes LINE_LUMINANCE."""
     luminance = float(linear @ LUMA)
     if luminance >= LINE_LUMINANCE:
         return linear * (LINE_LUMINANCE / luminance)
@@ -70,12 +71,12 @@ def _at_luminance(linear: Array) -> Array:
 
 
 def hex_colour(linear: Array) -> str:
-    """Format a linear sRGB colour as #rrggbb."""
+    """Format a linear sRGB colour (3,) as #rrggbb. Values are clipped to 0…1."""
     return "#" + "".join(f"{code:02x}" for code in srgb_codes(linear))
 
 
 def ink_on(linear: Array) -> str:
-    """Return black or white, whichever is easier to read as text on the background colour `linear` (linear sRGB)."""
+    """Return black or white, as #rrggbb, for text on the background `linear` (linear sRGB)."""
     return "#000000" if float(linear @ LUMA) > LINE_LUMINANCE else "#ffffff"
 
 

@@ -1,7 +1,7 @@
-"""The section of a design in a report: the conclusion, the best arrays, their filters and the predicted errors.
+"""The section of a report about a design: the conclusion, the best arrays, their filters and the predicted errors.
 
-The errors are shown as a function of the exposure, and for each group of patches. If arrays were trained, the section also
-contains their measured errors and crops of their pictures.
+The section shows the errors as a function of the exposure and for each group of patches. If tables were trained for some of
+the arrays, the section also contains the measured errors of these tables and crops of their pictures.
 """
 
 import base64
@@ -14,13 +14,13 @@ from l3cli.report.camera import array_figure, responsivity_figures
 from l3cli.report.drawing import Plot, spanning
 from l3cli.report.parts import Figure, Figures, Gallery, Jpeg, Picture, Section, Subsection, Table, Text
 
-TABLE_ROWS, DRAWN_ARRAYS = 20, 5  # number of arrays in the table and in drawings
+TABLE_ROWS, DRAWN_ARRAYS = 20, 5  # maximum number of arrays in the table, and in drawings
 ENLARGEMENT = 4  # magnification of the crops
-MARKS = ("line", "dashed", "dotted", "line")  # line styles of the arrays in plots
+MARKS = ("line", "dashed", "dotted", "line")  # line styles of successive arrays in plots
 
 
 def design_section(design: Design, name: str, jpeg: Jpeg) -> Section:
-    """Build the section of a design.
+    """Build the section about a design.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def design_section(design: Design, name: str, jpeg: Jpeg) -> Section:
     Returns
     -------
     Section
-        The lead of the section states which array is best.
+        The section, whose introduction states which array is best.
     """
     drawn = tuple(_figure(design, place) for place in design.best(DRAWN_ARRAYS))
     library = design.camera(" ".join(design.filters), design.efficiency)
@@ -62,7 +62,7 @@ def _figure(design: Design, place: int) -> Figure:
 
 
 def _sensitivity(design: Design) -> Table:
-    """Make a table that shows how the error of the best array changes if one filter is shifted by 5 nm."""
+    """Make a table of the change in the error of the best array if one filter is shifted by 5 nm, per filter."""
     used = design.patterns[0].split()
     changes = zip(design.filters, design.sensitivity, strict=True)
     rows = tuple((name, f"{100 * change:+.2f}") for name, change in changes if name in used)
@@ -70,7 +70,7 @@ def _sensitivity(design: Design) -> Table:
 
 
 def _over_light(design: Design) -> Figure:
-    """Plot the predicted error of arrays against the exposure, the luminance of white times the exposure time."""
+    """Plot the predicted errors of the arrays against the exposure (luminance of white times exposure time)."""
     plot = Plot(
         spanning("luminance of white × exposure time (cd s/m²)", design.dose, log=True),
         spanning(f"predicted error ({design.unit})", design.map_error, log=True),
@@ -81,7 +81,7 @@ def _over_light(design: Design) -> Figure:
 
 
 def _groups(design: Design) -> Table:
-    """Make a table of the predicted errors of the best array and of the Bayer array, for each kind of patch."""
+    """Make a table of the predicted errors of the best array and the Bayer array, by contrast, brightness and hue."""
     places, rows = design.best(1), []
     for kind in itertools.chain(*KINDS):
         shares = design.share * [kind in group.split() for group in design.groups]
@@ -93,13 +93,13 @@ def _groups(design: Design) -> Table:
 
 
 def _two_levels(truth: Truth) -> list[int]:
-    """Return the light levels with the smallest and the largest measured error."""
+    """Return the indices of the light levels with the smallest and the largest measured error, without duplicates."""
     errors = truth.measured[..., 0].mean(axis=0)
     return list(dict.fromkeys([int(errors.argmin()), int(errors.argmax())]))
 
 
 def _pictures(design: Design, truth: Truth, level: int, jpeg: Jpeg) -> Gallery:
-    """Show crops at one light level: the ideal, the arrays with the lowest measured errors, and the Bayer array."""
+    """Show crops of one light level: the ideal picture, the arrays with the lowest measured errors, and the Bayer array."""
     errors = truth.measured[:, level, 0]
     bayer = [truth.trained.index(design.patterns[design.bayer])] if design.bayer >= 0 else []
     crops = {"ideal": truth.ideals[level]}

@@ -1,7 +1,7 @@
-"""Plots as inline SVG. Coordinates are in pixels, and a drawing is 440 px wide.
+"""Draw plots as inline SVG. Coordinates are in pixels, and a drawing is 440 px wide.
 
-There are two reasons not to use a plotting library. First, the drawings use the colours and the font of the page, so that
-the same drawing suits a light page, a dark page and print. Second, the same numbers always result in the same bytes.
+l3 draws plots without a plotting library for two reasons. First, the plots use the colours and the font of the page, so that
+the same plot suits a light page, a dark page and print. Second, the same numbers always result in the same bytes.
 """
 
 import itertools
@@ -16,22 +16,22 @@ from l3cli.report.parts import Data, Figure, Key
 from l3cli.system.text import superscript
 
 Array = NDArray[np.floating]
-WIDTH, HEIGHT = 440, 300  # px; size of a plot
-LEFT, RIGHT, TOP, BOTTOM = 58, 10, 10, 44  # px; margins around the axes
-# SVG path of each mark, relative to the position of the point
+WIDTH, HEIGHT = 440, 300  # size of a plot in px
+LEFT, RIGHT, TOP, BOTTOM = 58, 10, 10, 44  # margins around the axes in px
+# SVG path of each mark, starting at the position of the point
 MARKS = {"dot": "h0", "plus": "m-3,0h6m-3,-3v6", "cross": "m-2.3,-2.3l4.6,4.6m0,-4.6l-4.6,4.6"}
 DASHES = {"line": "", "dashed": ' stroke-dasharray="6 4"', "dotted": ' stroke-dasharray="2 3"'}
 SERIES = ("var(--one)", "var(--two)", "var(--three)", "var(--four)")  # CSS colours of the series in `Plot.curves`
-CHARACTER_WIDTH = 6.8  # px; mean width of a character at a font size of 12 px
-WIDE_CHARACTER_WIDTH = 7.7  # px; mean width of a digit or unit in a wide font
-ASCENT, DESCENT = 10.0, 3.5  # px; height of a text line above and below its baseline
-LABEL_CLEARANCE = 2.5  # px; minimum distance between a label and lines, marks or other labels
-SAMPLE_SPACING = 1.5  # px; spacing of the points on a curve that are tested for overlap with labels
-LABEL_DISTANCES = (5.0, 7.0, 10.0, 16.0, 24.0)  # px; distances of a label from its point, in the order of preference
-# Directions (right, down) of a label from its point, in the order of preference
+CHARACTER_WIDTH = 6.8  # mean width of a character in px, at a font size of 12 px
+WIDE_CHARACTER_WIDTH = 7.7  # mean width of a character in px, in a wide font, for which labels must also fit
+ASCENT, DESCENT = 10.0, 3.5  # extent of a text line above and below its baseline, in px
+LABEL_CLEARANCE = 2.5  # minimum distance between a label and lines, marks or other labels, in px
+SAMPLE_SPACING = 1.5  # spacing, in px, of the points that represent a line in tests for overlap with labels
+LABEL_DISTANCES = (5.0, 7.0, 10.0, 16.0, 24.0)  # distances of a label from its point in px, in order of preference
+# Directions (right, down) of a label from its point, in order of preference
 LABEL_DIRECTIONS = ((0, -1), (1, 0), (-1, 0), (0, 1), (1, -1), (-1, -1), (1, 1), (-1, 1))
 ANCHORS = {0: "middle", 1: "start", -1: "end"}  # SVG text-anchor for each horizontal direction
-Place = tuple[float, float, str]  # x and y of the text's baseline, and the text-anchor
+Place = tuple[float, float, str]  # position of a text: x and y of its baseline, and its SVG text-anchor
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,10 @@ class Axis:
     log: bool = False
 
     def place(self, values: Array | float) -> Array:
-        """Convert values to positions along the axis. 0 is the lower end of the axis and 1 the upper end."""
+        """Convert values to positions along the axis, where 0 is the lower end and 1 is the upper end.
+
+        On a logarithmic axis, values below a thousandth of the lower end, including 0, are raised to this limit.
+        """
         values = np.asarray(values, dtype=np.float64)
         if not self.log:
             return (values - self.low) / (self.high - self.low)
@@ -52,7 +55,7 @@ class Axis:
         return np.log(least / self.low) / np.log(self.high / self.low)
 
     def ticks(self) -> list[float]:
-        """Choose round numbers for the ticks."""
+        """Return round numbers within the range of the axis, for its ticks."""
         if not self.log:
             return _round_steps(self.low, self.high)
         decades = range(int(np.floor(np.log10(self.low))), int(np.ceil(np.log10(self.high))) + 1)
@@ -64,7 +67,7 @@ class Axis:
 
 
 def spanning(label: str, values: Iterable[float] | Array, zero: bool = False, log: bool = False) -> Axis:
-    """Make an axis whose range contains all finite values, with a small margin.
+    """Make an axis whose range contains all finite values and a small margin.
 
     Parameters
     ----------
@@ -72,11 +75,15 @@ def spanning(label: str, values: Iterable[float] | Array, zero: bool = False, lo
         Label of the axis with its unit.
     values : iterable of float
         Values that will be drawn. A logarithmic axis ignores values that are not positive. If no values remain, the range is
-        0 to 1, or 0.1 to 1 on a logarithmic axis.
+        0…1, or 0.1…1 for a logarithmic axis.
     zero : bool
-        Include zero in the range. If no value is negative, the axis begins exactly at zero.
+        Whether to include zero in the range. If no value is negative, the axis then begins at zero, without a margin.
     log : bool
-        Use a logarithmic scale.
+        Whether the scale is logarithmic.
+
+    Returns
+    -------
+    Axis
     """
     array = np.asarray(values if isinstance(values, np.ndarray) else list(values), dtype=np.float64).ravel()
     array = array[np.isfinite(array) & ((array > 0) | (not log))]
@@ -90,7 +97,7 @@ def spanning(label: str, values: Iterable[float] | Array, zero: bool = False, lo
 
 
 def _round_steps(low: float, high: float) -> list[float]:
-    """Return about five numbers between two bounds, with a spacing of 1, 2 or 5 times a power of ten."""
+    """Return about five equally spaced numbers between two bounds. The spacing is 1, 2 or 5 times a power of ten."""
     raw = (high - low) / 5
     power = 10.0 ** np.floor(np.log10(raw))
     step = power * min((1, 2, 5, 10), key=lambda factor: abs(np.log(factor * power / raw)))
@@ -99,7 +106,7 @@ def _round_steps(low: float, high: float) -> list[float]:
 
 
 def tick_text(value: float) -> str:
-    """Format the number at a tick. Numbers below 0.001 and from 100 000 upwards use powers of ten."""
+    """Format the number at a tick. Nonzero numbers below 0.001 and numbers from 100 000 are written as powers of ten."""
     if value and not 1e-3 <= abs(value) < 1e5:
         power = int(np.floor(np.log10(abs(value)) + 1e-9))
         factor = value / 10.0**power
@@ -110,8 +117,8 @@ def tick_text(value: float) -> str:
 class Plot:
     """An SVG plot with an x axis and a y axis.
 
-    Lines and marks outside the range of the axes are cut off. If a drawing method is called with the name of a `series`, the
-    numbers are added to the data of the figure, which the reader can save as CSV.
+    Lines and marks outside the range of the axes are cut off. Most drawing methods have an argument `series`. If it is set,
+    the coordinates are added to the data of the figure under this name. The reader of the report can save these data as CSV.
     """
 
     def __init__(self, x: Axis, y: Axis, height: int = HEIGHT, square: bool = False) -> None:
@@ -125,11 +132,7 @@ class Plot:
     def line(
         self, x: Array, y: Array, colour: str, mark: str = "line", width: float = 2, series: str | None = None
     ) -> "Plot":
-        """Draw a line through points.
-
-        `mark` is a key of DASHES. `width` is in pixels. If `series` is given, the points are also added to the data of the
-        plot under this name.
-        """
+        """Draw a line through the points `x`, `y`. `mark` is a key of DASHES, and `width` is in pixels."""
         self._add_series(series, x, y)
         points = self._points(x, y)
         self._places.take(points, joined=True)
@@ -141,12 +144,15 @@ class Plot:
         return self
 
     def steps(self, edges: Array, heights: Array, colour: str, mark: str = "line", series: str | None = None) -> "Plot":
-        """Draw the outline of a histogram. `edges` has one value more than `heights`. The data list the lower edges."""
+        """Draw the outline of a histogram from the edges (bin + 1,) and the heights (bin,) of its bins.
+
+        The data of the series contain the lower edge of each bin.
+        """
         self._add_series(series, edges[:-1], heights)
         return self.line(np.repeat(edges, 2)[1:-1], np.repeat(heights, 2), colour, mark, 1.8)
 
     def band(self, x: Array, low: Array, high: Array, colour: str) -> "Plot":
-        """Fill the area between two curves with a translucent colour."""
+        """Fill the area between the curves `low` and `high` with a translucent colour."""
         points = [*self._points(x, high), *self._points(x[::-1], low[::-1])]
         self._places.take(points, joined=True)
         path = "M" + "L".join(f"{a:.1f},{b:.1f}" for a, b in points) + "z"
@@ -157,7 +163,7 @@ class Plot:
         self, x: Array, y: Array, colour: str, mark: str = "dot", size: float = 5, opacity: float = 0.75,
         series: str | None = None,
     ) -> "Plot":  # fmt: skip
-        """Draw points. `mark` is a key of MARKS. `size` is the diameter of dots in pixels."""
+        """Draw the points `x`, `y`. `mark` is a key of MARKS, and `size` is the diameter of dots in pixels."""
         self._add_series(series, x, y)
         points = self._points(x, y)
         self._places.take([(a + c * size / 2, b) for a, b in points for c in (-1, 1)], joined=False)
@@ -170,7 +176,7 @@ class Plot:
         return self
 
     def cells(self, x: Array, y: Array, width: float, height: float, colour: str, opacity: float) -> "Plot":
-        """Draw boxes of equal size at the lower left corners `x` and `y`. `width` and `height` are in units of the axes."""
+        """Draw boxes of equal size. `x`, `y` are their lower left corners. `width` and `height` are in units of the axes."""
         corners = list(zip(self._points(x, y), self._points(x + width, y + height), strict=True))
         self._places.take([corner for pair in corners for corner in pair], joined=False)
         path = "".join(f"M{a:.1f},{b:.1f}H{c:.1f}V{d:.1f}H{a:.1f}z" for (a, b), (c, d) in corners)
@@ -178,7 +184,7 @@ class Plot:
         return self
 
     def label(self, x: float, y: float, text: str) -> "Plot":
-        """Add a label near a point. If every position near the point would cover something, the label is omitted."""
+        """Add a label near a point. The label is omitted if it would cover a line, a mark or a label at every position."""
         ((a, b),) = self._points(np.array([x]), np.array([y]))
         self._labels.append((a, b, text))
         return self
@@ -190,16 +196,16 @@ class Plot:
         size: float = 6,
         width: float = 2,
     ) -> tuple[Key, ...]:
-        """Draw several named series as lines, with dots at the points.
+        """Draw several series as lines, with dots at their points, and add them to the data of the figure.
 
         Parameters
         ----------
         series : mapping of str to (ndarray, ndarray)
-            Coordinates x and y of each series. Empty series are skipped.
+            Name of each series → its coordinates x and y. Empty series are skipped.
         marks : sequence of str
-            Line styles, which the series use in turn.
+            Line styles (keys of DASHES), which the series use in turn.
         size : float
-            Diameter of the dots in pixels. 0 means no dots.
+            Diameter of the dots in pixels. If it is 0, no dots are drawn.
         width : float
             Width of the lines in pixels.
 
@@ -219,15 +225,32 @@ class Plot:
         return tuple(keys)
 
     def points(self, keys: Sequence[Key], x: Array, y: Array, used: NDArray[np.bool_]) -> None:
-        """Draw the points (…, channel) of all channels for which `used` is true."""
+        """Draw the points of all channels, with the colour and the mark of the channel.
+
+        Parameters
+        ----------
+        keys : sequence of Key
+            Legend entry of each channel.
+        x, y : ndarray, (…, channel)
+            Coordinates.
+        used : ndarray of bool, (…, channel)
+            Which points to draw.
+        """
         for channel, key in enumerate(keys):
             of_channel = used[..., channel]
             self.dots(x[..., channel][of_channel], y[..., channel][of_channel], key.colour, key.mark, series=key.label)
 
     def figure(self, title: str, finding: str, keys: tuple[Key, ...] = ()) -> Figure:
-        """Return the plot as a figure. The values of all named series are attached to the figure as data.
+        """Return the plot as a figure, with the data of all series.
 
-        `finding` is the caption, which is also the text for screen readers. `keys` are the entries of the legend.
+        Parameters
+        ----------
+        title : str
+            Title of the figure.
+        finding : str
+            Caption, which is also the text for screen readers.
+        keys : tuple of Key
+            Entries of the legend.
         """
         data = Data(("series", self._x.label, self._y.label), tuple(self._rows))
         return Figure(title, self._svg(finding), finding, keys, data=data)
@@ -240,7 +263,7 @@ class Plot:
         return sheet(WIDTH, height + TOP + BOTTOM, self._frame() + inner, finding)
 
     def _placed_labels(self) -> list[str]:
-        """Draw the labels. They come last, because their positions depend on everything else in the drawing."""
+        """Draw the labels. This must be the last step, because labels must not cover other parts of the drawing."""
         placed = ((self._places.place(x, y, text), text) for x, y, text in self._labels)
         return [
             f'<text class="mark" x="{place[0]:.1f}" y="{place[1]:.1f}" text-anchor="{place[2]}">{escape(text)}</text>'
@@ -253,7 +276,7 @@ class Plot:
             self._rows += zip(itertools.repeat(series), x.ravel().tolist(), y.ravel().tolist(), strict=False)
 
     def _points(self, x: Array, y: Array) -> list[tuple[float, float]]:
-        """Convert values to pixel coordinates. Coordinates far outside the axes are clipped."""
+        """Convert values to pixel coordinates. Points farther than two axis lengths outside the plot are moved closer."""
         width, height = self._inner
         across = np.clip(self._x.place(x), -2, 3) * width
         down = (1 - np.clip(self._y.place(y), -2, 3)) * height
@@ -278,7 +301,7 @@ class Plot:
 
 
 def _axis_labels(x_label: str, y_label: str, centre: float, below: str, middle: float) -> str:
-    """Draw the labels of both axes. `centre` is the middle of the x axis, and `middle` the middle of the y axis."""
+    """Draw the labels of both axes: the x label at (`centre`, `below`), and the rotated y label at the height `middle`."""
     turned = f'transform="rotate(-90 13 {middle:.0f})"'
     return (
         f'<text x="{centre:.0f}" y="{below}" text-anchor="middle">{escape(x_label)}</text>'
@@ -298,7 +321,7 @@ def sheet(width: float, height: float, inside: str, finding: str, fixed_size: bo
     finding : str
         Text for screen readers.
     fixed_size : bool
-        Show the drawing at its size in pixels. Otherwise the page scales the drawing to the width of a column.
+        Whether to show the drawing at its size in pixels. Otherwise, the page scales it to the width of a column.
     """
     label = escape(finding)
     size = f' width="{width:g}" height="{height:g}"' if fixed_size else ""
@@ -306,7 +329,7 @@ def sheet(width: float, height: float, inside: str, finding: str, fixed_size: bo
 
 
 def box(x: float, y: float, width: float, height: float, colour: str, opacity: float = 1.0, extra: str = "") -> str:
-    """Draw a filled rectangle. `extra` contains additional SVG attributes."""
+    """Draw a filled rectangle. `extra` contains additional SVG attributes, with a leading space."""
     return (
         f'<rect x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" fill="{escape(colour)}"'
         f' fill-opacity="{opacity:g}"{extra}/>'
@@ -314,14 +337,14 @@ def box(x: float, y: float, width: float, height: float, colour: str, opacity: f
 
 
 def heat(shares: Array, rows: Sequence[str], columns: Sequence[str], x_label: str, y_label: str, finding: str) -> Markup:
-    """Draw a matrix as a heat map, in which the opacity of a cell shows its value.
+    """Draw a matrix as a heat map, in which the opacity of a cell represents its value.
 
     Parameters
     ----------
     shares : ndarray, (row, column)
         Opacity of each cell, from 0 (empty) to 1.
     rows, columns : sequence of str
-        Names of the rows and columns. If the column names do not fit, only every second or every n-th name is shown.
+        Names of the rows and columns. If the column names are too wide, only every n-th name is shown.
     x_label, y_label : str
         Labels of the axes.
     finding : str
@@ -357,14 +380,14 @@ def heat(shares: Array, rows: Sequence[str], columns: Sequence[str], x_label: st
 
 
 class Places:
-    """Positions that lines, marks and labels of a plot already cover. Used to find free positions for labels, in pixels."""
+    """Records which positions in a plot are covered by lines, marks and labels, and finds free positions for labels."""
 
     def __init__(self, width: float, height: float) -> None:
         self._width, self._height = width, height
-        self._taken: list[Array] = []  # points (point, 2)
+        self._taken: list[Array] = []  # covered points (point, 2) in px
 
     def take(self, points: list[tuple[float, float]], joined: bool) -> None:
-        """Mark points as covered and, if `joined` is true, also the straight lines between consecutive points."""
+        """Mark points as covered. If `joined` is true, also mark the straight lines between consecutive points."""
         array = np.asarray(points, np.float64).reshape(-1, 2)
         if joined and len(array) > 1:
             array = np.concatenate([_between(start, end) for start, end in itertools.pairwise(array)])
@@ -383,7 +406,7 @@ class Places:
         Returns
         -------
         tuple or None
-            x and y of the text's baseline, and the text-anchor. None if every position near the point is covered.
+            x and y of the baseline of the text, and its text-anchor. None if no free position near the point exists.
         """
         for reach in LABEL_DISTANCES:
             for across, down in LABEL_DIRECTIONS:
@@ -396,14 +419,14 @@ class Places:
         return None
 
     def _corner(self, x: float, y: float, text: str, across: float, down: float) -> tuple[float, float]:
-        """Return the upper left corner of a label whose nearest edge is at the offset (across, down) from its point."""
+        """Return the upper left corner of a label whose nearest edge is at the offset (across, down) from (x, y)."""
         width, height = WIDE_CHARACTER_WIDTH * len(text), ASCENT + DESCENT
         left = x - width / 2 if across == 0 else x + across - (width if across < 0 else 0)
         top = y - height / 2 if down == 0 else y + down - (height if down < 0 else 0)
         return left, top
 
     def _free(self, box: tuple[float, float, float, float]) -> bool:
-        """Whether a box is inside the plot and covers nothing."""
+        """Return whether a box (left, top, right, bottom) is inside the plot and keeps clear of all covered points."""
         left, top, right, bottom = box
         if min(left, top) < 0 or right > self._width or bottom > self._height - 1:
             return False
@@ -428,6 +451,6 @@ class Places:
 
 
 def _between(start: Array, end: Array) -> Array:
-    """Return points on the line from start to end with a distance of at most SAMPLE_SPACING."""
+    """Return points (point, 2) on the line from `start` to `end`, at most SAMPLE_SPACING apart."""
     count = int(np.ceil(np.hypot(*(end - start)) / SAMPLE_SPACING)) + 1
     return start + np.linspace(0.0, 1.0, count)[:, None] * (end - start)

@@ -1,7 +1,7 @@
-"""The two sections of an evaluation in a report: the top of the page, and a later section with all metrics.
+"""The two sections of a report about an evaluation: the section at the top of the page, and a section with all metrics.
 
-The top section shows pictures of a few frames, a summary and the main metrics. The later section lists the metrics for each
-illuminant, level, gain and class. In both sections, "ours" is the table.
+The top section shows pictures of a few frames, a summary and the mean metrics. The other section lists the metrics for each
+illuminant, level, gain and class. In both sections, "ours" means the table that is evaluated.
 """
 
 from typing import Any
@@ -35,14 +35,14 @@ NYQUIST = 0.5  # cycles/pixel
 
 
 def standard_blocks(standards: dict[str, Any], height: int) -> tuple[Block, ...]:
-    """Show the metrics that follow standards: plots of MTF and SNR, a table, and a paragraph that explains the metrics.
+    """Show the metrics that standards define for test charts: plots of MTF and SNR, a table, and an explanation.
 
     Parameters
     ----------
     standards : dict
         Value of the key "standards" in the output of `l3 evaluate --json`.
     height : int
-        Number of rows of the camera's pictures. MTF50 is also shown in line widths per picture height.
+        Number of rows of the camera's pictures, with which MTF50 is converted to line widths per picture height.
     """
     edges, grey = standards["edge"], standards["grey"]
     figures = [_edge_figure(edges[across], DIRECTIONS[across]) for across in edges]
@@ -65,7 +65,7 @@ def standard_blocks(standards: dict[str, Any], height: int) -> tuple[Block, ...]
 
 
 def _meaning(standards: dict[str, Any], height: int) -> str:
-    """Explain the metrics that follow standards, with the conditions of the measurements."""
+    """Explain the metrics that standards define, and state the conditions of the measurement."""
     grey, chart = standards["grey"], standards["chart"]
     text = (
         "MTF50 is the lowest frequency at which the MTF of a noise-free slanted edge with a contrast of 4:1 is 0.5 (ISO "
@@ -84,8 +84,8 @@ def _meaning(standards: dict[str, Any], height: int) -> str:
         for name in grey["closed_form"]
     )
     return (
-        f"{text} SNR10 is the lowest illuminance at which the luminance of a {100 * grey['reflectance']:.0f} % grey under "
-        f"{grey['light']} has a signal-to-noise ratio of 10, at f/{grey['f_number']:g}, an exposure time of "
+        f"{text} SNR10 is the lowest illuminance at which the luminance of a {100 * grey['reflectance']:.0f} % grey patch "
+        f"under {grey['light']} has a signal-to-noise ratio of 10, at f/{grey['f_number']:g}, an exposure time of "
         f"{1000 * grey['exposure']:.0f} ms and a pixel pitch of {tidy(1e6 * grey['pixel_pitch'])} µm. SNR10 of raw values, "
         f"in lux: {raw}."
     )
@@ -107,7 +107,7 @@ def _edge_figure(edge: dict[str, Any], direction: str) -> Figure:
 
 
 def _grey_figure(grey: dict[str, Any]) -> Figure:
-    """Plot the signal-to-noise ratio of a grey against illuminance, for each pipeline and for raw values."""
+    """Plot the signal-to-noise ratio of a grey patch against the illuminance, for each pipeline and for raw values."""
     lux = np.array(grey["lux"])
     best = max(grey["closed_form"], key=lambda name: grey["closed_form"][name][-1])
     curves = {name: np.array(values) for name, values in grey["pipelines"].items()}
@@ -151,7 +151,7 @@ STOKES_MEANINGS = (
     "target exceeds 0.05, and the bias of DoLP where it is below 0.005. PSNR is computed from linear values in which a "
     "perfect white is 1: of DoLP, of the intensities behind ideal polarisers at four angles, of S0 / 2, S1 and S2."
 )
-MEANINGS_OF = {  # explanation of the metrics, by main metric
+MEANINGS_OF = {  # main metric → explanation of all metrics
     "mean_delta_e": MEANINGS,
     "mean_angle": BAND_MEANINGS,
     "mean_error": SINGLE_MEANINGS,
@@ -162,16 +162,16 @@ GAIN_MEANING = (
     "simulated again with this noise. The exposure time is shortened in proportion to the gain."
 )
 
-ERROR_KEY = (  # colour scale of the error maps from l3cli.evaluation.pictures
+ERROR_KEY = (  # legend of the error maps from l3cli.evaluation.pictures
     Key("ΔE00 in the error map: 0", "#000000", "box"),
     Key("2.5", "#460a6e", "box"),
     Key("5", "#be285a", "box"),
     Key("7.5", "#f58c1e", "box"),
     Key("10 or more", "#ffffff", "box"),
 )
-SAME_LUMINANCE = 0.01  # luminances with a smaller relative difference count as equal, because users round values in lux
-FRAMES_SHOWN = 3  # number of frames shown per evaluation: the median, the worst and the best frame
-Pictures = dict[int, dict[str, Pixels]]  # for each frame index, the picture of each pipeline, of the ideal and of the error
+SAME_LUMINANCE = 0.01  # relative difference up to which luminances count as equal, because users round values in lux
+FRAMES_SHOWN = 3  # number of frames in the top section: the median, the worst and the best frame
+Pictures = dict[int, dict[str, Pixels]]  # index of a frame → picture of each pipeline, "ideal" picture and "error" map
 
 
 def evaluation_section(document: dict[str, Any], names: tuple[str, str], height: int) -> Section:
@@ -189,8 +189,8 @@ def evaluation_section(document: dict[str, Any], names: tuple[str, str], height:
     Returns
     -------
     Section
-        Metrics over all frames, by level, by class and from standards. If the camera model contains the noise at other
-        gains, also the metrics by gain.
+        Metrics over all frames, by level, by class, and from standards. The metrics by gain are included if the camera model
+        contains the noise at several analog gains.
     """
     parts = [
         Subsection("Quality", _quality_blocks(document)),
@@ -211,14 +211,14 @@ def luminance_section(
     Parameters
     ----------
     curves : dict of str to list of (name, luminances, values)
-        For each metric and camera, the luminances in cd/m² and the values of the metric.
+        Metric → for each camera, its name, the luminances in cd/m² and the values of the metric.
     sentences : dict of str to list of str
-        For each metric, sentences that state which camera is better at which luminances.
+        Metric → sentences that state which camera is better in which range of luminance.
 
     Returns
     -------
     Section
-        A plot and a table for each metric.
+        A subsection with a plot and a table for each metric.
     """
     parts = []
     for figure, cameras in curves.items():
@@ -240,12 +240,12 @@ def luminance_section(
 
 
 def main_of(document: dict[str, Any]) -> str:
-    """Return the key of the main metric, the first metric of a frame: the mean ΔE00, spectral angle or error."""
+    """Return the name of the main metric of an evaluation, such as "mean_delta_e". It is the first metric of each frame."""
     return str(next(iter(document["frames"][0][OURS])))
 
 
 def summary(document: dict[str, Any]) -> str:
-    """State the mean of the main metric for each pipeline in a sentence."""
+    """Return a sentence with the mean of the main metric over all frames, for each pipeline."""
     figure = main_of(document)
     means = ", ".join(f"{name} {main_figure(document['mean'][name], figure)}" for name in document["pipelines"])
     name = FIGURES[figure].heading
@@ -253,7 +253,7 @@ def summary(document: dict[str, Any]) -> str:
 
 
 def main_figure(figures: dict[str, float], figure: str) -> str:
-    """Format the main metric, with the PSNR in parentheses if there is one."""
+    """Format the value of the main metric. The PSNR follows in parentheses if `figures` contains it."""
     return figure_text(figure, figures[figure]) + (f" ({number(figures['psnr'], '.1f')} dB)" if "psnr" in figures else "")
 
 
@@ -305,7 +305,10 @@ def _texts(values: dict[str, float], figures: tuple[str, ...]) -> tuple[str, ...
 def _grouped(
     document: dict[str, Any], caption: str, heading: str, counts: str, entries: list[tuple[str, dict[str, Any]]]
 ) -> Table:
-    """Make a table of the main metric by group and pipeline. `counts` is the key of the group size: frames or pixels."""
+    """Make a table of the main metric, with one row per group and one column per pipeline.
+
+    `counts` is the key of the size of a group, "frames" or "pixels". `entries` are the name and the metrics of each group.
+    """
     figure, owners = main_of(document), document["pipelines"]
     rows = tuple(
         (name, str(of[counts]), *(figure_text(figure, of[owner][figure]) for owner in owners)) for name, of in entries
@@ -330,8 +333,8 @@ def _level_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
 def _gain_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
     """Plot the main metric against the analog gain.
 
-    If there are several illuminants, each curve shows the table under one illuminant. Otherwise each curve shows one
-    pipeline.
+    With several illuminants, each curve is the metric of the table under one illuminant. With a single illuminant, each
+    curve is the metric of one pipeline.
     """
     groups, figure = document["by_gain"], main_of(document)
     lights = tuple(dict.fromkeys(group["illuminant"] for group in groups))
@@ -359,12 +362,15 @@ def _gain_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
 
 
 def level_middles(entries: list[dict[str, Any]]) -> np.ndarray:
-    """Return a level within the bounds of each entry. The level is positive, so that it fits a logarithmic axis."""
+    """Return a positive level between the bounds "from" and "to" of each entry, for a logarithmic axis.
+
+    The level is the geometric mean of the bounds. A lower bound below half the upper bound is raised to this half.
+    """
     return np.array([np.sqrt(max(entry["from"], entry["to"] / 2) * entry["to"]) for entry in entries])
 
 
 def _curves(document: dict[str, Any], entries: list[dict[str, Any]], at: np.ndarray, title: str, label: str) -> Figure:
-    """Plot the main metric of every pipeline against the level."""
+    """Plot the main metric of every pipeline against the levels `at` of the entries."""
     figure = main_of(document)
     values = {name: np.array([entry[name][figure] for entry in entries]) for name in document["pipelines"]}
     everything = np.concatenate(list(values.values()))
@@ -398,37 +404,36 @@ def _class_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
 
 
 def lit_as(luminance: float, at: float | None) -> bool:
-    """Whether the luminance of a frame (cd/m²) matches `at`, with a relative tolerance of SAME_LUMINANCE.
+    """Return whether the luminance of a frame in cd/m² equals `at`, with a relative tolerance of SAME_LUMINANCE.
 
-    The result is true if `at` is None.
+    The result is true for every frame if `at` is None.
     """
     return at is None or abs(luminance / at - 1) < SAME_LUMINANCE
 
 
 def brightness(frame: dict[str, Any]) -> str:
-    """Format the luminance of a frame for a caption, with a leading comma. Empty for real frames without fingerprints."""
+    """Format the luminance of a frame for a caption, with a leading comma. Empty if the luminance is not shown."""
     if frame["shown"] is None:
         return ""
     return f", {tidy(frame['luminance'])} cd/m² ({tidy(np.pi * frame['luminance'])} lux)"
 
 
 def shown_frames(document: dict[str, Any], at: float | None = None) -> list[int]:
-    """Choose the frames of an evaluation that a report shows.
-
-    The first frame is the frame with the median main metric of the table. If there are at most FRAMES_SHOWN frames, all
-    other frames follow. Otherwise the worst and the best frame follow.
+    """Choose the frames that the top section of a report shows.
 
     Parameters
     ----------
     document : dict
         Output of `l3 evaluate --json`.
     at : float, optional
-        Choose only among frames with this luminance, in cd/m².
+        Luminance in cd/m². Only frames with this luminance are chosen, and at least one such frame must exist. [default:
+        choose among all frames]
 
     Returns
     -------
     list of int
-        Indices of the frames.
+        Indices of the frames. The first is the frame with the median of the table's main metric. If at most FRAMES_SHOWN
+        frames are available, all others follow, from the worst to the best. Otherwise the worst and the best frame follow.
     """
     figure = main_of(document)
     among = [number for number, frame in enumerate(document["frames"]) if lit_as(frame["luminance"], at)]
@@ -443,26 +448,26 @@ def front_section(
 ) -> Section:  # fmt: skip
     """Build the section at the top of a page.
 
-    The section shows the median frame with the mean metrics, then the subsections `below`, then the other frames.
+    The section shows the first frame together with the mean metrics, then the subsections `below`, then the other frames.
 
     Parameters
     ----------
     document : dict
         Output of `l3 evaluate --json`.
     pictures : dict
-        Pictures of the frames that `shown_frames` chose, in the order of `shown_frames`.
+        Pictures of the frames that `shown_frames` returned, in the same order.
     title : str
         Title of the section.
     anchor : str
         Prefix of the HTML anchors of the comparisons.
     limit : int
-        Maximum size of all pictures together, in bytes.
+        Maximum total size of all pictures in bytes.
     jpeg : callable
         JPEG encoder, see `parts.Jpeg`.
     below : tuple of Subsection
-        Subsections that follow the median frame.
+        Subsections that follow the first frame.
     at : float, optional
-        Luminance of the chosen frames, in cd/m².
+        Luminance in cd/m² that was passed to `shown_frames`.
     """
     count, figure = len(document["frames"]), main_of(document)
     among = sum(lit_as(frame["luminance"], at) for frame in document["frames"])
@@ -487,7 +492,7 @@ def front_section(
 
 
 def verdict(document: dict[str, Any]) -> str:
-    """State for each of the other pipelines whether the table is closer to the ideal, in how many frames and metrics."""
+    """Return one sentence per baseline, which states in which metrics and frames the table is closer to the ideal."""
     count, figure = len(document["frames"]), main_of(document)
     sentences = []
     for baseline, wins in document["better"].items():
@@ -512,7 +517,7 @@ def _in_frames(figure: str, won: int, count: int) -> str:
 def _comparison(
     document: dict[str, Any], index: int, pictures: dict[str, Pixels], anchor: str, limit: int, jpeg: Jpeg
 ) -> Comparison:
-    """Build the comparison of a frame: ours, the ideal, the other pipelines, and the error map, in this order."""
+    """Build the comparison of one frame. It shows the picture of the table, the ideal, the baselines, and the error map."""
     frame = document["frames"][index]
     light = f"{frame['illuminant']}{brightness(frame)}"
     title = f"Frame {index + 1}: {frame['scene']}, {light}, level {frame['level']:.3f}"
@@ -523,7 +528,7 @@ def _comparison(
 
 
 def _picture(frame: dict[str, Any], name: str, pixels: Pixels, figure: str, limit: int, jpeg: Jpeg) -> Picture:
-    """Encode one picture of a frame with its caption."""
+    """Encode one picture of a frame, and compose its caption. `limit` is the maximum size of the picture in bytes."""
     uri, (rows, cols) = fitted(pixels, limit, jpeg)
     scale = pixels.shape[0] // rows
     reduced = f", shown at 1/{scale} of its size" if scale > 1 else ""

@@ -1,4 +1,4 @@
-"""The artifacts of a report, and the choice of training sets on which each table is evaluated."""
+"""The input files of a report, and the choice of the training sets on which each table is evaluated."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,16 +17,17 @@ A = TypeVar("A", bound=Artifact)
 
 @dataclass(frozen=True)
 class Entry:
-    """A file of a report."""
+    """An input file of a report."""
 
-    name: str  # name on the page
+    name: str  # name of the file on the page
     path: Path
     sha256: str
-    artifact: Artifact  # contents; for a training set, only the description and not the frames
+    artifact: Artifact  # content of the file; for a training set, only its description without the frames
 
     @property
     def array(self) -> tuple[Any, ...]:
-        """Key that identifies the colour filter array of the file. Empty for a design, which contains many arrays."""
+        """Key that identifies the channels and the colour filter array of the artifact. Empty for a design, which contains
+        many arrays."""
         if isinstance(self.artifact, Design):
             return ()
         of: Any = self.artifact.camera if isinstance(self.artifact, TrainingSet) else self.artifact
@@ -34,29 +35,29 @@ class Entry:
 
 
 class Pair(NamedTuple):
-    """A table and a training set for the same CFA on which the table was not trained. The report evaluates each pair."""
+    """A table, and a training set for the same CFA on which the table was not trained. The report evaluates each pair."""
 
     table: Entry
-    transforms: TransformTable  # contents of `table`
+    transforms: TransformTable  # the artifact of `table`
     frames: Entry
-    head: TrainingSet  # description of `frames`
+    head: TrainingSet  # the artifact of `frames`
 
 
 @dataclass(frozen=True)
 class Given:
-    """The files of a report, in the order of the command line."""
+    """The input files of a report, in the order of the command line."""
 
     entries: list[Entry]
-    sequences: dict[str, dict[str, Any]]  # for each file name, the output of `l3 evaluate --sequence --json`
-    sequence_sums: dict[str, str]  # for each file name in `sequences`, the SHA-256
+    sequences: dict[str, dict[str, Any]]  # file name → output of `l3 evaluate --sequence --json`
+    sequence_sums: dict[str, str]  # file name in `sequences` → SHA-256 of the file
 
     def of(self, kind: type[A]) -> list[tuple[Entry, A]]:
-        """Return all entries with an artifact of a type, each with its artifact."""
+        """Return all entries whose artifact is an instance of `kind`, together with the artifact."""
         return [(entry, entry.artifact) for entry in self.entries if isinstance(entry.artifact, kind)]
 
     @property
     def pairs(self) -> list[Pair]:
-        """All combinations of a table and a training set for the same CFA on which the table was not trained."""
+        """All pairs of a table, and a training set for the same CFA on which the table was not trained."""
         return [
             Pair(table, transforms, frames, head)
             for table, transforms in self.of(TransformTable)
@@ -66,18 +67,18 @@ class Given:
 
     @property
     def arrays(self) -> list["Given"]:
-        """The artifacts grouped by colour filter array, without designs and sequences."""
+        """The artifacts, grouped by colour filter array. Designs and sequences are left out."""
         keys = dict.fromkeys(entry.array for entry in self.entries)
         return [Given([entry for entry in self.entries if entry.array == key], {}, {}) for key in keys if key]
 
 
 def trained_on(table: TransformTable, frames: Entry) -> bool:
-    """Whether the history of a table contains the SHA-256 of a training set."""
+    """Return whether the table was trained on a training set: its history contains the SHA-256 of the set."""
     return any(frames.sha256 in digests for stage in table.history for digests in stage.inputs.values())
 
 
 def role_of(given: Given, frames: Entry) -> str:
-    """State which tables were trained on a training set, and which are evaluated on it."""
+    """Return sentences that list the tables trained on a training set, and the tables evaluated on this set."""
     roles = []
     for text, wanted in (("Tables trained on this set", True), ("Tables evaluated on this set", False)):
         names = [entry.name for entry, table in given.of(TransformTable) if trained_on(table, frames) is wanted]
@@ -86,7 +87,7 @@ def role_of(given: Given, frames: Entry) -> str:
 
 
 def cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
-    """Return the distinct cameras in the training sets, each with the name of the first file that contains the camera."""
+    """Return each distinct camera in the training sets, with the name of the first file that contains this camera."""
     cameras: list[tuple[str, CameraModel]] = []
     for entry, head in given.of(TrainingSet):
         if not any(equal(head.camera, camera) for _, camera in cameras):
@@ -95,13 +96,13 @@ def cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
 
 
 def lead_without_evaluation(given: Given) -> str:
-    """Return the first paragraph of a report without an evaluation of a table. It states which file to add."""
+    """Return the first paragraph of a report in which no table is evaluated. It says which file the user can add."""
     if given.sequences:
         return sequence_summary(given.sequences)
     if not given.of(TransformTable):
         return f"{counted(len(given.entries), 'artifact')}. Without a transform table, nothing can be evaluated."
     if len(given.arrays) > 1:
-        return "No table is evaluated. Add, for each table, a training set of its camera on which it was not trained."
+        return "No table is evaluated. For each table, add a training set of its camera on which it was not trained."
     if given.of(TrainingSet):
         return (
             "The table is not evaluated, because it was trained on every training set of this report. Add a training set on "

@@ -1,8 +1,8 @@
-"""The parts of a report as data classes, and the HTML page.
+"""The parts of a report as data classes, and the conversion of a report to an HTML page.
 
-A report is a list of sections, and a section contains tables, figures and pictures. The template page.html turns the
-sections into one self-contained HTML page. Pictures are embedded as data URIs of limited size. With the script downloads.js,
-the reader can save a drawing as an SVG file.
+A report is a list of sections, and a section contains tables, figures and pictures. The template page.html converts the
+sections to a self-contained HTML page. Pictures are embedded as data URIs of limited size. The script downloads.js lets the
+reader save a drawing as an SVG file.
 """
 
 import base64
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.schema import Stage
 from l3cli.physics.display import displayed, srgb_codes, white_luminance
 
-# Matches a cell with a number or a range of numbers. A column in which all cells match is aligned to the right.
+# Matches a cell that contains a number or a range of numbers. A column whose cells all match is right-aligned.
 NUMBER = re.compile(r"^(?=.*[0-9])[−+]?[0-9.,–×⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+$")
 
 
@@ -38,7 +38,7 @@ class Table:
     def numeric(self) -> tuple[bool, ...]:
         """Whether each column is right-aligned.
 
-        Every column except the first is right-aligned if all its cells contain numbers or ranges of numbers.
+        A column is right-aligned if all its cells contain numbers or ranges of numbers, and if it is not the first column.
         """
         columns = range(1, len(self.headings))
         return (False, *(all(NUMBER.match(row[column]) for row in self.rows) for column in columns))
@@ -68,15 +68,15 @@ class Figure:
 
     title: str
     svg: Markup
-    finding: str  # main result in one or two sentences with numbers; caption and text for screen readers
+    finding: str  # caption, which is also the text for screen readers; states the main result with numbers
     legend: tuple[Key, ...] = ()
-    narrow: bool = False  # do not enlarge the drawing
+    narrow: bool = False  # whether the page must not enlarge the drawing
     data: Data | None = None  # numbers that the reader can save as a CSV file
 
 
 @dataclass(frozen=True)
 class Figures:
-    """Figures in rows, each with as many figures as fit the width of the page."""
+    """Figures in rows. Each row contains as many figures as fit into the width of the page."""
 
     kind: ClassVar[str] = "figures"
     figures: tuple[Figure, ...]
@@ -99,44 +99,44 @@ class Gallery:
 
     kind: ClassVar[str] = "gallery"
     pictures: tuple[Picture, ...]
-    wide: bool = False  # show the pictures as large as the page allows
+    wide: bool = False  # whether the pictures are shown as large as the page permits
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Pictures of one frame that the reader compares with a slider.
+    """Pictures of one frame. The reader selects two of the pictures and compares them with a slider.
 
-    The reader selects the two pictures. If scripts are disabled, the page shows all pictures side by side.
+    If scripts are disabled, the page shows all pictures side by side.
     """
 
     kind: ClassVar[str] = "comparison"
     anchor: str  # HTML anchor
     title: str
     pictures: tuple[Picture, ...]
-    key: tuple[Key, ...] = ()  # colour scale of the error map
-    size: tuple[int, int] = (0, 0)  # rows and columns of the whole frame, before any reduction
+    key: tuple[Key, ...] = ()  # legend of the error map
+    size: tuple[int, int] = (0, 0)  # rows and columns of the frame before its pictures were reduced
 
     @property
     def width(self) -> int:
-        """Maximum width on the screen in pixels. It is limited, because strongly enlarged frames look blurred."""
+        """Maximum width on the screen in pixels, because strongly enlarged frames look blurred."""
         return max(3 * self.pictures[0].cols, 480)
 
 
 @dataclass(frozen=True)
 class Front:
-    """A comparison at the top of a page, with the main metrics on its side."""
+    """The comparison at the top of a page, with the main metrics next to the pictures."""
 
     kind: ClassVar[str] = "front"
     comparison: Comparison
-    score: str  # formatted main metric of the transform table
-    meaning: str  # explains the score
-    verdict: str  # states whether the transform table is better than the other pipelines
+    score: str  # value of the main metric of the transform table, as text
+    meaning: str  # explanation of the score
+    verdict: str  # sentences which state whether the transform table is better than the other pipelines
     table: Table  # metrics of all pipelines
 
 
 @dataclass(frozen=True)
 class PixelPicker:
-    """A crop of a frame in which the reader selects a pixel to see its classes and transforms."""
+    """A crop of a frame. The reader selects a pixel of the crop to see its classes and transforms."""
 
     kind: ClassVar[str] = "pixels"
     anchor: str  # HTML anchor of the comparison that shows the whole frame
@@ -155,7 +155,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Details:
-    """A long text, for example a recipe, that is hidden until the reader opens it."""
+    """A long text, for example a recipe, which is hidden until the reader opens it."""
 
     kind: ClassVar[str] = "details"
     title: str
@@ -175,7 +175,7 @@ class Subsection:
 
 @dataclass(frozen=True)
 class Section:
-    """Subsections under a second-level heading. `lead` is the first paragraph, which summarizes the section."""
+    """Subsections under a second-level heading. `lead` is the first paragraph, which summarises the section."""
 
     title: str
     lead: str
@@ -184,8 +184,9 @@ class Section:
 
 Array = NDArray[np.floating]
 Pixels = NDArray[np.uint8]
-# JPEG encoder: a function of an 8-bit sRGB picture (row, col, 3) and a quality from 1 to 100. The result is a JPEG file.
+# A JPEG encoder: converts an 8-bit sRGB picture (row, col, 3), with a quality from 1 to 100, to the bytes of a JPEG file.
 Jpeg = Callable[[Pixels, int], bytes]
+# Pairs of a reduction factor and a JPEG quality, from the best to the worst.
 JPEG_ATTEMPTS = (
     (1, 92),
     (1, 85),
@@ -195,24 +196,24 @@ JPEG_ATTEMPTS = (
     (4, 85),
     (8, 80),
     (16, 75),
-)  # pairs of reduction factor and JPEG quality, from the best to the worst
-THUMBNAIL = 160  # px; maximum length of the longer side of a thumbnail
+)
+THUMBNAIL = 160  # maximum length of the longer side of a thumbnail in px
 
 
 def thumbnail(target: Array, white: Array) -> Pixels:
-    """Make an sRGB thumbnail from a target in XYZ.
+    """Make a small sRGB picture of a target.
 
     Parameters
     ----------
     target : ndarray, (3, row, col)
-        XYZ planes.
+        XYZ of the target.
     white : ndarray, (3,)
-        XYZ of white, which becomes D65.
+        XYZ of the white, which is adapted to D65.
 
     Returns
     -------
     ndarray of uint8, (row, col, 3)
-        sRGB picture. Its longer side has at most THUMBNAIL pixels.
+        sRGB picture, whose longer side usually has at most THUMBNAIL pixels. The 99th percentile of Y becomes white.
     """
     step = max(1, -(-max(target.shape[1:]) // THUMBNAIL))
     small = reduced(np.moveaxis(target, 0, -1), step)
@@ -220,20 +221,19 @@ def thumbnail(target: Array, white: Array) -> Pixels:
 
 
 def reduced(pixels: Array | Pixels, step: int) -> Array | Pixels:
-    """Reduce a picture by averaging squares of pixels.
+    """Reduce a picture to the means of squares of pixels.
 
     Parameters
     ----------
     pixels : ndarray, (row, col, channel)
         The picture.
     step : int
-        Side of the squares in pixels. Incomplete squares at the right and lower edge are cut off. A picture smaller than one
-        square is returned unchanged.
+        Side of the squares in pixels. Incomplete squares at the right edge and at the lower edge are cut off.
 
     Returns
     -------
     ndarray, (row, col, channel)
-        Mean of each square.
+        Mean of each square. If `step` is 1, or if the picture is smaller than one square, it is the unchanged picture.
     """
     rows, cols = (max(1, length // step) for length in pixels.shape[:2])
     if step == 1 or min(pixels.shape[:2]) < step:
@@ -242,9 +242,10 @@ def reduced(pixels: Array | Pixels, step: int) -> Array | Pixels:
 
 
 def fitted(pixels: Pixels, limit: int, jpeg: Jpeg) -> tuple[str, tuple[int, int]]:
-    """Encode a picture as a JPEG data URI with the first setting in JPEG_ATTEMPTS that fits a size limit.
+    """Encode a picture as a JPEG data URI whose size is limited.
 
-    If no setting fits, the last setting is used.
+    The function uses the first reduction factor and quality in JPEG_ATTEMPTS with which the picture fits the limit. If none
+    fits, it uses the last.
 
     Parameters
     ----------
@@ -270,13 +271,13 @@ def fitted(pixels: Pixels, limit: int, jpeg: Jpeg) -> tuple[str, tuple[int, int]
     return "data:image/jpeg;base64," + coded.decode(), (small.shape[0], small.shape[1])
 
 
-MAX_PAGE_BYTES = 10_000_000  # bytes; approximate maximum size of a page
-FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")  # spreadsheets interpret cells that begin with these as formulas
-MAX_FILE_NAME = 60  # characters; maximum length of the name of a saved file
+MAX_PAGE_BYTES = 10_000_000  # approximate maximum size of a page in bytes
+FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")  # first characters of cells that spreadsheets interpret as formulas
+MAX_FILE_NAME = 60  # maximum length of the name of a saved file in characters
 
 
 def render_page(title: str, lead: str, sections: list[Section]) -> str:
-    """Render a report as one self-contained HTML page, with embedded drawings, pictures and scripts. All text is escaped.
+    """Convert a report to a self-contained HTML page, with embedded drawings, pictures and scripts. All text is escaped.
 
     Parameters
     ----------
@@ -286,6 +287,11 @@ def render_page(title: str, lead: str, sections: list[Section]) -> str:
         Paragraph below the heading.
     sections : list of Section
         Contents of the page.
+
+    Returns
+    -------
+    str
+        The HTML text.
     """
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("l3cli.report", ""),
@@ -299,14 +305,14 @@ def render_page(title: str, lead: str, sections: list[Section]) -> str:
 
 
 def file_stem(title: str) -> str:
-    """Turn a title into a file name without extension that is valid on all operating systems."""
+    """Convert a title to a file name, without a suffix, that is valid on all operating systems."""
     return re.sub("[^a-z0-9]+", "-", title.lower())[:MAX_FILE_NAME].strip("-") or "figure"
 
 
 def csv_uri(data: Data) -> str:
     """Encode the numbers of a drawing as a CSV file in a data URI.
 
-    A space is added before text that a spreadsheet would otherwise interpret as a formula.
+    A space is prepended to text that a spreadsheet would otherwise interpret as a formula.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -320,12 +326,13 @@ def _harmless(text: str) -> str:
 
 
 def history_section(files: list[tuple[str, str, str, tuple[Stage, ...]]]) -> Section:
-    """Build the section that lists the files of a report and the commands that wrote the files.
+    """Build the section that lists the input files of a report and the commands that wrote these files.
 
     Parameters
     ----------
     files : list of (name, type, SHA-256, stages)
-        Name, type, checksum and history of each file. The stages of a history are in the order in which they ran.
+        Name, type, checksum and history of each file. The history lists the stages in the order in which they ran, and may
+        be empty.
     """
     given = tuple((name, kind, digest) for name, kind, digest, _ in files)
     parts = [Subsection("Files", (Table("Files of this report", ("file", "type", "SHA-256"), given),))]
@@ -348,6 +355,6 @@ def _stages(name: str, stages: tuple[Stage, ...]) -> Subsection:
 
 
 def _digests(role: str, digests: list[str]) -> str:
-    """List up to four input files of one role, such as "camera", each by the first 12 digits of its SHA-256."""
+    """List at most four input files of a role, such as "camera". Each file is shown as 12 digits of its SHA-256."""
     more = f" … ({len(digests)} files)" if len(digests) > 4 else ""
     return " ".join((role, *(digest[:12] for digest in digests[:4]))) + more

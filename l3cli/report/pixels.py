@@ -1,17 +1,19 @@
-"""A crop of a frame in which the reader of a report can inspect the class and the transform of each pixel.
+"""Encode a crop of a frame in which the reader of a report can inspect the class and the transform of each pixel.
 
-The data of the crop are embedded in the page. The script pixels.js shows the data of a pixel, and classes.js lists the
-other classes of the table.
+The data of the crop are embedded in the page. The script pixels.js shows the class and the transform of a pixel, and
+classes.js lists all classes in the data.
 
-The data are compressed with deflate and encoded as base64. Before compression, the data begin with the length of the header
-in bytes (uint32) and the header as JSON, padded with spaces to a multiple of four bytes. The header is followed by three
-arrays for each layer, each padded to a multiple of four bytes:
+The data are compressed with deflate and encoded as base64. Before compression, they consist of:
 
-1. The largest absolute weight of each class and output (float32).
-2. The class of each pixel, as an index into the classes of the header (uint16).
-3. The weights (int8): 127 times the signed square root of the weight divided by the largest weight.
+* the length of the header in bytes (uint32),
+* the header as JSON, padded with spaces to a multiple of four bytes,
+* three arrays for each layer, each of which is padded with zeros to a multiple of four bytes:
 
-Weights are stored only for the first `with_weights` classes of the header. All numbers are little-endian.
+  1. the largest absolute weight of each class and output (float32),
+  2. the class of each pixel, as an index into the list of classes in the header (uint16),
+  3. the weights (int8): sign(w) · 127 · √(|w| / largest), where w is a weight and `largest` is from the first array.
+
+Only the first `with_weights` classes of the header have weights. All numbers are little-endian.
 """
 
 import base64
@@ -33,6 +35,7 @@ from l3cli.report.colours import channel_light, hex_colour
 from l3cli.report.parts import Jpeg, Picture, PixelPicker, Pixels
 
 Array = NDArray[np.floating]
+# Rows and columns of the crop, in order of preference.
 CROP_SIZES = (
     (192, 256),
     (144, 192),
@@ -40,25 +43,28 @@ CROP_SIZES = (
     (72, 96),
     (48, 64),
     (24, 32),
-)  # rows and columns of the crop, in the order of preference
+)
 JPEG_QUALITY = 95  # JPEG quality of the pictures of the crop
-CROP_STEPS = 8  # along each side of a frame, the crop starts at a multiple of the possible shift divided by this number
-WEIGHT_SCALE = 127  # integer that encodes the largest weight
+CROP_STEPS = 8  # the possible positions of the crop divide its range along each side of the frame into this number of steps
+WEIGHT_SCALE = 127  # integer that represents the largest weight
 PLANES = ("X − aY", "Y", "Z − bY")  # input planes of refinement layers in tables with three outputs
 COMPONENTS = ("first component", "mean", "second component")  # input planes of the refinement layer in spectral tables
 
 
 @dataclass(frozen=True)
 class Layer:
-    """Classes and weights of one layer in a crop. The lists of classes begin with the classes that occur in the crop."""
+    """Classes and weights of one layer, for the pixels of a crop.
 
-    side: int  # pixels; side of the window
+    In the arrays with the axis (class), the classes that occur in the crop are the first.
+    """
+
+    side: int  # side of the window in pixels
     planes: tuple[str, ...]  # names of the input planes, in the order of the taps; ("mosaic",) in the first layer
-    labels: NDArray[np.integer]  # (row, col) position of the pixel's class in the lists of classes
-    words: tuple[dict[str, str], ...]  # (class) description of each feature of the class
-    patches: Array  # (class) number of training patches; 0 if the class was filled from a neighbour
-    pixels: NDArray[np.integer]  # (class) number of pixels of the class in the whole frame
-    weights: Array  # (class, output, tap); may end before the lists of classes
+    labels: NDArray[np.integer]  # (row, col) class of each pixel, as an index along the axis (class)
+    words: tuple[dict[str, str], ...]  # (class,) description of each feature of the class
+    patches: Array  # (class,) number of training patches; 0 if the class was filled from a neighbour
+    pixels: NDArray[np.integer]  # (class,) number of pixels of the class in the whole frame
+    weights: Array  # (class, output, tap) weights of the first classes; the last classes may have none
 
     @property
     def cropped(self) -> int:
@@ -70,8 +76,8 @@ class Layer:
 class Crop:
     """A crop of a frame, with the classes and weights of all layers."""
 
-    corner: tuple[int, int]  # first row and column of the crop
-    frame: tuple[int, int]  # rows and columns of the whole frame
+    corner: tuple[int, int]  # first row and first column of the crop
+    frame: tuple[int, int]  # numbers of rows and columns of the whole frame
     layers: tuple[Layer, ...]
 
 
@@ -80,8 +86,8 @@ class Sites:
     """The colour filter array of the frame."""
 
     cfa: NDArray[np.uint8]  # (cfa_row, cfa_col) channel of each site
-    channels: tuple[str, ...]
-    colours: tuple[str, ...]  # (channel) CSS colour
+    channels: tuple[str, ...]  # names of the channels
+    colours: tuple[str, ...]  # CSS colour of each channel
 
 
 def crop_of(
@@ -89,9 +95,10 @@ def crop_of(
 ) -> tuple[Crop, str]:
     """Choose the crop of a frame that contains the most classes, and encode the crop for the page.
 
-    The crop has the largest of CROP_SIZES whose encoding fits `limit`. Classes that do not occur in the crop follow, sorted
-    by their frequency in the frame: all classes of the table if `more` is large enough, otherwise the classes that occur in
-    the frame. The remaining characters of `more` are used for weights of these classes.
+    The crop has the largest size in CROP_SIZES whose encoding fits `limit`. Additional classes, which do not occur in the
+    crop, are sorted by their frequency in the frame. They are all other classes of the table if `more` is large enough,
+    otherwise the other classes of the frame if these fit, otherwise none. The remaining characters of `more` are used for
+    weights of the additional classes.
 
     Parameters
     ----------
@@ -100,11 +107,11 @@ def crop_of(
     camera : CameraModel
         Camera from which the display colours of the channels are computed.
     labels : list of ndarray, (row, col)
-        For each layer, the class of every pixel of the frame.
+        Class of every pixel of the frame, one array per layer.
     limit : int
-        Maximum length of the encoded crop, in characters.
+        Maximum length, in characters, of the encoded crop without additional classes.
     more : int
-        Maximum number of additional characters for classes that do not occur in the crop.
+        Maximum number of characters for the additional classes.
 
     Returns
     -------
@@ -138,11 +145,11 @@ def _crop(
     others: str = "none",
     letters: int = 0,
 ) -> Crop:
-    """Cut out a part of a frame and add classes that do not occur in this part.
+    """Cut a crop out of a frame, and add classes that do not occur in the crop.
 
-    `others` selects the additional classes: "none", "frame" (classes that occur in the frame) or "all". The additional
-    classes are sorted by their frequency in the frame. The first of them also get their weights, as many as fit `letters`
-    characters per layer.
+    `others` selects the additional classes: "none", "frame" (the other classes of the frame) or "all" (all other classes of
+    the table). The additional classes are sorted by their frequency in the frame. The weights of the most frequent
+    additional classes are included, as far as they fit into `letters` characters per layer.
     """
     layers = []
     for layer, worded, of in zip(table.layers, words, labels, strict=True):
@@ -153,7 +160,7 @@ def _crop(
         seen, indices = np.unique(of[area], return_inverse=True)
         order = np.argsort(-pixels, kind="stable")
         order = order[~np.isin(order, seen) & ((others == "all") | (pixels[order] > 0) & (others == "frame"))]
-        # Base64 needs 4 characters for 3 bytes. Deflate hardly compresses weights.
+        # Base64 needs 4 characters for 3 bytes, and weights are almost incompressible.
         room = letters * 3 // 4 // (layer.weights.shape[1] * (taps + 4))
         classes = np.concatenate([seen, order])
         layers.append(
@@ -171,7 +178,7 @@ def _crop(
 
 
 def _words(table: TransformTable, layer: MosaicLayer | PlaneLayer) -> Callable[[int], dict[str, str]]:
-    """Return a function that describes a class of the layer in words. Its argument is the index of the class."""
+    """Return a function that converts the index of a class of the layer to a description of its features."""
     every = np.arange(len(layer.weights))
     sites = layer.rule.split(every).site.tolist()
     # In the first layer, classes that differ only in the site have the same description.
@@ -191,19 +198,19 @@ def _words(table: TransformTable, layer: MosaicLayer | PlaneLayer) -> Callable[[
 
 
 def richest(labels: NDArray[np.integer], size: tuple[int, int]) -> tuple[int, int]:
-    """Find the crop that contains the most classes.
+    """Find the position of a crop that contains the most classes.
 
     Parameters
     ----------
     labels : ndarray, (row, col)
-        Class of every pixel.
+        Class of every pixel of the frame.
     size : tuple of int
-        Rows and columns of the crop. If the frame is smaller, the crop is the whole frame.
+        Numbers of rows and columns of the crop. They may exceed the size of the frame.
 
     Returns
     -------
     tuple of int
-        First row and column of the crop. Of several crops with the same number of classes, the first is chosen.
+        First row and first column of the crop. If several positions are equally good, the first is returned.
     """
     best, most = (0, 0), -1
     room = [max(0, whole - part) for whole, part in zip(labels.shape, size, strict=True)]
@@ -247,7 +254,7 @@ def packed(crop: Crop, sites: Sites, outputs: tuple[str, ...]) -> str:
 
 
 def _numbers(layer: Layer) -> bytes:
-    """Encode the arrays of a layer, each padded to a multiple of four bytes."""
+    """Encode the three arrays of a layer, each padded to a multiple of four bytes."""
     largest = np.abs(layer.weights).max(axis=2).astype("<f4")
     share = layer.weights / np.where(largest > 0, largest, 1.0)[..., None]
     weights = np.rint(WEIGHT_SCALE * np.sign(share) * np.sqrt(np.abs(share))).astype(np.int8)
@@ -267,7 +274,7 @@ def picker(anchor: str, crop: Crop, text: str, pictures: dict[str, Pixels], scen
     text : str
         The crop, encoded with `packed`.
     pictures : dict of str to ndarray, (row, col, 3)
-        Pictures of the whole frame, by name.
+        Name of each picture → picture of the whole frame.
     scene : str
         Name of the scene, for the alternative texts.
     jpeg : callable

@@ -1,4 +1,4 @@
-"""The section of evaluated sequences in a report: noise, flicker and errors of rendered frames."""
+"""The section of a report about evaluated sequences: noise, flicker and errors of rendered frames over time."""
 
 from typing import Any
 
@@ -9,8 +9,8 @@ from l3cli.report.parts import Figure, Figures, Section, Subsection, Table, Text
 from l3cli.system.text import figure as number
 from l3cli.system.text import tidy
 
-Documents = dict[str, dict[str, Any]]  # for each file name, the output of `l3 evaluate --sequence --json`
-SEQUENCE_METRICS = {  # headings of the metrics of a whole sequence
+Documents = dict[str, dict[str, Any]]  # file name → output of `l3 evaluate --sequence --json`
+SEQUENCE_METRICS = {  # metric of a whole sequence → heading of its column
     "temporal_sigma": "temporal σ of L*",
     "patch_sigma": "temporal σ of patch means of L*",
     "still_share": "fraction of still patches",
@@ -20,7 +20,7 @@ SEQUENCE_METRICS = {  # headings of the metrics of a whole sequence
     "psnr": "PSNR (dB)",
     "mean_delta_e": "mean ΔE00",
 }
-FRAME_METRICS = {  # for each metric of a frame: title, label of the y axis, and whether the axis begins at 0
+FRAME_METRICS = {  # metric of a frame → title of its plot, label of the y axis, and whether the y axis begins at 0
     "step_sigma": ("Noise over time", "temporal σ of L* in still patches", True),
     "jump": ("Flicker over time", "jump of mean L* since the previous frame", False),
     "warped_error": ("Error along the motion", "warped error (L*)", True),
@@ -30,16 +30,18 @@ FRAME_METRICS = {  # for each metric of a frame: title, label of the y axis, and
 }
 MEANINGS = (
     "L* is the CIE lightness of the displayed picture, from 0 to 100. Temporal σ is the standard deviation of a pixel over "
-    "time, in patches of 8 × 8 pixels in which nothing moves. A large temporal σ of the patch means is visible as "
-    "flickering blotches. A jump is the change of the mean L* since the previous frame, minus this change in the ideal "
-    "sequence. The warped error is the RMS change of the error between two frames, along the motion of the objects."
+    "time, in still patches, which are areas of 8 × 8 pixels without motion. A large temporal σ of the patch means is "
+    "visible as flickering blotches. A jump is the change of the mean L* since the previous frame, minus the same change in "
+    "the ideal sequence. The warped error is the RMS change of the error between two frames, along the motion of the "
+    "objects."
 )
 
 
 def sequence_section(documents: Documents) -> Section:
     """Build the section that compares evaluated sequences.
 
-    The section contains a table with the metrics of whole sequences, and plots of frame metrics with one line per sequence.
+    The section contains a table with the metrics of each sequence, and plots of the metrics of frames with one line per
+    sequence. A plot is omitted if no sequence has the metric.
     """
     rows = tuple(
         (name, str(len(document["frames"])), *(_cell(figure, document[figure]) for figure in SEQUENCE_METRICS))
@@ -53,7 +55,7 @@ def sequence_section(documents: Documents) -> Section:
 
 
 def summary(documents: Documents) -> str:
-    """State the temporal noise and the largest jump of each sequence in a sentence."""
+    """Return one sentence per sequence with its temporal noise and its largest jump of the lightness."""
     return " ".join(_sentence(name, document) for name, document in documents.items())
 
 

@@ -1,6 +1,6 @@
-"""The section of a report that compares several tables, for one or several colour filter arrays.
+"""The section of a report that compares several tables, which may be for different colour filter arrays.
 
-The section shows a frame rendered with each table, the metrics, and the error as a function of the level.
+The section shows one frame rendered with each table, the mean metrics, and the error as a function of the level.
 """
 
 from dataclasses import dataclass, replace
@@ -40,7 +40,8 @@ UNKNOWN_SCENES = (
 DIFFERENT_SCENES = (
     "frames with equal names show different scenes or illuminants; simulate all training sets with the same recipe and seed"
 )
-Place = tuple[str, str, str]  # scene, illuminant and luminance, by which frames of different training sets are matched
+# Names of scene and illuminant, and the luminance. They identify the same frame in several training sets.
+Place = tuple[str, str, str]
 
 
 @dataclass(frozen=True)
@@ -62,26 +63,27 @@ class Side:
 
 
 def shared_places(sides: list[Side]) -> list[Place]:
-    """Return the combinations of scene, illuminant and luminance for which every side has a frame of the same scene.
+    """Return the places at which every side has a frame, and at which these frames show the same scene.
 
-    Fingerprints decide whether two frames show the same scene. The order is the order of the first side.
+    Fingerprints of the frames determine whether they show the same scene. A frame without a fingerprint matches every scene.
+    The result is in the order of the frames of the first side.
     """
     return [place for place in _alike(sides) if _one_scene(_shown(sides, place))]
 
 
 def _alike(sides: list[Side]) -> list[Place]:
-    """Return the combinations of scene name, illuminant name and luminance that occur on all sides."""
+    """Return the places (scene name, illuminant name, luminance) at which every side has a frame."""
     others = [side.places for side in sides[1:]]
     return [place for place in sides[0].places if all(place in other for other in others)]
 
 
 def _shown(sides: list[Side], place: Place) -> list[Any]:
-    """Return the fingerprint of a frame on each side. None if the frame has no fingerprint."""
+    """Return, for each side, the fingerprint of the frame at a place, or None if the frame has no fingerprint."""
     return [side.document["frames"][side.places[place]]["shown"] for side in sides]
 
 
 def _one_scene(shown: list[Any]) -> bool:
-    """Whether all fingerprints that are not None belong to the same scene and illuminant."""
+    """Return whether all fingerprints, except those that are None, belong to the same scene and illuminant."""
     known = [each for each in shown if each]
     return all(shown_alike(known[0], each) for each in known[1:])
 
@@ -94,12 +96,13 @@ def shared_frame(sides: list[Side], at: float | None = None) -> list[int]:
     sides : list of Side
         The evaluated tables.
     at : float, optional
-        Choose only among frames with this luminance, in cd/m².
+        Luminance in cd/m². Only frames with this luminance are considered. [default: all frames]
 
     Returns
     -------
     list of int
-        Index of the frame on each side. Empty if no frame exists on all sides, or if the outputs are not pictures.
+        Index of the frame on each side. Empty if no frame exists on all sides, or if ΔE00 is not the main metric of every
+        table, because the outputs of a table are not colours.
     """
     figures, first = {main_of(side.document) for side in sides}, sides[0]
     places = [
@@ -122,18 +125,18 @@ def side_by_side_section(
     sides : list of Side
         The evaluated tables.
     index : list of int
-        Index of the shown frame on each side, from `shared_frame`.
+        Index of the frame to show on each side, from `shared_frame`.
     pictures : list of dict
-        Pictures of this frame for each side. Empty if no frame exists on all sides.
+        For each side, the pictures of this frame by name. Empty if `index` is empty.
     limit : int
-        Maximum size of all pictures together, in bytes.
+        Maximum total size of all pictures in bytes.
     jpeg : callable
         JPEG encoder, see `parts.Jpeg`.
 
     Returns
     -------
     Section
-        The frame, the metrics, and the cameras if they differ. The lead of the section ranks the tables.
+        The frame, the metrics, and the cameras if they differ. The introduction ranks the tables.
     """
     parts = []
     if pictures:
@@ -152,14 +155,17 @@ def _frames(side: Side, places: list[Place]) -> list[dict[str, Any]]:
 
 
 def _mean(side: Side, places: list[Place], pipeline: str, figure: str) -> float | None:
-    """Return the mean of a metric over frames. None if no frame has the metric."""
+    """Return the mean of a metric over the frames in `places`, or over all frames if `places` is empty.
+
+    The result is None if no frame has the metric.
+    """
     return known_mean([frame[pipeline][figure] for frame in _frames(side, places)])
 
 
 def _verdict(sides: list[Side], shared: list[Place]) -> str:
     """Rank the tables by their mean error over the shared frames, or state why the tables cannot be compared.
 
-    The text warns if the cameras may not be comparable, and states how many frames were not compared.
+    The text also states whether the cameras photographed the same scenes, and how many frames were not compared.
     """
     if len({main_of(side.document) for side in sides}) > 1:
         return "The tables have different outputs, so their metrics cannot be compared."
@@ -185,13 +191,13 @@ def _verdict(sides: list[Side], shared: list[Place]) -> str:
 
 
 def _title(side: Side, sides: list[Side]) -> str:
-    """Return the name of the table. If the table was evaluated on several training sets, add the training set."""
+    """Return the name of the table, with the name of the training set if the table was evaluated on several sets."""
     alone = [each.name for each in sides].count(side.name) == 1
     return side.name if alone else f"{side.name} on {side.frames}"
 
 
 def _frame_block(sides: list[Side], index: list[int], pictures: list[dict[str, Pixels]], limit: int, jpeg: Jpeg) -> Block:
-    """Show the frame rendered with each table, and the ideal. If all pictures have the same size, they get a slider."""
+    """Show the frame rendered with each table, and the ideal picture. If all have the same size, the block has a slider."""
     frames = [side.document["frames"][at] for side, at in zip(sides, index, strict=True)]
     shown = [
         (_title(side, sides), of[OURS], f"mean ΔE00 {frame[OURS]['mean_delta_e']:.2f}")
@@ -231,7 +237,10 @@ def _figure_blocks(sides: list[Side], shared: list[Place]) -> tuple[Block, ...]:
 
 
 def _level_figure(sides: list[Side]) -> Figure | None:
-    """Plot the main metric against the level of the class, with one line per table. None if a table has a single level."""
+    """Plot the main metric against the level of the class, with one line per table.
+
+    The result is None if a table has fewer than two levels.
+    """
     classes = [side.document["by_class"].get("level", []) for side in sides]
     if min(map(len, classes)) < 2:
         return None

@@ -1,4 +1,4 @@
-"""The section of a training set in a report: scenes, illuminants, raw levels and colours."""
+"""The section of a report about a training set: its scenes, illuminants, raw levels and colours."""
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
@@ -30,32 +30,32 @@ from l3cli.report.parts import (
 from l3cli.system.text import counted, tidy
 
 Array = NDArray[np.floating]
-MAX_PICTURES = 24  # maximum number of frames shown as pictures
-LEVEL_EDGES = np.geomspace(1e-3, 1.0, 37)  # bin edges of the raw signal, as a fraction of full scale
-SATURATED = 0.985  # fraction of full scale from which a raw value counts as saturated (docs/method.md#saturation-cases)
+MAX_PICTURES = 24  # maximum number of frames whose targets are shown as pictures
+LEVEL_EDGES = np.geomspace(1e-3, 1.0, 37)  # edges of the bins of the raw signal, as fractions of full scale
+SATURATED = 0.985  # raw values from this fraction of full scale are saturated (docs/method.md#saturation-cases)
 CELL_SIZE = 0.01  # width and height of a cell in the chromaticity diagram, in units of x and y
 CELLS_PER_SIDE = 100  # number of cells along x and along y
-MIN_RELATIVE_LUMINANCE = 1e-4  # fraction of the luminance of white; the chromaticity of darker pixels is not reliable
+MIN_RELATIVE_LUMINANCE = 1e-4  # pixels below this fraction of the luminance of white are not counted in the diagram
 
 
 @dataclass
 class Survey:
     """Statistics of a training set, collected in one pass over its frames."""
 
-    # for some frames: caption, alternative text, and picture in sRGB (row, col, 3)
+    # caption, alternative text and sRGB picture (row, col, 3) of some frames
     pictures: list[tuple[str, str, NDArray[np.uint8]]] = field(default_factory=list)
     levels: list[Array] = field(default_factory=list)  # for each channel, the number of pixels in each bin of LEVEL_EDGES
     below: int = 0  # number of pixels below the first bin
     saturated: int = 0  # number of saturated pixels
     pixels: int = 0  # number of all pixels
-    sizes: Counter = field(default_factory=Counter)  # number of frames of each size
-    lights: dict = field(default_factory=dict)  # for each illuminant, (white, luminance in cd/m², exposure in s) per frame
+    sizes: Counter = field(default_factory=Counter)  # size of a frame → number of frames
+    lights: dict = field(default_factory=dict)  # illuminant → (white, luminance in cd/m², exposure in s) of each frame
     chromaticity: Array = field(default_factory=lambda: np.zeros((CELLS_PER_SIDE, CELLS_PER_SIDE)))  # (x, y) pixel counts
-    pairs: int = 0  # number of real frames with a target
+    pairs: int = 0  # number of real frames that are paired with a target
 
 
 def training_section(reader: TrainingSetReader, name: str, role: str, limit: int, jpeg: Jpeg) -> Section:
-    """Build the section of a training set.
+    """Build the section about a training set.
 
     Parameters
     ----------
@@ -64,16 +64,17 @@ def training_section(reader: TrainingSetReader, name: str, role: str, limit: int
     name : str
         Name of the file.
     role : str
-        Sentence about the tables that were trained or evaluated on the training set. May be empty.
+        Sentences about the tables that were trained or evaluated on the training set. May be empty.
     limit : int
-        Maximum size of all pictures together, in bytes.
+        Maximum total size of all pictures in bytes.
     jpeg : callable
         JPEG encoder, see `parts.Jpeg`.
 
     Returns
     -------
     Section
-        Pictures of the targets, illuminants, raw levels and chromaticities.
+        The section, with pictures of the targets, the illuminants, the raw levels, and the chromaticities if the targets
+        are XYZ.
     """
     head = reader.head
     survey = survey_of(reader)
@@ -86,7 +87,7 @@ def training_section(reader: TrainingSetReader, name: str, role: str, limit: int
 
 
 def survey_of(reader: TrainingSetReader) -> Survey:
-    """Collect the statistics of all frames. Only one frame is in memory at a time."""
+    """Collect the statistics of all frames, with only one frame in memory at a time."""
     head, survey = reader.head, Survey()
     chosen = set(np.unique(np.linspace(0, len(reader) - 1, min(MAX_PICTURES, len(reader))).round().astype(int)).tolist())
     survey.levels = [np.zeros(len(LEVEL_EDGES) - 1) for _ in head.camera.channels]
@@ -111,7 +112,7 @@ def survey_of(reader: TrainingSetReader) -> Survey:
 
 
 def _count_levels(survey: Survey, frame: TrainingPair, camera: CameraModel) -> None:
-    """Add the raw values of a frame to the histogram of each channel."""
+    """Add the raw values of a frame to the histograms of the channels. Values above white count in the last bin."""
     signal = (frame.raw.astype(np.float64) - camera.black_level) / (camera.white_level - camera.black_level)
     rows, cols = camera.cfa.shape
     for (row, col), channel in np.ndenumerate(camera.cfa):
@@ -123,7 +124,7 @@ def _count_levels(survey: Survey, frame: TrainingPair, camera: CameraModel) -> N
 
 
 def _count_colours(survey: Survey, frame: TrainingPair) -> None:
-    """Add the chromaticities of a target to the histogram. Very dark pixels are not counted."""
+    """Add the chromaticities of a target to the histogram, without very dark pixels (MIN_RELATIVE_LUMINANCE)."""
     total = frame.target.sum(axis=0)
     bright = (frame.target[1] > MIN_RELATIVE_LUMINANCE * frame.white[1]) & (total > 0)
     x, y = (frame.target[part][bright] / total[bright] for part in (0, 1))
@@ -162,7 +163,7 @@ def _light_blocks(head: TrainingSet, survey: Survey) -> tuple[Block, ...]:
 
 
 def _range(values: list[float]) -> str:
-    """Format the range of values. If all values are equal, return a single number."""
+    """Format the smallest and the largest value as a range, or as a single number if both look the same."""
     low, high = tidy(min(values)), tidy(max(values))
     return low if low == high else f"{low}–{high}"
 
@@ -192,7 +193,7 @@ def _level_figure(camera: CameraModel, survey: Survey) -> Figure:
 def _chromaticity_figure(survey: Survey) -> Figure:
     """Plot the chromaticities of the targets in the CIE 1931 diagram.
 
-    The more pixels a cell contains, the more opaque it is. The opacity changes in steps of a factor of ten.
+    The opacity of a cell shows its fraction of all pixels, with one step of opacity per factor of ten.
     """
     plot = Plot(Axis("CIE 1931 x (1)", -0.04, 0.84), Axis("CIE 1931 y (1)", 0, 0.9), height=434)
     wavelength, locus = colours.spectral_locus()
@@ -235,21 +236,21 @@ def _chromaticity_figure(survey: Survey) -> Figure:
 
 
 def _cover(shares: Array, triangle: Array) -> tuple[float, float]:
-    """Compare the chromaticities with a triangle, for example the sRGB gamut.
+    """Compare the chromaticities with a triangle in the diagram, such as the sRGB gamut.
 
     Parameters
     ----------
     shares : ndarray, (x, y)
-        Fraction of pixels in each cell of the diagram.
+        Fraction of all pixels in each cell of the diagram.
     triangle : ndarray, (3, 2)
         Chromaticities x and y of the corners.
 
     Returns
     -------
     inside : float
-        Fraction of pixels inside the triangle.
+        Fraction of all pixels whose cell is inside the triangle.
     covered : float
-        Fraction of the triangle's cells that contain at least one pixel.
+        Fraction of the cells inside the triangle that contain at least one pixel.
     """
     centre = (np.arange(CELLS_PER_SIDE) + 0.5) * CELL_SIZE
     points = np.stack(np.meshgrid(centre, centre, indexing="ij"), axis=-1)

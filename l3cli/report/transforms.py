@@ -1,4 +1,4 @@
-"""The section of a transform table in a report: training patches per class, selected transforms, and noise gains."""
+"""The section of a report about a transform table: training patches per class, selected transforms, and noise gains."""
 
 from collections.abc import Callable
 from typing import Any
@@ -16,25 +16,26 @@ from l3cli.system.text import tidy
 
 Array = NDArray[np.floating]
 DECADE_OPACITIES = (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # opacity of cells with 1–9, 10–99, … patches
-MAX_NAME_CHARACTERS = 22  # longer names do not fit next to a drawing and are replaced by numbers
-MAX_MAPS = 3  # maximum number of outputs whose weights are drawn
+MAX_NAME_CHARACTERS = 22  # names with more characters do not fit next to a drawing and are replaced by numbers
+MAX_MAPS = 3  # maximum number of outputs whose weights are drawn; the other outputs are left out
 
 
 def transform_section(
     table: TransformTable, light: Array | None, insight: dict[str, Any], class_name: Callable[[int], str], name: str
 ) -> Section:
-    """Build the section of a transform table.
+    """Build the section about a transform table.
 
     Parameters
     ----------
     table : TransformTable
         The table.
     light : ndarray, (channel, 3), optional
-        Display colours of the channels in linear sRGB. None if the report contains no camera.
+        Display colours of the channels in linear sRGB. None if the report contains no camera; filters are then drawn without
+        colour.
     insight : dict
         Output of `l3 info --json` for the table.
     class_name : callable
-        Function that returns the description of a class, from its index.
+        Function that converts the index of a class to its description.
     name : str
         Name of the file.
     """
@@ -57,7 +58,7 @@ def transform_section(
 
 
 def _refinement_table(insight: dict[str, Any]) -> Table:
-    """Make a table with one row for each refinement layer."""
+    """Make a table with one row per refinement layer."""
     gains = tuple(f"median noise gain of {output}" for output in insight["noise_gain"])
     rows = tuple(
         (
@@ -75,7 +76,7 @@ def _refinement_table(insight: dict[str, Any]) -> Table:
 
 
 def _structures(layer: dict[str, Any]) -> str:
-    """Describe how a refinement layer classifies unsaturated pixels: by a tree, or by edge strength and direction."""
+    """Describe the classes of a refinement layer for unsaturated pixels: tree leaves, or edge strengths and directions."""
     if "leaves" in layer:
         return f"{layer['leaves']} leaves of a tree of depth {layer['depth']}"
     return (
@@ -84,7 +85,7 @@ def _structures(layer: dict[str, Any]) -> str:
 
 
 def level_middles(table: TransformTable) -> Array:
-    """Return a positive level within the bounds of each level class, as a fraction of full scale."""
+    """Return a positive value between the bounds of each level, as a fraction of full scale, for logarithmic axes."""
     bounds = level.bounds(table)
     lower = np.maximum(bounds[:-1], bounds[1:] / 2)
     return np.sqrt(np.maximum(lower * bounds[1:], 1e-8))
@@ -94,7 +95,7 @@ def level_middles(table: TransformTable) -> Array:
 
 
 def _population_blocks(table: TransformTable, insight: dict[str, Any]) -> tuple[Block, ...]:
-    """Draw the number of training patches for each combination of level and kind, and of level and site."""
+    """Draw the number of training patches by level and kind (chroma or saturation case), and by level and site."""
     samples = table.first.rule.by_feature(table.first.samples)
     levels = [tidy(value, 1) for value in level.bounds(table)[1:]]
     kinds, sites = (
@@ -118,7 +119,7 @@ def _population_blocks(table: TransformTable, insight: dict[str, Any]) -> tuple[
 
 
 def kind_names(insight: dict[str, Any]) -> list[str]:
-    """Return the names of the kinds. If a name is too long for a drawing, all names begin with a number."""
+    """Return the names of the kinds (chromas and saturation cases), with numbers if a name is too long for a drawing."""
     names = [kind["name"] for kind in insight["kinds"]]
     return (
         [f"{number}: {name}" for number, name in enumerate(names)] if max(map(len, names)) > MAX_NAME_CHARACTERS else names
@@ -126,14 +127,14 @@ def kind_names(insight: dict[str, Any]) -> list[str]:
 
 
 def _contrast(table: TransformTable, contrast: int) -> str:
-    """Mark the first contrast as the flattest and the last as the most textured, with a leading comma."""
+    """Return an explanation of the first and of the last contrast, with a leading comma. Empty for all other contrasts."""
     if table.first.rule.contrasts == 1:
         return ""
     return {0: ", the flattest", table.first.rule.contrasts - 1: ", the most textured"}.get(contrast, "")
 
 
 def _population(counts: Array, rows: list[str], levels: list[str], title: str, y_label: str) -> Figure:
-    """Draw a heat map of the number of patches per row and level. Cells with more patches are more opaque."""
+    """Draw a heat map of the number of patches `counts` (row, level), with one step of opacity per factor of ten."""
     decade = np.clip(np.floor(np.log10(np.maximum(counts, 1))), 0, len(DECADE_OPACITIES) - 1).astype(int)
     shares = np.where(counts > 0, np.array(DECADE_OPACITIES)[decade], 0.0)
     filled = int((counts > 0).sum())
@@ -156,7 +157,7 @@ def _kinds_table(insight: dict[str, Any]) -> Table:
 
 
 def _feature_tables(insight: dict[str, Any]) -> tuple[Table, ...]:
-    """Make a table for each additional class feature, with the number of patches for each value of the feature."""
+    """Make a table for each additional class feature. It lists the number of patches for each value of the feature."""
     return tuple(
         Table(f"Patches by {name}", (name, "patches"), tuple((each["name"], f"{each['patches']:.0f}") for each in values))
         for name, values in insight.get("features", {}).items()
@@ -182,10 +183,15 @@ def _transform_blocks(table: TransformTable, light: Array | None, class_name: Ca
 def chosen_classes(table: TransformTable) -> list[int]:
     """Choose the classes of the first layer whose transforms are drawn.
 
-    For the most frequent channel, the choice includes a dark and a bright level, each with the lowest and the highest
-    contrast. For up to seven other channels, it includes a medium level with the highest contrast. Each of these
-    combinations is represented by the unsaturated class with the most training patches, at the first site of the channel.
-    Combinations without patches are omitted.
+    For the most frequent channel, the function chooses a dark and a bright level, each with the lowest and the highest
+    contrast. For at most seven other channels, it chooses a medium level with the highest contrast. For each of these
+    combinations, it returns the unsaturated class with the most training patches at the first site of the channel.
+    Combinations without training patches are left out.
+
+    Returns
+    -------
+    list of int
+        Indices of the classes, without duplicates.
     """
     rule = table.first.rule
     sites = table.cfa.ravel()
@@ -207,7 +213,7 @@ def chosen_classes(table: TransformTable) -> list[int]:
 
 
 def _maps(table: TransformTable, light: Array | None, index: int, name: str) -> Figure:
-    """Draw the colour filters of a patch, and the weights of a class for the first outputs."""
+    """Draw the colour filters of a patch, and the weights of a class for the first MAX_MAPS outputs."""
     patch, outputs = table.first.rule.patch, min(MAX_MAPS, len(table.outputs))
     gap, top = 8.0, 18.0
     side = (WIDTH - gap * outputs) / (outputs + 1)
@@ -238,7 +244,7 @@ def _maps(table: TransformTable, light: Array | None, index: int, name: str) -> 
 
 
 def _weights_data(table: TransformTable, index: int) -> Data:
-    """List the weights of a class, each with its position in the patch."""
+    """List all weights of a class, with the output, the position in the patch and the channel of each weight."""
     patch, channel = table.first.rule.patch, taps(table, index)
     rows = tuple(
         (table.outputs[output], str(tap // patch), str(tap % patch), table.channels[channel[tap]], float(weight))
@@ -248,7 +254,7 @@ def _weights_data(table: TransformTable, index: int) -> Data:
 
 
 def _weight_map(weights: Array, left: float, top: float, cell: float) -> list[str]:
-    """Draw the weights of one output as cells, orange for positive and blue for negative weights."""
+    """Draw the weights of one output as cells, in orange for positive weights and in blue for negative weights."""
     largest = float(np.abs(weights).max()) or 1.0
     items = []
     for (row, col), weight in np.ndenumerate(weights):
@@ -262,7 +268,7 @@ def _weight_map(weights: Array, left: float, top: float, cell: float) -> list[st
 
 
 def taps(table: TransformTable, index: int) -> Integers:
-    """Return the channel of each tap in the window of a class."""
+    """Return the channel (tap,) of each tap in the window of a class of the first layer."""
     return window_channels(table.cfa, table.first.rule.patch)[table.first.rule.split(index).site]
 
 
@@ -270,7 +276,7 @@ def taps(table: TransformTable, index: int) -> Integers:
 
 
 def _noise_figures(table: TransformTable) -> Figures:
-    """Plot the median noise gain of trained unsaturated classes against the level."""
+    """Plot the median noise gain of trained unsaturated classes against the level. Empty if no such class exists."""
     rule, gains = table.first.rule, np.sqrt((table.first.weights.astype(np.float64) ** 2).sum(axis=2))
     gain = rule.by_feature(gains)[..., rule.kinds_of(0), :]
     trained = rule.by_feature(table.first.samples)[..., rule.kinds_of(0)] > 0
@@ -305,14 +311,14 @@ def _noise_figures(table: TransformTable) -> Figures:
 
 
 def _medians(values: Array, chosen: NDArray[np.bool_]) -> Array:
-    """Return the median of the chosen values (site, level, combination, kind) at each level. NaN if none is chosen."""
+    """Return the median, at each level, of the values (site, level, …) for which `chosen` is true, or NaN without any."""
     return np.array(
         [np.median(values[:, at][chosen[:, at]]) if chosen[:, at].any() else np.nan for at in range(values.shape[1])]
     )
 
 
 def _gain_tables(table: TransformTable, insight: dict[str, Any]) -> tuple[Table, ...]:
-    """Make tables of noise gains, of the gain for uniform areas, and of the classes with the highest noise gain."""
+    """Make tables of the noise gain, of the gain for uniform areas, and of the classes with the highest noise gain."""
     flat = tuple(
         (output, *(tidy(gains[channel]) for channel in table.channels)) for output, gains in insight["dc_gain"].items()
     )

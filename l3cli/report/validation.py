@@ -1,7 +1,7 @@
-"""The validation of a camera model in a report: how well the model predicts the charts to which it was fitted.
+"""The validation of a camera model in a report: how accurately the model predicts the charts to which it was fitted.
 
-For lab measurements, the report also shows how the smoothing was chosen. For photos, it shows the uncertainty of the
-responsivity curves and of the colours. Drawings of charts compare two colours of each patch.
+For lab measurements, the report also shows how the smoothing was chosen. For photos, the report shows the uncertainty of the
+responsivities and of the colours. Drawings of charts compare two colours of each patch.
 """
 
 from typing import Any
@@ -23,23 +23,23 @@ from l3cli.system.text import counted, tidy, unit
 Array = NDArray[np.floating]
 PATCHES_PER_ROW = 6
 MAX_CHARTS = 4  # maximum number of charts drawn for a calibration
-PATCH_GAP, TEXT_HEIGHT = 10.0, 18.0  # px; distance between patches, and height of the text below each patch
+PATCH_GAP, TEXT_HEIGHT = 10.0, 18.0  # distance between patches, and height of the text below each patch, in px
 
 
 def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array], errors: dict[str, Array]) -> Figure:
-    """Draw the patches of a chart, each with two colours in its left and right half, and their ΔE00 below.
+    """Draw the patches of a chart. Each patch shows two colours side by side, with their difference (ΔE00) below.
 
     Parameters
     ----------
     title : str
         Title of the figure.
     names : tuple of str
-        Names of the pictures in the left and the right halves.
+        Names of the pictures from which the left halves and the right halves of the patches are taken.
     pair : tuple of ndarray, (patch, 3)
-        Colours of the left and the right halves in linear sRGB.
+        Colours of the left halves and of the right halves, in linear sRGB.
     errors : dict of str to ndarray, (patch,)
-        For each picture, the ΔE00 of each patch from the picture in the left halves. The drawing shows the values of
-        `names[1]`. The values of other pictures appear only in the caption and in the data of the figure.
+        Name of a picture → ΔE00 between each patch of this picture and of the picture in the left halves. It must contain
+        `names[1]`, whose values are drawn. The values of all other pictures appear only in the caption and in the data.
     """
     side = (WIDTH - 2 - PATCH_GAP * (PATCHES_PER_ROW - 1)) / PATCHES_PER_ROW
     main, items = errors[names[1]], []
@@ -73,7 +73,7 @@ def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array]
 
 
 def patches_table(errors: dict[str, Array]) -> Table:
-    """Make a table of the ΔE00 of each patch and pipeline. `errors` is the same as for `patches_figure`."""
+    """Make a table of the ΔE00 of each patch, with one column per picture. `errors` is as in `patches_figure`."""
     rows = tuple((name, *(f"{float(of[patch]):.2f}" for of in errors.values())) for patch, name in enumerate(PATCH_NAMES))
     return Table("ΔE00 of each patch", ("patch", *errors), rows)
 
@@ -81,8 +81,8 @@ def patches_table(errors: dict[str, Array]) -> Table:
 def calibration_figures(camera: CameraModel, fit: ChartFit) -> tuple[Figure, ...]:
     """Draw the measured and the predicted colours of the first MAX_CHARTS charts of a calibration.
 
-    The channels are converted to colours with one matrix per chart. Charts under an illuminant that is not a named standard
-    illuminant are omitted, because the ideal colours of their patches are unknown.
+    One matrix per chart converts the channels to colours. A chart is omitted if its illuminant is not a named illuminant or
+    if it is not a ColorChecker with 24 patches, because the ideal colours of its patches are then unknown.
     """
     figures = []
     for light, measured, predicted in zip(fit.illuminants[:MAX_CHARTS], fit.measured, fit.predicted, strict=False):
@@ -103,17 +103,17 @@ def calibration_figures(camera: CameraModel, fit: ChartFit) -> tuple[Figure, ...
 
 
 def _matrix(predicted: Array, residual: Array, ideal: Array) -> Array:
-    """Fit the matrix (channel, 3) from channels to XYZ by least squares.
+    """Fit the matrix (channel, 3) that converts channels to XYZ, by least squares.
 
-    The residuals between measurement and prediction are treated as noise. As a result, the matrix does not amplify the
-    difference between two similar channels.
+    The differences between measurement and prediction (`residual`) are treated as noise of the channels. The matrix
+    therefore does not amplify the difference between two similar channels.
     """
     noise = np.diag((residual**2).sum(axis=0))
     matrix: Array = np.linalg.pinv(predicted.T @ predicted + noise) @ predicted.T @ ideal
     return matrix
 
 
-BANDS = {  # headings in the report, by key in the output of `l3 calibrate --json`
+BANDS = {  # key in the output of `l3 calibrate --json` → heading in the report
     "curve ± 95 % (% of peak)": "curve, 95 % band (± % of its peak)",
     "colours ± 95 % (% of most)": "colours, 95 % band (± % of the brightest patch)",
 }
@@ -127,15 +127,15 @@ def validation_blocks(camera: CameraModel, fit: Fit, figures: dict[str, Any]) ->
     camera : CameraModel
         The camera.
     fit : Fit
-        Fit of the camera to measurements.
+        Result of fitting the camera to measurements.
     figures : dict
         Output of `l3 calibrate --json`.
 
     Returns
     -------
     tuple of Block
-        Plots of predictions, residuals and smoothing, drawings of charts, and tables for each chart and each illumination
-        band. Blocks for which the fit has no data are missing.
+        Plots of predictions, residuals and smoothing, drawings of charts, and tables of the errors for each chart and for
+        each illumination band. Blocks without data are left out, so that the result may be empty.
     """
     graphs: list[Figure] = []
     if fit.validation is not None:
@@ -153,7 +153,7 @@ def validation_blocks(camera: CameraModel, fit: Fit, figures: dict[str, Any]) ->
 
 
 def table_of(caption: str, heading: str, rows: dict[str, dict[str, float]]) -> Table:
-    """Make a table from named rows of numbers in the output of `l3 calibrate --json`."""
+    """Convert a part of the output of `l3 calibrate --json` to a table: `rows` maps names to numbers by column title."""
     titles = tuple(next(iter(rows.values())))
     body = tuple(
         (name, *(f"{row[title]:.5f}" if title.startswith("R²") else tidy(row[title], 4) for title in titles))
@@ -163,7 +163,7 @@ def table_of(caption: str, heading: str, rows: dict[str, dict[str, float]]) -> T
 
 
 def _prediction_figures(camera: CameraModel, fit: Fit) -> list[Figure]:
-    """Plot measured values, and their residuals, against predicted values."""
+    """Plot the measured values, and their residuals, against the predicted values. Empty if no value was used."""
     assert fit.validation is not None
     measured, predicted = fit.validation.measured, fit.validation.predicted
     used = np.ones(measured.shape, bool) if fit.chart is not None or fit.series is None else fit.series.used
@@ -190,7 +190,7 @@ def _prediction_figures(camera: CameraModel, fit: Fit) -> list[Figure]:
 
 
 def _smoothing_figure(sweep: SweepFit) -> list[Figure]:
-    """Plot the cross-validated error against the smoothing δ. No plot if fewer than two values of δ were tried."""
+    """Plot the cross-validated error against the smoothing δ. Empty if fewer than two values of δ were tried."""
     tried = sweep.smoothing > 0
     if tried.sum() < 2:
         return []
@@ -220,14 +220,14 @@ def photo_subsections(camera: CameraModel, fit: PhotoFit, figures: dict[str, Any
     camera : CameraModel
         The camera.
     fit : PhotoFit
-        Measured and predicted patches of each photo.
+        Measured and predicted signals of the patches in each photo.
     figures : dict
         Output of `l3 calibrate --json`.
 
     Returns
     -------
     tuple of Subsection
-        The photos, the uncertainty of curves and colours, and the patches of each photo.
+        Subsections about the photos, the uncertainty of the responsivities and the colours, and the patches of each photo.
     """
     keys = point_keys(camera)
     return (
@@ -238,7 +238,7 @@ def photo_subsections(camera: CameraModel, fit: PhotoFit, figures: dict[str, Any
 
 
 def photo_lead(fit: PhotoFit, figures: dict[str, Any]) -> str:
-    """State the uncertainty of curves and colours in a sentence."""
+    """Return a summary of the fit, with the uncertainty of the responsivities and of the colours."""
     curve, colours = (max(row[title] for row in figures["channels"].values()) for title in BANDS)
     many = "one photo" if len(fit.names) == 1 else f"{len(fit.names)} photos"
     return (
@@ -265,21 +265,21 @@ def _photos(figures: dict[str, Any]) -> Table:
 
 
 def _lights(figures: dict[str, Any]) -> Text:
-    """State for each photo whether the illuminant that the user named fits the patches."""
+    """State for each photo whether the illuminant that the user specified fits the patches."""
     words = []
     for name, photo in figures["photos"].items():
         if photo["guessed"]:
             words.append(
-                f"{name}: no illuminant was named. The estimate is {guessed_light(photo['probable lights'])}. The bands "
+                f"{name}: no illuminant was specified. The estimate is {guessed_light(photo['probable lights'])}. The bands "
                 "include the uncertainty of the illuminant."
             )
         elif photo["deficit"] > 0:
             words.append(
-                f"{name}: {photo['light']} was named, but the common illuminant that fits the patches best is "
+                f"{name}: {photo['light']} was specified, but the common illuminant that fits the patches best is "
                 f"{photo['nearest']}."
             )
         else:
-            words.append(f"{name}: {photo['light']} was named, and no common illuminant fits the patches better.")
+            words.append(f"{name}: {photo['light']} was specified, and no common illuminant fits the patches better.")
     return Text(" ".join(words))
 
 
@@ -296,15 +296,15 @@ def _bands(camera: CameraModel, figures: dict[str, Any]) -> Table:
 
 
 def _reading(figures: dict[str, Any]) -> tuple[Text, Text]:
-    """Explain the bands, and state which additional photo would reduce the uncertainty most."""
+    """Explain the confidence bands, and state which additional photo would reduce the uncertainty most."""
     further = figures["next light"]
     source = "smoothness alone" if figures["prior"] == "smooth" else "the curves of measured cameras"
     return (
         Text(
-            "A photo of a chart determines the colours of pictures well, because the patches determine how the camera "
-            "responds to other surfaces under other illuminants. It determines the details of the responsivity curves only "
-            f"roughly. The missing details come from {source}. The first column of the table is the band around the curves "
-            "in the plot above."
+            "A photo of a chart determines the colours of pictures accurately, because the patches determine how the camera "
+            "responds to most surfaces and illuminants. The photo determines the details of the responsivity curves only "
+            f"roughly. These details come from {source}. The first column of the table is the band around the curves in the "
+            "plot above."
         ),
         Text(
             f"Another photo of the chart would reduce the uncertainty most under {further['light']}. The colour error would "
@@ -314,7 +314,7 @@ def _reading(figures: dict[str, Any]) -> tuple[Text, Text]:
 
 
 def _patches(fit: PhotoFit, index: int, keys: tuple[Key, ...]) -> tuple[Figure, Figure]:
-    """Plot the measured against the predicted values of the patches of one photo, and the residual of each patch."""
+    """Plot the measured against the predicted signals of the patches in one photo, and the residual of each patch."""
     used = fit.used[index]
     brightest = np.where(used, fit.measured[index], 0.0).max(axis=0)
     brightest = np.where(brightest > 0, brightest, 1.0)

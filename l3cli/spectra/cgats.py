@@ -1,10 +1,10 @@
-"""Read spectra from CGATS.17 text files: ArgyllCMS .sp, .ti3, .cie and .ccss, and files of chart-reading programs.
+"""Read spectra from CGATS.17 text files, such as ArgyllCMS .sp, .ti3, .cie and .ccss, and exports of chart readers.
 
 A file contains one or more tables. A table has keywords (`KEYWORD "value"`), the names of its fields between
 BEGIN_DATA_FORMAT and END_DATA_FORMAT, and one row per sample between BEGIN_DATA and END_DATA. A spectrum consists of
-consecutive fields that are named after wavelengths: SPEC_380 (ArgyllCMS), SPECTRAL_NM380, nm380, R_380. ArgyllCMS rounds
-these names to whole nanometres, and states the exact grid in SPECTRAL_BANDS, SPECTRAL_START_NM and SPECTRAL_END_NM. Values
-are divided by SPECTRAL_NORM.
+consecutive fields whose names contain the wavelengths: SPEC_380 (ArgyllCMS), SPECTRAL_NM380, nm380, R_380. ArgyllCMS rounds
+the wavelengths in these names to whole nanometres, and writes the exact grid as SPECTRAL_BANDS, SPECTRAL_START_NM and
+SPECTRAL_END_NM. The values must be divided by SPECTRAL_NORM.
 
 References: ANSI CGATS.17; ArgyllCMS documentation, "File formats".
 """
@@ -22,9 +22,9 @@ FIRST_LINE = re.compile(r"\s*(?:CGATS|SPECT\s|CTI[1-4]|CCSS|CIE\b|CMF\b|ISO28178
 TOKEN = re.compile(r'"((?:[^"]|"")*)"|([^\s"]+)')
 COMMENT = re.compile(r'^((?:[^"#]|"[^"]*")*)#.*$')
 BAND = re.compile(r"^(?:(?:SPEC|SPECTRAL|R|NM)_?)?(?:NM_?)?(\d{3,4}(?:\.\d+)?)(?:_?NM)?$", re.I)
-NAMES = ("SAMPLE_NAME", "SAMPLE_LOC", "SAMPLEID", "SAMPLE_ID")  # fields with the name of a sample, in order of preference
-PERCENT_ABOVE = 2.0  # larger values must be percent, because no surface reflects twice the incident light
-MEAS_TYPE_UNITS = {  # value of MEAS_TYPE → unit; all other values mean a light source
+NAMES = ("SAMPLE_NAME", "SAMPLE_LOC", "SAMPLEID", "SAMPLE_ID")  # fields that name the sample, in order of preference
+PERCENT_ABOVE = 2.0  # a file with larger values contains percentages, because no surface reflects twice the incident light
+MEAS_TYPE_UNITS = {  # value of the keyword MEAS_TYPE → unit; all other values mean a light source
     "REFLECTIVE": "reflectance",
     "TRANSMISSIVE": "transmittance",
 }
@@ -32,7 +32,7 @@ MEAS_TYPE_UNITS = {  # value of MEAS_TYPE → unit; all other values mean a ligh
 
 @dataclass
 class CgatsTable:
-    """One table of a CGATS file: its keywords with their values, the names of its columns, and its rows of texts."""
+    """One table of a CGATS file: the values of its keywords, the names of its fields, and the cells of its rows."""
 
     keywords: dict[str, str] = field(default_factory=dict)
     fields: list[str] = field(default_factory=list)
@@ -43,14 +43,14 @@ class CgatsTable:
 class Spectra:
     """The spectra of the samples in a CGATS file."""
 
-    wavelength: NDArray[np.float64]  # (wavelength) nm
+    wavelength: NDArray[np.float64]  # (wavelength,) nm
     values: NDArray[np.float64]  # (sample, wavelength)
     names: tuple[str, ...]
     unit: str | None  # unit of all samples; None if the file does not state it
 
 
 def is_cgats(text: str) -> bool:
-    """Whether a text is a CGATS file, according to its first line and its markers."""
+    """Return whether a text looks like a CGATS file: it has a typical first line and the marker BEGIN_DATA."""
     return FIRST_LINE.match(text) is not None and re.search(r"^\s*BEGIN_DATA\b", text, re.M | re.I) is not None
 
 
@@ -62,38 +62,36 @@ def read_cgats(text: str, path: Path) -> Spectra:
     text : str
         The content of the file.
     path : Path
-        The name of the file in messages.
+        The file, for messages.
 
     Returns
     -------
     Spectra
-        One spectrum per sample of the table that contains spectra. Other tables in the file are ignored.
+        One spectrum per row of the table that contains spectra. Other tables in the file are ignored.
 
     Raises
     ------
     InputFileError
-        If no table or several tables contain spectra, a row is incomplete, or the stated grid contradicts the fields.
+        If no table or more than one table contains spectra, if a row is incomplete or not numeric, or if the keywords for
+        the wavelength grid contradict the fields.
     """
     tables = _tables(text, path)
     spectral = [table for table in tables if _bands(table) or "SPECTRAL_NM" in map(str.upper, table.fields)]
     spectral = spectral or [table for table in tables if "SPECTRAL_BANDS" in table.keywords][:1]
     if len(spectral) > 1:
         raise InputFileError(
-            f"{path} contains {len(spectral)} tables of spectra; save the table that you need as a separate file"
+            f"{path} contains {len(spectral)} tables with spectra; save the table that you need as a separate file"
         )
     if spectral:
         return _spectra(spectral[0], text.split(None, 1)[0].upper(), path)
     fields = " ".join(dict.fromkeys(name for table in tables for name in table.fields))
     raise InputFileError(
-        f"{path} contains {fields[:60] or 'no data'}, but no spectra; export spectral data, in fields such as SPEC_380"
+        f"{path} contains {fields[:60] or 'no data'}, but no spectra; export spectral data with fields such as SPEC_380"
     )
 
 
 def _tables(text: str, path: Path) -> list[CgatsTable]:
-    """Split a file into its tables. A row of data may extend over several lines.
-
-    Raises InputFileError if a row is incomplete.
-    """
+    """Split a file into its tables. Raises InputFileError if a row is incomplete."""
     tables, inside = [CgatsTable()], ""
     for line in text.splitlines():
         plain = COMMENT.sub(r"\1", line)
@@ -121,8 +119,8 @@ def _tables(text: str, path: Path) -> list[CgatsTable]:
             if len(cells) % width:
                 number = next(number for number, row in enumerate(table.rows, 1) if len(row) != width)
                 raise InputFileError(
-                    f"{path}: row {number} has {len(table.rows[number - 1])} values, but there are {width} fields; "
-                    "export it again"
+                    f"{path}: row {number} has {len(table.rows[number - 1])} values for {width} fields; "
+                    "export the file again"
                 )
             table.rows = [cells[at : at + width] for at in range(0, len(cells), width)]
     return tables
@@ -133,13 +131,13 @@ def _tokens(line: str) -> list[str]:
 
 
 def _bands(table: CgatsTable) -> list[tuple[int, float]]:
-    """Return the index and the wavelength of each spectral field."""
+    """Return (index, wavelength in nm) of each field whose name contains a wavelength."""
     found = [(place, BAND.match(name)) for place, name in enumerate(table.fields)]
     return [(place, float(match[1])) for place, match in found if match]
 
 
 def _number(text: str) -> float:
-    """Convert text to a number. The decimal point may be a comma."""
+    """Convert text to a number. The decimal separator may be a point or a comma."""
     return float(text.replace(",", "."))
 
 
@@ -150,7 +148,7 @@ def _spectra(table: CgatsTable, identifier: str, path: Path) -> Spectra:
         kind = "reflectance"
     norm = 100.0 if identifier.startswith("CTI") else None
     try:
-        if "SPECTRAL_NM" in upper:  # a row consists of pairs of wavelength and value
+        if "SPECTRAL_NM" in upper:  # each row contains pairs of a wavelength and a value
             at = [place for place, name in enumerate(upper) if name == "SPECTRAL_NM"]
             wavelength = np.array([_number(table.rows[0][place]) for place in at])
             places = [place + 1 for place in at]
@@ -163,7 +161,7 @@ def _spectra(table: CgatsTable, identifier: str, path: Path) -> Spectra:
         if "SPECTRAL_NORM" in table.keywords:
             norm = _number(table.keywords["SPECTRAL_NORM"])
     except (ValueError, IndexError) as error:
-        raise InputFileError(f"{path}: the data are not rows of numbers ({error}); export it again") from error
+        raise InputFileError(f"{path}: the data are not rows of numbers ({error}); export the file again") from error
     if norm is None and kind is None and values.max() > PERCENT_ABOVE:
         unit: str | None = "%"
     else:
@@ -174,7 +172,7 @@ def _spectra(table: CgatsTable, identifier: str, path: Path) -> Spectra:
 
 
 def _grid(table: CgatsTable, named: list[float], count: int, path: Path) -> NDArray[np.float64]:
-    """Return the wavelengths in nm, from the keywords if they exist, otherwise from the names of the fields.
+    """Return the wavelengths in nm from the keywords of the table or, without these keywords, from the names of its fields.
 
     Raises InputFileError if the keywords contradict the fields.
     """
@@ -186,6 +184,6 @@ def _grid(table: CgatsTable, named: list[float], count: int, path: Path) -> NDAr
     if bands != count or (named and np.abs(grid - named).max() > 1.0):
         raise InputFileError(
             f"{path} states {bands:g} bands from {first:g} to {last:g} nm, but its fields are {count} bands from "
-            f"{named[0] if named else first:g} to {named[-1] if named else last:g} nm; export it again"
+            f"{named[0] if named else first:g} to {named[-1] if named else last:g} nm; export the file again"
         )
     return grid

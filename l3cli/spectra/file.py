@@ -1,17 +1,17 @@
-"""Read files of spectra. `read_table` reads every format in FORMATS. Most of this module is the reader of text tables.
+"""Read files of spectra. `read_table` reads every format in FORMATS. Most of this module reads text tables.
 
-A text table is delimited text, as spectrometers, spreadsheets and l3 itself export it. Each row is a wavelength followed by
-values, and all rows have the same number of values. Columns are separated by commas, semicolons, tabs or blanks. If they are
-separated by semicolons or tabs, a comma is a decimal point. The column names are in the first line, or in the last comment
-(#) before the numbers. This heading determines which column contains the wavelengths. The other columns are found by name,
-in any order, and units in brackets are converted. If there is no heading, the first column contains the wavelengths in nm,
-and the other columns are in the order that the caller expects.
+A text table is delimited text from a spectrometer, a spreadsheet or l3. Each row contains a wavelength and one value per
+curve. Commas, semicolons, tabs or blanks separate the columns. If the separator is a semicolon or a tab, a comma is a
+decimal point. The heading with the column names is the first line, or the last comment (#) before the numbers. The heading
+determines which column contains the wavelengths. The other columns may be in any order, and units in brackets are converted.
+Without a heading, the first column contains the wavelengths in nm, and the other columns must be in the order that the
+caller expects.
 
-CGATS and JCAMP-DX files are recognised by their first line. IES TM-27-14 (Illuminating Engineering Society, Standard
-Format for the Electronic Transfer of Spectral Data) is read with colour-science.
+CGATS and JCAMP-DX files are recognised by their first line. colour-science reads IES TM-27-14 files (Illuminating
+Engineering Society, Standard Format for the Electronic Transfer of Spectral Data).
 
-Instruments export text in UTF-8, UTF-16 or Windows-1252. Any lines of text may precede the numbers, such as `Key: value` or
-the marker `>>>>>Begin Spectral Data<<<<<`.
+Instruments export text in UTF-8, UTF-16 or Windows-1252. Lines of text may precede the numbers, such as `Key: value` or the
+marker `>>>>>Begin Spectral Data<<<<<`.
 """
 
 import codecs
@@ -39,16 +39,16 @@ from l3cli.system.limits import read_bounded
 
 CURE = "use a CSV file of spectra"
 MARKER = re.compile(r"^(?:>{3,}|<{3,}|\*{3,}|={3,}|-{3,}|\+{3,})")
-EXCEL_SEPARATOR = re.compile(r'"?sep=.?"?', re.I)  # first line of CSV files that names the separator for Excel
-CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # bytes that do not occur in Windows-1252 text
+EXCEL_SEPARATOR = re.compile(r'"?sep=.?"?', re.I)  # optional first line of a CSV file, which tells Excel the separator
+CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # control characters, which text does not contain
 UNIT_KEY = re.compile(
     r"^(?:y[- ]?(?:axis|unit)|(?:spectral |radiometric |measurement )?units?)\b[^:;=,\t]*[:;=,\t]\s*(.+)$", re.I
 )
-QUALITY = re.compile(r"\d{5}")  # code that Photo Research instruments write before a measurement
-# A table is transposed if one of its rows contains at least SIDEWAYS wavelengths in nm, all within the range LIGHT.
+QUALITY = re.compile(r"\d{5}")  # quality code, which Photo Research instruments write before a measurement
+# A table is transposed if a row contains at least SIDEWAYS wavelengths, all of which are within the range LIGHT in nm.
 SIDEWAYS, LIGHT = 10, (150.0, 5000.0)
 WAVELENGTH = ("wavelength", "wavelengths", "lambda", "λ", "wl", "wave", "wvl", "wellenlänge")
-JAZ = {"d", "r", "s", "p"}  # columns of Ocean Optics' Jaz spectrometer: dark, reference, sample, processed result
+JAZ = {"d", "r", "s", "p"}  # columns of the Ocean Optics Jaz spectrometer: dark, reference, sample, processed result
 SEPARATORS = r"[\s_()\[\]/,]+"
 Cells = list[str]
 DigitisedCurve = tuple[str, list[tuple[float, float]]]  # name of the curve, and X (nm) and Y of each point
@@ -56,23 +56,23 @@ DigitisedCurve = tuple[str, list[tuple[float, float]]]  # name of the curve, and
 
 @dataclass(frozen=True)
 class TextTable:
-    """The rows of numbers in a text table, and the names of the columns."""
+    """The numbers in a text table, and the names of its columns."""
 
-    heading: Cells | None  # name of each column, or None if there is no heading
-    rows: list[list[float]]  # all rows have the same length
-    pairs: tuple[DigitisedCurve, ...] = ()  # digitised curves; if there are any, `rows` is empty
+    heading: Cells | None  # name of each column; None if the file has no heading
+    rows: list[list[float]]  # rows of equal length; empty if the file contains digitised curves
+    pairs: tuple[DigitisedCurve, ...] = ()  # digitised curves
     faults: tuple[str, ...] = ()  # faults in the digitised curves
 
 
 def read_text_table(path: Path) -> TextTable:
-    """Read the table in a text file. Raises InputFileError if there is no table, or if a row is invalid."""
+    """Read the table in a text file. Raises InputFileError if the file contains no table or an invalid row."""
     return _text_table(_text(path), path)
 
 
 def _text_table(text: str, path: Path) -> TextTable:
     """Parse a text table: find the separator, the rows of numbers, the heading and the units.
 
-    Raises InputFileError in the same cases as `read_text_table`.
+    Raises InputFileError if the text contains no table or an invalid row.
     """
     lines = [line.strip(" \r") for line in text.splitlines() if line.strip()]
     comments = list(itertools.takewhile(lambda line: line.startswith("#"), lines))
@@ -103,7 +103,7 @@ def _text_table(text: str, path: Path) -> TextTable:
 
 
 def _text(path: Path) -> str:
-    """Read a text file in any encoding that instruments use. Raises InputFileError if the file is not text."""
+    """Read a text file in UTF-8, UTF-16 or Windows-1252. Raises InputFileError if the file is not text."""
     try:
         content = read_bounded(path, CURE)
         if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -123,7 +123,7 @@ def _text(path: Path) -> str:
 def _separator(lines: Sequence[str]) -> tuple[str | None, bool]:
     """Return the column separator (None for blanks), and whether a comma is a decimal point.
 
-    Both are determined from the last line that begins with a number.
+    The last line that begins with a number determines both results.
     """
     last = next((line for line in reversed(lines) if re.match(r"[-+.]?\d", line)), lines[-1] if lines else "")
     for separator in ";\t":
@@ -137,7 +137,7 @@ def _separator(lines: Sequence[str]) -> tuple[str | None, bool]:
 def _split(line: str, separator: str | None) -> Cells:
     """Split a line into cells at a separator, or at white space if `separator` is None.
 
-    Quoted cells may contain the separator.
+    A cell in quotation marks may contain the separator.
     """
     if separator is None:
         return line.split()
@@ -149,7 +149,7 @@ def _split(line: str, separator: str | None) -> Cells:
 
 
 def _without_last(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
-    """Remove the empty last cells if every row of numbers ends with a separator."""
+    """Remove the empty last cell of each row if all rows of numbers end with a separator."""
     rows = [row for row in cells if _is_number(row[0], decimal_comma)]
     if not rows or any(len(row) < 3 or row[-1] for row in rows):
         return cells
@@ -157,7 +157,6 @@ def _without_last(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
 
 
 def _number(cell: str, decimal_comma: bool) -> float:
-    """Convert a cell to a number. Raises ValueError if it is not a number."""
     return float(cell.replace(",", ".") if decimal_comma else cell)
 
 
@@ -175,10 +174,10 @@ def _is_number(cell: str, decimal_comma: bool) -> bool:
 def _numbers(
     cells: list[Cells], separator: str | None, decimal_comma: bool, path: Path
 ) -> tuple[list[list[float]], list[Cells]]:
-    """Return the rows of numbers at the end of a text, and the lines before them.
+    """Return the rows of numbers at the end of a file, and the lines before these rows.
 
-    Raises InputFileError if there are no such rows, or if rows of numbers precede the last line of text. The last line of
-    text is then probably a broken row rather than the end of the preamble.
+    Raises InputFileError if the file does not end with rows of numbers, or if rows of numbers also precede the last line of
+    text, which is then probably a damaged row.
     """
     numeric = [all(_is_number(cell, decimal_comma) for cell in row) for row in cells]
     start = len(cells)
@@ -197,22 +196,24 @@ def _numbers(
         earlier = [number for number, row in enumerate(before) if re.match(r"[-+.]?\d", row[0])][-1:]
     if earlier:
         wrong = next(row for number, row in enumerate(before) if number >= earlier[0] and not numeric[number])
-        raise InputFileError(f'{path}: "{(separator or " ").join(wrong)[:40]}" is not a row of numbers; correct it')
+        raise InputFileError(f'{path}: "{(separator or " ").join(wrong)[:40]}" is not a row of numbers; correct this row')
     if decimal_comma and {",", "."} <= {letter for row in rows for cell in row for letter in cell if letter in ",."}:
-        raise InputFileError(f"{path}: the numbers contain commas and points; use only one of them, as the decimal point")
+        raise InputFileError(f"{path}: the numbers contain both commas and points; use one decimal separator only")
     if not rows or len({len(row) for row in rows}) != 1 or len(rows[0]) < 2:
         raise InputFileError(
-            f"{path} must contain rows with a wavelength in nm and the same number of values; correct the file"
+            f"{path} is not a table with a wavelength in nm and the same number of values in each row; correct the file"
         )
     return [[_number(cell, decimal_comma) for cell in row] for row in rows], before
 
 
 def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurve, ...], tuple[str, ...]]:
-    """Return the digitised curves (pairs of X and Y) in a text, and all their faults. Both are empty for other texts.
+    """Return the digitised curves in a text, as points (X, Y), and their faults. Both are empty for any other text.
 
-    Digitising programs write the column pairs of several curves next to each other. Above them are a line of names and a
-    line X, Y, X, Y, …, or a single line with a wavelength and a name for each curve. Alternatively, the curves follow one
-    another, each with its own heading.
+    Programs for digitising plots write several curves in one of two forms:
+
+    1. The columns X and Y of all curves are next to each other. The heading is a line of curve names above a line X, Y, X,
+       Y, …, or a single line with a word for wavelength and a name per curve.
+    2. The curves follow one another, each with its own heading.
     """
     numeric = [_is_number(row[0], decimal_comma) for row in cells]
     above = [_is_lettered(row) or follows for row, follows in zip(cells, [*numeric, False][1:], strict=True)]
@@ -249,7 +250,7 @@ def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurv
 
 
 def _pair_heads(row: Cells) -> list[tuple[str, str]]:
-    """Return the headings of the X and Y columns of each curve, or [] if the row does not consist of X, Y pairs."""
+    """Return the headings (X, Y) of each curve, or an empty list if the row is not a sequence of such headings."""
     cells = [cell for cell in row if cell]
     pairs = list(zip(cells[::2], cells[1::2], strict=False))
     if not pairs or len(cells) % 2 or any(not (_is_x(x) and not _is_x(y)) for x, y in pairs):
@@ -262,7 +263,7 @@ def _is_x(cell: str) -> bool:
 
 
 def _is_lettered(row: Cells) -> bool:
-    """Whether the column headings are only X, Y, …. The names of the curves are then in the line above."""
+    """Return whether a row of headings starts with X, Y. The names of the curves are then in the line above."""
     return [units.split(cell)[0].casefold() for cell in row if cell][:2] == ["x", "y"]
 
 
@@ -271,7 +272,10 @@ def _all_numbers(row: Cells, decimal_comma: bool) -> bool:
 
 
 def _upright(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
-    """Transpose a table whose wavelengths are in one row, so that each row belongs to one wavelength."""
+    """Transpose a table whose wavelengths are in a row, so that each row of the result belongs to one wavelength.
+
+    Any other table is returned unchanged.
+    """
     for number, row in enumerate(cells):
         if len(row) <= SIDEWAYS or _is_number(_without_nm(row[0]), decimal_comma):
             continue  # the row does not contain the wavelengths
@@ -298,8 +302,7 @@ def _without_nm(cell: str) -> str:
 
 
 def _is_grid(values: Sequence[float]) -> bool:
-    """Return whether numbers are plausible as a sorted grid of wavelengths in nm: distinct, and in ascending or descending
-    order."""
+    """Return whether numbers are distinct, increasing or decreasing, and plausible as wavelengths in nm."""
     ordered = sorted(values)
     return LIGHT[0] <= ordered[0] and ordered[-1] <= LIGHT[1] and len(set(values)) == len(values) and (
         list(values) in (ordered, ordered[::-1])
@@ -310,9 +313,10 @@ def _is_grid(values: Sequence[float]) -> bool:
 
 
 def _heading(before: list[Cells], columns: int, decimal_comma: bool, path: Path) -> Cells | None:
-    """Return the column names, or None if there is no heading. Units in the line below the names are appended to them.
+    """Return the column names from the lines before the numbers, or None if no line is a heading.
 
-    Raises InputFileError if the heading and the rows have different numbers of columns.
+    If the line below the names contains units, the units are appended to the names. Raises InputFileError if the heading and
+    the rows have different numbers of columns.
     """
     if not before:
         return None
@@ -332,7 +336,7 @@ def _heading(before: list[Cells], columns: int, decimal_comma: bool, path: Path)
         return last if len(last) == columns > 2 and not any(_is_number(cell, decimal_comma) for cell in last) else None
     heading = fitting[named]
     below = fitting[named + 1] if named + 1 < len(fitting) else None
-    if named and all(_bare(cell) is not None or not cell for cell in heading):  # units, with the names in the line above
+    if named and all(_bare(cell) is not None or not cell for cell in heading):  # the line contains units, below the names
         heading, below = fitting[named - 1], heading
     if below and all(_bare(cell) is not None or not cell for cell in below):
         return [_with_unit(name, _bare(unit) or "") for name, unit in zip(heading, below, strict=True)]
@@ -342,33 +346,36 @@ def _heading(before: list[Cells], columns: int, decimal_comma: bool, path: Path)
 def _mismatch(named: int, columns: int, path: Path) -> str:
     return (
         f"{path}: the heading has {named} columns, but the rows have {columns}; "
-        "name every column, begin titles with #, and if commas are decimal points, separate columns by semicolons"
+        "name every column, begin title lines with #, and separate columns by semicolons if commas are decimal points"
     )
 
 
 def is_wavelength(heading: str) -> bool:
-    """Whether a column heading means wavelengths: it begins with a word for wavelength, or is only a unit of length."""
+    """Return whether a heading marks a column of wavelengths.
+
+    Such a heading begins with a word for wavelength, or consists only of a unit of length other than "m" and "A".
+    """
     words = [word for word in re.split(SEPARATORS, heading) if word]
     lone = len(words) == 1 and words[0] not in ("m", "A") and units.length_nm(words[0]) is not None
     return bool(words) and (words[0].lower() in WAVELENGTH or lone)
 
 
 def _bare(cell: str) -> str | None:
-    """Return the unit in a cell without brackets, or None if the cell contains anything else."""
+    """Return the unit in a cell that contains nothing but a unit, without its brackets, otherwise None."""
     inside = cell.strip("[]() ")
     known = units.parse(inside) is not None or units.RAW.fullmatch(inside) or inside.lower() == "a.u."
     return inside if inside and (known or re.fullmatch(r"% ?\w+", inside)) else None
 
 
 def _with_unit(name: str, unit: str) -> str:
-    """Append the unit of the values, in brackets, to a column heading. Headings of wavelength columns are unchanged."""
+    """Append a unit in brackets to a column heading. The heading of the wavelengths accepts only a unit of length."""
     if not unit or (is_wavelength(name) and units.length_nm(unit) is None):
         return name
     return f"{name} ({unit})"
 
 
 def _stated_unit(line: str) -> str | None:
-    """Return the unit of all values if a line of the preamble states it, as in "Units: µW/cm²/nm", otherwise None."""
+    """Return the unit of the values from a line such as "Units: µW/cm²/nm" before the table, or None for any other line."""
     found = UNIT_KEY.match(line)
     unit = found[1].strip(' ;,\t[]"') if found else ""
     known = units.RAW.fullmatch(unit) or (units.parse(unit) is not None and units.length_nm(unit) is None)
@@ -376,13 +383,15 @@ def _stated_unit(line: str) -> str | None:
 
 
 MOST_ROWS = 100_000  # maximum number of wavelengths in a text table
-WIDEST_GAP = 20.0  # nm; maximum distance between points of a digitised curve
-PLOT_EDGE_NM = 5.0  # nm; a curve that ends this close to the edge of the plot was cut off there
-FOOT = 0.05  # fraction of the peak; a curve may end inside the plot if it has fallen below this value
+WIDEST_GAP = 20.0  # maximum distance between neighbouring points of a digitised curve, in nm
+PLOT_EDGE_NM = 5.0  # a curve that ends within this distance of the edge of the plot was cut off by the edge
+FOOT = 0.05  # fraction of the peak below which a curve may end inside the plot
 JITTER = 0.02  # fraction of the peak by which a digitised curve may be negative
-METRES, MICROMETRES, ANGSTROMS = 1e-3, 5.0, 2000.0  # limits beyond which wavelengths are probably in these units, not in nm
+# Wavelengths are probably in m if the largest is below METRES, in µm if it is below MICROMETRES, and in Å if the smallest is
+# above ANGSTROMS.
+METRES, MICROMETRES, ANGSTROMS = 1e-3, 5.0, 2000.0
 SPDX = (".spdx", ".xml")
-SPDX_UNITS = {  # quantity in IES TM-27 → unit
+SPDX_UNITS = {  # spectral quantity in an IES TM-27 file → unit
     "radiance": "W/(sr m² nm)",
     "irradiance": "W/(m² nm)",
     "exitance": "W/(m² nm)",
@@ -391,7 +400,7 @@ SPDX_UNITS = {  # quantity in IES TM-27 → unit
     "relative": "relative power",
     "other": None,
 }
-READINGS = ("dark", "ref", "reference", "sample", "scope", "white")  # names of columns with raw counts
+READINGS = ("dark", "ref", "reference", "sample", "scope", "white")  # names of columns with raw readings
 Array = NDArray[np.float64]
 
 
@@ -400,10 +409,10 @@ class SpectrumFormat:
     """A file format of spectra. docs/own-lab.md lists all formats."""
 
     name: str
-    suffixes: tuple[str, ...]  # in lower case, but file names may use any case
+    suffixes: tuple[str, ...]  # in lower case; the letter case of file names is ignored
     holds: str  # description of the contents that l3 reads, for the documentation
-    is_of: Callable[[str], bool] | None  # whether a text has this format; None if the suffix determines the format
-    read: Callable[[str, Path], CurveTable]  # reads the text of a file, given its path for messages
+    is_of: Callable[[str], bool] | None  # returns whether a text has this format; None if the suffix determines the format
+    read: Callable[[str, Path], CurveTable]  # converts the text of a file to a table; the path is for messages
 
 
 def read_table(path: Path) -> CurveTable:
@@ -412,7 +421,7 @@ def read_table(path: Path) -> CurveTable:
     Parameters
     ----------
     path : Path
-        The file. Except for XML, the format is recognised from the content.
+        The file. The suffixes .spdx and .xml mean IES TM-27. Otherwise, the content determines the format.
 
     Returns
     -------
@@ -422,7 +431,8 @@ def read_table(path: Path) -> CurveTable:
     Raises
     ------
     InputFileError
-        If the format is unknown, or if the wavelengths are implausible in the unit stated in the file (otherwise nm).
+        If the file does not exist or is not valid, or if the wavelengths are implausible in the stated unit, which is nm by
+        default.
     """
     if path.suffix.lower() in SPDX:
         return _spdx("", path)
@@ -431,25 +441,24 @@ def read_table(path: Path) -> CurveTable:
 
 
 def names_file(name: str) -> bool:
-    """Whether the name of an illuminant, chart or transmittance is a file name, because its suffix is in FORMATS."""
+    """Return whether the name of an illuminant, chart or transmittance is a file name: its suffix is that of a format."""
     return name.lower().endswith(SUFFIXES)
 
 
 def _cgats(content: str, path: Path) -> CurveTable:
-    """Read a CGATS file. Each sample becomes a column."""
+    """Read a CGATS file. Each sample of the file becomes a column."""
     spectra = read_cgats(content, path)
     return _over_wavelengths(path, spectra.wavelength, spectra.values, spectra.names, spectra.unit)
 
 
 def _jcamp(content: str, path: Path) -> CurveTable:
-    """Read the spectrum of a JCAMP-DX file."""
     return _over_wavelengths(path, *read_jcamp(content, path))
 
 
 def _over_wavelengths(path: Path, wavelength: Array, values: Array, names: tuple[str, ...], unit: str | None) -> CurveTable:
-    """Check curves (column, wavelength) with a common unit, and return them sorted by wavelength.
+    """Return curves (column, wavelength) with the same unit as a table, sorted by wavelength.
 
-    Raises InputFileError if a value is not finite, or if the wavelengths are implausible in nm.
+    Raises InputFileError if a value is not finite, or if the wavelengths are not monotonic or not plausible in nm.
     """
     _require_light(path, wavelength, values)
     if other := other_unit(float(wavelength.min()), float(wavelength.max())):
@@ -459,9 +468,9 @@ def _over_wavelengths(path: Path, wavelength: Array, values: Array, names: tuple
 
 
 def _result(table: CurveTable) -> CurveTable:
-    """Drop raw readings if the table also contains the result that was computed from them.
+    """Remove the columns with raw readings if exactly one other column, the result of the instrument, remains.
 
-    Avantes, for example, writes the columns Sample, Dark and Reference in counts in addition to Transmittance in percent.
+    Avantes, for example, writes the columns Sample, Dark and Reference in counts, and Transmittance in percent.
     """
     if table.names is None or len(table.values) < 2:
         return table
@@ -480,16 +489,17 @@ def _result(table: CurveTable) -> CurveTable:
 
 
 def _text_curves(content: str, path: Path) -> CurveTable:
-    """Read the curves of a text table, sorted by increasing wavelength.
+    """Read the curves in a text table, with increasing wavelengths.
 
-    Raises InputFileError if there are too many rows, or if the wavelengths are implausible in the stated unit.
+    Raises InputFileError if the table is invalid or has too many rows, or if the wavelengths are implausible in the stated
+    unit.
     """
     text = _text_table(content, path)
     if text.pairs:
         return _digitised(text.pairs, text.faults, path)
     heading, rows = text.heading, text.rows
     if len(rows) > MOST_ROWS:
-        raise InputFileError(f"{path} has {len(rows)} wavelengths; reduce it to at most {MOST_ROWS}")
+        raise InputFileError(f"{path} has {len(rows)} wavelengths; reduce the number to at most {MOST_ROWS}")
     table = np.array(rows)
     at, scale = (0, None) if heading is None else _wavelength_column(heading, path)
     wavelength = table[:, at] * (scale or 1.0)
@@ -509,8 +519,8 @@ def _text_curves(content: str, path: Path) -> CurveTable:
 def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Path) -> CurveTable:
     """Interpolate digitised curves to steps of 1 nm. The points of a curve may be in any order.
 
-    Beyond its ends, a curve is zero. If a curve ends at the edge of the plot, it continues with its last value instead.
-    Raises InputFileError with a message that lists the faults of all curves.
+    Beyond an end inside the plot, a curve is zero. Beyond an end at the edge of the plot, it has a constant value. If the
+    curves have faults, an InputFileError with all faults is raised.
     """
     wrong = list(faults)
     lines = [np.array(sorted(points), np.float64).reshape(-1, 2).T for _, points in curves]
@@ -523,7 +533,7 @@ def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Pa
         grid = np.arange(np.ceil(every.min()), np.floor(every.max()) + 1.0)
         wrong += [fault for (name, _), line in zip(curves, lines, strict=True) for fault in _curve_faults(name, line, grid)]
     if wrong or not every.size:
-        raise InputFileError(f"{path}: {'; '.join(wrong)}; digitise {'it' if len(curves) == 1 else 'them'} again")
+        raise InputFileError(f"{path}: {'; '.join(wrong)}; digitise the curve{'s' * (len(curves) != 1)} again")
     values = []
     for x, y in lines:
         y = np.where((y < 0) & (y >= -JITTER * y.max()), 0.0, y)
@@ -534,7 +544,7 @@ def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Pa
 
 
 def _curve_faults(name: str, line: Array, grid: Array) -> Iterator[str]:
-    """Yield the faults of a digitised curve (X and Y) in a plot whose wavelengths are `grid`."""
+    """Yield the faults of a digitised curve `line` (X and Y) in a plot that extends over the wavelengths `grid`."""
     x, y = line
     if x.size < 2:
         if x.size:
@@ -542,14 +552,14 @@ def _curve_faults(name: str, line: Array, grid: Array) -> Iterator[str]:
         return
     peak = float(y.max())
     for first, last in gaps(x, y[None], WIDEST_GAP):
-        yield f'"{name}" has a gap from {first:g} to {last:g} nm, wider than the limit of {WIDEST_GAP:g} nm'
+        yield f'"{name}" has a gap from {first:g} to {last:g} nm, which is wider than the limit of {WIDEST_GAP:g} nm'
     for end, inside in ((0, x[0] > grid[0] + PLOT_EDGE_NM), (-1, x[-1] < grid[-1] - PLOT_EDGE_NM)):
         if inside and y[end] > FOOT * peak:
-            yield f'"{name}" ends at {x[end]:g} nm, where it is still at {y[end] / peak:.0%} of its peak'
+            yield f'"{name}" ends at {x[end]:g} nm, where its value is still {y[end] / peak:.0%} of the peak'
 
 
 def _spdx(_: str, path: Path) -> CurveTable:
-    """Read the spectrum in an IES TM-27-14 file. The spectral quantity in the file determines the unit.
+    """Read the spectrum in an IES TM-27-14 file. The unit follows from the spectral quantity that the file states.
 
     Raises InputFileError if the file is not valid.
     """
@@ -562,7 +572,7 @@ def _spdx(_: str, path: Path) -> CurveTable:
         wavelength, values = np.asarray(spectrum.wavelengths, np.float64), np.asarray(spectrum.values, np.float64)
     except (ParseError, OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         reason = str(error).partition("\n")[0] or type(error).__name__
-        raise InputFileError(f"{path} is not an IES TM-27 spectrum ({reason}); use a valid file, or CSV") from error
+        raise InputFileError(f"{path} is not an IES TM-27 spectrum ({reason}); use a valid file or a CSV table") from error
     _require_light(path, wavelength, values)
     order = np.argsort(wavelength)
     unit = SPDX_UNITS.get((spectrum.spectral_quantity or "other").lower())
@@ -570,21 +580,21 @@ def _spdx(_: str, path: Path) -> CurveTable:
 
 
 def _require_light(path: Path, wavelength: Array, values: Array, column: str = "") -> None:
-    """Raise InputFileError unless the wavelengths are sorted and plausible in nm, and all values are finite.
+    """Raise InputFileError unless the wavelengths are monotonic and plausible in nm, and all values are finite.
 
-    `column` is the description of the wavelength column in the message.
+    `column` describes the column of the wavelengths in the message.
     """
     steps = np.diff(wavelength)
     if not (np.abs(values) <= MAX_NUMBER).all() or not ((steps > 0).all() or (steps < 0).all()):
         raise InputFileError(
-            f"{path}: the wavelengths do not increase, or a value is not a number within ±{MAX_NUMBER:g}; correct the file"
+            f"{path}: the wavelengths are not in order, or a value is not a number within ±{MAX_NUMBER:g}; correct the file"
         )
     if not (wavelength.size and wavelength.min() > 0 and METRES < wavelength.max() <= LONGEST_NM):
         raise InputFileError(f"{path}: some wavelengths are not within 0…{LONGEST_NM} nm{column}; correct the file")
 
 
 def other_unit(first: float, last: float) -> tuple[str, str] | None:
-    """Detect a grid of wavelengths that is not in nm.
+    """Detect wavelengths that are probably in m, µm or Å instead of nm.
 
     Parameters
     ----------
@@ -594,7 +604,8 @@ def other_unit(first: float, last: float) -> tuple[str, str] | None:
     Returns
     -------
     tuple of str, or None
-        A description of the fault, and the likely unit. None if the wavelengths are plausible in nm.
+        A description of the fault, and the probable unit ("m", "um" or "A"). None if the wavelengths are plausible in nm,
+        or if the smallest is not positive.
     """
     if first <= 0 or (last >= MICROMETRES and first <= ANGSTROMS):
         return None
@@ -607,21 +618,21 @@ def other_unit(first: float, last: float) -> tuple[str, str] | None:
 
 
 def _wavelength_column(heading: Sequence[str], path: Path) -> tuple[int, float | None]:
-    """Return the index of the wavelength column and the size of its unit in nm, or None if its heading has no unit.
+    """Return the index of the wavelength column, and the size of its unit in nm, or None if the heading states no unit.
 
-    Raises InputFileError if no column or several columns contain wavelengths.
+    Raises InputFileError unless exactly one column contains wavelengths.
     """
     named = [number for number, cell in enumerate(heading) if is_wavelength(cell)] or ([0] if not heading[0] else [])
     if len(named) != 1:
-        which = " and ".join(f'"{heading[number][:40]}"' for number in named[:2]) or f'none of "{", ".join(heading)[:60]}"'
-        verb = "mean" if len(named) > 1 else "means"
+        names = " and ".join(f'"{heading[number][:40]}"' for number in named[:2])
+        fault = f"the columns {names} both contain" if names else f'no column of "{", ".join(heading)[:60]}" contains'
         raise InputFileError(
-            f'{path}: {which} {verb} wavelengths; rename exactly one column to "wavelength_nm", and begin titles with #'
+            f'{path}: {fault} wavelengths; name exactly one column "wavelength_nm", and begin title lines with #'
         )
     words = [word for word in re.split(SEPARATORS, heading[named[0]]) if word]
     scales = [scale for scale in map(units.length_nm, words) if scale is not None]
     if not scales and re.search(r"[(\[/]", heading[named[0]]):
-        raise InputFileError(f'{path}: "{heading[named[0]][:40]}" contains no unit of wavelength; use nm, um or A')
+        raise InputFileError(f'{path}: the heading "{heading[named[0]][:40]}" has no unit of length; use nm, um or A')
     return named[0], scales[0] if scales else None
 
 

@@ -1,14 +1,14 @@
 """Read optical spectra from JCAMP-DX files (versions 4.24 and 5) with one block or several linked blocks.
 
-A block is a list of records `##LABEL= value`. Its data are XYDATA or XYPOINTS. In XYDATA, written (X++(Y..Y)), each line is
-an abscissa followed by equally spaced ordinates. In XYPOINTS, written (XY..XY), the data are pairs. Numbers are plain
-decimals (AFFN) or ordinates in the packed form ASDF:
+A block is a list of records `##LABEL= value`. The record with the data is XYDATA or XYPOINTS. In XYDATA, of the form
+(X++(Y..Y)), each line contains an abscissa and the ordinates that start there, in equal steps. In XYPOINTS, of the form
+(XY..XY), the data are pairs. Numbers are written as decimals (AFFN), or ordinates are compressed in one of the ASDF forms:
 
 =====  ==========================================================================  =======================
-PAC    signs separate numbers: +1-2+3
+PAC    signs separate the numbers: +1-2+3
 SQZ    a letter replaces the sign and the first digit                              @ A…I a…i: 0, 1…9, −1…−9
 DIF    differences; a line begins with the last ordinate of the previous line      % J…R j…r: 0, 1…9, −1…−9
-DUP    number of times that the preceding number occurs                            S…Z s: 1…8, 9
+DUP    how often the preceding number occurs in succession                         S…Z s: 1…8, 9
 =====  ==========================================================================  =======================
 
 Reference: R. S. McDonald, P. A. Wilks, "JCAMP-DX: A standard form for exchange of infrared spectra in computer readable
@@ -27,7 +27,7 @@ from l3cli.spectra import units
 
 RECORD = re.compile(r"^\s*##([^=]*)=(.*)$")
 AFFN = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-PACKED = re.compile(r"[%@A-DF-Za-df-s]")  # characters that occur only in packed numbers
+PACKED = re.compile(r"[%@A-DF-Za-df-s]")  # characters that occur only in compressed numbers
 ASDF = re.compile(r"([@A-Ia-i%J-Rj-rS-Zs]|[-+]|(?=[\d.]))(\d*\.?\d*)")
 SQZ = {letter: digit for digit, letter in enumerate("@ABCDEFGHI")} | {
     letter: -digit for digit, letter in enumerate("abcdefghi", 1)
@@ -36,7 +36,7 @@ DIF = {letter: digit for digit, letter in enumerate("%JKLMNOPQR")} | {
     letter: -digit for digit, letter in enumerate("jklmnopqr", 1)
 }
 DUP = {letter: digit for digit, letter in enumerate("STUVWXYZs", 1)}
-NM = {  # unit of the abscissae → its size in nm
+NM = {  # unit of the abscissae → size of the unit in nm
     "NANOMETERS": 1.0,
     "NANOMETRES": 1.0,
     "NM": 1.0,
@@ -57,47 +57,48 @@ FRACTION_OF_LETTER = {  # first letter of transmittance, transmission, reflectan
 class Block:
     """One block of a JCAMP-DX file."""
 
-    records: dict[str, str] = field(default_factory=dict)  # by label without blanks, dashes, slashes and underscores
-    kind: str = ""  # label of the record that contains the data
-    lines: list[str] = field(default_factory=list)  # lines with the data
+    records: dict[str, str] = field(default_factory=dict)  # label without blanks, dashes, slashes, underscores → value
+    kind: str = ""  # label of the record that contains the data; empty if the block contains no data
+    lines: list[str] = field(default_factory=list)  # lines of the data
 
     def of(self, label: str, default: str = "") -> str:
         return self.records.get(label, default)
 
 
 def is_jcamp(text: str) -> bool:
-    """Whether a text is a JCAMP-DX file, whose first record is always a title."""
+    """Return whether a text is a JCAMP-DX file: its first record is the title."""
     return re.match(r"\s*##\s*TITLE\s*=", text, re.I) is not None
 
 
 def read_jcamp(text: str, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[str, ...], str | None]:
-    """Read a spectrum from a JCAMP-DX file.
+    """Read one spectrum from a JCAMP-DX file.
 
-    If blocks are linked, as in files of SpectraSuite, the block with the processed spectrum is read. Otherwise the first
-    block that contains data is read.
+    SpectraSuite writes several blocks, one of which contains the processed spectrum. If the file has such a block, this
+    block is read. Otherwise, the first block with data is read.
 
     Parameters
     ----------
     text : str
         The content of the file.
     path : Path
-        The name of the file in messages.
+        The file, for messages.
 
     Returns
     -------
-    wavelength : ndarray, (wavelength)
+    wavelength : ndarray, (wavelength,)
         Wavelengths in nm, in the order of the file.
     values : ndarray, (1, wavelength)
         Values in `unit`.
     names : tuple of str
-        The title of the spectrum.
+        The title of the block, as the only element.
     unit : str or None
-        Unit of the values, or None if they are relative.
+        Unit of the values, or None if the values are relative.
 
     Raises
     ------
     InputFileError
-        If the file contains no spectrum over wavelengths, or if the data contradict the records.
+        If the file contains no spectrum over wavelengths, if values are missing or damaged, or if the number of values is
+        not NPOINTS.
     """
     blocks = [block for block in _blocks(text) if block.kind]
     if not blocks:
@@ -105,7 +106,7 @@ def read_jcamp(text: str, path: Path) -> tuple[NDArray[np.float64], NDArray[np.f
     block = next((each for each in blocks if "PROCESSED" in each.of("TITLE").upper()), blocks[0])
     xunits = block.of("XUNITS").strip().upper()
     if xunits not in NM:
-        raise InputFileError(f'{path}: XUNITS is "{xunits or "missing"}"; export the spectrum over NANOMETERS')
+        raise InputFileError(f'{path}: XUNITS is "{xunits or "missing"}"; export the spectrum with XUNITS NANOMETERS')
     comma = re.fullmatch(r"-?\d+,\d+", block.of("FIRSTX").strip()) is not None
     if block.kind == "XYDATA":
         x, y = _ordinates(block, comma, path)
@@ -139,7 +140,10 @@ def _blocks(text: str) -> list[Block]:
 
 
 def _figure(block: Block, label: str, comma: bool, path: Path, default: float | None = None) -> float:
-    """Return the number in a record. Raises InputFileError if the record is not a number."""
+    """Return the number in a record, or `default` if the record is missing.
+
+    Raises InputFileError if the record is not a number, or if it is missing and `default` is None.
+    """
     text = block.of(label).strip()
     try:
         return float(text.replace(",", ".") if comma else text)
@@ -150,9 +154,9 @@ def _figure(block: Block, label: str, comma: bool, path: Path, default: float | 
 
 
 def _ordinates(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the abscissae and ordinates of XYDATA.
+    """Return the abscissae and the ordinates of XYDATA.
 
-    Raises InputFileError if values are missing, or if their number contradicts the records.
+    Raises InputFileError if values are missing, or if the number of values is not NPOINTS.
     """
     lines = [line.replace(",", ".") if comma else line for line in block.lines]
     if any("?" in line for line in lines):
@@ -162,15 +166,17 @@ def _ordinates(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float6
     first, last = (_figure(block, label, comma, path) for label in ("FIRSTX", "LASTX"))
     count = _figure(block, "NPOINTS", comma, path)
     if count != len(values):
-        raise InputFileError(f"{path} contains {len(values)} values, but NPOINTS is {count:g}; copy the file again")
+        raise InputFileError(
+            f"{path} contains {len(values)} values, but NPOINTS is {count:g}; copy the file from the instrument again"
+        )
     return np.linspace(first, last, len(values)), np.array(values) * _figure(block, "YFACTOR", comma, path, 1.0)
 
 
 def _unpacked(lines: list[str], path: Path) -> list[float]:
-    """Return the ordinates in lines of packed or plain numbers.
+    """Return the ordinates in lines of XYDATA that are compressed (ASDF).
 
-    If the last ordinate of a line is a difference, the first ordinate of the next line repeats its value as a check, and is
-    left out. Raises InputFileError if the two differ.
+    If a line ends with a difference, the first ordinate of the next line must repeat the last value as a check. This
+    repetition is left out. Raises InputFileError if the two values differ.
     """
     values: list[float] = []
     by_difference = False  # whether the previous number was a difference
@@ -195,7 +201,7 @@ def _unpacked(lines: list[str], path: Path) -> list[float]:
                 if last != values[-1]:
                     raise InputFileError(
                         f"{path}: a line begins with {last:g} instead of {values[-1]:g}, the last value of the previous "
-                        "line; copy the file again"
+                        "line; copy the file from the instrument again"
                     )
             else:
                 values.append(last)
@@ -209,21 +215,23 @@ def _signed(digit: int, digits: str) -> float:
 
 
 def _pairs(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the abscissae and ordinates of XYPOINTS.
-
-    Raises InputFileError if the number of pairs contradicts the records.
-    """
+    """Return the abscissae and the ordinates of XYPOINTS. Raises InputFileError if the number of pairs is not NPOINTS."""
     lines = [re.sub(r"(?<=\d),(?=\d)", ".", line) if comma else line for line in block.lines]
     numbers = [float(each) for line in lines for each in AFFN.findall(line)]
     count = int(_figure(block, "NPOINTS", comma, path, len(numbers) / 2))
     if not numbers or len(numbers) != 2 * count:
-        raise InputFileError(f"{path} contains {len(numbers) / 2:g} pairs, but NPOINTS is {count}; copy the file again")
+        raise InputFileError(
+            f"{path} contains {len(numbers) / 2:g} pairs, but NPOINTS is {count}; copy the file from the instrument again"
+        )
     x, y = np.array(numbers).reshape(-1, 2).T
     return x * _figure(block, "XFACTOR", comma, path, 1.0), y * _figure(block, "YFACTOR", comma, path, 1.0)
 
 
 def _in_unit(values: NDArray[np.float64], text: str) -> tuple[NDArray[np.float64], str | None]:
-    """Convert values according to YUNITS. Transmittances become fractions, 0…1, and relative values have no unit."""
+    """Return values and their unit according to `text`, the record YUNITS.
+
+    Percentages of transmittance or reflectance become fractions. The unit of relative values is None.
+    """
     share = re.fullmatch(r"(%?)\s*(?:([TR])|(T)RANSMI\w+|(R)EFLECT\w+)\s*(\(?%\)?)?", text.upper())
     if share:
         percent = bool(share[1] or share[5])

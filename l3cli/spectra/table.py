@@ -1,4 +1,4 @@
-"""Tables of spectra: select columns by name, and convert them to the required units."""
+"""Tables of spectra: select columns by name, and convert the values to the required units."""
 
 import json
 import re
@@ -13,17 +13,17 @@ from l3cli.errors import InputFileError, suggestion
 from l3cli.physics import spectra
 from l3cli.spectra import units
 
-# Plausible radiances in photons/s/sr/m²/nm, from the smallest that a pixel can detect to the largest that a lamp can emit
+# Plausible peak radiances in photons/s/sr/m²/nm: the smallest that a pixel can detect, and the largest that a lamp can emit.
 DIMMEST, BRIGHTEST = 1e6, 1e24
-RELATIVE = ("relative", "relative photons", "relative power")  # "units" of radiances with an unknown scale
-AMPERES_PER_WATT = {"A": 1, "J": -1, "s": 1}  # powers of the unit A/W
-VISIBLE = 400.0, 700.0  # nm
-# Fraction of its peak below which a curve is dark, inside and outside the visible range
+RELATIVE = ("relative", "relative photons", "relative power")  # "units" of radiances whose scale is unknown
+AMPERES_PER_WATT = {"A": 1, "J": -1, "s": 1}  # powers of the base units in A/W
+VISIBLE = 400.0, 700.0  # visible range in nm
+# A curve is dark where it is below this fraction of its peak, inside and outside the visible range.
 DARK_FRACTION, DARK_FRACTION_OUTSIDE = 0.01, 0.05
-NOISE = 0.01  # fraction of the peak by which values may be negative because of the noise of a spectrometer
+NOISE = 0.01  # fraction of the peak by which the noise of a spectrometer may make values negative
 COLOURS = {"r": "red", "g": "green", "b": "blue", "c": "cyan", "m": "magenta", "y": "yellow", "w": "white"}
-OTHER_NAMES = COLOURS | {name: letter for letter, name in COLOURS.items()}  # the other spelling of each channel name
-ELECTRONVOLT_NM = spectra.PLANCK * spectra.LIGHT_SPEED / 1.602176634e-19 * 1e9  # eV nm; photon energy × wavelength
+OTHER_NAMES = COLOURS | {name: letter for letter, name in COLOURS.items()}  # "r" → "red", "red" → "r", …
+ELECTRONVOLT_NM = spectra.PLANCK * spectra.LIGHT_SPEED / 1.602176634e-19 * 1e9  # photon energy × wavelength, in eV nm
 Array = NDArray[np.float64]
 
 
@@ -32,10 +32,10 @@ class CurveTable:
     """The columns of a file of spectra."""
 
     path: Path
-    wavelength: Array  # (wavelength) nm
+    wavelength: Array  # (wavelength,) nm
     values: Array  # (column, wavelength)
-    names: tuple[str, ...] | None  # column names, with units removed; None if the file has no heading
-    units: tuple[str | None, ...]  # units of the columns according to the heading
+    names: tuple[str, ...] | None  # column names without units; None if the file has no heading
+    units: tuple[str | None, ...]  # unit of each column; None if the file does not state it
     left_out: tuple[str, ...] = ()  # names of the columns that were not selected
 
     @property
@@ -44,29 +44,30 @@ class CurveTable:
         return f"{self.path}: columns that are not used: {', '.join(self.left_out)}" if self.left_out else None
 
     def counted(self, columns: int) -> "CurveTable":
-        """Return the table if it has `columns` columns. Raises InputFileError otherwise."""
+        """Return the table itself. Raises InputFileError if the number of columns is not `columns`."""
         if len(self.values) != columns:
             has_commas = len(self.values) == 2 * columns
-            cure = "with decimal commas, separate columns by semicolons" if has_commas else "add or remove columns"
+            cure = "if commas are decimal points, separate columns by semicolons" if has_commas else "add or remove columns"
             raise InputFileError(f"{self.path} contains {len(self.values)} curves, but {columns} are needed; {cure}")
         return self
 
     def ordered(self, wanted: Sequence[str], known_as: Callable[[str], str] | None = None) -> "CurveTable":
-        """Return the columns in the order of `wanted`.
+        """Return a table with the columns in the order of `wanted`.
 
-        The columns are found by name. A file without a heading and a file with a single column are returned unchanged.
+        The columns are found by name. The table is returned unchanged if the file has no heading, or if `wanted` contains a
+        single name.
 
         Parameters
         ----------
         wanted : sequence of str
-            Names of all columns. Letter case matters only if two names differ in nothing else.
+            Names of all columns. Letter case is ignored, unless two names differ only in their letter case.
         known_as : callable, optional
-            Translates a name in the heading to a name in `wanted`.
+            Function that translates a name in the heading to a name in `wanted`.
 
         Raises
         ------
         InputFileError
-            If the columns are not exactly the wanted columns.
+            If the number of columns differs, or if the names in the heading are not the wanted names.
         """
         self.counted(len(wanted))
         if self.names is None or len(wanted) == 1:
@@ -82,29 +83,30 @@ class CurveTable:
         return CurveTable(self.path, self.wavelength, self.values[order], tuple(wanted), tuple(self.units[i] for i in order))
 
     def channel_columns(self, channels: Sequence[str], columns: Mapping[str, str] | None = None) -> "CurveTable":
-        """Return one column per channel, in the order of `channels`. Other columns are dropped.
+        """Return a table with one column per channel, in the order of `channels`. All other columns are left out.
 
         Parameters
         ----------
         channels : sequence of str
             Names of the channels.
         columns : mapping, optional
-            Channel → name of its column, if they differ.
+            Channel → name of its column, for channels whose column has a different name.
 
         Returns
         -------
         CurveTable
-            The selected columns. If the file has no heading, all columns are returned in their order, and there must be one
-            column per channel. If there is one channel and one column, the column may have any name.
+            The selected columns. If the file has no heading, it must contain one column per channel, and the columns keep
+            their order. If `channels` contains one channel and the file one column, the name of the column is ignored.
 
         Raises
         ------
         InputFileError
-            If a channel has no column.
+            If the file has no column for a channel, or two columns with its name, or if `columns` is set for a file without
+            a heading.
         """
         columns = {known_as(channel, channels): name for channel, name in (columns or {}).items()}
         if self.names is None and columns:
-            raise InputFileError(f"{self.path} has no heading with column names; remove `columns`")
+            raise InputFileError(f'{self.path} has no heading with column names; add a heading, or remove the key "columns"')
         if self.names is None or (len(self.values) == len(channels) == 1 and not columns):
             return self.counted(len(channels))
         names = [_plain(name) for name in self.names]
@@ -127,7 +129,10 @@ class CurveTable:
         return CurveTable(self.path, self.wavelength, self.values[chosen], tuple(channels), units, tuple(left_out))
 
     def column(self, which: int | str) -> "CurveTable":
-        """Return one column, selected by its number from 1 or by its name. Raises InputFileError if it does not exist."""
+        """Return a table with one column, which is selected by its name or by its number from 1.
+
+        Raises InputFileError if no column or more than one column has this name, or if the number is out of range.
+        """
         if isinstance(which, str):
             names = [_plain(name) for name in self.names or ()]
             if names.count(_plain(which)) != 1:
@@ -145,20 +150,27 @@ class CurveTable:
         Parameters
         ----------
         unit : str or None
-            Unit of the values if the heading states none. [default: photons/s/sr/m²/nm]
+            Unit of the columns whose heading states no unit. None means photons/s/sr/m²/nm.
         absolute : bool
-            Whether the absolute scale matters. If so, implausible values and quantities other than radiance are errors.
+            Whether the absolute scale matters. If not, units of irradiance and flux are also permitted, and the level of the
+            values is not checked.
+
+        Returns
+        -------
+        ndarray, (column, wavelength)
+            Radiances.
 
         Raises
         ------
         InputFileError
-            If the heading and `unit` differ, if the unit is not a unit of radiance, or if values are implausible.
+            If a heading and `unit` differ, if a unit is not permitted, or if the level of the values is implausible.
         """
         rows = []
         for values, heading in zip(self.values, self.units, strict=True):
             if heading is not None and unit is not None and _conversion(heading) != _conversion(unit):
                 raise InputFileError(
-                    f'{self.path}: the heading says "{heading}", but the measurement file says "{unit}"; correct one of them'
+                    f'{self.path}: the heading states "{heading}", but the measurement file states "{unit}"; correct the '
+                    "wrong unit"
                 )
             rows.append(self._to_photons(values, heading or unit or units.PHOTON_RADIANCE, absolute))
         photons = np.array(rows)
@@ -186,14 +198,17 @@ class CurveTable:
         return np.asarray(photons, dtype=np.float64)
 
     def _check_level(self, photons: Array, stated: bool) -> None:
-        """Raise InputFileError if values are implausible as photons/s/sr/m²/nm."""
+        """Raise InputFileError if the peak of a column is implausible as a radiance in photons/s/sr/m²/nm.
+
+        `stated` is whether the file or the user states the unit.
+        """
         peaks = photons.max(axis=1)
         peak = float(peaks[peaks > 0].min(initial=np.inf))
         if peak >= DIMMEST and peaks.max() <= BRIGHTEST:
             return
         peak = peak if peak < DIMMEST else float(peaks.max())
         if not np.isfinite(peak):
-            return  # all values are zero; callers that need light check for this
+            return  # all values are zero; callers that cannot use a dark spectrum detect this
         cure = "correct the stated unit" if stated else f'if the values are watts, set unit = "{units.POWER_RADIANCE}"'
         raise InputFileError(
             f"{self.path}: a radiance of {peak:.3g} {units.PHOTON_RADIANCE} is outside the plausible range of "
@@ -201,10 +216,11 @@ class CurveTable:
         )
 
     def powers(self) -> Array:
-        """Return the columns as relative power per nm.
+        """Convert the columns (column, wavelength) to relative power per nm.
 
-        Columns whose unit in the heading contains photons are converted. Small negative values, which noise explains, become
-        zero. Raises InputFileError if a unit is not proportional to power or to photons.
+        Columns in a unit with photons are divided by the wavelength. Columns without a unit are assumed to be power. Small
+        negative values become zero (see `without_noise`). Raises InputFileError if a unit is not proportional to power or to
+        photons.
         """
         rows = []
         for values, heading in zip(self.values, self.units, strict=True):
@@ -220,10 +236,10 @@ class CurveTable:
         return without_noise(np.array(rows))
 
     def shares(self) -> Array:
-        """Convert the columns to transmittances or reflectances from 0 to 1. Columns in percent are divided by 100.
+        """Convert the columns (column, wavelength) to transmittances or reflectances, which are fractions in 0…1.
 
-        Values that are less than NOISE below 0 or above 1 are clipped. Raises InputFileError if other values are out of
-        range, or if the heading contains another unit.
+        Columns in percent are divided by 100. Values beyond 0…1 by at most NOISE are clipped. Raises InputFileError if
+        values are farther out of range, or if a heading states a unit other than percent or a fraction.
         """
         for heading in filter(None, self.units):
             unit = units.parse(heading)
@@ -235,7 +251,9 @@ class CurveTable:
         shares = np.where((shares >= -NOISE) & (shares <= 1 + NOISE), shares.clip(0, 1), shares)
         if shares.min() < 0 or shares.max() > 1:
             percent = (
-                'if they are percent, append "(%)" to the column names' if 1 < shares.max() <= 100 else "correct the values"
+                'append "(%)" to the column names if the values are percent'
+                if 1 < shares.max() <= 100
+                else "correct the values"
             )
             raise InputFileError(
                 f"{self.path} contains values from {shares.min():g} to {shares.max():g}, which are not fractions; {percent}"
@@ -243,11 +261,24 @@ class CurveTable:
         return shares
 
     def responses(self, per_energy: bool, key: str) -> Array:
-        """Return the columns as responsivities, per energy if `per_energy` is True, otherwise per photon.
+        """Return the columns as responsivities.
 
-        Values in percent are converted to fractions. Other values are not converted. Raises InputFileError if the unit in
-        the heading is not a responsivity, or if it contradicts `per_energy`. The message contains `key`, which is the key of
-        the recipe from which `per_energy` comes.
+        Parameters
+        ----------
+        per_energy : bool
+            Whether the responsivities are per energy, such as A/W. Otherwise they are per photon.
+        key : str
+            Key of the recipe that contains `per_energy`, for messages.
+
+        Returns
+        -------
+        ndarray, (column, wavelength)
+            Values of the file. Percentages are converted to fractions. All other values are unchanged.
+
+        Raises
+        ------
+        InputFileError
+            If the unit of a column is not a unit of responsivity, or if the unit contradicts `per_energy`.
         """
         for heading in filter(None, self.units):
             unit = units.parse(heading)
@@ -261,15 +292,16 @@ class CurveTable:
             if by_energy != per_energy:
                 wanted = str(by_energy).lower()
                 raise InputFileError(
-                    f'{self.path}: the heading says "{heading}", which requires {key} = {wanted}; correct one of them'
+                    f'{self.path}: the heading states "{heading}", which requires {key} = {wanted}; correct the unit or '
+                    "the key"
                 )
         return self.values * np.array([[_share(heading)] for heading in self.units])
 
     def efficiencies(self, per_energy: bool) -> Array:
-        """Convert the columns to quantum efficiencies in e-/photon.
+        """Convert the columns (column, wavelength) to quantum efficiencies in e-/photon.
 
-        If `per_energy` is True, the unit must be A/W. If it is False, columns without a unit are assumed to be efficiencies.
-        Raises InputFileError if the columns are relative, or if their unit contradicts `per_energy`.
+        If `per_energy` is true, the unit must be A/W. If `per_energy` is false, columns without a unit are assumed to be
+        quantum efficiencies. Raises InputFileError if a column is relative, or if its unit contradicts `per_energy`.
         """
         rows = []
         for values, heading in zip(self.responses(per_energy, "per_energy"), self.units, strict=True):
@@ -288,7 +320,10 @@ class CurveTable:
         return np.array(rows)
 
     def per_energy(self) -> Array:
-        """Return the columns as relative responses per energy. Columns with a unit per photon are converted."""
+        """Convert the columns (column, wavelength) to relative responses per energy.
+
+        Columns with a unit per photon are multiplied by the wavelength. All other columns are unchanged.
+        """
         rows = []
         for values, heading in zip(self.values, self.units, strict=True):
             unit = units.parse(heading) if heading is not None else None
@@ -297,7 +332,7 @@ class CurveTable:
 
 
 def without_noise(curves: Array) -> Array:
-    """Set negative values to zero if the noise of a spectrometer explains them (NOISE).
+    """Set small negative values, which are probably noise of a spectrometer, to zero.
 
     Parameters
     ----------
@@ -307,21 +342,22 @@ def without_noise(curves: Array) -> Array:
     Returns
     -------
     ndarray, (curve, wavelength)
-        The curves. Values farther below zero are unchanged, and the caller can reject them.
+        The curves, in which values between 0 and −NOISE times the peak of the curve are zero. Lower values are unchanged, so
+        that the caller can reject the curve.
     """
     least = -NOISE * curves.max(axis=1, keepdims=True)
     return np.where((curves < 0) & (curves >= least), 0.0, curves)
 
 
 def gaps(wavelength: NDArray[np.floating], curves: NDArray[np.floating], widest: float) -> list[tuple[float, float]]:
-    """Return the wavelength steps that are too wide for interpolation.
+    """Return the steps between wavelengths that are too wide for interpolation.
 
-    A step is ignored if all curves are dark at both of its ends. A curve is dark below 1 % of its peak or, for steps outside
-    400 to 700 nm, below 5 % of its peak.
+    A step is ignored if all curves are dark at both of its ends. A curve is dark below 1 % of its peak, or below 5 % of its
+    peak for steps outside 400…700 nm.
 
     Parameters
     ----------
-    wavelength : ndarray, (wavelength)
+    wavelength : ndarray, (wavelength,)
         Increasing wavelengths in nm.
     curves : ndarray, (curve, wavelength)
         Spectra or responses.
@@ -342,18 +378,18 @@ def gaps(wavelength: NDArray[np.floating], curves: NDArray[np.floating], widest:
 
 
 def _is_power(unit: units.Unit | None) -> bool:
-    """Whether a unit is proportional to power or to photons. Percent counts as relative power."""
+    """Return whether a unit is proportional to power or to photons. Percent counts as relative power; None does not."""
     return unit is not None and (not unit.powers or unit.powers.get("J") == 1 or unit.powers.get("photon") == 1)
 
 
 def _share(heading: str | None) -> float:
-    """Return the factor that converts a column to fractions: 0.01 if the heading says percent, otherwise 1."""
+    """Return the factor that converts a column to fractions: 0.01 if its unit is percent, otherwise 1."""
     unit = units.parse(heading) if heading is not None else None
     return unit.scale if unit is not None and not unit.powers else 1.0
 
 
 def _energy_response(unit: units.Unit) -> bool | None:
-    """Whether a unit of responsivity is per energy (True) or per photon (False), or None for other units."""
+    """Return True for a responsivity per energy, False for a responsivity per photon, None for any other unit."""
     powers = unit.powers
     if powers in ({}, {"electron": 1, "photon": -1}):
         return False
@@ -361,9 +397,10 @@ def _energy_response(unit: units.Unit) -> bool | None:
 
 
 def _conversion(unit: str) -> tuple[str, float] | None:
-    """Parse a unit of spectral radiance, or return None if `unit` is not such a unit.
+    """Parse a unit of spectral radiance.
 
-    The result is the quantity ("J" or "photon") and the factor that converts values to W/(sr m² nm) or photons/s/sr/m²/nm.
+    Return "J" and the factor that converts values to W/(sr m² nm), or "photon" and the factor that converts values to
+    photons/s/sr/m²/nm. None if `unit` is not a unit of spectral radiance.
     """
     if unit in RELATIVE:
         return ("J" if unit == "relative power" else "photon", 1.0)
@@ -374,7 +411,7 @@ def _conversion(unit: str) -> tuple[str, float] | None:
 
 
 def _quantity_per(parsed: units.Unit | None, below: dict[str, int]) -> tuple[str, float] | None:
-    """Return the quantity and the factor of a unit if its denominator has the powers `below`, otherwise None."""
+    """Return "J" or "photon", and the factor per nm, of a unit whose other base units have the powers `below`, or None."""
     for of in ("J", "photon"):
         if parsed is not None and parsed.powers == {of: 1, **below}:
             return of, float(f"{parsed.scale * 1e-9:.9g}")
@@ -382,7 +419,7 @@ def _quantity_per(parsed: units.Unit | None, below: dict[str, int]) -> tuple[str
 
 
 def _without_angle(unit: str) -> tuple[str, float] | None:
-    """Parse a unit of irradiance or flux per wavelength, such as µW/cm²/nm, in the same way as `_conversion`."""
+    """Parse a unit of spectral irradiance or spectral flux, such as µW/cm²/nm. The result is as in `_conversion`."""
     parsed = units.parse(unit)
     return _quantity_per(parsed, {"s": -1, "m": -3}) or _quantity_per(parsed, {"s": -1, "m": -1})
 
@@ -392,9 +429,9 @@ def _plain(name: str) -> str:
 
 
 def _place(name: str, names: Sequence[str]) -> int | None:
-    """Return the index of the column with the given name, or None if there is no such column or more than one.
+    """Return the index of the column called `name`, or None if no column or more than one column has this name.
 
-    "red" and "r" are treated as the same name. Letter case matters only if two names differ in nothing else.
+    "red" and "r" count as the same name. Letter case is ignored, unless two names differ only in their letter case.
     """
     folded = [each.casefold() for each in names]
     other = OTHER_NAMES.get(name.casefold(), name.casefold())
@@ -405,16 +442,17 @@ def _place(name: str, names: Sequence[str]) -> int | None:
 
 
 def known_as(name: str, channels: Sequence[str]) -> str:
-    """Translate a name to a channel name: "red" becomes "r" if there is a channel r and no channel red.
+    """Translate the name of a colour to the name of a channel.
 
-    Other names are returned unchanged.
+    For example, "red" becomes "r" if the camera has a channel "r" but no channel "red". Any other name is returned
+    unchanged.
     """
     other = OTHER_NAMES.get(name.casefold(), name)
     return other if name not in channels and other in channels else name
 
 
 def _difference(given: Sequence[str], asked: Sequence[str]) -> str:
-    """Describe how the names in a heading differ from the expected names, with advice."""
+    """Return a message about the first name in a heading that is not expected or occurs twice, with a remedy."""
     odd = next((name for name in given if name not in asked), None)
     if odd is None:
         twice = next(name for name in given if given.count(name) > 1)

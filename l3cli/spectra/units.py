@@ -33,25 +33,25 @@ SPELLINGS = {
     "−": "-",
 }
 TOKEN = re.compile(r"\s*(?:(?P<name>e-(?!\d)|[A-Za-z]+|%|(?<![\w^])1(?!\d))|(?P<power>\^?-?\d)|(?P<sign>[()/]))\s*")
-# Units of raw readings, which include the response of the instrument
+# Units of raw readings, which are not corrected for the response of the instrument
 RAW = re.compile(r"(?:counts?|cts|adu|dn|dbm?|[mu]?v)(?:/(?:s|ms|us|nm))?", re.I)
-RAW_LAST = re.compile(r"(?:^|[\s_,])(counts?|cts|adu|dbm?|mv)$", re.I)  # such a unit at the end of a name, without brackets
-FRACTION_UNITS = ("reflectance", "transmittance")  # "units" of columns that contain fractions, 0…1
-RELATIVE_UNITS = ("a.u.", "au", "arb. units", "relative", "rel.", "rel")  # "units" of columns in arbitrary units
-MAX_UNIT_CHARACTERS = 80  # a longer text is not a unit
+RAW_LAST = re.compile(r"(?:^|[\s_,])(counts?|cts|adu|dbm?|mv)$", re.I)  # a unit of raw readings, without brackets
+FRACTION_UNITS = ("reflectance", "transmittance")  # "units" of columns that contain fractions in 0…1
+RELATIVE_UNITS = ("a.u.", "au", "arb. units", "relative", "rel.", "rel")  # "units" of columns with an arbitrary scale
+MAX_UNIT_CHARACTERS = 80  # longer texts are not parsed as units
 PHOTON_RADIANCE, POWER_RADIANCE = "photons/s/sr/m²/nm", "W/(sr m² nm)"
 
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit, as a factor times powers of base units (J, photon, electron, s, sr, m, A, V, DN)."""
+    """A unit, as the product of a factor and powers of base units (J, photon, electron, s, sr, m, A, V, DN)."""
 
     scale: float
     powers: dict[str, int]
 
 
 def parse(text: str) -> Unit | None:
-    """Parse a unit in any common spelling. Returns None if the text is not a unit."""
+    """Parse a unit in any common spelling, such as "W/(sr m² nm)". Return None if the text is not a unit."""
     if len(text) > MAX_UNIT_CHARACTERS:
         return None
     plain = re.sub(r"\bper\b", "/", "".join(SPELLINGS.get(letter, letter) for letter in text)).replace("^^", "^")
@@ -72,9 +72,9 @@ def parse(text: str) -> Unit | None:
 
 
 def below_one_slash(text: str) -> str | None:
-    """Rewrite a unit such as "W/sr·m²/nm" so that everything after the first slash is in the denominator.
+    """Move everything after the first slash of a unit into the denominator, as in "W/sr·m²/nm" → "W/(sr·m² nm)".
 
-    The result is None if there is nothing to rewrite.
+    The result is None if the text contains no slash, or if only brackets and slashes follow.
     """
     above, slash, below = text.partition("/")
     plain = re.sub(r"[/()]", " ", below)
@@ -82,9 +82,9 @@ def below_one_slash(text: str) -> str | None:
 
 
 def _product(tokens: list[re.Match[str]]) -> tuple[Unit, list[re.Match[str]]]:
-    """Parse tokens up to a closing bracket, and return the unit and the remaining tokens.
+    """Parse tokens up to an unmatched closing bracket or the end. Return the unit and the remaining tokens.
 
-    A slash applies only to the next factor. Raises KeyError or IndexError if the tokens are not a unit.
+    A slash applies only to the factor that follows it. Raises KeyError or IndexError if the tokens are not a unit.
     """
     scale, powers = 1.0, dict[str, int]()
     while tokens and tokens[0]["sign"] != ")":
@@ -108,16 +108,16 @@ def _product(tokens: list[re.Match[str]]) -> tuple[Unit, list[re.Match[str]]]:
 
 
 def length_nm(text: str) -> float | None:
-    """Return the size of a unit of length in nm, or None if `text` is not a unit of length. "A" means ångström."""
+    """Return the size of a unit of length in nm, or None if `text` is not a unit of length. "A" is the ångström."""
     unit = parse("angstrom" if text in ("A", "AA", "Angstrom", "Angstroms", "ANGSTROM") else text)
     return unit.scale * 1e9 if unit is not None and unit.powers == {"m": 1} else None
 
 
 def split(heading: str) -> tuple[str, str | None]:
-    """Split a column heading such as "name (unit)", "name [unit]" or "name / unit" into name and unit.
+    """Split a column heading such as "name (unit)", "name [unit]", "name / unit" or "name %" into name and unit.
 
-    If there are no brackets, or if their content does not look like a unit, the name is the whole heading and the unit is
-    None.
+    If the heading contains no unit, the name is the whole heading and the unit is None. If a unit of raw readings follows
+    the name without brackets, as in "scope counts", the name is also the whole heading.
     """
     heading = heading.strip()
     name, slash, rest = heading.partition(" / ")

@@ -1,12 +1,12 @@
-"""Checkpoints, with which an interrupted run can continue even after SIGKILL.
+"""Checkpoints, from which an interrupted run can continue even after SIGKILL.
 
-A checkpoint contains the key of the run, which is a digest of everything that affects the bytes of the outputs, and the
-names of the finished units. There are two kinds of checkpoint:
+A checkpoint contains the key of the run and the names of the finished units of work. The key is a digest of everything that
+affects the bytes of the outputs. There are two types of checkpoint:
 
-* `PartsFolder`: finished units are files in a separate folder, such as the frames of a training set, until the output is
+* `PartsFolder`: each finished unit, such as a frame of a training set, is a file in a separate folder until the output is
   complete.
-* `Checkpoint`: finished units are outputs in a folder of the user, such as pictures, and a file lists them. A file that is
-  not listed does not belong to the run.
+* `Checkpoint`: each finished unit, such as a picture, is an output file in the user's folder, and a file lists the finished
+  units. Files that are not listed do not belong to the run.
 """
 
 import contextlib
@@ -20,14 +20,15 @@ from typing import Any
 from l3cli.errors import L3Error, RecipeError
 from l3cli.system.files import FINISHED, UNFINISHED, is_ours, refuse_filled_folder, refuse_protected, sweep, write_whole
 
-RUN = "run"  # name of the file with the key of the run, in a folder of parts
+RUN = "run"  # file in a PartsFolder that contains the key of the run
 
 
 class Checkpoint:
-    """List of the finished units of a run, with facts that identify each unit.
+    """File that lists the finished units of a run, with facts that identify the content of each unit.
 
-    The first line of the file is the key of the run. Each further line is a unit in JSON. The line is on disk before the
-    file of the unit gets its final name. If the file of a listed unit is missing, the unit is computed again.
+    The first line of the file is the key of the run. Each of the following lines is a JSON array [name, facts] for one unit.
+    A line is on disk before the output file of its unit is renamed to its final name. If the output file of a listed unit is
+    missing, the unit is computed again.
 
     Parameters
     ----------
@@ -42,12 +43,17 @@ class Checkpoint:
         self.items: dict[str, Any] = {}  # name of each unit → its facts
 
     def take_over(self, path: Path) -> bool:
-        """Read the units that an earlier run has finished from the list of that run.
+        """Add the units that an earlier run listed in the file `path`. An incomplete line is ignored.
 
         Returns
         -------
         bool
-            Whether the list belongs to the same run. If it does not, no units are read.
+            Whether the keys of the two runs are equal. If not, no units are added.
+
+        Raises
+        ------
+        OSError
+            If the file does not exist.
         """
         key, *lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
         if key != self.key:
@@ -59,13 +65,13 @@ class Checkpoint:
         return True
 
     def begin(self) -> None:
-        """Write the list. From now on, new units are appended."""
+        """Create the file with the units that are known now. After this call, `add` may append units."""
         write_whole(self.path, "\n".join([self.key, *map(json.dumps, self.items.items())]))
 
     def add(self, name: str, facts: Any) -> None:
-        """Append a unit, from any process. The line is on disk when this method returns.
+        """Append a finished unit to the file. Several processes may call this method.
 
-        Raises OSError if the disk is full.
+        The line is on disk when the method returns. Raises OSError if the disk is full.
         """
         self.items[name] = facts
         line = f"\n{json.dumps([name, facts])}".encode()
@@ -78,15 +84,15 @@ class Checkpoint:
             os.close(file)
 
     def end(self) -> None:
-        """Remove the list."""
+        """Remove the file, if it exists."""
         self.path.unlink(missing_ok=True)
 
 
 class PartsFolder:
-    """A folder "NAME.parts" next to an output, in which a run stores finished parts until the output is complete.
+    """The folder "NAME.parts" next to an output NAME. A run stores finished parts in it until the output is complete.
 
-    The file `run` contains the key of the run. Each part is a file that appears only when it is complete, so every part that
-    exists is finished, whichever process wrote it.
+    The file `run` in the folder contains the key of the run. Each part is a file that is renamed to its final name when it
+    is complete, so every part in the folder is finished.
     """
 
     def __init__(self, output: Path, key: str) -> None:
@@ -95,23 +101,23 @@ class PartsFolder:
 
     @contextlib.contextmanager
     def held(self, resume: bool, force: bool, is_whole: Callable[[Path], bool] = Path.is_file) -> Iterator[None]:
-        """Use the folder during the block, and remove it at the end.
+        """Create the folder for the duration of the block, and remove it if the block succeeds.
 
-        If the block fails, the folder is kept unless it contains no parts.
+        If the block fails, the folder remains, unless it contains no parts.
 
         Parameters
         ----------
         resume : bool
-            Whether to continue with the parts of an earlier run. Otherwise they are removed.
+            Whether to continue with the parts of an earlier run with the same key. Otherwise, existing parts are removed.
         force : bool
-            Whether to remove the parts even if they belong to another run.
+            Whether to remove the parts if `resume` is set but the parts belong to a run with another key.
         is_whole : callable
-            Whether a part is undamaged. Damaged parts are removed.
+            Function that returns whether the file of a part is undamaged. Damaged parts are removed.
 
         Raises
         ------
         RecipeError
-            If `resume` is set, `force` is not, and the parts belong to another run.
+            If `resume` is set, `force` is not set, and the parts belong to a run with another key.
         L3Error
             If the folder contains files that l3 did not write.
         """
@@ -148,7 +154,7 @@ class PartsFolder:
                 each.unlink()
 
     def remove(self) -> None:
-        """Remove the folder if it exists. The file `run` is removed last, because it identifies the folder as l3's."""
+        """Remove the folder if it exists. The file `run` is removed last, because it shows that l3 created the folder."""
         if not self.folder.exists():
             return
         for each in self.folder.iterdir():
@@ -160,14 +166,15 @@ class PartsFolder:
 
 @contextlib.contextmanager
 def incomplete_folder(folder: Path, key: str, force: bool) -> Iterator[None]:
-    """Mark `folder` as incomplete until the block ends without an error, so that the same run can write into it again.
+    """Mark `folder` as incomplete until the block succeeds, so that the same command can write into the folder again.
 
-    The mark is a file that contains the key of the run.
+    The mark is a file that contains the key of the run. If the block fails, the mark remains, unless the folder contains no
+    outputs.
 
     Raises
     ------
     L3Error
-        If the folder contains other files and `force` is not set.
+        If the folder contains files that do not belong to an interrupted run with this key, and `force` is not set.
     """
     refuse_other_run(folder, key, force)
     marker, finished = folder / UNFINISHED, folder / FINISHED
@@ -185,18 +192,18 @@ def incomplete_folder(folder: Path, key: str, force: bool) -> Iterator[None]:
 
 
 def mark_finished(folder: Path, key: str) -> None:
-    """Record in `folder` that the run with this key has finished it."""
+    """Write a file into `folder` which records that the run with this key has completed the folder."""
     write_whole(folder / FINISHED, key)
 
 
 def is_finished(folder: Path, key: str) -> bool:
-    """Whether the run with this key has finished `folder`."""
+    """Return whether the run with this key has completed `folder`. A missing folder is not complete."""
     marker = folder / FINISHED
     return marker.is_file() and marker.read_bytes() == key.encode()
 
 
 def refuse_other_run(folder: Path, key: str, force: bool) -> None:
-    """Raise L3Error if `folder` contains anything but files of an interrupted run with this key, unless `force` is set."""
+    """Raise L3Error if `folder` is not empty, unless it belongs to an interrupted run with this key or `force` is set."""
     marker = folder / UNFINISHED
     is_same = marker.is_file() and marker.read_bytes() == key.encode()
     refuse_filled_folder(folder, force or is_same)

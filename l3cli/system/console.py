@@ -1,4 +1,4 @@
-"""Consoles, which receive the progress and the messages of a stage."""
+"""Consoles: objects to which a stage reports its progress and its messages."""
 
 import os
 import stat
@@ -13,23 +13,26 @@ from l3cli.errors import L3Error, RecipeError
 from l3cli.system.text import printable
 
 T = TypeVar("T")
-HEADING = b"# l3 log\n"  # first line of a log; l3 does not append to a file without this line
+HEADING = b"# l3 log\n"  # first line of every log; l3 appends only to files that start with this line
 
 
 class Console(Protocol):
-    """Interface of objects that receive the messages of a stage, such as a terminal or `Silent`."""
+    """Interface of the objects that receive the progress and the messages of a stage, such as `Silent`."""
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """Yield `items` and report progress. `total` is the number of items, if known; `what` is a plural noun for them."""
+        """Yield each of the `items`, and report how many have been processed.
+
+        `total` is the number of items, or None if it is unknown. `what` is a plural noun for the items, such as "frames".
+        """
 
     def info(self, message: str) -> None:
-        """Report a result, or suggest what the user can do next."""
+        """Report a result, or suggest the next command to the user."""
 
     def warn(self, message: str) -> None:
-        """Warn about something that may degrade the result."""
+        """Warn about a condition that may degrade the result."""
 
     def report(self, message: str) -> None:
-        """Report omitted work, or a risk that l3 cannot prevent. Shown even with --quiet."""
+        """Report omitted work, or a risk that l3 cannot prevent. The message appears even with --quiet."""
 
 
 class Silent:
@@ -49,7 +52,7 @@ class Silent:
 
 
 class PythonWarnings(Silent):
-    """A console that turns warnings and reports into Python warnings, and discards everything else."""
+    """A console that issues warnings and reports as Python warnings, and discards all other messages."""
 
     def warn(self, message: str) -> None:
         warn_caller(message)
@@ -59,7 +62,7 @@ class PythonWarnings(Silent):
 
 
 def warn_caller(message: str) -> None:
-    """Issue a Python warning (UserWarning) that points to the line outside l3 from which l3 was called."""
+    """Issue a UserWarning whose location is the line of the user's code that called l3."""
     level, frame = 1, sys._getframe()
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "l3cli":
         level, frame = level + 1, frame.f_back
@@ -67,7 +70,7 @@ def warn_caller(message: str) -> None:
 
 
 class Passing:
-    """Base class of consoles that pass messages on to another console and also handle each message."""
+    """Base class of consoles that pass every message on to a second console and then process it in `heard`."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -88,12 +91,12 @@ class Passing:
         self.heard("warning", message)
 
     def heard(self, level: str, message: str) -> None:
-        """Handle a message that has been passed on."""
+        """Process a message after it was passed on. `level` is "info" or "warning"."""
         raise NotImplementedError
 
 
 class Gathering(Passing):
-    """A console that also stores the first `most` warnings."""
+    """A console that passes messages on and stores the first `most` warnings."""
 
     def __init__(self, console: Console, most: int) -> None:
         super().__init__(console)
@@ -106,14 +109,16 @@ class Gathering(Passing):
 
 
 class Logged(Passing):
-    """A console that appends every message to a log file, one per line, with UTC time, level and command.
+    """A console that passes messages on and appends each message to a log file.
+
+    Each line of the log contains the UTC time, the level, the command and the message.
 
     Parameters
     ----------
     console : Console
         Console that also receives all messages.
     path : Path
-        Log file.
+        Log file. It is created if it does not exist.
     command : str
         Name of the command.
     wording : callable
@@ -122,7 +127,7 @@ class Logged(Passing):
     Raises
     ------
     RecipeError
-        If the file exists and is not a log of l3.
+        If the file exists but is not a log of l3.
     L3Error
         If the file cannot be written.
     """
@@ -130,13 +135,13 @@ class Logged(Passing):
     def __init__(self, console: Console, path: Path, command: str, wording: Callable[[str], str] = str) -> None:
         super().__init__(console)
         self._path, self._command, self._wording = path, command, wording
-        self._lost = False  # whether writing has failed
+        self._lost = False  # whether an attempt to write has failed
         if path.exists() and not (path.is_file() and _is_log(path)):
             raise RecipeError(f"{path} is not a log of l3; choose another file for ‹log›")
         self._append(b"" if path.exists() else HEADING)
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """Show progress on the other console. Only the start and the end are written to the log."""
+        """Report progress to the second console. The log contains only the start and the end."""
         self.heard("info", what if total is None else f"{what}: {total} to do")
         done, start = 0, time.monotonic()
         for item in self._console.progress(items, total, what):
@@ -145,7 +150,7 @@ class Logged(Passing):
         self.heard("info", f"{what}: {done} done in {time.monotonic() - start:.3g} s")
 
     def heard(self, level: str, message: str) -> None:
-        """Append a line. If the log can no longer be written, report the failure once and continue."""
+        """Append a message to the log. If the log can no longer be written, report this once and continue without it."""
         now = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
         if self._lost:
             return

@@ -1,7 +1,7 @@
-"""Files: atomic outputs, identification of inputs by SHA-256, and records of the files that a stage used.
+"""Write outputs atomically, protect and identify inputs, and record the files that a stage reads and writes.
 
-A process that writes a temporary file holds a lock (flock) on it, which the kernel releases even after SIGKILL. A temporary
-file without a lock was therefore left by a killed run. Locks on outputs are in locks.py.
+A process locks (flock) the temporary files that it writes. The kernel releases such a lock when the process ends, even after
+SIGKILL. If a temporary file is not locked, the process that wrote it was therefore killed. Locks on outputs are in locks.py.
 """
 
 import contextlib
@@ -28,9 +28,9 @@ class FilesUsed:
 
     Attributes
     ----------
-    read : dict
-        For each role, such as "table": the files, with their size and time before they were read, or None if they did not
-        exist.
+    read : dict of str to dict
+        Role, such as "table" → input file → size in bytes and modification time in ns of the file before it was read, or
+        None if the file did not exist.
     written : tuple of Path
         Finished output files.
     """
@@ -39,17 +39,20 @@ class FilesUsed:
     written: tuple[Path, ...] = ()
 
     def and_wrote(self, *paths: Path) -> "FilesUsed":
-        """Return the same record with further output files."""
+        """Return a copy of the record with additional output files."""
         return replace(self, written=(*self.written, *paths))
 
 
 def files_to_read(roles: Mapping[str, Iterable[Path]]) -> FilesUsed:
-    """Return a record of input files by role. It must be made before the files are read, so that it reveals changes."""
+    """Return a record of the input files of each role.
+
+    Call this function before the files are read. A file that changes during the run then differs from the record.
+    """
     return FilesUsed({role: {path: dated(path) for path in paths} for role, paths in roles.items()})
 
 
 def all_files(parts: Iterable[FilesUsed]) -> FilesUsed:
-    """Combine the records of several runs."""
+    """Combine several records. If several records contain the same input, the last one determines its size and time."""
     read: dict[str, dict[Path, Dated | None]] = {}
     written: list[Path] = []
     for part in parts:
@@ -60,7 +63,7 @@ def all_files(parts: Iterable[FilesUsed]) -> FilesUsed:
 
 
 def dated(path: Path) -> Dated | None:
-    """Return the size and modification time of a file, or None if it does not exist."""
+    """Return [size in bytes, modification time in ns] of a file, or None if the file is not accessible."""
     try:
         state = os.stat(path)
     except OSError:
@@ -69,10 +72,9 @@ def dated(path: Path) -> Dated | None:
 
 
 def fingerprint(path: Path) -> tuple[int, ...]:
-    """Return size, modification time, change time and inode of a file, which together identify its content across runs.
+    """Return the size, modification time, change time and inode of a file, from which a later run can detect changes.
 
-    The change time cannot be set back, so a copy with the same size and modification time still differs. Raises OSError if
-    there is no file.
+    Programs can set the modification time of a file, but not its change time. Raises OSError if the file does not exist.
     """
     state = path.stat()
     return state.st_size, state.st_mtime_ns, state.st_ctime_ns, state.st_ino
@@ -80,24 +82,25 @@ def fingerprint(path: Path) -> tuple[int, ...]:
 
 TEMPORARY = re.compile(r"\.(.*)\.[0-9a-f]{8}\.l3tmp(\.[^.]*)?")
 LOCK = ".l3lock"
-UNFINISHED = ".l3-unfinished"  # marker file in a picture folder; identifies the run that is still writing to this folder
-FINISHED = ".l3-finished"  # marker file in a picture folder; identifies the run that wrote all pictures in this folder
+# Marker files in an output folder. They contain the key of the run that has not yet completed, or has completed, the folder.
+UNFINISHED = ".l3-unfinished"
+FINISHED = ".l3-finished"
 STDIN = Path("-")
 LONGEST = 255  # maximum length of a file name, in bytes
-LONGEST_SUFFIX = 16  # maximum length of a suffix from which writers derive their format, in bytes
+LONGEST_SUFFIX = 16  # maximum length of a suffix that can determine the format of a file, in bytes
 NAMES = {
     stat.S_IFDIR: "folder",
     stat.S_IFIFO: "pipe",
     stat.S_IFSOCK: "socket",
-}  # nouns in messages for things that are not files
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+}  # file types other than regular files, as messages call them
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # the disk is full, the quota is exceeded, or the file is too large
 
 
 # -------------------------------------------------------------------------------------------------------- outputs
 
 
 def refuse_existing(path: Path, force: bool) -> None:
-    """Raise L3Error if `path` exists and must not be replaced."""
+    """Raise L3Error if `path` is a folder or a device, or if it is a file and `force` is not set."""
     if path.is_dir():
         raise L3Error(f"{path} is a folder; choose a file as the output")
     if path.exists() and not path.is_file():
@@ -107,7 +110,10 @@ def refuse_existing(path: Path, force: bool) -> None:
 
 
 def refuse_filled_folder(path: Path, force: bool) -> None:
-    """Raise L3Error if `path` is a file, or is a folder that is not empty and `force` is not set."""
+    """Raise L3Error if `path` is a file, or if it is a folder that is not empty and `force` is not set.
+
+    Locks, markers and temporary files of l3 do not count as contents.
+    """
     if path.exists() and not path.is_dir():
         raise L3Error(f"{path} is a file; choose a folder")
     if path.is_dir() and not force and any(not is_ours(each.name) for each in path.iterdir()):
@@ -116,11 +122,12 @@ def refuse_filled_folder(path: Path, force: bool) -> None:
 
 @contextlib.contextmanager
 def atomic_output(path: Path) -> Iterator[Path]:
-    """Yield a temporary path, which is renamed to `path` if the block succeeds and removed otherwise.
+    """Create a temporary file, yield its path, and rename the file to `path` if the block succeeds.
 
-    The temporary file is in the folder of `path` and has the same suffix, because writers derive their format from it. The
-    content is flushed to disk before the file is renamed. The block must write into the file without replacing it. Every
-    process has its own temporary file.
+    If the block fails, the temporary file is removed. The file is in the folder of `path`, which is created if necessary,
+    and has the suffix of `path`, from which libraries derive the format. The content is flushed to disk before the file is
+    renamed. The block must write into the existing file and must not replace it. Each call creates a new temporary file, so
+    several processes may write the same output.
 
     Raises
     ------
@@ -135,7 +142,7 @@ def atomic_output(path: Path) -> Iterator[Path]:
         with blamed_on(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             temporary, descriptor = _new_temporary(path)
-        with blamed_on(path, FULL):  # other errors may concern inputs that the block reads
+        with blamed_on(path, FULL):  # an error with another number may concern an input that the block reads
             yield temporary
         with blamed_on(path):
             _put_in_place(temporary, path)
@@ -147,32 +154,35 @@ def atomic_output(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, content: bytes | memoryview | str) -> None:
-    """Write `content` to `path`, which appears only when it is complete. Text is encoded as UTF-8."""
+    """Write `content` to `path` atomically. Text is encoded as UTF-8. An existing file is replaced."""
     with atomic_output(path) as temporary:
         temporary.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
 def _new_temporary(path: Path) -> tuple[Path, int]:
-    """Return a new, empty, locked temporary file in the folder of `path`, and the descriptor that holds its lock."""
+    """Create an empty, locked temporary file in the folder of `path`. Return its path and the descriptor with the lock."""
     stem, suffix = _hidden_name(path)
     while True:
         temporary = path.with_name(f".{stem}.{os.urandom(4).hex()}.l3tmp{suffix}")
         descriptor = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, initial_mode(path))
-        with contextlib.suppress(OSError):  # if locks are not supported, no run removes temporary files of other runs
+        with contextlib.suppress(OSError):  # on storage without locks, `sweep` removes no temporary files
             fcntl.flock(descriptor, fcntl.LOCK_EX)
         if os.fstat(descriptor).st_nlink:
             return temporary, descriptor
-        os.close(descriptor)  # another run removed the file between the two calls
+        os.close(descriptor)  # another run removed the file before it was locked
 
 
 def _hidden_name(path: Path) -> tuple[str, str]:
-    """Return the stem and suffix from which the names of the temporary files of `path` are built."""
+    """Return the stem and the suffix that all temporary files of the output `path` have in their names."""
     stem, suffix = (path.stem, path.suffix) if len(os.fsencode(path.suffix)) <= LONGEST_SUFFIX else (path.name, "")
     return shortened(stem, len(f"..01234567.l3tmp{suffix}")), suffix
 
 
 def shortened(name: str, more: int) -> str:
-    """Return `name` or, if `name` and `more` further bytes are too long for a file name, its beginning and a digest."""
+    """Shorten `name` so that it can be part of a file name with `more` additional bytes.
+
+    A name that is short enough is returned unchanged. Otherwise, a digest of the name replaces its end.
+    """
     coded, longest = os.fsencode(name), LONGEST - more
     if len(coded) <= longest:
         return name
@@ -181,9 +191,9 @@ def shortened(name: str, more: int) -> str:
 
 
 def initial_mode(output: Path) -> int:
-    """Return the mode, before the umask, of files that are created for an output.
+    """Return the mode (before the umask) with which the files of an output are created.
 
-    It grants no more access than the mode of the file that the output replaces.
+    The mode grants no user more access than the file that the output replaces, but the owner can always read and write.
     """
     try:
         return 0o666 & (output.stat().st_mode | 0o600)
@@ -192,13 +202,13 @@ def initial_mode(output: Path) -> int:
 
 
 def _put_in_place(temporary: Path, path: Path) -> None:
-    """Rename a file, and make sure that the content and the new name are on disk."""
+    """Rename a file, and flush its content and the new name to disk."""
     _flush(temporary)
     os.replace(temporary, path)
     try:
         _flush(path.parent)
     except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.EACCES):  # storage without fsync of folders, or an unreadable folder
+        if error.errno not in (errno.EINVAL, errno.EACCES):  # the storage cannot flush folders, or the folder is unreadable
             raise
 
 
@@ -213,9 +223,9 @@ def _flush(path: Path) -> None:
 
 @contextlib.contextmanager
 def blamed_on(path: Path, numbers: tuple[int, ...] | None = None) -> Iterator[None]:
-    """Convert system errors in the block to an L3Error that says that `path` cannot be written.
+    """Convert an OSError in the block to an L3Error with the message that `path` cannot be written.
 
-    If `numbers` is set, only errors with these error numbers (errno) are converted.
+    If `numbers` is not None, only errors with these error numbers (errno) are converted.
     """
     try:
         yield
@@ -232,9 +242,10 @@ def blamed_on(path: Path, numbers: tuple[int, ...] | None = None) -> Iterator[No
 
 
 def open_quietly(path: Path) -> int:
-    """Open a regular file so that it can be locked, and return its descriptor. Raises OSError if that is not possible.
+    """Open a regular file in order to lock it, and return its descriptor.
 
-    Write access is only needed for locks over NFS, so a read-only file of another user is opened for reading.
+    Locks over NFS need write access. A file without write permission is opened for reading. The function never blocks and
+    does not follow symbolic links. Raises OSError if the file cannot be opened or is not a regular file.
     """
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
@@ -247,10 +258,10 @@ def open_quietly(path: Path) -> int:
 
 
 def sweep(folder: Path, output: Path | None = None) -> None:
-    """Remove temporary files in `folder` that no running process has locked.
+    """Remove the temporary files in `folder` that no running process has locked.
 
-    If `output` is set, only temporary files of this output are removed. Temporary files that are inputs of the command are
-    kept.
+    If `output` is not None, only temporary files of this output are removed. Inputs of the command are never removed. A
+    missing folder is ignored.
     """
     wanted = None if output is None else _hidden_name(output)
     for name in os.listdir(folder) if folder.is_dir() else ():
@@ -269,19 +280,22 @@ def sweep(folder: Path, output: Path | None = None) -> None:
 
 
 def is_ours(name: str) -> bool:
-    """Whether a file with this name is a lock, a checkpoint or a temporary file of l3."""
+    """Return whether a file with this name is a lock, a marker or a temporary file of l3."""
     return name.endswith((LOCK, UNFINISHED, FINISHED)) or TEMPORARY.fullmatch(name) is not None
 
 
 # --------------------------------------------------------------------------------------------------------- inputs
 
-Identity = tuple[int, int]  # device and inode, which are the same for every name, symbolic link and hard link of a file
-_protected: dict[Identity, Path] = {}  # files that the command reads, with the names under which the user specified them
+Identity = tuple[int, int]  # device and inode of a file, which are the same through every hard and symbolic link
+_protected: dict[Identity, Path] = {}  # input files of the command → the paths by which the user specified the files
 
 
 @contextlib.contextmanager
 def protecting(paths: Iterable[Path]) -> Iterator[None]:
-    """Keep outputs of this process from replacing these files, by any name, during the block. "-" is stdin."""
+    """Protect input files during the block: `refuse_protected` then raises an error for these files, by any of their names.
+
+    The path "-" stands for the file from which stdin is redirected. Paths that are not regular files are ignored.
+    """
     named = ((identity(0 if path == STDIN else path), path) for path in paths)
     added = {key: path for key, path in named if key is not None and key not in _protected}
     _protected.update(added)
@@ -293,7 +307,7 @@ def protecting(paths: Iterable[Path]) -> Iterator[None]:
 
 
 def refuse_protected(output: Path | int) -> None:
-    """Raise RecipeError if an output, which is a path or a descriptor, is a protected input."""
+    """Raise RecipeError if an output (a path or a file descriptor) is a protected input file."""
     key = identity(output) if _protected else None
     if key is None or key not in _protected:
         return
@@ -304,7 +318,7 @@ def refuse_protected(output: Path | int) -> None:
 
 
 def identity(file: Path | int) -> Identity | None:
-    """Return the identity of a regular file, or None if it does not exist or is not a regular file. Links are followed."""
+    """Return the identity of a regular file, following links, or None if no regular file exists."""
     try:
         state = os.stat(file)
     except OSError:
@@ -313,9 +327,9 @@ def identity(file: Path | int) -> Identity | None:
 
 
 def require_regular(path: Path, cure: str = "use a file") -> None:
-    """Raise InputFileError, ending with `cure`, unless `path` is a regular file.
+    """Raise InputFileError if `path` is not a regular file. The message ends with `cure`, which says how to correct this.
 
-    The file is not opened, because opening a pipe or device may block forever.
+    The file is not opened, because opening a pipe or a device may block forever.
     """
     try:
         _require_regular(path, path.stat().st_mode, cure)
@@ -331,7 +345,10 @@ def _require_regular(path: Path, mode: int, cure: str) -> None:
 
 
 def open_regular(path: Path, cure: str = "use a file") -> io.BufferedReader:
-    """Open a regular file for reading. Raises InputFileError, like `require_regular`, if it is not a regular file."""
+    """Open a regular file for reading.
+
+    Raises InputFileError, with a message that ends with `cure`, if the file is not a regular file or cannot be read.
+    """
     require_regular(path, cure)
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
@@ -348,7 +365,7 @@ def open_regular(path: Path, cure: str = "use a file") -> io.BufferedReader:
 
 @contextlib.contextmanager
 def naming(path: Path, cure: str = "") -> Iterator[None]:
-    """Convert system errors to InputFileErrors that name the file and end with `cure`."""
+    """Convert an OSError in the block to an InputFileError whose message starts with `path` and ends with `cure`."""
     try:
         yield
     except OSError as error:
@@ -356,13 +373,13 @@ def naming(path: Path, cure: str = "") -> Iterator[None]:
 
 
 def sha256(path: Path) -> str:
-    """Return the SHA-256 of a file in hexadecimal digits."""
+    """Return the SHA-256 digest of a file in hexadecimal. Raises InputFileError if the file cannot be read."""
     with naming(path), open_regular(path) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def stamp(path: Path) -> tuple[int, ...]:
-    """Return device, inode, size and modification time of a file, or () if it does not exist."""
+    """Return the device, inode, size and modification time of a file, or () if the file is not accessible."""
     try:
         state = path.stat()
     except OSError:
@@ -371,9 +388,10 @@ def stamp(path: Path) -> tuple[int, ...]:
 
 
 def require_same(path: Path, digest: str) -> None:
-    """Raise InputFileError unless a file has the given SHA-256, because its name may mean another file on another machine.
+    """Raise InputFileError if the SHA-256 digest of a file is not `digest`.
 
-    A file that has not changed is read only once.
+    Workers call this function, because the same path may refer to a different file on another machine. Each process reads
+    a file only once, unless the file changes.
     """
     try:
         known = fingerprint(path)

@@ -1,4 +1,8 @@
-"""Limits on the size of inputs, which are checked before memory is allocated, and the setting whether files are trusted."""
+"""Limits on the size of inputs, and the environment variables that set these limits.
+
+Sizes are checked before memory is allocated. A further environment variable, L3_TRUST, selects whether files are decoded in
+this process or in a process with limited time and memory.
+"""
 
 import contextlib
 import os
@@ -16,33 +20,36 @@ ONE_BLAS_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL
 MEGAPIXELS = "L3_MEGAPIXELS"  # environment variable: maximum number of pixels of a picture or frame, in millions
 USUAL_MEGAPIXELS = 400.0
 PICTURE = Quantity(0.0001, 1e6, "megapixels")
-VALUES_A_PIXEL = 3  # maximum number of 32-bit values in a file, per pixel of the largest permitted picture
+VALUES_A_PIXEL = 3  # a file may contain this many 32-bit values per pixel of the largest permitted picture
 VALUE_BYTES = 4
 SECONDS = "L3_DECODE_SECONDS"  # environment variable: maximum processor time for decoding a file, in s
 USUAL_SECONDS = 60.0
 TRUST = "L3_TRUST"  # environment variable: whether to decode files in this process, without limits of time and memory
 YES, NO = ("1", "true", "yes", "on", "y", "t"), ("", "0", "false", "no", "off", "n", "f")
-LIBRARIES, A_CORE = 1 << 30, 16 << 20  # bytes of address space: for libraries, and for their threads per core
+LIBRARIES, A_CORE = 1 << 30, 16 << 20  # address space that libraries need, in bytes: in total, and in addition per core
 MOST_TEXT = 64 << 20  # maximum size of a recipe, measurement file, CSV table or header, in bytes
 
 
 def most_pixels() -> int:
-    """Return the maximum number of pixels of a picture or frame."""
+    """Return the maximum number of pixels of a picture or frame. Raises RecipeError if L3_MEGAPIXELS is invalid."""
     return int(setting(MEGAPIXELS, PICTURE, USUAL_MEGAPIXELS) * 1e6)
 
 
 def decode_seconds() -> float:
-    """Return the maximum processor time for decoding a file, in s."""
+    """Return the maximum processor time for decoding a file, in s. Raises RecipeError if L3_DECODE_SECONDS is invalid."""
     return setting(SECONDS, Quantity(0.1, 1e6, "s"), USUAL_SECONDS)
 
 
 def require_settings() -> None:
-    """Raise RecipeError if an environment variable of this module is invalid, even if the command does not use it."""
+    """Raise RecipeError if an environment variable of this module is invalid, even if the command does not need it."""
     most_pixels(), decode_seconds(), trusted()
 
 
 def setting(name: str, range_: Quantity, usual: float) -> float:
-    """Return the number in an environment variable, or `usual` if it is not set. Raises RecipeError if it is invalid."""
+    """Return the number in the environment variable `name`, or `usual` if the variable is empty or not set.
+
+    Raises RecipeError if the variable does not contain a number within `range_`.
+    """
     text = os.environ.get(name, "")
     try:
         return range_.read(text) if text else usual
@@ -51,12 +58,15 @@ def setting(name: str, range_: Quantity, usual: float) -> float:
 
 
 def most_bytes() -> int:
-    """Return the maximum size of the content of a file in memory, in bytes."""
+    """Return the maximum size, in bytes, of the decoded content of a file."""
     return VALUES_A_PIXEL * VALUE_BYTES * most_pixels()
 
 
 def require_picture(name: str, rows: int, cols: int, values: int = 1) -> None:
-    """Raise InputFileError if a picture with `values` values per pixel exceeds the limit."""
+    """Raise InputFileError if a picture with `values` values per pixel is too large.
+
+    `name` is the name of the file, for the message.
+    """
     if rows * cols > most_pixels() or rows * cols * values > VALUES_A_PIXEL * most_pixels():
         raise InputFileError(
             f"{name} has {rows}×{cols} pixels of {values} value{'s' * (values != 1)}, but the limit is "
@@ -66,7 +76,7 @@ def require_picture(name: str, rows: int, cols: int, values: int = 1) -> None:
 
 
 def require_values(name: str, shape: Iterable[int], value_bytes: int = VALUE_BYTES) -> None:
-    """Raise InputFileError if an array exceeds the maximum size of the content of a file."""
+    """Raise InputFileError if an array of this shape, with `value_bytes` bytes per value, exceeds `most_bytes`."""
     shape = tuple(int(length) for length in shape)
     if prod(shape) * max(value_bytes, 1) > most_bytes():
         lengths = "×".join(map(str, shape))
@@ -77,7 +87,7 @@ def require_values(name: str, shape: Iterable[int], value_bytes: int = VALUE_BYT
 
 
 def require_address_space() -> None:
-    """Raise L3Error if the address space (ulimit -v) may be too small, because libraries would then abort or hang."""
+    """Raise L3Error if the address space (ulimit -v) is too small for the libraries, which could then abort or hang."""
     needed = LIBRARIES + A_CORE * (os.cpu_count() or 1)
     allowed = resource.getrlimit(resource.RLIMIT_AS)[0]
     if allowed != resource.RLIM_INFINITY and allowed < needed:
@@ -87,7 +97,11 @@ def require_address_space() -> None:
 
 
 def read_bounded(path: Path, cure: str = "use a text file") -> bytes:
-    """Return the bytes of a text file. Raises InputFileError, ending with `cure`, if it is unreadable or too large."""
+    """Return the bytes of a text file.
+
+    Raises InputFileError if the file cannot be read or is larger than MOST_TEXT. For an unreadable file, the message ends
+    with `cure`.
+    """
     with naming(path, cure), open_regular(path, cure) as stream:
         content = stream.read(MOST_TEXT + 1)
     if len(content) > MOST_TEXT:
@@ -96,7 +110,7 @@ def read_bounded(path: Path, cure: str = "use a text file") -> bytes:
 
 
 def trusted() -> bool:
-    """Whether untrusted files are decoded in this process. Raises RecipeError if L3_TRUST is invalid."""
+    """Return whether L3_TRUST permits decoding input files in this process. Raises RecipeError if L3_TRUST is invalid."""
     word = os.environ.get(TRUST, "").strip().lower()
     if word not in YES + NO:
         raise RecipeError(f'{TRUST} is "{word}", which is neither yes nor no; set it to 1 or 0, or unset it')
@@ -104,13 +118,13 @@ def trusted() -> bool:
 
 
 def trust() -> AbstractContextManager[None]:
-    """Decode files in this process during the block, and in processes that start during the block."""
+    """Return a context manager that sets L3_TRUST, also for processes that start during the block."""
     return environment({TRUST: "1"})
 
 
 @contextlib.contextmanager
 def environment(variables: Mapping[str, str]) -> Iterator[None]:
-    """Set environment variables during the block, also for processes that start during the block."""
+    """Set environment variables during the block. Processes that start during the block inherit the variables."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:

@@ -1,7 +1,7 @@
-"""Locks that allow only one run at a time to write an output.
+"""Locks that prevent two runs from writing the same output at the same time.
 
-A run holds a lock (flock) on a hidden file in the folder of the output. The kernel releases the lock when the process ends,
-even after SIGKILL. The module also contains a lock for the threads of a process.
+A run locks (flock) a hidden file in the folder of the output. The kernel releases the lock when the process ends, even after
+SIGKILL. The module also contains a lock for the threads of a process.
 """
 
 import contextlib
@@ -16,9 +16,10 @@ from l3cli.system.files import LOCK, blamed_on, initial_mode, open_quietly, refu
 
 
 class ThreadLock:
-    """A lock between the threads of a process. In a forked child, the lock is free.
+    """A lock between the threads of a process, which is always free at the start of a forked child process.
 
-    A thread of the parent that holds the lock does not exist in the child and would never release it.
+    An ordinary lock that a thread of the parent holds would never be released in the child, where this thread does not
+    exist.
     """
 
     def __init__(self) -> None:
@@ -36,17 +37,17 @@ class ThreadLock:
 
 @contextlib.contextmanager
 def sole_writer_of_file(path: Path) -> Iterator[bool]:
-    """Keep other runs from writing `path` during the block, and remove temporary files that killed runs left.
+    """Prevent other runs from writing `path` during the block. Remove the temporary files that killed runs left behind.
 
     Yields
     ------
     bool
-        Whether the storage supports locks.
+        Whether the storage supports locks. If not, other runs can write the file.
 
     Raises
     ------
     L3Error
-        If another run is writing the file, or if its folder cannot be written.
+        If another run is writing the file, or if the folder of the file is not writable.
     """
     with _locked(path, path.with_name(_lock_name(path.name))) as locked:
         if locked:
@@ -56,10 +57,30 @@ def sole_writer_of_file(path: Path) -> Iterator[bool]:
 
 @contextlib.contextmanager
 def sole_writer_of_folder(folder: Path, name: str = "", inside: tuple[str, ...] = ()) -> Iterator[bool]:
-    """Do the same as `sole_writer_of_file` for the files in a folder and in its subfolders `inside`.
+    """Prevent other runs from writing into `folder` during the block.
 
-    If `name` is set to a pattern, only files that match the pattern are locked. The folder is created if necessary, and
-    removed if it is empty at the end. Temporary files of killed worker processes are also removed.
+    The folder is created if necessary, and removed if it is empty at the end. Temporary files of killed runs and of killed
+    worker processes are removed from the folder and its subfolders `inside`.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+    name : str
+        Pattern of the output files, such as a pattern of frame numbers. Runs with different patterns can write into the
+        folder at the same time. [default: only one run can write into the folder]
+    inside : tuple of str
+        Names of subfolders.
+
+    Yields
+    ------
+    bool
+        Whether the storage supports locks. If not, other runs can write into the folder.
+
+    Raises
+    ------
+    L3Error
+        If another run is writing into the folder, or if the folder is not writable.
     """
     with _locked(folder / name, folder / (_lock_name(name) if name else LOCK)) as locked:
         swept = [folder, *(folder / each for each in inside)] if locked else []
@@ -78,7 +99,10 @@ def _lock_name(name: str) -> str:
 
 @contextlib.contextmanager
 def _locked(output: Path, lock: Path) -> Iterator[bool]:
-    """Hold `lock` during the block. Folders that are created for the lock are removed if they stay empty."""
+    """Hold the lock file `lock` during the block, and yield whether the storage supports locks.
+
+    Folders that are created for the lock file are removed at the end if they are empty.
+    """
     refuse_protected(lock)  # the lock file is removed at the end
     made = [folder for folder in (lock.parent, *lock.parent.parents) if not folder.exists()]
     try:
@@ -99,7 +123,7 @@ def _busy(output: Path) -> L3Error:
 
 
 def _take(lock: Path, output: Path) -> int | None:
-    """Create the lock file if necessary and lock it. Return its descriptor, or None if the storage does not support locks.
+    """Lock the lock file, and create it if necessary. Return its descriptor, or None if the storage does not support locks.
 
     Raises L3Error if another run holds the lock.
     """
@@ -112,7 +136,7 @@ def _take(lock: Path, output: Path) -> int | None:
             except FileExistsError:
                 descriptor = _existing(lock)
         if descriptor is None:
-            continue  # another run has just removed the lock file
+            continue  # another run removed the lock file before it was opened
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
@@ -124,14 +148,14 @@ def _take(lock: Path, output: Path) -> int | None:
         with contextlib.suppress(FileNotFoundError):
             if os.path.samestat(os.lstat(lock), os.fstat(descriptor)):
                 return descriptor
-        os.close(descriptor)  # another run removed the lock file between the two calls
+        os.close(descriptor)  # another run removed the lock file before it was locked
 
 
 def _existing(lock: Path) -> int | None:
-    """Open an existing lock file, or return None if it no longer exists.
+    """Open an existing lock file. Return its descriptor, or None if the file no longer exists.
 
-    Raises L3Error if the file is not a lock file of l3 or is not accessible. Symbolic links are not followed, nothing is
-    created, and opening never blocks, because a shared folder may contain anything.
+    A shared folder may contain a symbolic link or a pipe of this name. The function therefore follows no symbolic links and
+    never blocks. Raises L3Error if the file is not accessible or not a regular file.
     """
     try:
         return open_quietly(lock)
@@ -147,6 +171,6 @@ def _existing(lock: Path) -> int | None:
 
 def _let_go(lock: Path, descriptor: int) -> None:
     """Remove a lock file, and release the lock by closing its descriptor."""
-    with contextlib.suppress(FileNotFoundError, PermissionError):  # only the owner may be allowed to remove the file
+    with contextlib.suppress(FileNotFoundError, PermissionError):  # some folders permit only the owner to remove a file
         lock.unlink()
     os.close(descriptor)

@@ -1,6 +1,6 @@
 """Check and lock the outputs of a stage before its work begins.
 
-An output that would replace an input or cannot be written is refused. Until the stage ends, locks keep other runs from
+A stage fails if an output would replace an input or cannot be written. Until the stage ends, locks prevent other runs from
 writing the same outputs.
 """
 
@@ -17,33 +17,33 @@ from l3cli.system.locks import sole_writer_of_file, sole_writer_of_folder
 
 
 class OutputGuard(contextlib.ExitStack):
-    """Context manager that protects inputs and locks outputs until the end of the block."""
+    """Context manager that protects the inputs and locks the outputs of a stage until the end of the block."""
 
     def __init__(self, console: Console) -> None:
         super().__init__()
         self._console = console
-        # (output path, glob patterns of the files that l3 writes to the output if the output is a folder)
+        # (path of an output, glob patterns of the files that l3 writes into the output if it is a folder)
         self._guarded: list[tuple[Path, tuple[str, ...]]] = []
 
     def protect(self, *inputs: Path) -> None:
-        """Protect input files until the end. No output may replace an input, by any of its names, even with `force`.
+        """Protect input files until the end of the block. Even with `force`, no output may replace these files.
 
         Raises
         ------
         RecipeError
-            If an output that is already guarded would replace an input.
+            If an output that was locked before would replace one of the files.
         """
         self.enter_context(protecting(inputs))
         for path, globs in self._guarded:
             _refuse_protected(path, globs)
 
     def guard_file(self, path: Path, force: bool, recipe: bool = False) -> None:
-        """Do the same as `hold_file`, and raise L3Error if the output exists and `force` is not set."""
-        self.hold_file(path, recipe)  # before the check, because another run may be about to write the file
+        """Lock an output file like `hold_file`, and raise L3Error if the file exists and `force` is not set."""
+        self.hold_file(path, recipe)  # before the check, because another run may be about to create the file
         refuse_existing(path, force)
 
     def hold_file(self, path: Path, recipe: bool = False) -> None:
-        """Lock an output file until the end.
+        """Lock an output file until the end of the block. The file may exist.
 
         Parameters
         ----------
@@ -67,26 +67,26 @@ class OutputGuard(contextlib.ExitStack):
         self.hold(sole_writer_of_file(path), path)
 
     def guard_folder(self, path: Path, force: bool, *globs: str) -> None:
-        """Do the same as `hold_folder`, and raise L3Error if the folder is not empty and `force` is not set."""
+        """Lock an output folder like `hold_folder`, and raise L3Error if it is not empty and `force` is not set."""
         self.hold_folder(path, *globs)
         refuse_filled_folder(path, force)
 
     def hold_folder(self, path: Path, *globs: str) -> None:
-        """Lock an output folder until the end.
+        """Lock an output folder until the end of the block. The folder may exist and contain files.
 
         Parameters
         ----------
         path : Path
-            The output.
+            The folder.
         *globs : str
-            Patterns of the files that l3 will write into the folder.
+            Glob patterns of the files that l3 will write into the folder.
 
         Raises
         ------
         RecipeError
-            If the folder is another output, or if an input in the folder matches a pattern.
+            If the folder is also set as another output, or if an input in the folder matches a pattern.
         L3Error
-            If the output is a file, if it is not writable, or if another run is writing into it.
+            If the path is a file, if the folder is not writable, or if another run is writing into the folder.
         """
         refuse_filled_folder(path, force=True)  # refuses only files
         refuse_unwritable(path)
@@ -94,32 +94,34 @@ class OutputGuard(contextlib.ExitStack):
         self.hold(sole_writer_of_folder(path), path)
 
     def hold(self, lock: AbstractContextManager[bool], output: Path) -> None:
-        """Acquire a lock on an output, and keep it until the end. Warn if the storage of the output does not
-        support locks."""
+        """Acquire a lock on an output, and keep the lock until the end of the block.
+
+        The context manager `lock` yields whether the storage supports locks. If not, the console reports this.
+        """
         if not self.enter_context(lock):
             self._console.report(
                 f"warning: {output} is on storage without file locks; make sure that no other run writes to it"
             )
 
     def _remember(self, path: Path, *globs: str) -> None:
-        """Store an output, so that inputs that are added later cannot be replaced by this output.
+        """Add an output to the list with which `protect` compares inputs that are added later.
 
-        Raises RecipeError if the output would replace an input or another output.
+        Raises RecipeError if the output would replace a protected input or another output.
         """
         _refuse_protected(path, globs)
         if any(path.resolve() == other.resolve() for other, _ in self._guarded):
-            raise RecipeError(f"{path} is set as two outputs; choose a different path for each")
+            raise RecipeError(f"{path} is set as two outputs; choose a different path for each output")
         self._guarded.append((path, globs))
 
 
 def _refuse_protected(path: Path, globs: tuple[str, ...]) -> None:
-    """Raise RecipeError if an output, or a file in it that matches one of the patterns `globs`, is a protected input."""
+    """Raise RecipeError if an output is a protected input, or if a file in it matches a pattern and is a protected input."""
     for file in itertools.chain([path], *(path.glob(each) for each in globs)):
         refuse_protected(file)
 
 
 def refuse_unwritable(path: Path) -> None:
-    """Raise L3Error if no file can be written at `path`."""
+    """Raise L3Error if no file or folder can be written at `path`. Folders of the path that do not exist are permitted."""
     whole = path.absolute()
     folder = whole if whole.is_dir() else next(parent for parent in whole.parents if parent.exists())
     if not folder.is_dir():

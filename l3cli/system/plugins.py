@@ -8,14 +8,14 @@ from importlib.metadata import EntryPoint, entry_points
 from l3cli.errors import L3Error
 
 BASELINES, NOISE = "l3cli.baselines", "l3cli.noise"  # groups of entry points
-NAME = re.compile(r"[\w.-]+")  # the name of an entry point becomes a part of file names
+NAME = re.compile(r"[\w.-]+")  # permitted names of entry points, which become parts of file names
 
 
 def plugins(group: str) -> dict[str, EntryPoint]:
-    """Return the entry points of a group, sorted by name.
+    """Return the entry points of a group, by name and in the order of the names.
 
-    If several packages provide an entry point of the same name, the first that Python finds is used. Raises L3Error if a
-    name cannot be part of a file name.
+    If several packages provide an entry point with the same name, only the first one that Python finds is included. Raises
+    L3Error if a name contains characters that are not permitted, because the name becomes part of file names.
     """
     found: dict[str, EntryPoint] = {}
     for entry in entry_points(group=group):
@@ -26,19 +26,18 @@ def plugins(group: str) -> dict[str, EntryPoint]:
 
 
 def package(entry: EntryPoint) -> str:
-    """Return the name and version of the package that provides an entry point, or the entry point's value if no package is
-    known."""
+    """Return the name and version of the package of an entry point, or its value "MODULE:OBJECT" without a package."""
     return f"{entry.dist.name} {entry.dist.version}" if entry.dist else entry.value
 
 
 def described(entry: EntryPoint) -> str:
-    """Describe an entry point for messages."""
+    """Return the name, the group and the package of an entry point, for messages."""
     return f'entry point "{entry.name}" ({entry.group}) of {package(entry)}'
 
 
 @contextlib.contextmanager
 def blamed(entry: EntryPoint) -> Iterator[None]:
-    """Convert exceptions in the code of an entry point to an L3Error that names the entry point."""
+    """Convert an exception in the block, which calls the code of an entry point, to an L3Error with its name."""
     try:
         yield
     except Exception as error:

@@ -1,14 +1,14 @@
-"""Convert SIGINT and SIGTERM to exceptions, after which the program cleans up and reports one line.
+"""Convert SIGINT and SIGTERM to exceptions, so that the program cleans up and prints one line before it ends.
 
-Outputs are temporary files that are renamed when they are complete, so an exception may occur at almost any time. Only three
-kinds of code must not be interrupted:
+l3 writes outputs to temporary files and renames complete files, so an exception may occur at almost any time. Signals must
+not interrupt three types of code:
 
 * The callbacks through which HDF5 writes. HDF5 would discard both the exception and the data, and the file would look
   complete although it is not.
 * The initialisation of extension modules. Modules in C++, such as pyopencl, would abort the process.
-* The import of h5py. It first gives HDF5 functions for the conversion of types, and then tells Python to take them back at
-  exit. Between these two steps, an exception would lead to a crash at exit, because HDF5 would call the functions after
-  Python has ended.
+* The import of h5py. h5py registers Python functions for type conversion with HDF5, and afterwards registers an exit handler
+  that removes these functions. An exception between the two steps would crash the process at exit, because HDF5 would call
+  the functions after the Python interpreter has ended.
 """
 
 import signal
@@ -21,22 +21,22 @@ from typing import Any, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-RETRY_SECONDS = 0.05  # delay before a signal that was held back is sent again
+RETRY_SECONDS = 0.05  # delay before a signal that arrived at a wrong time is sent again
 
 HELD_BACK_IMPORT = "h5py"
 _held_back: set[CodeType] = {ExtensionFileLoader.create_module.__code__, ExtensionFileLoader.exec_module.__code__}
 
 
 class Terminated(KeyboardInterrupt):
-    """Raised on SIGTERM, like KeyboardInterrupt on SIGINT.
+    """Raised on SIGTERM, as KeyboardInterrupt is raised on SIGINT.
 
-    It is a KeyboardInterrupt because Python's compiler, which runs when a module without a .pyc file is imported, discards
-    other exceptions.
+    The class is derived from KeyboardInterrupt because Python's compiler discards all other exceptions. The compiler runs
+    during the import of a module without a .pyc file.
     """
 
 
 def heed() -> None:
-    """Let SIGINT and SIGTERM raise KeyboardInterrupt and Terminated from now on, unless the signals are ignored."""
+    """Install handlers that raise KeyboardInterrupt on SIGINT and Terminated on SIGTERM. Ignored signals stay ignored."""
     sys.unraisablehook = repeat_lost
     for each in SIGNALS:
         if signal.getsignal(each) is not signal.SIG_IGN:  # shells start background jobs with SIGINT ignored
@@ -44,21 +44,21 @@ def heed() -> None:
 
 
 def ignore() -> None:
-    """Ignore further signals while the program reports the first signal and ends."""
+    """Ignore all further signals. The program calls this function after the first signal, while it cleans up."""
     for each in SIGNALS:
         if signal.getsignal(each) is end:
             signal.signal(each, signal.SIG_IGN)
 
 
 def leave_to_python() -> None:
-    """Restore the default handlers before the program exits, when no code would catch an exception any more."""
+    """Restore the default handlers. The program calls this function before it exits, when no code catches exceptions."""
     for each in SIGNALS:
         if signal.getsignal(each) is end:
             signal.signal(each, signal.SIG_DFL)
 
 
 def end(number: int, frame: FrameType | None) -> None:
-    """Handle a signal: raise its exception or, while signals are held back, send the signal again later."""
+    """Signal handler: raise the exception of the signal, or send the signal again later if code must not be interrupted."""
     while frame is not None:
         imports = frame.f_code.co_name == "<module>" and frame.f_globals.get("__name__") == HELD_BACK_IMPORT
         if imports or frame.f_code in _held_back:
@@ -69,9 +69,10 @@ def end(number: int, frame: FrameType | None) -> None:
 
 
 def behind(error: BaseException) -> KeyboardInterrupt | None:
-    """Return the exception of the signal that caused another exception, or None.
+    """Return the KeyboardInterrupt that caused `error`, or `error` itself if it is one. None if no signal caused `error`.
 
-    Python 3.11 turns an exception in `__set_name__` into a RuntimeError, and libraries may turn it into errors of their own.
+    Python 3.11 converts an exception in `__set_name__` to a RuntimeError, and some libraries convert exceptions to their own
+    error classes.
     """
     cause: BaseException | None = error
     while not (cause is None or isinstance(cause, KeyboardInterrupt)):
@@ -80,13 +81,13 @@ def behind(error: BaseException) -> KeyboardInterrupt | None:
 
 
 def held_back_in(callback: F) -> F:
-    """Decorator for functions that call a C library or are called by one: signals wait until the function has returned."""
+    """Decorator that delays signals until the function returns, for functions that call a C library or are called by it."""
     _held_back.add(callback.__code__)
     return callback
 
 
 def repeat_lost(what: Any) -> None:
-    """Send a signal again if Python cannot pass on its exception, for example in finalisers that run during imports."""
+    """Send a signal again if Python discarded its exception, for example in a finaliser. This is a `sys.unraisablehook`."""
     if what.exc_type in (KeyboardInterrupt, Terminated):
         _send_again(signal.SIGTERM if what.exc_type is Terminated else signal.SIGINT)
     else:

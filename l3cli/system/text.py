@@ -1,6 +1,6 @@
-"""Text output: numbers, lines and tables for terminals of any width, pipes and web pages.
+"""Format numbers, lines and tables for terminals of any width, pipes and web pages, and parse numbers.
 
-The module also parses numbers. It is stricter than Python, which also accepts 1_000, nan and the digits of every script.
+The parser is stricter than Python, which also accepts 1_000, nan and non-ASCII digits.
 """
 
 import math
@@ -14,25 +14,25 @@ from l3cli.errors import shortened
 GAP = "  "
 DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
 WHOLE = re.compile(r"([+-]?)0*(\d+)", re.ASCII)
-MOST_DIGITS = 40  # longer whole numbers are out of every range, and Python refuses to convert very long ones
-LARGEST_WHOLE = 2**63 - 1  # maximum that TOML, HDF5 and numpy can store
+MOST_DIGITS = 40  # a longer whole number is outside every permitted range; Python cannot convert numbers with > 4300 digits
+LARGEST_WHOLE = 2**63 - 1  # largest integer that TOML, HDF5 and numpy can store
 
 
 def printable(text: str) -> str:
-    """Return `text` on one line that is safe to print.
+    """Return `text` as one line that is safe to print on a terminal.
 
-    A question mark replaces line ends, control characters, marks of writing direction and undecodable bytes.
+    A question mark replaces each line end, control character, direction mark and undecodable byte.
     """
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def figure(value: float, form: str) -> str:
-    """Return a number in the given format, or a dash if it is not finite."""
+    """Format a number with the format specification `form`, such as ".3g". NaN and infinity become a dash."""
     return format(value, form) if math.isfinite(value) else "–"
 
 
 def tidy(value: float, digits: int = 3) -> str:
-    """Format a number with this many significant digits, without an exponent if that is readable. NaN is a dash."""
+    """Format a number with `digits` significant digits, as a power of ten only below 1e-4 and from 1e5. NaN is a dash."""
     if math.isnan(value):
         return "–"
     if math.isinf(value):
@@ -48,17 +48,17 @@ def tidy(value: float, digits: int = 3) -> str:
 
 
 def superscript(number: int) -> str:
-    """Return an integer in superscript digits."""
+    """Write an integer in superscript characters, such as "⁻³"."""
     return str(number).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def counted(number: int, what: str) -> str:
-    """Return a number with its noun, such as "1 frame" or "2 frames"."""
+    """Return a number with a noun, such as "1 frame" or "2 frames". The plural of the noun must end in "s"."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def a(what: str) -> str:
-    """Return a noun with its article "a". Plurals such as "partial sums" have no article."""
+    """Prepend the article "a" to a noun, unless it is a plural such as "partial sums"."""
     return what if what.endswith("s") else f"a {what}"
 
 
@@ -73,18 +73,18 @@ def seconds_text(value: float) -> str:
 
 
 def array_lines(rows: list[list[str]]) -> list[str]:
-    """Return the rows of a colour filter array, aligned in columns."""
+    """Return each row of a colour filter array, given as channel names, as a line of text with aligned columns."""
     wide = max(len(name) for row in rows for name in row)
     return [" ".join(name.ljust(wide) for name in row).rstrip() for row in rows]
 
 
 def unit(text: str) -> str:
-    """Format a unit for display. Artifacts store units in ASCII, such as "m^2" for "m²"."""
+    """Convert a unit from the ASCII form that artifacts store, such as "e-/m^2", to the displayed form, such as "e⁻/m²"."""
     return text.replace("e-", "e⁻").replace("m^2", "m²").replace("^2", "²")
 
 
 def short_names(paths: Iterable[Path]) -> list[str]:
-    """Return the shortest ending of each path that distinguishes it from all other paths."""
+    """Return, for each path, the shortest sequence of its last parts that distinguishes it from all other paths."""
     every = [path.absolute().parts for path in paths]
 
     def distinguished(parts: tuple[str, ...]) -> str:
@@ -95,10 +95,22 @@ def short_names(paths: Iterable[Path]) -> list[str]:
 
 
 def columns(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int | None = None) -> list[str]:
-    """Format a table with headings of one or more lines. The first column is left-aligned, and others are right-aligned.
+    """Format a table as lines of text. The first column is left-aligned, and all other columns are right-aligned.
 
-    A table that is wider than `width` characters is split into several tables, one below the other, which all begin with the
-    first column. Characters that are not printable are replaced.
+    Parameters
+    ----------
+    headings : sequence of str
+        Headings of the columns. A heading may consist of several lines.
+    rows : sequence of sequence of str
+        The cells of each row. Question marks replace characters that are not printable.
+    width : int, optional
+        Maximum width in characters. A wider table is split into several tables, one below the other, each of which begins
+        with the first column. [default: unlimited]
+
+    Returns
+    -------
+    list of str
+        The lines, without trailing blanks.
     """
     named = [[printable(line) for line in heading.split("\n")] for heading in headings]
     high = max(map(len, named))
@@ -123,12 +135,15 @@ def _line(cells: Sequence[str], part: Sequence[int], wide: Sequence[int]) -> str
 
 
 class NoSuchNumber(ValueError):
-    """Raised if a text is not a number or is out of range. The message states which numbers are accepted."""
+    """Raised if a text is not a number or is out of range. The message states the permitted range."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A range of numbers with a unit. The range includes both limits."""
+    """A permitted range of numbers, including both limits, with a unit.
+
+    If `whole` is set, only whole numbers are permitted.
+    """
 
     least: float
     most: float
@@ -139,7 +154,10 @@ class Quantity:
         return f"{_written(self.least)}…{_written(self.most)}{' ' if self.unit else ''}{self.unit}"
 
     def read(self, text: str) -> float:
-        """Parse a number, as an int if it must be whole. Raises NoSuchNumber if it is invalid or out of range."""
+        """Parse a number. The result is an int if `whole` is set, otherwise a float.
+
+        Raises NoSuchNumber if the text is not a number, is not whole although `whole` is set, or is out of range.
+        """
         spelled = WHOLE if self.whole else DECIMAL
         if not spelled.fullmatch(text):
             what = "whole number" if self.whole and DECIMAL.fullmatch(text) else "number"
@@ -152,7 +170,7 @@ class Quantity:
 
 
 def _whole(text: str) -> float:
-    """Return an int, or infinity if the number has more digits than Python converts."""
+    """Convert text that matches WHOLE to an int, or to ±infinity if it has more than MOST_DIGITS digits."""
     match = WHOLE.fullmatch(text)
     assert match is not None
     sign, digits = match.groups()

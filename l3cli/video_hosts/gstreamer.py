@@ -5,7 +5,7 @@
     register()
     pipeline = Gst.parse_launch("… ! l3render table=table.h5 ! videoconvert ! …")
 
-Programs such as gst-launch-1.0 find the element through plugins/python/l3render.py, if the folder plugins is in the search
+Programs such as gst-launch-1.0 load the element through plugins/python/l3render.py if the folder `plugins` is in the search
 path of GStreamer (docs/video.md#gstreamer).
 """
 
@@ -27,7 +27,7 @@ try:
 except (ImportError, ValueError) as _missing:
     raise L3Error(INSTALL) from _missing
 if not Gst.is_initialized():
-    Gst.init(None)  # required before the declaration of a class that is derived from a GStreamer type
+    Gst.init(None)  # must precede the declaration of a class that is derived from a GStreamer class
 
 NAME = "l3render"
 ORDERS = ("rggb", "bggr", "grbg", "gbrg")
@@ -38,8 +38,8 @@ MOSAICS = (  # caps of the input
 )
 BITS = {"RGB": 8, "RGBA64_LE": 16}  # bits per value of each output format
 PICTURES = f"video/x-raw, format=(string){{ {', '.join(BITS)} }}, colorimetry=(string)sRGB"
-SHARED = ("width", "height", "framerate", "pixel-aspect-ratio")  # fields of the caps that input and output have in common
-USUAL_RATE = Fraction(30)  # frame rate to assume if the stream does not state a rate, in frames/s
+SHARED = ("width", "height", "framerate", "pixel-aspect-ratio")  # fields with the same value in the input and output caps
+USUAL_RATE = Fraction(30)  # frame rate, in frames/s, of streams that do not state a frame rate
 
 
 def _pad(name: str, direction: Any, caps: str) -> Any:
@@ -47,11 +47,11 @@ def _pad(name: str, direction: Any, caps: str) -> Any:
 
 
 class L3Render(GstBase.BaseTransform):
-    """GStreamer element that renders mosaics in DN, in the same way as `l3 render` renders a sequence.
+    """GStreamer element that renders mosaics in DN, as `l3 render` renders a sequence.
 
-    The output is sRGB with 8 bits (RGB) or 16 bits (RGBA64_LE), depending on the formats that the next element accepts. If
-    an error occurs, for example because the frames do not fit the table, the element posts a one-line error message to the
-    application, and the stream ends.
+    The output is sRGB with 8 bits (RGB) or 16 bits (RGBA64_LE), depending on the formats that the next element accepts. On
+    an error, for example if the frames do not fit the table, the element posts a one-line error message to the application,
+    and the stream ends.
     """
 
     __gtype_name__ = "L3Render"
@@ -65,16 +65,16 @@ class L3Render(GstBase.BaseTransform):
 
     table = GObject.Property(type=str, default="", nick="Table", blurb="Transform table, a file that l3 train wrote")
     exposure = GObject.Property(
-        type=float, default=0, minimum=0, maximum=1e9, blurb="Factor on Y, or 0 for automatic exposure"
+        type=float, default=0, minimum=0, maximum=1e9, blurb="Number by which Y is multiplied, or 0 for automatic exposure"
     )
     white = GObject.Property(
         type=str, default="", blurb='White of the scene: "D50", "x,y", "auto" or "ROW,COL"; empty for the white of the table'
     )
     black_level = GObject.Property(
-        type=float, default=-1, minimum=-1, maximum=65535, blurb="Black level in DN, or -1 for the level of the table"
+        type=float, default=-1, minimum=-1, maximum=65535, blurb="Black level in DN, or -1 for the black level of the table"
     )
     white_level = GObject.Property(
-        type=float, default=-1, minimum=-1, maximum=65535, blurb="White level in DN, or -1 for the level of the table"
+        type=float, default=-1, minimum=-1, maximum=65535, blurb="White level in DN, or -1 for the white level of the table"
     )
     phase = GObject.Property(
         type=str, default="", blurb='CFA site of the first pixel as "ROW,COL"; empty for the phase of the stream, or 0,0'
@@ -82,7 +82,7 @@ class L3Render(GstBase.BaseTransform):
     size = GObject.Property(
         type=str, default="", blurb='Size of the frames as "ROWSxCOLS", if it differs from the size of the table\'s sensor'
     )
-    camera = GObject.Property(type=str, default="", blurb="Camera model whose defective pixels and flat field are corrected")
+    camera = GObject.Property(type=str, default="", blurb="Camera model; its defective pixels and its shading are corrected")
     backend = GObject.Property(type=str, default="opencl", blurb="Renderer: opencl or reference")
     device = GObject.Property(type=str, default="", blurb="OpenCL device: its number, or a part of its name")
     temporal = GObject.Property(type=bool, default=False, blurb="Whether to reduce noise by filtering the frames over time")
@@ -90,7 +90,7 @@ class L3Render(GstBase.BaseTransform):
     def __init__(self) -> None:
         super().__init__()
         self._mosaics: Any = None  # l3cli.api.frames.Mosaics while the element runs, otherwise None
-        self._reported = ""  # latest error message, which is not repeated when GStreamer tries several caps
+        self._reported = ""  # latest error message; the same message is not posted again if GStreamer tries several caps
         self._picture: Any = None  # function that renders the next frame
         self._source: Any = None  # memory layout of the input frames
         self._target: Any = None  # memory layout of the output frames
@@ -101,7 +101,7 @@ class L3Render(GstBase.BaseTransform):
         self._reported = ""
         try:
             self._mosaics = self._opened()
-        except Exception as error:  # if an exception left this method, GStreamer would print a traceback and continue
+        except Exception as error:  # GStreamer would print the traceback of an uncaught exception and continue
             return self._failed(error)
         return True
 
@@ -177,7 +177,7 @@ class L3Render(GstBase.BaseTransform):
         return Gst.FlowReturn.OK
 
     def _failed(self, error: Exception) -> bool:
-        """Post an error message to the application, unless the previous message was the same. Return False."""
+        """Post an error message to the application, unless it is the same as the previous message. Return False."""
         text = format_error(error, "-")
         if text != self._reported:
             self._reported, code = text, Gst.ResourceError.FAILED
@@ -186,15 +186,16 @@ class L3Render(GstBase.BaseTransform):
 
 
 class _Layout:
-    """Memory layout of the frames of a stream, computed from the caps of the stream.
+    """Memory layout and frame rate of a stream, according to its caps.
 
-    If the caps contain no frame rate, the rate is USUAL_RATE. Raises a RecipeError if the stream is interlaced.
+    If the caps contain no frame rate, the rate is USUAL_RATE. The constructor raises a RecipeError if the stream is
+    interlaced.
     """
 
     def __init__(self, caps: Any) -> None:
         structure = caps.get_structure(0)
         form = structure.get_string("format")
-        self.order: str | None = None  # Bayer order such as "rggb", if the caps state one
+        self.order: str | None = None  # Bayer order such as "rggb"; None if the caps do not state it
         self.shape = structure.get_value("height"), structure.get_value("width")
         if structure.get_name() == "video/x-bayer":
             self.order, self.channels, self.dtype = form[:4], 1, "<u2" if form[4:] else "u1"
@@ -212,8 +213,8 @@ class _Layout:
     def pixels(self, buffer: Any, content: Any) -> Any:
         """Return the frame in a buffer as an array (row, col, channel), without copying the data.
 
-        If the buffer has video metadata, its stride and offset are used instead of the stride and offset of the caps. Raises
-        a RecipeError if the buffer is too small.
+        If the buffer has video metadata, the metadata determine the stride and the offset. Otherwise, the caps determine
+        them. Raises a RecipeError if the buffer is too small.
         """
         import numpy as np
 

@@ -33,9 +33,9 @@ def render(
 ) -> Any:  # fmt: skip
     """Render a clip of mosaics with a table.
 
-    An automatic exposure and a measured white are determined from the first frame, and used for the whole clip. Frames can
-    therefore be requested in any order and from any thread. Only one frame is rendered at a time. This function already
-    renders the first frame, so that errors are raised before the clip is played.
+    An automatic exposure and an estimated white are computed from the first frame and applied to the whole clip. VapourSynth
+    can therefore request frames in any order and from any thread. Only one frame is rendered at a time. The function renders
+    the first frame immediately, so that errors occur before the clip is played.
 
     Parameters
     ----------
@@ -44,10 +44,10 @@ def render(
     table : str or path
         File that `l3 train` wrote.
     bits : {8, 16, 32}, default 8
-        Bits per value. With 8 (RGB24) and 16 (RGB48), the frames are sRGB, as in files from `l3 render`. With 32 (RGBS),
-        they are linear and not clipped.
+        Bits per value. With 8 (RGB24) or 16 (RGB48), the frames are sRGB, as in files from `l3 render`. With 32 (RGBS), the
+        frames are linear and not clipped.
     exposure : float, optional
-        Factor on Y. [default: automatic exposure]
+        Number by which Y is multiplied. [default: automatic exposure]
     white : str, optional
         White of the scene, as in `l3 render`. [default: the white of the table]
     black_level, white_level : float, optional
@@ -57,12 +57,12 @@ def render(
     size : (int, int) or str, optional
         Rows and columns that the frames must have, as (240, 360) or "240x360". [default: the size of the clip]
     camera : str or path, optional
-        Camera model whose defective pixels and flat field are corrected.
+        Camera model. The defective pixels and the shading that the model describes are corrected.
     backend, device : str, optional
         Renderer and OpenCL device, as in `l3 render`.
     temporal : bool, default False
         Whether to filter the frames over time, as with `l3 render --temporal`. The result does not depend on the order in
-        which frames are requested. If a frame is not requested in order, up to 255 earlier frames are filtered first.
+        which frames are requested. If frames are requested out of order, up to 255 earlier frames are filtered first.
 
     Returns
     -------
@@ -112,10 +112,7 @@ def render(
 
 
 def _require_mosaics(clip: Any) -> None:
-    """Check that all frames of a clip have the same size and the same format: one grey plane of integers with 8 to 16 bits.
-
-    Raises an L3Error otherwise.
-    """
+    """Raise L3Error unless all frames of a clip have the same size and the same integer format from GRAY8 to GRAY16."""
     form = clip.format
     if form is None or not clip.width:
         raise L3Error("the frames of the clip differ in format or size; use a clip with a constant format and size")
@@ -124,7 +121,7 @@ def _require_mosaics(clip: Any) -> None:
 
 
 def _colours(linear: bool) -> dict[str, int]:
-    """Return the colour properties of the rendered frames: full-range sRGB, or linear RGB with the primaries of sRGB."""
+    """Return the frame properties that describe the colours: full-range sRGB, or linear RGB with the sRGB primaries."""
     transfer = vs.TRANSFER_LINEAR if linear else vs.TRANSFER_IEC_61966_2_1
     named = {"_Matrix": vs.MATRIX_RGB, "_Primaries": vs.PRIMARIES_BT709, "_Transfer": transfer, "_Range": vs.RANGE_FULL}
     return {name: int(value) for name, value in named.items()}

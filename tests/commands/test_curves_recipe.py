@@ -128,7 +128,7 @@ def percent_without_unit(nm: np.ndarray, percent: np.ndarray) -> str:
 MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
     "order": (
         lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[[1, 0, *range(2, nm.size)]], percent),
-        "do not increase",
+        "are not in order",
     ),
     "names": (
         lambda nm, percent: written("nm,r (%),leaf (%),b (%)", nm, percent),
@@ -171,7 +171,7 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
                 *(f"{x},50,{x},50,{x},50" if x <= 600 else f",,{x},50,{x},50" for x in range(400, 701, 10)),
             ]
         ),
-        '"r" ends at 600 nm, where it is still at 100% of its peak',
+        '"r" ends at 600 nm, where its value is still 100% of the peak',
     ),
     "heading": (
         lambda nm, percent: written("nm,r (%),g (%)", nm, percent),

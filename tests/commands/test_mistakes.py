@@ -321,7 +321,7 @@ MISTAKES = """
     2 render table.h5 raw.tif -o new.jpg --bits 16
         8 bits
     2 render table.h5 raw.tif -o new.png --exposure +1
-        write 1 (factor of Y) or +1EV (brighter than auto)
+        write +1EV for 1 EV more than auto, or 1 to multiply Y by this factor
     2 render table.h5 raw.tif -o new.png --exposure -1
         auto, camera, or EV relative to auto such as -1EV
     2 render table.h5 raw.tif -o new.png --exposure 30EV

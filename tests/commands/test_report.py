@@ -162,7 +162,7 @@ def test_a_page_states_what_to_rely_on(bayer: CameraModel, tmp_path: Path, l3: L
     assert "± 0.6 % of the brightest patch for colours" in plain
     assert "reduce the uncertainty most under LED-B3. The colour error would decrease to 61 % of its present value" in plain
     assert re.search(r"classic\s+A\s+9.5\s+1\s+0.63", plain)  # uneven by 0.1 of 1.05, glare, residual RMS
-    assert "A was named, but the common illuminant that fits the patches best is 3200K" in plain
+    assert "A was specified, but the common illuminant that fits the patches best is 3200K" in plain
     assert "69 values of 24 patches" in plain
     assert "The largest residual is 3 %, for patch 1 in channel r" in plain
     assert "1 patch value not used" in plain

@@ -199,7 +199,7 @@ def test_frames_of_other_sizes_stand_next_to_one_another(
 def test_frames_of_an_array_without_a_table_are_reported_to_be_left_out(files: list[Path], page: Callable) -> None:
     text, err = page(files[0], files[3])
     assert "quad unseen.h5 has a different colour filter array from <i>bayer.h5, so it is not used for evaluation" in err
-    assert "Add, for each table, a training set of its camera on which it was not trained" in text
+    assert "For each table, add a training set of its camera on which it was not trained" in text
     assert "Comparison of tables" not in sections(text)
 
 

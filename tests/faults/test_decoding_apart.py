@@ -68,7 +68,7 @@ def test_values_come_back_as_they_went_and_one_child_decodes_all(limited: None) 
         (crash, "crashes its decoder (SIGSEGV)"),
         (abort, "crashes its decoder (SIGABRT)"),
         (work, "takes longer than 1 s to decode"),
-        (hoard, "needs more memory than"),
+        (hoard, "needs more memory to decode than"),
         (stumble, "cannot be decoded (IndexError: list index"),
         (write_much, "File too large"),
     ],

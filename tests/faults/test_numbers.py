@@ -321,7 +321,7 @@ def test_a_decoder_that_cannot_start_is_no_damaged_file(
     isolated._end_child()
     with monkeypatch.context() as patched:
         patched.setattr(sys, "executable", "/bin/false")
-        assert "the process that decodes files cannot be started" in refused(1, *call)
+        assert "the process that decodes files cannot start" in refused(1, *call)
 
 
 def test_a_library_that_cannot_be_loaded_is_no_damaged_file() -> None:

@@ -112,21 +112,21 @@ def test_tables_that_state_the_same(text: str, tmp_path: Path) -> None:
     [
         ("nm,a,c\n400,1,2\n", '"c" is not expected'),
         ("nm,a,a\n400,1,2\n", '"a" is called|two columns are called "a"'),
-        ("nm,wavelength,a\n1,2,3\n", '"nm" and "wavelength" mean wavelengths'),
-        ("frequency_THz,a,b\n400,1,2\n", 'rename exactly one column to "wavelength_nm"'),
-        ("wavelength (THz),a,b\n400,1,2\n", "no unit of wavelength"),
+        ("nm,wavelength,a\n1,2,3\n", '"nm" and "wavelength" both contain wavelengths'),
+        ("frequency_THz,a,b\n400,1,2\n", 'name exactly one column "wavelength_nm"'),
+        ("wavelength (THz),a,b\n400,1,2\n", "has no unit of length"),
         ("0.4,1,2\n0.7,1,2\n", r"in um they are 400…700 nm; rename the wavelength column to \"wavelength_um\""),
         ("wavelength_nm,a,b\n4000,1,2\n7000,1,2\n", "in A they are 400…700 nm"),
         ("4e-7,1,2\n7e-7,1,2\n", "in m they are"),
         ("wavelength_um,a,b\n400,1,2\n700,1,2\n", '"wavelength_um"'),
         ("nm,a,b\n400,5,1,0\n", "if commas are decimal points"),
-        ("400,1,1\n400,2,2\n", "wavelengths do not increase"),
-        ("400,1,1\n410,nan,1\n", "wavelengths do not increase, or a value is not a number"),
+        ("400,1,1\n400,2,2\n", "wavelengths are not in order"),
+        ("400,1,1\n410,nan,1\n", "wavelengths are not in order, or a value is not a number"),
         ("400,1,1\n410\n", "same number of values"),
         ("400,1\n410,1\n", "contains 1 curves, but 2 are needed"),
-        ("", "must contain rows"),
+        ("", "is not a table"),
         ("nm;a;b\n400;1.234,5;1\n", "not a row of numbers"),
-        ("nm;a;b\n400;1,5;1.5\n", "commas and points"),
+        ("nm;a;b\n400;1,5;1.5\n", "both commas and points"),
     ],
 )
 def test_tables_that_are_refused(text: str, words: str, tmp_path: Path) -> None:
@@ -156,7 +156,7 @@ def test_radiances_in_any_unit_are_photons(tmp_path: Path) -> None:
         (tmp_path / "untold.csv").write_text(f"nm,a\n{rows}\n")
         np.testing.assert_allclose(read_table(tmp_path / "stated.csv").photons(None)[0], photons, rtol=1e-9)
         np.testing.assert_allclose(read_table(tmp_path / "untold.csv").photons(unit)[0], photons, rtol=1e-9)
-    with pytest.raises(InputFileError, match="correct one"):
+    with pytest.raises(InputFileError, match="correct the"):
         read_table(tmp_path / "stated.csv").photons("W/(sr m² nm)")
     with pytest.raises(InputFileError, match="not of spectral radiance"):
         read_table(tmp_path / "untold.csv").photons("W/(m² nm)")  # an irradiance

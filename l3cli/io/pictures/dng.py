@@ -1,11 +1,11 @@
 """Write DNG 1.4 files for raw converters.
 
-Rendered frames are written as linear DNG files, which raw converters treat like files from a camera. Such a file has either
-three channels per pixel, or one channel per pixel in a Bayer mosaic (docs/method.md#display). The channels are red, green
-and blue of Rec. 2020, and a white object has equal values in all channels. The values are not scaled for display. Instead,
-the tag BaselineExposure contains the exposure that l3 would use.
+Rendered frames are written as linear DNG files, which raw converters treat like files from a camera. A rendered frame has
+either three channels per pixel, or one channel per pixel in a Bayer mosaic (docs/method.md#display). The channels are red,
+green and blue of Rec. 2020, and a white surface has equal values in all channels. The values are not scaled for display.
+Instead, the tag BaselineExposure contains the exposure that l3 would apply.
 
-Raw mosaics may have any colour filter array and any number of channels.
+Raw mosaics are written with any colour filter array and any number of channels.
 """
 
 import io
@@ -45,15 +45,15 @@ from l3cli.system.files import write_whole
 
 
 def _file(values: NDArray[np.uint16], software: str, tags: list[Entry], camera: str) -> bytes:
-    """Return the bytes of a DNG file that contains a mosaic (row, col) or a picture (row, col, 3).
+    """Return the bytes of a DNG file with a mosaic (row, col) or a picture (row, col, 3).
 
-    `tags` are added to the tags that every file needs.
+    `tags` are added to the tags that every DNG file contains. `camera` is the value of UniqueCameraModel.
     """
     import tifffile
 
     rows, cols, *channels = values.shape
     tags = [
-        entry("NewSubfileType", LONG, [0]),  # 0 is a full-size image
+        entry("NewSubfileType", LONG, [0]),  # 0 means a full-size image
         entry("Orientation", SHORT, [UPRIGHT]),
         entry("BlackLevelRepeatDim", SHORT, [1, 1]),
         entry("DefaultScale", RATIONAL, [1, 1]),
@@ -66,7 +66,7 @@ def _file(values: NDArray[np.uint16], software: str, tags: list[Entry], camera: 
         text_entry("UniqueCameraModel", camera),
         *tags,
     ]
-    content = io.BytesIO()  # written in memory first, because tifffile does not report a full disk
+    content = io.BytesIO()  # in memory, because tifffile would not report a full disk
     tifffile.imwrite(
         content,
         values,
@@ -82,7 +82,7 @@ def _file(values: NDArray[np.uint16], software: str, tags: list[Entry], camera: 
 
 
 def _mosaic_tags(pattern: NDArray[np.integer], planes: Sequence[int]) -> list[Entry]:
-    """Return the tags that describe a CFA, from the colour code of each site (row, col) and of each colour plane."""
+    """Return the tags for a CFA, given the colour code of each site (row, col) and the colour code of each plane."""
     return [
         entry("CFARepeatPatternDim", SHORT, pattern.shape),
         entry("CFAPattern", BYTE, pattern.ravel()),
@@ -95,23 +95,25 @@ def _mosaic_tags(pattern: NDArray[np.integer], planes: Sequence[int]) -> list[En
 
 MOSAICS = ("bayer",)
 RGGB = np.array([[0, 1], [1, 2]])
-# The black level is 0 because LibRaw, for three channels, would not subtract any other black level from the white level.
+# The black level is 0, because LibRaw does not subtract the black level from the white level of files with three channels.
 BLACK_LEVEL, WHITE_LEVEL = 0, 65535  # DN
-HEADROOM = 2.0  # linear value at the white level; values that l3 estimates in clipped areas exceed 1, the full scale
-D65_CODE = 21  # value of CalibrationIlluminant
-CAMERA = "linear Rec. 2020"
+HEADROOM = 2.0  # linear value at the white level; it exceeds 1, because l3 estimates values above 1 in clipped areas
+D65_CODE = 21  # value of CalibrationIlluminant for D65
+CAMERA = "linear Rec. 2020"  # value of the tag Model
 
 
 def raw_values(linear: NDArray[np.floating], mosaic: str | None) -> NDArray[np.uint16]:
-    """Convert linear Rec. 2020 values (row, col, 3) to DN (row, col, 3) or, if `mosaic` is not None, to a mosaic
-    (row, col)."""
+    """Convert linear Rec. 2020 values (row, col, 3) to DN.
+
+    If `mosaic` is None, the result has the shape (row, col, 3). If `mosaic` is "bayer", it is a Bayer mosaic (row, col).
+    """
     if mosaic is not None:
         linear = np.take_along_axis(linear, tiled(RGGB, linear.shape)[..., None], axis=2)[..., 0]
     return np.clip(np.rint(linear * (WHITE_LEVEL / HEADROOM)), BLACK_LEVEL, WHITE_LEVEL).astype(np.uint16)
 
 
 def encode(path: Path, picture: Picture) -> bytes:
-    """Return the bytes of a DNG file. `picture` contains the result of `raw_values`."""
+    """Return the bytes of a DNG file with a rendered frame. The pixels of `picture` are the result of `raw_values`."""
     values = picture.pixels
     channels = 1 if values.ndim == 2 else values.shape[2]
     to_connection_space = adaptation_matrix(REC2020.neutral_xyz, D50) @ REC2020.to_xyz
@@ -132,7 +134,7 @@ def encode(path: Path, picture: Picture) -> bytes:
 def _label_tags(label: Label) -> list[Entry]:
     """Return the tags with the settings of the shot.
 
-    The tags do not name the original camera, because raw converters would then apply the colour matrices of that camera.
+    Make and Model do not contain the original camera, because raw converters would then apply its colour matrices.
     """
     shot = label.shot
     description = ", ".join(filter(None, (" ".join(filter(None, (shot.make, shot.model))), label.description)))
@@ -142,7 +144,7 @@ def _label_tags(label: Label) -> list[Entry]:
 
 # --------------------------------------------------------------------------------------------------- raw mosaics
 
-LIGHT_CODES = {"A": 17, "D65": 21}  # values of CalibrationIlluminant (EXIF LightSource), in the order of the matrices
+LIGHT_CODES = {"A": 17, "D65": 21}  # illuminant of each colour matrix, in order → value of CalibrationIlluminant
 
 
 def write_dng(
@@ -153,7 +155,7 @@ def write_dng(
     neutral: NDArray[np.floating] | None,
     exposure: float,
 ) -> None:
-    """Write a raw mosaic as a DNG file. The file appears under its name only when it is complete.
+    """Write a raw mosaic as a DNG file. The file is written atomically.
 
     Parameters
     ----------
@@ -164,9 +166,9 @@ def write_dng(
     camera : CameraModel
         The camera.
     matrices : mapping of str to ndarray, (channel, 3)
-        Colour matrix from XYZ to the channels, for each illuminant in LIGHT_CODES.
-    neutral : ndarray, (channel), or None
-        Signal of a grey surface in each channel, if known.
+        Illuminant in LIGHT_CODES → colour matrix that converts XYZ to the channels.
+    neutral : ndarray, (channel,), or None
+        Signal of a grey surface in each channel, or None if unknown.
     exposure : float
         Exposure time in s.
     """
@@ -193,10 +195,10 @@ def write_dng(
 
 
 def _planes(camera: CameraModel) -> list[int]:
-    """Return the channels in the order of the colour planes.
+    """Return the indices of the channels in the order of the colour planes.
 
-    If there are three channels, the channel with the most pixels becomes the second plane. Most raw converters expect the
-    pixels of the second plane on a quincunx grid, like the green pixels of a Bayer CFA.
+    If the camera has three channels, the channel with the most pixels becomes the second plane, because most raw converters
+    expect the second plane to be the green plane of a Bayer CFA, whose pixels are on a quincunx grid.
     """
     planes = list(range(len(camera.channels)))
     if len(planes) == 3:

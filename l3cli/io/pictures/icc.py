@@ -1,6 +1,6 @@
-"""Compute display profiles for colour spaces: ICC version 4, with a matrix and tone curves (ICC.1:2022).
+"""Compute display profiles of colour spaces: ICC version 4, with a matrix and tone curves (ICC.1:2022).
 
-The profile of a colour space always has the same bytes.
+The profile of a colour space always consists of the same bytes.
 """
 
 import functools
@@ -14,15 +14,15 @@ from l3cli.physics.spaces import Curve, Space, adaptation_matrix
 
 D50 = np.array([0.9642, 1.0, 0.8249])  # XYZ of the profile connection space, rounded as in ICC.1
 VERSION = 0x04400000
-DATE = (2000, 1, 1, 0, 0, 0)  # a profile must contain a date; the date is constant, so that equal profiles have equal bytes
+DATE = (2000, 1, 1, 0, 0, 0)  # constant creation date, which a profile must contain, so that equal profiles have equal bytes
 POWER, SRGB_LIKE = 0, 3  # function types of parametricCurveType
 ID = slice(84, 100)  # position of the profile ID, an MD5 digest, in the header
-NOT_HASHED = (slice(44, 48), slice(64, 68), ID)  # flags, rendering intent and the digest itself
+NOT_HASHED = (slice(44, 48), slice(64, 68), ID)  # fields that the digest ignores: flags, rendering intent and profile ID
 
 
 @functools.cache
 def icc_profile(space: Space) -> bytes:
-    """Return the ICC profile of a colour space. With the relative colorimetric intent, equal RGB values are white."""
+    """Return the ICC profile of a colour space as bytes. The white of a neutral surface is adapted to D50."""
     adapted = adaptation_matrix(space.neutral_xyz, D50)
     colorants = (adapted @ space.to_xyz).T
     tags = {
@@ -33,7 +33,7 @@ def icc_profile(space: Space) -> bytes:
         **{name: _xyz(colorant) for name, colorant in zip((b"rXYZ", b"gXYZ", b"bXYZ"), colorants, strict=True)},
         **dict.fromkeys((b"rTRC", b"gTRC", b"bTRC"), _curve(space.curve)),
     }
-    places: dict[bytes, int] = {}  # offset of each content, so that tags with equal content share one copy
+    places: dict[bytes, int] = {}  # content of a tag → its offset; tags with equal content share one copy
     table, body, start = struct.pack(">I", len(tags)), b"", 128 + 4 + 12 * len(tags)
     for name, content in tags.items():
         if content not in places:
@@ -59,7 +59,7 @@ def _tag(kind: bytes, content: bytes) -> bytes:
 
 
 def _fixed(numbers: NDArray[np.floating]) -> bytes:
-    """Return numbers in fixed-point format with 16 fractional bits."""
+    """Encode numbers as s15Fixed16Number: big-endian fixed point with 16 fractional bits."""
     return np.rint(np.asarray(numbers) * 65536).astype(">i4").tobytes()
 
 
@@ -73,7 +73,10 @@ def _text(text: str) -> bytes:
 
 
 def _curve(curve: Curve | None) -> bytes:
-    """Return the decoding curve: ((value + offset) / gain)^(1 / exponent) above the knee, linear below."""
+    """Return the tag of the decoding curve: ((value + offset) / gain)^(1 / exponent) above the knee, linear below.
+
+    For None, the curve is linear everywhere.
+    """
     if curve is None:
         return _tag(b"para", struct.pack(">HH", POWER, 0) + _fixed(np.ones(1)))
     parts = [1 / curve.exponent, 1 / curve.gain, curve.offset / curve.gain, 1 / curve.slope, curve.slope * curve.knee]

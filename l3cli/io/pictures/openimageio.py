@@ -24,10 +24,11 @@ from l3cli.system.files import atomic_output, write_whole
 from l3cli.system.signals import held_back_in
 
 EXR, PNG, JPEG_XL = ".exr", ".png", ".jxl"
-# Noise can hardly be compressed. The strongest compression takes seven times as long and saves only a tenth of the size.
+# Suffix → compression settings. Noise is almost incompressible: the strongest compression takes seven times as long and
+# saves only a tenth of the size.
 COMPRESSION: dict[str, dict[str, str | int]] = {
-    # The PNG filter predicts a value from the mean of two neighbours. Run-length encoding is sufficient, because longer
-    # sequences rarely repeat and searching for them is slow.
+    # The PNG filter predicts each value from the mean of two neighbours. Run-length encoding is sufficient, because longer
+    # sequences rarely repeat, and a search for repetitions is slow.
     PNG: {"compression": "rle", "png:compressionLevel": 1, "png:filter": 64},
     ".jpg": {"Compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
     ".jpeg": {"Compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
@@ -43,10 +44,10 @@ XMP = (
 
 
 def encode(path: Path, picture: Picture) -> bytes:
-    """Return the bytes of a picture file, with the label of the picture and a description of its colour space.
+    """Return the bytes of a picture file, including the metadata of the picture and a description of its colour space.
 
-    The colour space is described by an ICC profile or, in EXR files, by the chromaticities of the primaries and the white.
-    EXR files with spectra state that they use the layout for spectral images.
+    An ICC profile describes the colour space. EXR files contain the chromaticities of the primaries and the white instead.
+    EXR files with spectra also contain the attribute of the layout for spectral images.
     """
     pixels, space, suffix = picture.pixels, picture.space, path.suffix.lower()
     spec = _spec(pixels)
@@ -60,8 +61,8 @@ def encode(path: Path, picture: Picture) -> bytes:
         if space.neutral:
             spec.attribute("adoptedNeutral", oiio.TypeDesc("float[2]"), space.neutral)
     elif space is not None:
-        is_named = space == SRGB and suffix != PNG  # a PNG file cannot have both a profile and the name of a colour space
-        spec.attribute("oiio:ColorSpace", "sRGB" if is_named else "data")  # otherwise OpenImageIO would assume sRGB
+        is_named = space == SRGB and suffix != PNG  # a PNG file cannot contain both a profile and the name of a colour space
+        spec.attribute("oiio:ColorSpace", "sRGB" if is_named else "data")  # without this, OpenImageIO would assume sRGB
         spec.attribute("Exif:ColorSpace", EXIF_SRGB if space == SRGB else EXIF_OTHER)
         profile = np.frombuffer(icc_profile(space), np.uint8)
         spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{profile.size}]"), profile)
@@ -71,7 +72,7 @@ def encode(path: Path, picture: Picture) -> bytes:
     content = encoded(path.name, spec, pixels)
     if suffix != JPEG_XL or picture.label == NOTHING:
         return content
-    packet = _xmp(picture.label).encode()  # OpenImageIO writes no Exif to JPEG XL, so the label is stored as an XMP box
+    packet = _xmp(picture.label).encode()  # metadata as an XMP box, because OpenImageIO writes no Exif to JPEG XL files
     return content + struct.pack(">I4s", 8 + len(packet), b"xml ") + packet
 
 
@@ -88,12 +89,12 @@ def _add_label(spec: Any, label: Label) -> None:
         if value:
             spec.attribute(name, value)
     if iso := round(label.shot.iso):
-        spec.attribute("Exif:PhotographicSensitivity", min(iso, 65535))  # Exif stores this tag in 16 bits
-        spec.attribute("Exif:ISOSpeed", iso)  # for TIFF, to which OpenImageIO does not write PhotographicSensitivity
+        spec.attribute("Exif:PhotographicSensitivity", min(iso, 65535))  # this tag has only 16 bits
+        spec.attribute("Exif:ISOSpeed", iso)  # OpenImageIO does not write PhotographicSensitivity to TIFF files
 
 
 def _xmp(label: Label) -> str:
-    """Return a label as an XMP packet."""
+    """Convert the metadata of a picture to an XMP packet."""
     from xml.sax.saxutils import quoteattr
 
     shot = label.shot
@@ -113,7 +114,10 @@ def _xmp(label: Label) -> str:
 
 
 def write_mosaic(path: Path, values: NDArray[np.uint16], exposure: float | None = None) -> None:
-    """Write a raw mosaic (row, col) in DN as an uncompressed 16-bit TIFF. `exposure` is in s, or None if unknown."""
+    """Write a raw mosaic (row, col) in DN as an uncompressed 16-bit TIFF file.
+
+    `exposure` is the exposure time in s, or None if it is unknown. An existing file is replaced.
+    """
     spec = _spec(values[..., None])
     spec.attribute("compression", "none")
     if exposure:
@@ -130,14 +134,14 @@ def jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
     return encoded("picture.jpg", spec, picture)
 
 
-@held_back_in  # if a signal interrupted the libraries, they would print their own messages
+@held_back_in  # if a signal interrupted the libraries, they would print messages
 def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
-    """Encode pixels in memory, in the format for the suffix of `name`, and return the bytes of the file.
+    """Encode pixels (row, col, value) in memory, and return the bytes of the file. The suffix of `name` selects the format.
 
-    Files are not written directly, because on a full disk the JPEG library would abort the whole program, and the PNG
-    library would not report an error. Raises L3Error if the pixels cannot be encoded.
+    The libraries do not write files directly. If the disk were full, the JPEG library would abort the whole program, and
+    the PNG library would not report an error. Raises L3Error if the pixels cannot be encoded.
     """
-    spec.attribute("DateTime", "")  # prevents a timestamp, because equal inputs must give equal bytes
+    spec.attribute("DateTime", "")  # prevents a timestamp, because equal inputs must result in equal bytes
     with open(os.memfd_create("picture"), "rb", buffering=0) as memory:
         sink = oiio.ImageOutput.create(f"picture{Path(name).suffix}")  # the real name may not be valid UTF-8
         if sink is None:
@@ -149,7 +153,7 @@ def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
 
 
 PAGED = (".tif", ".tiff")
-MAX_PIXEL_BYTES = 4_000_000_000  # largest number of pixel bytes in a file with 32-bit offsets
+MAX_PIXEL_BYTES = 4_000_000_000  # maximum number of bytes of pixels in a TIFF file with 32-bit offsets
 
 
 class Pages:
@@ -168,7 +172,7 @@ class Pages:
         self._file: Any = None
 
     def write(self, picture: Picture) -> None:
-        """Append a page. Raises OSError, with an error number, if the page cannot be written."""
+        """Append a page. Raises OSError with an error number if the page cannot be written."""
         import tifffile
 
         pixels, label = picture.pixels, picture.label
@@ -190,7 +194,7 @@ class Pages:
                 contiguous=False,
             )
         except OSError as error:
-            # If the disk is full, the error of numpy has no error number, so the error number of a full disk is added.
+            # If the disk is full, numpy raises an error without an error number. The missing number is therefore added.
             raise OSError(error.errno or errno.ENOSPC, os.strerror(error.errno or errno.ENOSPC)) from error
 
     def close(self) -> None:
@@ -200,10 +204,10 @@ class Pages:
 
 @contextlib.contextmanager
 def new_pages(path: Path, count: int | None, finished: Callable[[Path], None] = lambda temporary: None) -> Iterator[Pages]:
-    """Context manager that yields a new TIFF file to which pages can be written.
+    """Create a TIFF file during the block, and yield an object with which its pages can be written.
 
-    The file is written under a temporary name. At the end of the block, `finished` is called with the temporary file, and
-    then the file is renamed to `path`.
+    The file has a temporary name. If the block succeeds, `finished` is called with the temporary path, and the file is then
+    renamed to `path`. `count` is the number of pages, or None if it is unknown.
     """
     with atomic_output(path) as temporary:
         with contextlib.closing(Pages(temporary, count)) as pages:

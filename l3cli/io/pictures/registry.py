@@ -1,7 +1,7 @@
-"""The picture formats that l3 writes: their suffixes, contents and modules.
+"""The picture formats that l3 writes, with their suffixes, contents and modules.
 
 To add a format, write a module with a function `encode` in this folder, and add a line to FORMATS. l3 imports the module
-when it writes the first picture. The bytes of a file must not depend on the time or the folder in which it is written.
+when it writes the first picture. The bytes of a file must not depend on the time or on the folder of the file.
 """
 
 import importlib
@@ -23,12 +23,12 @@ UNADAPTED_XYZ = replace(XYZ, title="CIE XYZ", neutral=None)
 
 @dataclass(frozen=True)
 class Label:
-    """Metadata of a rendered frame: the settings of the shot, the transform table and the raw frame."""
+    """Metadata of a rendered frame: the settings of the shot, and the identity of the transform table and the raw frame."""
 
     shot: Shot = Shot()
-    exposure: float | None = None  # s
+    exposure: float | None = None  # exposure time in s; None if unknown
     table: str = ""  # SHA-256 of the file of the transform table
-    frame: str = ""  # text from `file_identity` or `values_identity` that identifies the raw frame
+    frame: str = ""  # text that identifies the raw frame, from `file_identity` or `values_identity`
 
     @property
     def software(self) -> str:
@@ -43,14 +43,14 @@ NOTHING = Label()
 
 
 def file_identity(digest: str) -> str:
-    """Return the text that identifies the frame of a single-frame raw file, given the SHA-256 of the file."""
+    """Return the text that identifies the frame in a raw file with a single frame, given the SHA-256 of the file."""
     return f"raw file SHA-256 {digest}"
 
 
 def values_identity(digest: str) -> str:
-    """Return the text that identifies a frame of a stack or stream, given the SHA-256 of its values.
+    """Return the text that identifies a frame in a stack or stream, given the SHA-256 of its values.
 
-    The digest is computed from 16-bit little-endian values, row by row.
+    The digest is that of the values as little-endian 16-bit integers in row-major order.
     """
     return f"raw values SHA-256 {digest}"
 
@@ -59,12 +59,12 @@ def values_identity(digest: str) -> str:
 class Picture:
     """The contents of a picture file, in upright orientation."""
 
-    # (row, col, value): integer codes (uint8, uint16) or linear values (float32); or (row, col): a mosaic in DN
+    # codes (uint8 or uint16) or linear values (float32) with the shape (row, col, value), or a mosaic (row, col) in DN
     pixels: NDArray[Any]
     space: Space | None = SRGB  # colour space of the values; None if the values are not colours
     label: Label = NOTHING
-    names: tuple[str, ...] = ()  # name of each linear value of a pixel, such as X, Y and Z
-    exposure_scale: float = 1.0  # factor by which a raw picture is multiplied for display, where 1 is white
+    names: tuple[str, ...] = ()  # names of the linear values of a pixel, such as X, Y and Z
+    exposure_scale: float = 1.0  # factor that converts the values of a raw picture to display values, where 1 is white
 
 
 @dataclass(frozen=True)
@@ -72,17 +72,17 @@ class PictureFormat:
     """A picture format that l3 writes."""
 
     suffixes: tuple[str, ...]  # in lower case
-    module: str  # module in this folder
-    bits: tuple[int, ...] = ()  # supported bits per code; includes FLOAT_BITS if the format also stores linear values
-    holds: str = "codes"  # "codes"; "linear" for linear values only; "raw" for DN that raw converters process
+    module: str  # module in this folder that encodes files
+    bits: tuple[int, ...] = ()  # supported bits per value; FLOAT_BITS means that the format also supports linear values
+    holds: str = "codes"  # "codes", "linear" (linear values only) or "raw" (DN for raw converters)
 
     def encode(self, path: Path, picture: Picture) -> bytes:
-        """Return the bytes of the picture file. Raises L3Error if the picture cannot be encoded."""
+        """Return the bytes of the file `path` with a picture. Raises L3Error if the picture cannot be encoded."""
         content: bytes = self._writer.encode(path, picture)
         return content
 
     def make_ready(self) -> None:
-        """Import the module that writes files of this format."""
+        """Import the module that encodes files of this format, so that the first picture need not wait for it."""
         self._writer  # noqa: B018
 
     @property
@@ -102,12 +102,15 @@ BY_SUFFIX = {suffix: each for each in FORMATS for suffix in each.suffixes}
 
 
 def suffixes(holds: str) -> tuple[str, ...]:
-    """Return the suffixes of the formats with the given contents: "codes", "linear" or "raw"."""
+    """Return the suffixes of all formats whose contents are `holds`: "codes", "linear" or "raw"."""
     return tuple(suffix for suffix, each in BY_SUFFIX.items() if each.holds == holds)
 
 
 def format_of(path: Path, bits: int) -> PictureFormat:
-    """Return the format for a file name. Raises RecipeError if the suffix is unknown or `bits` are not supported."""
+    """Return the format for the suffix of a file name.
+
+    Raises RecipeError if the suffix is unknown, or if the format does not support this number of bits per value.
+    """
     kind = BY_SUFFIX.get(path.suffix.lower())
     if kind is None:
         codes, linear, raw = (", ".join(suffixes(holds)) for holds in ("codes", "linear", "raw"))
@@ -119,37 +122,40 @@ def format_of(path: Path, bits: int) -> PictureFormat:
         raise RecipeError(f"{path}: a {path.suffix[1:].upper()} file always has 16 bits per value; remove ‹bits›")
     if kind.holds == "codes" and bits not in kind.bits:
         depths, cure = " or ".join(map(str, kind.bits)), ".tif or .exr" if bits == FLOAT_BITS else ".png or .tif"
-        raise RecipeError(f"{path}: {path.suffix} files store {depths} bits per value, not {bits}; use {cure}")
+        raise RecipeError(f"{path}: {path.suffix} files have {depths} bits per value, not {bits}; use {cure}")
     return kind
 
 
 def holds_linear(path: Path, bits: int = 8) -> bool:
-    """Whether a file with this name and bit depth contains linear values rather than codes."""
+    """Return whether a file with this name and this number of bits per value contains linear values instead of codes."""
     return bits == FLOAT_BITS or path.suffix.lower() in suffixes("linear")
 
 
 def holds_raw(path: Path) -> bool:
-    """Whether a file with this name is written for raw converters."""
+    """Return whether a file with this name contains DN for raw converters."""
     return path.suffix.lower() in suffixes("raw")
 
 
 def picture_file(path: Path, picture: Picture) -> bytes:
-    """Return the bytes of the picture file, in the format of the suffix of `path`."""
+    """Return the bytes of the file `path` with a picture. The suffix of `path` selects the format.
+
+    Raises RecipeError if the format does not support the data type, and L3Error if the picture cannot be encoded.
+    """
     dtype = picture.pixels.dtype
     return format_of(path, FLOAT_BITS if dtype.kind == "f" else 8 * dtype.itemsize).encode(path, picture)
 
 
 def write_picture(path: Path, pixels: NDArray[Any], names: tuple[str, ...] = ()) -> None:
-    """Write a picture to a file, in the format of the suffix of `path`.
+    """Write a picture to a file, without metadata. An existing file is replaced.
 
     Parameters
     ----------
     path : Path
-        The file.
+        The file, whose suffix selects the format.
     pixels : ndarray
-        sRGB codes (row, col, 3), uint8 or uint16, or linear values (row, col, value), float32.
+        sRGB codes (row, col, 3) as uint8 or uint16, or linear values (row, col, value) as float32.
     names : tuple of str
-        Name of each linear value of a pixel.
+        Names of the linear values of a pixel.
     """
     space = UNADAPTED_XYZ if names == ("X", "Y", "Z") else None if pixels.dtype.kind == "f" else SRGB
     write_whole(path, picture_file(path, Picture(pixels, space, names=names)))

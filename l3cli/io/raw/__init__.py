@@ -1,4 +1,4 @@
-"""Types for the contents of raw files: a single frame, or a file with several frames."""
+"""Types for the contents of raw files with a single frame, and of raw files with several frames."""
 
 from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass
@@ -13,32 +13,32 @@ from l3cli.io.video import Stated
 
 
 class RawContent(TypedDict):
-    """One raw frame as stored in a file. Keys are missing if the file does not state the value."""
+    """One raw frame as a file contains it. A key is missing if the file does not state its value."""
 
-    values: NDArray[Any]  # (row, col) DN without masked borders; types other than 16-bit integers may have another scale
+    values: NDArray[Any]  # (row, col) DN without masked borders; types other than 16-bit integers may have a different scale
     black_level: NotRequired[float]  # DN
     white_level: NotRequired[float]  # DN
     pattern: NotRequired[NDArray[np.int64]]  # (row, col) colour codes of the CFA, beginning at pixel (0, 0)
-    orientation: NotRequired[int]  # LibRaw's flip code
-    exposure: NotRequired[float | None]  # s
+    orientation: NotRequired[int]  # LibRaw flip code
+    exposure: NotRequired[float | None]  # exposure time in s
     baseline_exposure: NotRequired[float]  # EV by which pictures should be brightened relative to the white level
-    neutral: NotRequired[NDArray[np.float64] | None]  # (colour, 2) CFA code, and signal of a grey object at any scale
+    neutral: NotRequired[NDArray[np.float64] | None]  # (colour, 2) CFA code, and signal of a grey surface on any scale
     camera: NotRequired[list[str]]  # make, model and other names of the camera
     shot: NotRequired[dict[str, str | float]]  # fields of Shot that the file states
-    gain: NotRequired[NDArray[np.float32]]  # (row, col) factor by which readers should multiply values above black
-    warps: NotRequired[tuple[dict[str, Any], ...]]  # fields of each LensWarp, in the order of their application
+    gain: NotRequired[NDArray[np.float32]]  # (row, col) factor for the values above the black level, as the file requests
+    warps: NotRequired[tuple[dict[str, Any], ...]]  # fields of each LensWarp, in the order in which the warps are applied
     notes: NotRequired[tuple[str, ...]]  # warnings about properties of the file that l3 ignores
-    # faults and unsupported requests: parameter that resolves the fault → message
+    # faults, and requests that l3 does not support: parameter with which the user resolves the fault → message
     faults: NotRequired[dict[str, str]]
-    exchangeable: NotRequired[bool]  # whether the file would also fit if the given numbers of rows and columns were swapped
-    # possible interpretations of the frame's bytes, the selected one first: (option that selects it, values, bits)
+    exchangeable: NotRequired[bool]  # whether swapped numbers of rows and columns would also match the size of the file
+    # possible interpretations of the bytes, as (option that selects the interpretation, values, bits); the first is used
     readings: NotRequired[Callable[[], Iterable[tuple[str, NDArray[np.uint16], int]]]]
 
 
 def refuse_faults(name: str, content: RawContent, answered: Container[str]) -> None:
-    """Raise InputFileError for the first fault in a file.
+    """Raise InputFileError for the first fault of a file, unless the user has resolved the fault.
 
-    Faults that the user has resolved by setting a parameter listed in `answered` are ignored.
+    `answered` contains the names of the parameters that the user has set. `name` is the name of the file for the message.
     """
     for parameter, text in content.get("faults", {}).items():
         if parameter not in answered:
@@ -49,30 +49,30 @@ def refuse_faults(name: str, content: RawContent, answered: Container[str]) -> N
 class MultiFrameFile:
     """The frames of a file. Each frame is read when it is needed."""
 
-    count: int | None  # None for a stream, whose length is unknown until it ends
-    read: Callable[[int], RawContent | None]  # reads a frame by its number from 0; returns None after the end of a stream
+    count: int | None  # number of frames; None for a stream, whose length is unknown until it ends
+    read: Callable[[int], RawContent | None]  # reads the frame with a number (from 0); None after the end of a stream
     unit: str = "frame"  # word for a frame in messages, such as "page"
     first: int = 0  # number of the first frame in messages
-    rate: Fraction | None = None  # frames per second, if the file states it
-    times: Stated | None = None  # times of the frames, if the file states them
-    numbered: bool = True  # whether output names contain a frame number even if there is only one frame
+    rate: Fraction | None = None  # frame rate in frames/s; None if the file does not state it
+    times: Stated | None = None  # times of the frames; None if the file does not state them
+    numbered: bool = True  # whether output names contain the frame number even if the file has only one frame
 
     def name(self, number: int) -> str:
-        """Return the name of a frame for messages."""
+        """Return the name of the frame with this number (from 0) for messages, such as "page 3"."""
         return f"{self.unit} {self.first + number}"
 
 
 class InOrder:
-    """Reads a stream in order. Frames that are not requested are skipped."""
+    """Reads the frames of a stream by number, in increasing order. Frames that are not requested are skipped."""
 
     def __init__(self, following: Callable[[], RawContent | None]) -> None:
-        self._following = following  # returns the next frame, or None at the end
+        self._following = following  # function that returns the next frame, or None at the end
         self._next = 0
 
     def read(self, number: int) -> RawContent | None:
         content: RawContent | None = None
         while self._next <= number:
-            self._next += 1  # before reading, because a damaged frame also counts
+            self._next += 1  # before the frame is read, because a damaged frame also counts
             try:
                 content = self._following()
             except InputFileError as error:

@@ -1,8 +1,8 @@
-"""Determine which axes of an array are frames, rows and columns. Pictures with several channels are rejected.
+"""Determine which axes of an array are frames, rows and columns. Pictures with several channels are an error.
 
-If the file contains the names of the axes, the names determine their order. Otherwise the order is (frame, row, col). Two
-lengths contradict this order and cause an error: a last axis of at most 4 probably contains channels, and a last axis that
-is far shorter than both others probably counts frames.
+If the file states the names of the axes, the names determine their order. Otherwise, the order is (frame, row, col). Two
+lengths of the last axis contradict this order and are an error. If the last axis has a length of at most 4, it probably
+contains channels. If the last axis is much shorter than the other two axes, it probably contains frames.
 """
 
 import re
@@ -12,8 +12,8 @@ from typing import NamedTuple
 from l3cli.errors import InputFileError
 from l3cli.system.text import counted
 
-MOST_CHANNELS = 4  # maximum number of channels of a picture; no frame has so few columns
-FRAMES_LAST = 16  # the last axis counts frames if both other axes are at least this many times longer
+MOST_CHANNELS = 4  # maximum number of channels of a picture; frames have more columns
+FRAMES_LAST = 16  # the last axis contains frames if the other two axes are at least this number of times longer
 MEANINGS = {
     "frame": ("f", "frame", "frames", "t", "time", "n", "number", "index", "i", "z", "page", "pages", "image", "images"),
     "row": ("r", "row", "rows", "y", "height", "line", "lines"),
@@ -27,7 +27,7 @@ COUNTED = "frames × rows × columns"
 
 
 class Axes(NamedTuple):
-    """Positions of the axes of an array. `frame` is None if there is a single frame."""
+    """Positions of the axes of an array. `frame` is None if the array contains a single frame."""
 
     frame: int | None
     row: int
@@ -43,24 +43,28 @@ def frame_axes(name: str, shape: Sequence[int], names: Sequence[str] = (), usual
     Parameters
     ----------
     name : str
-        Name of the array in messages.
+        Name of the array, for messages.
     shape : sequence of int
         Lengths of the two or three axes of the array.
     names : sequence of str
-        Names of the axes in the file, in the order of `shape`. Empty if the file names none.
+        Names of the axes that the file states, in the order of `shape`. Empty if the file states no names.
     usual : Axes, optional
-        Axes to use if there are no names. [default: (frame, row, col) or (row, col)]
+        The axes if the names do not determine them. [default: (frame, row, col) or (row, col)]
+
+    Returns
+    -------
+    Axes
 
     Raises
     ------
     InputFileError
-        If an axis contains the channels of a picture, or if the last axis probably counts frames and is not named.
+        If an axis contains the channels of a picture, or if the last axis has no name and probably contains frames.
     """
     array = f"{name} is an array of {'×'.join(map(str, shape))} values"
     meanings = [MEANING.get(re.sub("[^a-z]", "", each.lower()), "") for each in names]
     if "channel" in meanings:
         channel = names[meanings.index("channel")]
-        raise InputFileError(f'{array} with the channels of a picture along the axis "{channel}"; {GIVE}')
+        raise InputFileError(f'{array}, whose axis "{channel}" contains the channels of a picture; {GIVE}')
     wanted = ("frame", "row", "col")[3 - len(shape) :]
     if sorted(meanings) == sorted(wanted):
         return Axes(meanings.index("frame") if len(shape) == 3 else None, meanings.index("row"), meanings.index("col"))
@@ -71,5 +75,5 @@ def frame_axes(name: str, shape: Sequence[int], names: Sequence[str] = (), usual
     if shape[2] <= MOST_CHANNELS and usual is None:
         raise InputFileError(f"{array}, which looks like a picture with {counted(shape[2], 'channel')}; {GIVE}")
     if usual is None and FRAMES_LAST * shape[2] <= min(shape[:2]):
-        raise InputFileError(f"{array} whose last axis seems to count frames; save it as {COUNTED}")
+        raise InputFileError(f"{array}, whose last axis probably contains frames; save the array as {COUNTED}")
     return usual or STACK

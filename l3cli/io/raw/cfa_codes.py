@@ -1,4 +1,4 @@
-"""Colour codes of colour filter arrays in raw files (TIFF/EP), and the phase of a file, which is its first CFA site."""
+"""Colour codes of colour filter arrays in raw files (TIFF/EP), and the phase of a file: the CFA site of its first pixel."""
 
 import itertools
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # not imported at run time, so that the decoding process star
     from l3cli.artifacts.camera import CameraModel
     from l3cli.artifacts.table import TransformTable
 
-Sensor: TypeAlias = "TransformTable | CameraModel"  # states size, levels and CFA if a raw file does not
+Sensor: TypeAlias = "TransformTable | CameraModel"  # determines size, levels and CFA if a raw file does not state them
 
 
 class FilterArray(Protocol):
@@ -26,28 +26,28 @@ class FilterArray(Protocol):
     def channels(self) -> tuple[str, ...]: ...
 
 
-LETTERS = "RGBCMYW"  # letters of the codes 0…6 of CFAPattern: red, green, blue, cyan, magenta, yellow, white
+LETTERS = "RGBCMYW"  # letters for the codes 0…6 of CFAPattern
 NAMES = ("red", "green", "blue", "cyan", "magenta", "yellow", "white")
-FREE_CODE = len(LETTERS)  # smallest code to which TIFF/EP assigns no colour
-LARGEST = 16  # maximum number of rows and columns of a pattern in a file
+FREE_CODE = len(LETTERS)  # smallest code that does not represent a colour in TIFF/EP
+LARGEST = 16  # maximum number of rows and of columns of a pattern in a file
 CURE = "use the table of this camera, or set ‹phase› ROW,COL to the position of the first pixel in the table's array"
 
 
 def code_of(name: str) -> int | None:
-    """Return the TIFF/EP code for the name of a channel, such as "r" or "red", or None."""
+    """Return the TIFF/EP code for the name of a channel, such as "r" or "Red", or None if TIFF/EP has no such colour."""
     known = [*LETTERS.lower(), *NAMES]
     return known.index(name.lower()) % FREE_CODE if name.lower() in known else None
 
 
 def codes_of(letters: str) -> NDArray[np.int64]:
-    """Return the code of each letter. A letter that is not in TIFF/EP gets a code that depends on its position."""
+    """Convert letters such as "RGGB" to codes (letter,). A letter that TIFF/EP does not define becomes a free code."""
     return np.array(
         [LETTERS.index(each) if each in LETTERS else FREE_CODE + index for index, each in enumerate(letters.upper())]
     )
 
 
 def channel_codes(channels: Sequence[str]) -> NDArray[np.uint8]:
-    """Return a different code for each channel: the TIFF/EP code of its name, or a free code for any other name."""
+    """Return a different code for each channel: the TIFF/EP code of its name, or a free code if it has none."""
     codes: list[int] = []
     for index, name in enumerate(channels):
         code = code_of(name)
@@ -56,26 +56,31 @@ def channel_codes(channels: Sequence[str]) -> NDArray[np.uint8]:
 
 
 def find_phase(name: str, pattern: NDArray[np.integer], sensor: FilterArray) -> tuple[int, int]:
-    """Return the site of the sensor's array at the first pixel of a file.
+    """Return the phase of a file: the row and the column, in the CFA of the sensor, of the first pixel.
 
     Parameters
     ----------
     name : str
-        Name of the file in messages.
+        Name of the file, for messages.
     pattern : ndarray, (row, col)
-        Colour codes in the file.
+        Colour codes that the file states for its first rows and columns.
     sensor : FilterArray
-        The sensor's array. A channel with a TIFF/EP name must have the code of that name. Other channels match any code.
+        The sensor. A channel whose name has a TIFF/EP code matches only this code. Any other channel matches any code.
+
+    Returns
+    -------
+    tuple of int
+        CFA row and CFA column.
 
     Raises
     ------
     InputFileError
-        If the pattern fits no site, or fits several sites that are not equivalent.
+        If the pattern matches the CFA of the sensor in no phase, or in several phases that are not equivalent.
     """
     if max(pattern.shape) > LARGEST:
         raise InputFileError(
-            f"{name} has a colour filter array of {pattern.shape[0]}×{pattern.shape[1]} sites, more than "
-            f"{LARGEST}×{LARGEST}; copy the file again"
+            f"{name} states a colour filter array of {pattern.shape[0]}×{pattern.shape[1]} sites, but the limit is "
+            f"{LARGEST}×{LARGEST}; the file is probably damaged, so copy the file again"
         )
     size = tuple(np.lcm(pattern.shape, sensor.cfa.shape).tolist())
     theirs = tiled(pattern, size)
@@ -100,18 +105,24 @@ def find_phase(name: str, pattern: NDArray[np.integer], sensor: FilterArray) -> 
 def neutral_of_channels(
     neutral: NDArray[np.float64] | None, pattern: NDArray[np.integer] | None, phase: tuple[int, int], sensor: FilterArray
 ) -> tuple[float, ...] | None:
-    """Return the signal of a grey object in each channel of a sensor, or None if a channel has no signal.
+    """Return the signal of a grey surface in each channel of a sensor.
 
     Parameters
     ----------
     neutral : ndarray, (colour, 2), or None
-        Code and signal of each colour, as stated in a file.
+        Code and signal of each colour that the file states.
     pattern : ndarray, (row, col), or None
-        Colour codes of the file's CFA. If given, colours are matched by position instead of by name.
+        Colour codes of the CFA that the file states. The colour of a channel is then the colour at its sites. If `pattern`
+        is None, the name of a channel determines its colour.
     phase : tuple of int
-        Site of the sensor's array at which the file begins.
+        CFA row and CFA column of the first pixel of the file.
     sensor : FilterArray
         The sensor.
+
+    Returns
+    -------
+    tuple of float, or None
+        Signals, on any scale. None if `neutral` is None or does not contain the colour of a channel.
     """
     if neutral is None:
         return None
@@ -132,6 +143,6 @@ def _fits(ours: NDArray[np.uint8], theirs: NDArray[np.integer], channels: Sequen
 
 
 def _written(pattern: NDArray[np.integer]) -> str:
-    """Format a pattern like rg/gb. Codes without a letter are written as numbers in parentheses."""
+    """Format a pattern of colour codes as rg/gb. Codes without a letter are written as numbers in parentheses."""
     rows = [[LETTERS[code].lower() if code < FREE_CODE else f"({code})" for code in row] for row in pattern.tolist()]
     return "/".join("".join(row) for row in rows)

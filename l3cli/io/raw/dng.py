@@ -1,8 +1,8 @@
 """Read DNG files, including CinemaDNG (Adobe DNG 1.7, TIFF/EP).
 
-LibRaw unpacks and decompresses the pixels, and applies the linearisation table. However, LibRaw supports only CFAs of 2 × 2
-or 6 × 6 sites, and only four black levels. l3 therefore reads the CFA, the levels and other properties from the tags. If a
-tag that l3 does not support changes pixels, l3 rejects the file or warns (docs/raw-files.md#tags-of-a-dng).
+LibRaw decompresses the pixels and applies the linearisation table. However, LibRaw supports only CFAs of 2 × 2 or 6 × 6
+sites, and only four black levels. l3 therefore reads the CFA, the levels and other properties from the tags. If a tag that
+l3 does not support affects the pixels, l3 rejects the file or issues a warning (docs/raw-files.md#tags-of-a-dng).
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,22 +30,24 @@ from l3cli.system.limits import require_picture
 
 WHITE_CODE = LETTERS.index("W")
 LATEST = (1, 7)  # latest supported DNG version
-UNREAD = {8: "Deflate", 34892: "lossy JPEG", 52546: "JPEG XL"}  # compressions of mosaics that LibRaw does not support
-DUAL = 2  # samples per pixel of dual-pixel sensors, and of sensors with a second, less sensitive photodiode
-WHOLE = (0, 0, 1, 1)  # value of DefaultUserCrop if there is no crop
-ONLY = {  # tags with a single supported value, and the message for any other value
+UNREAD = {8: "Deflate", 34892: "lossy JPEG", 52546: "JPEG XL"}  # compression methods of mosaics that LibRaw does not support
+DUAL = 2  # number of samples per pixel of dual-pixel sensors, and of sensors with a second, less sensitive photodiode
+WHOLE = (0, 0, 1, 1)  # value of DefaultUserCrop that means no crop
+ONLY = {  # tag → its only supported value, and the message for any other value
     "CFALayout": (
         tags.RECTANGULAR,
-        "comes from a sensor with staggered pixels (CFALayout); use frames from a sensor with a rectangular pixel grid",
+        "is from a sensor with staggered pixels (CFALayout); use frames from a sensor with a rectangular pixel grid",
     ),
     "SampleFormat": (tags.UNSIGNED, "contains floating-point values; use the camera's original raw file"),
     "FillOrder": (
         1,
-        "stores bits in reverse (FillOrder), which l3 does not support; convert the camera's original file to DNG again",
+        "stores bits in reverse order (FillOrder), which l3 does not support; convert the camera's original file to DNG "
+        "again",
     ),
     "Predictor": (
         1,
-        "stores differences (Predictor), which l3 does not support; convert the camera's original file to DNG again",
+        "stores differences between pixels (Predictor), which l3 does not support; convert the camera's original file to "
+        "DNG again",
     ),
     "SubTileBlockSize": (
         1,
@@ -57,30 +59,30 @@ ONLY = {  # tags with a single supported value, and the message for any other va
         "contains the values of a developed picture (ColorimetricReference); use the camera's original raw file",
     ),
 }
-MOST_STOPS = 20.0  # EV, largest plausible BaselineExposure
-FRAME_RATE = 51044  # tag of CinemaDNG
+MOST_STOPS = 20.0  # largest plausible BaselineExposure in EV
+FRAME_RATE = 51044  # number of the tag FrameRate of CinemaDNG
 
 
 @dataclass(frozen=True)
 class Mosaic:
-    """The raw image as its tags describe it."""
+    """The properties of the raw image that its tags state."""
 
-    orientation: int  # LibRaw's flip code
-    pattern: NDArray[np.int64]  # (row, col) colour codes, from the upper left corner of the active area
+    orientation: int  # LibRaw flip code
+    pattern: NDArray[np.int64]  # (row, col) colour codes, starting at the upper left corner of the active area
     active: tuple[int, int, int, int]  # top, left, bottom and right edges of the light-sensitive area
-    crop: tuple[int, int, int, int]  # default crop: first row and column within the active area, numbers of rows and columns
-    black_level: NDArray[np.float64]  # (row, col) DN, repeating from the corner of the active area
-    black_of_row: NDArray[np.float64]  # (active row) DN, added to black_level
-    black_of_col: NDArray[np.float64]  # (active col) DN, added to black_level
-    black_fault: str  # why the black level is unknown, or "" if it is known
+    crop: tuple[int, int, int, int]  # default crop: first row and column in the active area, numbers of rows and columns
+    black_level: NDArray[np.float64]  # (row, col) DN, repeated from the upper left corner of the active area
+    black_of_row: NDArray[np.float64]  # (row,) of the active area; DN to be added to black_level
+    black_of_col: NDArray[np.float64]  # (col,) of the active area; DN to be added to black_level
+    black_fault: str  # message that states why the black level is unknown; empty if it is known
     white_level: float  # DN
-    exposure: float | None  # s
+    exposure: float | None  # exposure time in s; None if unknown
     baseline_exposure: float  # EV
-    neutral: NDArray[np.float64] | None  # (colour, 2) CFA code and signal of a grey object
+    neutral: NDArray[np.float64] | None  # (colour, 2) CFA code and signal of a grey surface; None if unknown
     camera: list[str]  # make, model and other names of the camera
-    shot: dict[str, str | float]
+    shot: dict[str, str | float]  # fields of Shot
     opcodes: Opcodes
-    planes: tuple[int, ...]  # colour code of each plane
+    planes: tuple[int, ...]  # colour code of each colour plane
     shape: tuple[int, int]  # rows and columns, including masked borders
     fields: tuple[int, int]  # numbers of interleaved fields of rows and of columns
     notes: tuple[str, ...]  # warnings about unsupported tags
@@ -88,11 +90,11 @@ class Mosaic:
 
 @isolated("rawpy", "tifffile")
 def read(path: Path) -> RawContent:
-    """Read the frame of a DNG file within its default crop.
+    """Read the default crop of the raw image in a DNG file.
 
     Raises InputFileError if the file cannot be read, or if its tags are damaged or unsupported.
     """
-    mosaic = _read_tags(path)  # before LibRaw, whose messages about invalid tags are less clear
+    mosaic = _read_tags(path)  # before LibRaw opens the file, because its messages about invalid tags are less clear
     with opened(path) as raw:
         if raw.raw_image.shape != mosaic.shape:
             rows, cols = mosaic.shape
@@ -104,10 +106,10 @@ def read(path: Path) -> RawContent:
 
 
 def _in_order(stored: NDArray[np.uint16], fields: tuple[int, int]) -> NDArray[np.uint16]:
-    """Return the pixels (row, col) in the order of the sensor, from an image that is stored in interleaved fields.
+    """Convert an image (row, col) that is stored as interleaved fields to the order of the pixels on the sensor.
 
-    With n fields, an image contains rows 0, n, 2n… first, then rows 1, n + 1…, and so on (RowInterleaveFactor,
-    ColumnInterleaveFactor).
+    With n fields of rows, the file contains rows 0, n, 2n… first, then rows 1, n + 1…, and so on (RowInterleaveFactor). The
+    same applies to columns (ColumnInterleaveFactor).
     """
     if fields == (1, 1):
         return stored
@@ -119,7 +121,7 @@ def _in_order(stored: NDArray[np.uint16], fields: tuple[int, int]) -> NDArray[np
 
 
 def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawContent:
-    """Return the default crop of the active area, with a single black level. `stored` are linear pixels (row, col).
+    """Return the default crop of the linear pixels `stored` (row, col), converted to a single black level.
 
     Raises InputFileError if the tags contradict the pixels.
     """
@@ -176,9 +178,9 @@ def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawCon
 def _changed(
     path: Path, mosaic: Mosaic, pixels: NDArray[np.uint16], bad: NDArray[np.bool_]
 ) -> tuple[NDArray[np.uint16], NDArray[np.float32] | None]:
-    """Correct the bad pixels that opcodes list. Returns the pixels, and the gain per pixel that opcodes request.
+    """Correct the pixels marked in `bad`, which opcodes list. Return the pixels, and the gain of each pixel or None.
 
-    Raises InputFileError if the gains are implausible.
+    The gain is requested by opcodes. Raises InputFileError if the gains are implausible.
     """
     if bad.any():
         pixels = plan_correction(bad, mosaic.pattern).corrected(pixels)
@@ -192,14 +194,14 @@ def _changed(
 
 
 def _black_levels(mosaic: Mosaic, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the black levels (row, col) of the active area, or a single level (1, 1) if all pixels have the same."""
+    """Return the black level of each pixel (row, col) in the active area, or an array (1, 1) if all levels are equal."""
     if np.ptp(mosaic.black_level) == 0 and not mosaic.black_of_row.any() and not mosaic.black_of_col.any():
         return mosaic.black_level[:1, :1]
     return tiled(mosaic.black_level, shape) + mosaic.black_of_row[:, None] + mosaic.black_of_col
 
 
 def rate(path: Path) -> Fraction | None:
-    """Return the frame rate that a CinemaDNG file states."""
+    """Return the frame rate that a CinemaDNG file states, in frames/s, or None."""
     fraction = _rate(path)
     return storable_rate(Fraction(*fraction)) if fraction else None
 
@@ -213,7 +215,7 @@ def _rate(path: Path) -> tuple[int, int] | None:
             tag = file.pages[0].tags.get(FRAME_RATE)
             rate = Fraction(*tag.value) if tag else Fraction(0)
     except (tifffile.TiffFileError, TypeError, ValueError, IndexError, ZeroDivisionError, OSError):
-        return None  # the error is reported when the frame is read
+        return None  # reading the frame will report the error
     return (rate.numerator, rate.denominator) if rate > 0 else None
 
 
@@ -221,9 +223,9 @@ def _rate(path: Path) -> tuple[int, int] | None:
 
 
 def _read_tags(path: Path) -> Mosaic:
-    """Return the mosaic that the tags of a file describe.
+    """Read the tags of the raw image in a file.
 
-    Raises InputFileError if the tags are damaged, describe no mosaic, or describe a mosaic in an unsupported form.
+    Raises InputFileError if the tags are damaged, if the file contains no mosaic, or if l3 does not support its form.
     """
     import tifffile
 
@@ -239,7 +241,7 @@ def _read_tags(path: Path) -> Mosaic:
 
 
 def _raw_page(path: Path, file: Any) -> Any:
-    """Return the largest raw image among the pages and subpages, without previews, masks and enhanced images.
+    """Return the page or subpage with the largest raw image. Previews, masks and enhanced images are ignored.
 
     Raises InputFileError if the file contains no raw image.
     """
@@ -255,8 +257,8 @@ def _raw_page(path: Path, file: Any) -> Any:
 def _refuse_unsupported(path: Path, first: Any, raw: Any) -> None:
     """Raise InputFileError if l3 or LibRaw does not support the file.
 
-    This is the case if the file requires a newer DNG version, is demosaicked, has an unsupported compression or arrangement
-    of the data, or contains an unsupported tag that changes pixels.
+    Such a file requires a newer DNG version, is demosaicked, stores its data in an unsupported form, or contains an
+    unsupported tag that affects the pixels.
     """
     version = tuple(first.tags.valueof("DNGBackwardVersion") or LATEST)[:2]
     if version > LATEST:
@@ -274,7 +276,7 @@ def _refuse_unsupported(path: Path, first: Any, raw: Any) -> None:
     if raw.compression in UNREAD:
         raise InputFileError(
             f"{path} has {UNREAD[raw.compression]} compression, which l3 does not support; "
-            "convert it to a DNG file with lossless JPEG compression or without compression"
+            "convert the file to DNG with lossless JPEG compression or without compression"
         )
     for tag, (only, what) in ONLY.items():
         page = first if tag == "ColorimetricReference" else raw
@@ -282,7 +284,8 @@ def _refuse_unsupported(path: Path, first: Any, raw: Any) -> None:
             raise InputFileError(f"{path} {what}")
     if raw.compression == 1 and not raw.is_tiled and not _contiguous(raw.dataoffsets, raw.databytecounts):
         raise InputFileError(
-            f"{path}: the strips of the image are not contiguous, which LibRaw requires; save the image in one strip"
+            f"{path}: the strips of the image are not contiguous, but LibRaw requires contiguous strips; save the image in "
+            "one strip"
         )
     one_tile = raw.compression != 1 or raw.tilelength >= raw.imagelength
     if raw.is_tiled and raw.tilewidth > raw.imagewidth and one_tile:
@@ -336,9 +339,14 @@ def _mosaic(path: Path, first: Any, raw: Any) -> Mosaic:
 def _stated_black(
     raw: Any, cfa_shape: tuple[int, ...], shape: tuple[int, int]
 ) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], str]:
-    """Return the repeating black levels (row, col), the level added to each row and to each column, and "".
+    """Read the black level from the tags.
 
-    If the tags cannot be read, all levels are 0, and the text says why.
+    Returns
+    -------
+    levels : tuple of ndarray
+        Repeated levels (row, col), and the levels that are added to each row (row,) and to each column (col,).
+    fault : str
+        Empty if the tags are valid. Otherwise all levels are 0, and this is the message.
     """
     rows, cols = shape
     try:
@@ -349,10 +357,10 @@ def _stated_black(
 
 
 def _repeating_black(raw: Any, cfa_shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return the repeating black levels (row, col) of the first sample of each pixel.
+    """Return the repeated black levels (row, col) of the first sample of each pixel.
 
-    Many programs omit BlackLevelRepeatDim or write a value that contradicts the number of levels. l3 then accepts one level
-    per CFA site, or levels that are all equal. Raises ValueError otherwise.
+    Many programs omit BlackLevelRepeatDim, or write a value that contradicts the number of levels. In this case, l3 accepts
+    one level per CFA site, or levels that are all equal. Otherwise, a ValueError is raised.
     """
     levels = np.asarray(tags.numbers(raw, "BlackLevel", (0,)), np.float64)
     stated = tuple(np.ravel(raw.tags.valueof("BlackLevelRepeatDim", (1, 1))).tolist())
@@ -367,10 +375,7 @@ def _repeating_black(raw: Any, cfa_shape: tuple[int, ...]) -> NDArray[np.float64
 
 
 def _fields(raw: Any) -> tuple[int, int]:
-    """Return the numbers of interleaved fields of rows and of columns.
-
-    Raises ValueError if a number is smaller than 1.
-    """
+    """Return the numbers of interleaved fields of rows and of columns. Raises ValueError if a number is below 1."""
     rows, cols = (int(tags.numbers(raw, tag, (1,))[0]) for tag in ("RowInterleaveFactor", "ColumnInterleaveFactor"))
     if min(rows, cols) < 1:
         raise ValueError(f"invalid numbers of fields {rows}×{cols}")
@@ -381,15 +386,15 @@ def _notes(raw: Any) -> Iterator[str]:
     """Yield a warning for each unsupported tag that affects the picture."""
     across, down = tags.numbers(raw, "DefaultScale", (1, 1))
     if across != down:
-        yield f"its pixels are not square (DefaultScale {across:g}, {down:g}), but the picture is not stretched"
+        yield f"the pixels are not square (DefaultScale {across:g}, {down:g}), but the picture is not stretched"
     if raw.samplesperpixel == DUAL:
-        yield "it has two samples per pixel (dual pixels), and l3 uses only the first"
+        yield "the file has two samples per pixel (dual pixels), and l3 uses only the first sample"
     if tuple(tags.numbers(raw, "DefaultUserCrop", WHOLE)) != WHOLE:
         yield "the crop that was chosen in the camera (DefaultUserCrop) is not applied"
 
 
 def _neutral(first: Any, raw: Any) -> NDArray[np.float64] | None:
-    """Return the CFA code of each colour plane and the signal of a grey object (plane, 2), or None if not stated."""
+    """Return the CFA code of each colour plane and the signal of a grey surface (plane, 2), or None if unknown."""
     try:
         codes = np.asarray(tags.numbers(raw, "CFAPlaneColor", (0, 1, 2)), np.float64)
     except tags.BROKEN:  # the pixels can be used without this tag
@@ -399,7 +404,7 @@ def _neutral(first: Any, raw: Any) -> NDArray[np.float64] | None:
 
 
 def _baseline_exposure(first: Any) -> float:
-    """Return the EV by which pictures should be brightened, or 0 if the tag is missing or its value is implausible."""
+    """Return the tag BaselineExposure in EV, or 0 if the tag is missing, damaged or implausible."""
     try:
         (stops,) = tags.numbers(first, "BaselineExposure", (0.0,))
     except tags.BROKEN:  # the pixels can be used without this tag
@@ -412,7 +417,7 @@ def _contiguous(offsets: Sequence[int], lengths: Sequence[int]) -> bool:
 
 
 def _pattern(path: Path, raw: Any) -> NDArray[np.int64]:
-    if raw.tags.valueof("PhotometricInterpretation") == tags.LINEAR_RAW:  # one sample per pixel, from a monochrome sensor
+    if raw.tags.valueof("PhotometricInterpretation") == tags.LINEAR_RAW:  # the frame of a monochrome sensor
         return np.array([[WHITE_CODE]])
     codes, shape = raw.tags.valueof("CFAPattern"), raw.tags.valueof("CFARepeatPatternDim")
     if codes is None or shape is None:
@@ -423,7 +428,7 @@ def _pattern(path: Path, raw: Any) -> NDArray[np.int64]:
 
 
 def _repeating(values: Sequence[float], shape: Sequence[int]) -> NDArray:
-    """Reshape the values of a repeating pattern to (row, col). Raises ValueError if the shape does not fit the values."""
+    """Reshape the values of a pattern to (row, col). Raises ValueError if their number does not match the shape."""
     if min(shape) < 1:
         raise ValueError(f"invalid pattern size {shape}")
     return np.reshape(values, tuple(shape))

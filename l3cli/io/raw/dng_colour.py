@@ -1,8 +1,8 @@
-"""Colour tags of a DNG file: colour matrices, and the signals of a grey object under the white that the file states.
+"""Colour tags of DNG files: colour matrices, and the signals of a grey surface under the white that the file states.
 
-According to DNG 1.7.1, chapter 6, a white with chromaticity x, y produces signals AB · CC · CM · (x/y, 1, (1 - x - y)/y).
-AB is AnalogBalance. CM and CC are interpolated between ColorMatrix1, 2, 3 and between CameraCalibration1, 2, 3, linearly in
-the reciprocal of the correlated colour temperature.
+According to DNG 1.7.1, chapter 6, a white with the chromaticity x, y produces the signals
+AB · CC · CM · (x/y, 1, (1 - x - y)/y). AB is AnalogBalance. CM is interpolated between ColorMatrix1, 2 and 3, and CC between
+CameraCalibration1, 2 and 3. Both are linear in the reciprocal of the correlated colour temperature.
 """
 
 import contextlib
@@ -19,29 +19,37 @@ from l3cli.physics import spectra
 
 Array = NDArray[np.float64]
 
-OTHER_LIGHT = 255  # value of CalibrationIlluminant if IlluminantData describes the illuminant
-KELVIN = {  # value of CalibrationIlluminant (Exif's LightSource) → correlated colour temperature
+OTHER_LIGHT = 255  # value of CalibrationIlluminant which means that IlluminantData describes the illuminant
+KELVIN = {  # value of CalibrationIlluminant (Exif LightSource) → correlated colour temperature in K
     1: 5500.0, 2: 4150.0, 3: 2856.0, 4: 5500.0, 9: 5500.0, 10: 6504.0, 11: 7504.0, 12: 6400.0, 13: 5050.0, 14: 4150.0,
     15: 3525.0, 16: 2925.0, 17: 2856.0, 18: 4874.0, 19: 6774.0, 20: 5503.0, 21: 6504.0, 22: 7504.0, 23: 5003.0, 24: 3200.0,
 }  # fmt: skip
-MIREDS = np.arange(40.0, 1000.0, 0.25)  # search grid of reciprocal temperatures, in 10^6 / K
-DECIMALS = 4  # signals are rounded like AsShotNeutral, so that AsShotNeutral and AsShotWhiteXY lead to the same picture
-ILLUMINANT_DATA = {1: 52533, 2: 52534, 3: 52535}  # tag numbers; tifffile assigns the third name to another number
-CHROMATICITY, SPECTRUM = 0, 1  # types of IlluminantData: x and y; or first wavelength and step in nm, then powers
+MIREDS = np.arange(40.0, 1000.0, 0.25)  # search grid of reciprocal colour temperatures in mired (10^6/K)
+DECIMALS = 4  # signals are rounded as in AsShotNeutral, so that AsShotNeutral and AsShotWhiteXY result in the same picture
+ILLUMINANT_DATA = {
+    1: 52533,
+    2: 52534,
+    3: 52535,
+}  # tag numbers of IlluminantData1…3; tifffile has a wrong number for the third
+# Types of IlluminantData. CHROMATICITY: x and y. SPECTRUM: first wavelength and step in nm, and the power per wavelength.
+CHROMATICITY, SPECTRUM = 0, 1
 
 
 @dataclass(frozen=True)
 class Calibration:
     """The matrices of a DNG file for one illuminant."""
 
-    light: int  # value of CalibrationIlluminant; 0 if not stated
-    kelvin: float | None  # correlated colour temperature of the illuminant; None if unknown
-    colour: Array  # (plane, 3) from XYZ to the reference camera
-    camera: Array  # (plane, plane) from the reference camera to this one: AnalogBalance · CameraCalibration
+    light: int  # value of CalibrationIlluminant; 0 if the file does not state it
+    kelvin: float | None  # correlated colour temperature of the illuminant in K; None if unknown
+    colour: Array  # (plane, 3) converts XYZ to the signals of the reference camera
+    camera: Array  # (plane, plane) converts these to the signals of this camera: AnalogBalance · CameraCalibration
 
 
 def calibrations(first: Any, planes: int) -> list[Calibration]:
-    """Return the calibrations on the first page of a DNG file. Damaged calibrations are skipped."""
+    """Return the calibrations on the first page of a DNG file with `planes` colour planes.
+
+    Calibrations that are missing or damaged are left out, so that the result may be empty.
+    """
     tags, found = first.tags, []
     ours = tags.valueof("CameraCalibrationSignature", "") == tags.valueof("ProfileCalibrationSignature", "")
     for number in (1, 2, 3):
@@ -57,9 +65,10 @@ def calibrations(first: Any, planes: int) -> list[Calibration]:
 
 
 def as_shot_neutral(first: Any, planes: int) -> Array | None:
-    """Return the signal of a grey object in each colour plane, from AsShotNeutral or AsShotWhiteXY.
+    """Return the signals (plane,) of a grey surface, from AsShotNeutral or AsShotWhiteXY.
 
-    Returns None if the file states neither, if the tags are damaged, or if there is no matrix to convert the chromaticity.
+    The result is None if the file contains neither tag, if the tags are damaged, or if the file contains no colour matrix
+    with which the chromaticity AsShotWhiteXY can be converted.
     """
     with contextlib.suppress(*BROKEN):
         stated = np.asarray(numbers(first, "AsShotNeutral", ()), np.float64)
@@ -77,12 +86,13 @@ def as_shot_neutral(first: Any, planes: int) -> Array | None:
 
 
 def interpolated(known: Sequence[Calibration], kelvin: float) -> tuple[Array, Array]:
-    """Return the colour matrix and the camera matrix for a correlated colour temperature.
+    """Return the colour matrix and the camera matrix for a correlated colour temperature in K.
 
-    Both are linear in the reciprocal temperature between two calibrations, and constant beyond the outermost calibrations.
-    If the temperatures of fewer than two calibrations are known, the matrices of the first calibration are returned.
+    Between two calibrations, the matrices are linear in the reciprocal temperature. Beyond the outermost calibrations, they
+    are constant. If the temperatures of fewer than two calibrations are known, the result is the matrices of the first
+    calibration. `known` must not be empty.
     """
-    placed = {1e6 / each.kelvin: each for each in known if each.kelvin is not None}  # of equal temperatures, the last counts
+    placed = {1e6 / each.kelvin: each for each in known if each.kelvin is not None}  # reciprocal temperature → calibration
     mireds = np.array(sorted(placed))
     if len(mireds) < 2:
         return known[0].colour, known[0].camera
@@ -94,9 +104,9 @@ def interpolated(known: Sequence[Calibration], kelvin: float) -> tuple[Array, Ar
 
 
 def temperature(x: float, y: float) -> float:
-    """Return the correlated colour temperature (K) of a chromaticity.
+    """Return the correlated colour temperature, in K, of a chromaticity x, y.
 
-    This is the temperature of the black body that is nearest in CIE 1960 u, v.
+    This is the temperature of the nearest black body in CIE 1960 u, v, within 1000…25 000 K.
 
     References
     ----------
@@ -115,7 +125,10 @@ def temperature(x: float, y: float) -> float:
 
 
 def _white_of(content: Any) -> tuple[float, float] | None:
-    """Return the chromaticity that IlluminantData states directly or as a spectrum. Both byte orders are tried."""
+    """Return the chromaticity of the illuminant in IlluminantData, which contains x and y or a spectrum.
+
+    Both byte orders are tried. The result is None if the data are missing or damaged.
+    """
     for order in "<>":
         with contextlib.suppress(*BROKEN):
             (kind,) = struct.unpack_from(f"{order}H", bytes(content))
@@ -133,13 +146,13 @@ def _white_of(content: Any) -> tuple[float, float] | None:
 
 
 def _fractions(content: bytes, order: str, start: int, count: int) -> list[float]:
-    """Return `count` fractions, beginning at the byte `start`."""
+    """Read `count` unsigned fractions (pairs of 32-bit integers) from the byte `start`."""
     parts = struct.unpack_from(f"{order}{2 * count}I", content, start)
     return [above / below for above, below in zip(parts[::2], parts[1::2], strict=True)]
 
 
 def _chromaticity(wavelength: Array, power: Array) -> tuple[float, float]:
-    """Return the chromaticity x, y of a spectrum of power at wavelengths in nm. Outside of these, the power is zero."""
+    """Return the chromaticity x, y of a power spectrum at wavelengths in nm. Beyond the wavelengths, the power is zero."""
     grid = np.arange(360.0, 831.0)
     x, y, z = map(float, spectra.colour_matching_functions(grid) @ np.interp(grid, wavelength, power, 0.0, 0.0))
     return x / (x + y + z), y / (x + y + z)

@@ -2,10 +2,10 @@
 
 To add a format, write a module in this folder, and add the format to FORMATS. Every module must define the function `read`.
 If the entry in FORMATS sets `stackable`, `has_rate` or `has_plain`, the module must also define `stack`, `rate` or
-`is_plain`, respectively. l3 imports the module when the first file in this format is read.
+`is_plain`, respectively. l3 imports the module when it reads the first file in this format.
 
-l3 reads pixels, levels, crop and orientation from the file, and the colour filter array from the table. If the file also
-specifies an array, l3 rejects the file unless the two arrays agree, and reads the phase from the file.
+l3 reads the pixels, the levels, the crop and the orientation from the file. The colour filter array is that of the table. If
+the file also states an array, the two arrays must agree, and the file determines the phase.
 """
 
 import importlib
@@ -34,25 +34,25 @@ from l3cli.system.files import STDIN, naming, require_regular
 from l3cli.system.limits import require_picture
 
 RAW_FILE = "use a raw file, or - for headerless frames on stdin"
-TOP = 65535  # largest 16-bit value, in DN
-LONGEST = 1e5  # longest plausible exposure time, in s
+TOP = 65535  # largest 16-bit value in DN
+LONGEST = 1e5  # longest plausible exposure time in s
 
 
 @dataclass(frozen=True)
 class RawFormat:
     """A raw file format."""
 
-    suffixes: tuple[str, ...]  # file name suffixes in lower case, with the period
-    module: str  # name of the module in this folder
+    suffixes: tuple[str, ...]  # suffixes of file names in lower case, with the period
+    module: str  # name of the module in this folder that reads the format
     what: str = ""  # name of the format, for the table in docs/raw-files.md
     read_as: str = ""  # what l3 reads from the file, for the table in docs/raw-files.md
-    holds_frame: bool = True  # False if l3 always reads files of this format as sequences
+    holds_frame: bool = True  # whether a file can be a single frame; if not, every file is read as a sequence
     stackable: bool = False  # whether a file may contain several frames
     isolated: bool = True  # whether files are decoded in the isolated process
     has_plain: bool = False  # whether the module defines `is_plain`
     wants_geometry: bool = False  # whether `read` and `stack` need the layout of a headerless file
-    wants_dataset: bool = False  # whether `stack` needs the name of an array in the file
-    has_rate: bool = False  # whether a file with one frame may contain the frame rate of the sequence
+    wants_dataset: bool = False  # whether `stack` needs the name of a dataset in the file
+    has_rate: bool = False  # whether a file with one frame may state the frame rate of its sequence
 
     def read(self, path: Path, layout: Layout | None = None) -> RawContent:
         """Read a file with one frame.
@@ -69,20 +69,20 @@ class RawFormat:
             return content
 
     def stack(self, path: Path, layout: Layout | None = None, dataset: str | None = None) -> MultiFrameFile | None:
-        """Return the frames of a file with several frames. Return None if the file contains one frame, even if damaged.
+        """Open a file with several frames. Return None if the file contains a single frame.
 
-        `dataset` is the name of an array in the file, or None if the file contains only one array.
+        `dataset` is the name of a dataset in the file, or None if the file contains only one dataset with frames.
         """
         wanted = [layout] if self.wants_geometry else [dataset] if self.wants_dataset else []
         with naming(path):
             return self._reader.stack(path, *wanted) if self.stackable else None
 
     def rate(self, path: Path) -> Fraction | None:
-        """Return the frame rate stored in a file with one frame, or None if the file contains no frame rate."""
+        """Return the frame rate, in frames/s, that a file with one frame states, or None."""
         return self._reader.rate(path) if self.has_rate else None
 
     def is_plain(self, path: Path) -> bool:
-        """Whether the layout of a file is so simple that the file can be read safely without the isolated process."""
+        """Return whether the layout of a file is so simple that this process can read the file safely."""
         return self.has_plain and self._reader.is_plain(path)
 
     @property
@@ -141,7 +141,7 @@ BY_SUFFIX = {suffix: each for each in FORMATS for suffix in each.suffixes}
 
 
 def format_of(path: Path) -> RawFormat:
-    """Return the format for the suffix of a file.
+    """Return the format for the suffix of a file name.
 
     A file with an unknown suffix is treated as a camera raw, because LibRaw recognises camera raws by their content.
     """
@@ -149,32 +149,32 @@ def format_of(path: Path) -> RawFormat:
 
 
 def is_frame(path: Path) -> bool:
-    """Whether l3 treats a file with this name as a raw frame when l3 lists a folder."""
+    """Return whether a file in a folder is a raw frame, according to its suffix."""
     return path.suffix.lower() in BY_SUFFIX and format_of(path).holds_frame
 
 
 def is_photo(path: Path) -> bool:
-    """Whether a file is, by its suffix, a DNG or a camera raw. Both formats contain the name of the camera model."""
+    """Return whether a file is a DNG file or a camera raw, according to its suffix. Both state the model of the camera."""
     return path.suffix.lower() in PHOTOS
 
 
 def are_photos(path: Path) -> bool:
-    """Whether a path or pattern refers to DNG files or camera raws, or is a folder that contains at least one."""
+    """Return whether a path or pattern has the suffix of a DNG file or camera raw, or is a folder with such a file."""
     return is_photo(path) or (path.is_dir() and any(map(is_photo, path.iterdir())))
 
 
 def needs_isolation(path: Path) -> bool:
-    """Whether a file is decoded in the isolated process. False for folders and stdin, whose contents are not yet known."""
+    """Return whether a file is decoded in the isolated process. False for paths without a suffix, such as "-"."""
     kind = format_of(path)
     return bool(path.suffix) and kind.isolated and not kind.is_plain(path)
 
 
 @dataclass(frozen=True)
 class RawOverrides:
-    """Values set by the user that override the metadata of raw files, and corrections to apply to the frames.
+    """Values that the user set instead of the metadata of raw files, and corrections that are applied to the frames.
 
-    If black level, white level, phase, exposure or gain is None, the value is read from the file. If the file does not
-    contain the value, l3 uses the value of the table or a default.
+    If the black level, white level, phase, exposure or gain is None, l3 reads the value from the file. If the file does not
+    state the value, l3 uses the value of the table or a default.
     """
 
     black_level: float | None = None  # black level in DN
@@ -182,25 +182,25 @@ class RawOverrides:
     phase: tuple[int, int] | None = None  # CFA row and column of the first pixel
     size: tuple[int, int] | None = None  # rows and columns of a headerless frame
     packing: str | None = None  # packing of a headerless file, a key of frames.packings.PACKINGS
-    stride: int | None = None  # bytes from row to row of a headerless file
+    stride: int | None = None  # bytes from the start of a row to the start of the next row of a headerless file
     exposure: float | None = None  # exposure time in s
-    gain: float | None = None  # analog gain, relative to the camera model; None to use the ISO speed in the file
+    gain: float | None = None  # analog gain as a multiple of the camera model's gain; None to use the ISO speed of the file
     gains: tuple[float, ...] = ()  # gain of each frame of a sequence, in order; empty if `gain` applies to all frames
-    unlabelled_gain: float = 1.0  # gain of frames whose gain cannot be determined from an ISO speed
-    dark: DarkFrame | None = None  # dark frame to subtract; None to subtract none
+    unlabelled_gain: float = 1.0  # gain of frames without an ISO speed from which the gain can be computed
+    dark: DarkFrame | None = None  # dark frame to subtract; None to subtract no dark frame
     correction: Correction | None = None  # correction of defects and shading; None for no correction
     hot: HotTest | None = None  # test for hot pixels; None to keep hot pixels
     skip: int = 0  # bytes before the first frame of a headerless file
-    byte_order: str | None = None  # byte order of 16-bit values in a headerless file: "little", "big", or None for "little"
-    opcodes: str | None = None  # "leave" to ignore lens warps and unsupported opcodes of a DNG; None to apply or reject them
+    byte_order: str | None = None  # "little" or "big" for 16-bit values of a headerless file; None means "little"
+    opcodes: str | None = None  # "leave" to ignore lens warps and unsupported opcodes of DNG files; otherwise None
 
     def of_frame(self, place: int) -> "RawOverrides":
-        """Return the overrides for one frame of a sequence. `place` is the position of the frame, counted from 0.
+        """Return the overrides for the frame at the position `place` (from 0) of a sequence.
 
         Raises
         ------
         InputFileError
-            If `gains` is not empty but contains no gain for the frame.
+            If `gains` is set but contains no gain for this frame.
         """
         if not self.gains:
             return self
@@ -220,18 +220,19 @@ def read_raw(path: Path, table: Sensor, known: RawOverrides | None = None) -> Ra
     path : Path
         The raw file. Its suffix selects the reader.
     table : TransformTable or CameraModel
-        Contains the colour filter array, and values for metadata that the file does not contain.
+        The table or camera, which determines the colour filter array, and the properties that the file does not state.
     known : RawOverrides, optional
-        Overrides set by the user.
+        Values that the user set. [default: none]
 
     Returns
     -------
     RawFrame
+        The frame, with the corrections in `known`.
 
     Raises
     ------
     InputFileError
-        If the file cannot be read, is not a single frame, or does not match the table.
+        If the file cannot be read, contains several frames, or does not match the table.
     """
     known = known or RawOverrides()
     require_regular(path, RAW_FILE)
@@ -242,25 +243,40 @@ def read_raw(path: Path, table: Sensor, known: RawOverrides | None = None) -> Ra
 
 
 def read_stack(path: Path, table: Sensor, known: RawOverrides, dataset: str | None = None) -> MultiFrameFile | None:
-    """Return the frames of a file with several frames, or None if the file contains only one frame.
+    """Open a file with several frames. Return None if the file contains only one frame.
 
-    `dataset` is the name of the array in an HDF5 or MATLAB file.
+    Parameters
+    ----------
+    path : Path
+        The file.
+    table : TransformTable or CameraModel
+        The table or camera, whose size the frames of a headerless file have by default.
+    known : RawOverrides
+        Values that the user set.
+    dataset : str, optional
+        Name of the dataset in an HDF5 or MATLAB file. [default: the only dataset with frames]
+
+    Raises
+    ------
+    InputFileError
+        If the file cannot be read.
     """
     kind = format_of(path)
     return kind.stack(path, _layout(kind, path, table, known), dataset) if kind.stackable else None
 
 
 def holds_several(path: Path, sensor: Callable[[], Sensor], known: RawOverrides) -> bool:
-    """Whether a file contains several frames.
+    """Return whether a file contains several frames.
 
     Parameters
     ----------
     path : Path
         The file.
     sensor : callable
-        Returns the table or camera. `sensor` is only called for headerless files, to determine the size of the frames.
+        Function that returns the table or camera. It is called only for headerless files, whose frames have this size by
+        default.
     known : RawOverrides
-        Options that replace the metadata of raw files.
+        Values that the user set.
 
     Raises
     ------
@@ -275,7 +291,7 @@ def holds_several(path: Path, sensor: Callable[[], Sensor], known: RawOverrides)
 
 
 def read_stdin(table: Sensor, known: RawOverrides) -> MultiFrameFile:
-    """Return the headerless frames on stdin."""
+    """Return the headerless frames on stdin. By default, their size is that of the table or camera."""
     return stdin(_headerless_layout(STDIN, table, known))
 
 
@@ -289,11 +305,28 @@ def _headerless_layout(path: Path, table: Sensor, known: RawOverrides) -> Layout
 
 
 def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides) -> RawFrame:
-    """Convert the contents of a file to a frame.
+    """Convert the content of a file to a frame, and apply the corrections in `known`.
 
-    Values in `known` take precedence over values in the file. Values in the file take precedence over values in the table.
-    The corrections in `known` are applied to the frame. Raises InputFileError if the array, the levels or the colour filter
-    array cannot be used.
+    Parameters
+    ----------
+    name : str
+        Name of the frame, for messages.
+    content : RawContent
+        Content of the file.
+    table : TransformTable or CameraModel
+        The table or camera, whose values apply if neither `known` nor the file contains a value.
+    known : RawOverrides
+        Values that the user set, which have precedence over the file.
+
+    Returns
+    -------
+    RawFrame
+
+    Raises
+    ------
+    InputFileError
+        If the content is not an array (row, col), is too large, or has a fault, if its levels are invalid, or if its colour
+        filter array does not match the table.
     """
     values, pattern = content["values"], content.get("pattern")
     if values.size == 0:
@@ -316,7 +349,7 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
     frame_phase = find_phase(name, pattern, table) if pattern is not None and known.phase is None else (0, 0)
     gain, warps = content.get("gain"), tuple(LensWarp(**each) for each in content.get("warps", ()))
     leave = known.opcodes == "leave"
-    left = ("the lens warp that it requests is not applied",) if leave and warps else ()
+    left = ("the lens warp that the file requests is not applied",) if leave and warps else ()
     frame = RawFrame(
         name,
         np.ascontiguousarray(dn),
@@ -339,24 +372,23 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
 
 
 def _misread(content: RawContent, table: Sensor, phase: tuple[int, int]) -> str:
-    """Return an option that decodes the bytes to a far smoother frame, or "" if no option does."""
+    """Return an option with which the bytes of a headerless file become a much smoother frame, or "" if none exists."""
     return smoother_reading(content["readings"](), shifted_cfa(table.cfa, phase)) if "readings" in content else ""
 
 
 def _displaced(content: RawContent, table: Sensor, phase: tuple[int, int]) -> tuple[str, ...]:
-    """Return a note if a frame has the size of the whole sensor, but the phase in its packing is not (0, 0)."""
+    """Return a note if a headerless frame has the size of the whole sensor, but its packing states a phase ≠ (0, 0)."""
     if "readings" not in content or phase == (0, 0) or content["values"].shape != (table.rows, table.cols):
         return ()
-    begins = f"according to its packing, it begins at row {phase[0]}, column {phase[1]} of the table's array"
-    return (f"{begins}, but it has the size of the whole sensor; check ‹packing›, or set ‹phase›",)
+    begins = f"according to its packing, the frame begins at row {phase[0]}, column {phase[1]} of the table's array"
+    return (f"{begins}, but the frame has the size of the whole sensor; check ‹packing›, or set ‹phase›",)
 
 
 def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides) -> RawFrame:
-    """Return a corrected frame that records phase, exposure time, gain and dark signal.
+    """Set the phase, exposure time, gain and dark signal of a frame, and apply the corrections in `known`.
 
-    The overrides in `known` replace the values in the file. The dark signal is recorded, but not subtracted. The pixel
-    values change only by the dark frame, the correction and the hot-pixel test in `known`. Raises InputFileError if the dark
-    signal alone reaches the white level.
+    Only the dark frame, the correction and the hot-pixel test in `known` change the pixel values. The dark signal is stored
+    in the frame but not subtracted. Raises InputFileError if the dark signal reaches the white level.
     """
     phase = frame.phase if known.phase is None else known.phase
     rows, cols = table.cfa.shape
@@ -372,7 +404,7 @@ def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides) -> RawFrame:
     )
     if not dark < span:
         raise InputFileError(
-            f"{frame.name}: the dark signal alone is {dark:.4g} DN, but full scale is {span:.4g} DN; "
+            f"{frame.name}: the dark signal alone is {dark:.4g} DN, but full scale is only {span:.4g} DN; "
             "check that the exposure time is in seconds"
         )
     corrected = replace(

@@ -1,8 +1,8 @@
-"""Read FITS files with astropy. The first image contains a frame (row, col) or a stack (frame, row, col).
+"""Read FITS files with astropy. The first image is a frame (row, col) or a stack (frame, row, col).
 
-astropy is used because unsigned values are stored with BZERO, images may be compressed (fpack), and headers may span blocks.
-The first row is the top row, unless ROWORDER is BOTTOM-UP. BAYERPAT states the colours of the top left pixels for Bayer (4
-letters) or X-Trans (36 letters), shifted by XBAYROFF and YBAYROFF.
+astropy supports unsigned values (BZERO), compressed images (fpack) and headers of several blocks. The first row is the top
+row, unless ROWORDER is BOTTOM-UP. BAYERPAT contains the colours of the top left pixels of a Bayer array (4 letters) or an
+X-Trans array (36 letters). XBAYROFF and YBAYROFF shift this pattern.
 """
 
 import contextlib
@@ -23,15 +23,16 @@ from l3cli.system.limits import require_picture
 
 INSTALL = 'FITS files need astropy; install it with: pip install "l3cli[fits]"'
 SIDES = {4: 2, 36: 6}  # number of letters in BAYERPAT → rows and columns of the array (Bayer, X-Trans)
-PLANES = 3  # number of planes of a picture in red, green and blue
+PLANES = 3  # number of planes of an RGB picture
 BOTTOM_UP = "BOTTOM-UP"
 ROW_ORDERS = "TOP-DOWN", BOTTOM_UP
 
 
 def stack(path: Path) -> MultiFrameFile | None:
-    """Return the frames of an image with three axes, or None for any other image.
+    """Open an image with three axes as a stack. Return None for any other image.
 
-    Raises InputFileError if the three planes are the colours of a picture, as raw converters write it.
+    Raises InputFileError if the order of the axes is not (frame, row, col), or if three planes are probably the colours of a
+    picture.
     """
     shape, names, has_pattern = _shape(path)
     if len(shape) != 3:
@@ -39,19 +40,19 @@ def stack(path: Path) -> MultiFrameFile | None:
     axes = frame_axes(str(path), shape, names)
     if axes != STACK:
         raise InputFileError(
-            f"{path}: the CTYPE keywords must name the axes frame, row, column in this order; save the frames along NAXIS3"
+            f"{path}: the CTYPE keywords do not state the axes in the order frame, row, column; save the frames along NAXIS3"
         )
     if shape[0] == PLANES and not has_pattern and MEANING.get(names[0].lower()) != "frame":
         raise InputFileError(
             f"{path} contains {PLANES} planes of {shape[1]}×{shape[2]} pixels, which look like a picture with {PLANES} "
-            f"channels; use the raw mosaic, or set CTYPE3 = 'FRAME' if they are {PLANES} frames"
+            f"channels; use the raw mosaic, or set CTYPE3 = 'FRAME' if the planes are {PLANES} frames"
         )
     return MultiFrameFile(shape[0], lambda number: read(path, number))
 
 
 @isolated("astropy.io.fits")
 def _shape(path: Path) -> tuple[tuple[int, ...], list[str], bool]:
-    """Return the lengths and names (CTYPEn) of the axes of the first image, and whether the header states BAYERPAT."""
+    """Return the lengths and the names (CTYPEn) of the axes of the first image, and whether it has the keyword BAYERPAT."""
     with _first_image(path) as (image, header):
         count = len(image.shape)
         names = [str(image.header.get(f"CTYPE{number}", "")).strip() for number in range(count, 0, -1)]
@@ -60,9 +61,10 @@ def _shape(path: Path) -> tuple[tuple[int, ...], list[str], bool]:
 
 @isolated("astropy.io.fits")
 def read(path: Path, number: int | None = None) -> RawContent:
-    """Read the pixels (row, col) in DN, the colours in BAYERPAT, and the exposure time in s in EXPTIME or EXPOSURE.
+    """Read the pixels (row, col) in DN, the colours (BAYERPAT), and the exposure time in s (EXPTIME or EXPOSURE).
 
-    `number` selects a frame of a stack. Raises InputFileError if the file contains no frame.
+    `number` selects a frame of a stack, from 0. Raises InputFileError if the file contains no frame, or if ROWORDER is
+    invalid.
     """
     with _first_image(path) as (image, header):
         values = np.asarray(image.data if number is None else image.section[number])
@@ -81,19 +83,24 @@ def read(path: Path, number: int | None = None) -> RawContent:
     if side and set(pattern) <= set(LETTERS):
         content["pattern"] = np.roll(codes_of(pattern).reshape(side, side), (-offset[0], -offset[1]), axis=(0, 1))
     elif pattern:
-        content["notes"] = (f'BAYERPAT "{pattern}" is not a 2×2 or 6×6 pattern of known colours; using the table\'s array',)
+        content["notes"] = (
+            f'BAYERPAT "{pattern}" is not a 2×2 or 6×6 pattern of known colours; l3 uses the table\'s array',
+        )
     return content
 
 
 @contextlib.contextmanager
 def _first_image(path: Path) -> Iterator[tuple[Any, Mapping[str, Any]]]:
-    """Open the first image, and yield it with its keywords. An extension inherits the keywords of the primary header."""
+    """Open a file during the block. Yield its first image and the keywords of the image.
+
+    The keywords include those of the primary header, unless the header of the image contains the same keyword.
+    """
     try:
         from astropy.io import fits
     except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # ignore warnings about nonstandard headers; unreadable data raise exceptions
+        warnings.simplefilter("ignore")  # warnings about nonstandard headers; unreadable data raise exceptions
         with fits.open(path, uint=True, lazy_load_hdus=True) as units:
             image = next((unit for unit in units if unit.is_image and unit.header.get("NAXIS", 0) >= 2), None)
             if image is None:

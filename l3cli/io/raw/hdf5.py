@@ -1,6 +1,6 @@
 """Read raw frames from HDF5 files: a dataset with a stack (frame, row, col) or with one frame (row, col).
 
-The axes may have another order if the file names them.
+If the file states the names of the axes, their order may be different.
 """
 
 import re
@@ -19,30 +19,31 @@ from l3cli.io.raw.axes import STACK, Axes, frame_axes
 from l3cli.system.files import open_regular, stamp
 from l3cli.system.limits import require_picture, require_values
 
-FILTERS = {  # number registered with The HDF Group → name
+FILTERS = {  # number of a compression filter, registered with The HDF Group → name of the filter
     4: "szip", 307: "bzip2", 32000: "LZF", 32001: "blosc", 32004: "LZ4", 32008: "bitshuffle", 32013: "ZFP", 32015: "zstd",
     32017: "SZ", 32018: "FCIDECOMP", 32019: "JPEG", 32024: "SZ3", 32026: "blosc2", 32028: "SPERR",
 }  # fmt: skip
-CHUNK_CACHE = 128 << 20  # bytes, maximum cache size; a cache avoids unpacking a chunk with many frames once per frame
+# Maximum size of the cache in bytes. Without a cache, a chunk with many frames would be decompressed for each frame.
+CHUNK_CACHE = 128 << 20
 MATLAB = "MATLAB_class"  # attribute of each variable in a MATLAB file
-TRUE_COLOUR = "IMAGE_TRUECOLOR"  # value in the HDF5 Image specification
+TRUE_COLOUR = "IMAGE_TRUECOLOR"  # value of IMAGE_SUBCLASS in the HDF5 Image specification
 MOST_AXES = 8  # maximum number of axis names that are examined
 
-_opened: dict[tuple[Any, ...], Any] = {}  # the file that was opened last; the key identifies the file
+_opened: dict[tuple[Any, ...], Any] = {}  # identity of the file that was opened last → the open file
 
 
 def stack(path: Path, dataset: str | None) -> MultiFrameFile:
-    """Return the frames of the dataset `dataset`, or of the only dataset with frames if `dataset` is None."""
+    """Open the frames of a dataset. If `dataset` is None, the file must contain only one dataset with frames."""
     name, count = find_stack(path, dataset)
     return MultiFrameFile(count, lambda number: RawContent(values=stack_frame(path, name, number)), numbered=False)
 
 
 @isolated("h5py", "hdf5plugin")
 def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
-    """Return the name of the dataset that contains the frames, and its number of frames.
+    """Return the name of the dataset with the frames, and its number of frames.
 
-    If `dataset` is None, the only dataset with frames in the file is used. Raises InputFileError if the dataset does not
-    exist or contains a picture with several channels.
+    If `dataset` is None, the file must contain only one dataset with frames. Raises InputFileError if the dataset does not
+    exist, contains no frames, or contains a picture with several channels.
     """
     root = _open(path)
     members = dict(datasets(root))
@@ -60,9 +61,9 @@ def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
     return name, 1 if axes.frame is None else frames.shape[axes.frame]
 
 
-@isolated("h5py", "hdf5plugin")  # hdf5plugin, if installed, adds compression filters to h5py
+@isolated("h5py", "hdf5plugin")  # hdf5plugin is optional and adds compression filters to h5py
 def stack_frame(path: Path, name: str, number: int) -> NDArray:
-    """Read a frame (row, col) of a dataset that `find_stack` has found.
+    """Read frame `number` (from 0) of the dataset `name`, which `find_stack` returned, as an array (row, col).
 
     Raises InputFileError if the frame is damaged, or if a compression filter is not installed.
     """
@@ -85,7 +86,7 @@ def stack_frame(path: Path, name: str, number: int) -> NDArray:
 
 
 def _axes(path: Path, frames: Any) -> Axes:
-    """Return the axes of a dataset, from their names in the file or by the convention of the program that wrote it.
+    """Return the axes of a dataset, from their names in the file or from the convention of the program that wrote the file.
 
     Raises InputFileError if the dataset is a picture with several channels.
     """
@@ -93,7 +94,7 @@ def _axes(path: Path, frames: Any) -> Axes:
     if _text(frames.attrs.get("IMAGE_SUBCLASS")) == TRUE_COLOUR:
         raise InputFileError(f"{name} is marked as a picture with three channels (IMAGE_SUBCLASS); use the raw mosaic")
     usual = None
-    if MATLAB in frames.attrs:  # MATLAB stores an array (row, col, frame) with the last axis first
+    if MATLAB in frames.attrs:  # MATLAB stores the axes (row, col, frame) in reverse order
         usual = Axes(0, 2, 1) if frames.ndim == 3 else Axes(None, 1, 0)
         if frames.ndim == 3 and frames.shape[0] == 3:
             raise InputFileError(
@@ -103,10 +104,10 @@ def _axes(path: Path, frames: Any) -> Axes:
 
 
 def _axis_names(frames: Any) -> list[str]:
-    """Return the names of the axes of a dataset, or [] if the file states none.
+    """Return the names of the axes of a dataset, or an empty list if the file does not state them.
 
-    The names come from the labels or scales of the dimensions (HDF5), from the attribute `axes` of the dataset or of its
-    group (NeXus), or from the attribute _ARRAY_DIMENSIONS (xarray).
+    The names are the labels or scales of the dimensions (HDF5), or the contents of the attribute `axes` of the dataset or of
+    its group (NeXus) or of the attribute _ARRAY_DIMENSIONS (xarray).
     """
     stated = [frames.attrs.get("axes"), frames.attrs.get("_ARRAY_DIMENSIONS")]
     group = frames.parent.attrs
@@ -121,9 +122,7 @@ def _scale_name(dimension: Any) -> str:
 
 
 def _listed(attribute: Any) -> list[str]:
-    """Return the names in an attribute: an array of names, a list in one text such as "[t:y:x]" or "t,y,x", or the letters
-    of a word such as "tyx".
-    """
+    """Return the names in an attribute, which is an array of names or a text such as "[t:y:x]", "t,y,x" or "tyx"."""
     if isinstance(attribute, np.ndarray):
         return [_text(each) for each in attribute.ravel()[:MOST_AXES]]
     words = re.findall(r"\w+", _text(attribute))
@@ -135,7 +134,7 @@ def _text(attribute: Any) -> str:
 
 
 def missing_filters(dataset: Any) -> list[str]:
-    """Return the names of the compression filters that a dataset needs and that are not installed."""
+    """Return the names of the compression filters that a dataset needs but that are not installed."""
     import h5py
 
     created = dataset.id.get_create_plist()
@@ -148,9 +147,9 @@ def missing_filters(dataset: Any) -> list[str]:
 
 
 def _open(path: Path, stack: str | None = None) -> Any:
-    """Return the HDF5 file, which stays open for further frames. `stack` is the dataset for which the cache is sized.
+    """Open an HDF5 file, which stays open for the next frames until a different file is opened.
 
-    Raises InputFileError if the file is not an HDF5 file.
+    The size of the cache is chosen for the dataset `stack`. Raises InputFileError if the file is not an HDF5 file.
     """
     import h5py
 
@@ -163,7 +162,7 @@ def _open(path: Path, stack: str | None = None) -> Any:
         _opened.clear()
         root = h5py.File(path, "r")
         if stack is not None:
-            # A larger cache would only keep frames that have already been read.
+            # The cache contains the chunks of one frame. A larger cache would only retain frames that were already read.
             nbytes = min(CHUNK_CACHE, chunks_of_a_frame(root[stack], _axes(path, root[stack])))
             root.close()
             root = h5py.File(path, "r", rdcc_nbytes=nbytes)
@@ -172,16 +171,17 @@ def _open(path: Path, stack: str | None = None) -> Any:
 
 
 def chunks_of_a_frame(frames: Any, axes: Axes = STACK) -> int:
-    """Return the number of bytes that must be unpacked to read one frame of a dataset."""
+    """Return the number of bytes that must be decompressed to read one frame of a dataset."""
     chunks = frames.chunks or frames.shape
     across = prod(-(-frames.shape[axis] // chunks[axis]) for axis in (axes.row, axes.col))
     return across * prod(chunks) * int(frames.dtype.itemsize)
 
 
 def _only_stack(path: Path, members: dict[str, Any]) -> str:
-    """Return the only dataset (frame, row, col) of uint8 or uint16 or, if there is none, of any numbers.
+    """Return the name of the only dataset (frame, row, col) with the type uint8 or uint16.
 
-    Raises InputFileError if there is no such dataset, or more than one.
+    If no such dataset exists and l3 did not write the file, datasets with any numeric type are considered. Raises
+    InputFileError if none or more than one is found.
     """
     stacks = sorted(name for name, member in members.items() if _is_stack(member) and member.ndim == 3)
     counts = [name for name in stacks if members[name].dtype.kind == "u" and members[name].dtype.itemsize <= 2]
@@ -194,20 +194,20 @@ def _only_stack(path: Path, members: dict[str, Any]) -> str:
 
 
 def _is_artifact(path: Path) -> bool:
-    """Whether l3 wrote the file. Floating-point arrays in artifacts are not frames."""
+    """Return whether the file is an artifact of l3, in which floating-point arrays are not frames."""
     with open_regular(path) as stream:
         return stream.read(len(TITLE)) == TITLE
 
 
 def _is_stack(member: Any) -> bool:
-    """Whether a dataset may contain a frame or frames."""
+    """Return whether the type and the number of axes of a dataset are those of a frame or a stack."""
     return member.dtype.kind in "uif" and member.ndim in (2, 3) and bool(member.size)
 
 
 def _require_frames(path: Path, frames: Any, axes: Axes) -> None:
-    """Raise InputFileError if the frames are in another file, or if a frame or the chunks that contain it are too large."""
+    """Raise InputFileError if the dataset is stored in a different file, or if a frame or its chunks are too large."""
     require_within_file(path, frames.id)
     for shape in (frames.shape, frames.chunks or frames.shape):
         require_picture(f"{path}: {frames.name}", shape[axes.row], shape[axes.col])
-    if axes.frame not in (None, 0):  # every row contains values of all frames, so HDF5 must read or unpack all frames
+    if axes.frame not in (None, 0):  # HDF5 must read all frames, because every row contains values of all frames
         require_values(f"{path}: {frames.name}", frames.chunks or frames.shape[1:], frames.dtype.itemsize)

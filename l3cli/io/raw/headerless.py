@@ -1,6 +1,6 @@
 """Read headerless files, which contain only the values of frames.
 
-The layout of the values comes from the user's options and from the table (frames/packings.py).
+The options of the user and the table determine the layout of the values. The packings are in frames/packings.py.
 """
 
 from collections.abc import Iterator
@@ -26,15 +26,15 @@ class Layout:
     rows: int
     cols: int
     packing: Packing
-    stride: int | None = None  # bytes from the start of a row to the start of the next; None if rows have no padding
+    stride: int | None = None  # bytes from the start of a row to the start of the next row; None if rows have no padding
     skip: int = 0  # bytes before the first frame
-    big_endian: bool = False  # byte order of 16-bit words
+    big_endian: bool = False  # whether 16-bit words are big-endian
 
     @property
     def bits(self) -> int:
-        """Bit depth that determines full scale.
+        """Number of bits of the largest possible value.
 
-        For unpacked 16-bit words, the bit depth is always 16, because data with swapped bytes can have any 16-bit value.
+        It is always 16 for unpacked 16-bit words, because values with swapped bytes can be any 16-bit value.
         """
         return 16 if self.packing.is_words else self.packing.bits
 
@@ -45,7 +45,7 @@ class Layout:
 
     @property
     def row_pixels(self) -> int:
-        """Number of pixels in a stored row. If pixels are stored by cells, a stored row contains two rows of the sensor."""
+        """Number of pixels in a stored row. If the packing stores cells of 2×2 pixels, a stored row is two sensor rows."""
         return 2 * self.cols if self.packing.cells else self.cols
 
     @property
@@ -55,10 +55,10 @@ class Layout:
 
     @property
     def _lines(self) -> tuple[int, int]:
-        """Number of pixel groups that begin at a byte boundary, and number of pixels per group.
+        """Number of lines, which begin at a byte boundary, and number of pixels per line.
 
-        Usually each row is a group. If an unpadded row of a bit stream would end within a byte, the whole frame is one
-        group.
+        Usually, each stored row is a line. If an unpadded row of a bit stream would end within a byte, the whole frame is
+        one line.
         """
         run_on = 8 * self.row_pixels * self.packing.group_bytes % (8 * self.packing.group_pixels)
         if self.stride is None and self.packing.family != "mipi" and run_on:
@@ -67,13 +67,13 @@ class Layout:
 
     @property
     def exchangeable(self) -> bool:
-        """Whether a frame with rows and columns swapped would have the same number of bytes."""
+        """Whether a frame with swapped numbers of rows and columns would have the same number of bytes."""
         padded = self.stride is not None and self.stride != self.row_bytes
         return not padded and self.frame_bytes == replace(self, rows=self.cols, cols=self.rows, stride=None).frame_bytes
 
     @property
     def pattern(self) -> NDArray[np.int64] | None:
-        """Colour codes (row, col) of the CFA if the packing states it, otherwise None."""
+        """Colour codes (row, col) of the CFA that the packing states, or None if it states no CFA."""
         return codes_of(self.packing.pattern).reshape(2, 2) if self.packing.pattern else None
 
     def __str__(self) -> str:
@@ -82,7 +82,7 @@ class Layout:
         return f"{self.rows}×{self.cols} {words}{padded}"
 
     def unpack(self, content: bytes | bytearray | NDArray[np.uint8]) -> NDArray[np.uint16]:
-        """Return the pixels (row, col) in DN from the `frame_bytes` bytes of a frame."""
+        """Convert the bytes of a frame, whose number is `frame_bytes`, to pixels (row, col) in DN."""
         values = self._stored(content)
         if not self.packing.cells:
             return values.reshape(self.rows, self.cols)
@@ -92,7 +92,7 @@ class Layout:
         return mosaic
 
     def _stored(self, content: bytes | bytearray | NDArray[np.uint8]) -> NDArray[np.uint16]:
-        """Return the pixels (stored row, pixel) of a frame in the order in which they are stored."""
+        """Convert the bytes of a frame to pixels (line, pixel) in the stored order."""
         packing, (lines, pixels) = self.packing, self._lines
         used = np.frombuffer(content, np.uint8).reshape(lines, -1)[:, : packing.bytes_of(pixels)]
         if packing.family == "words":
@@ -108,7 +108,7 @@ class Layout:
         return np.ascontiguousarray(values.reshape(lines, -1)[:, :pixels])
 
     def others(self) -> Iterator[tuple[str, "Layout"]]:
-        """Yield all other layouts with the same number of bytes per frame, each with the option that selects the layout."""
+        """Yield (option, layout) for each different layout with the same number of bytes per frame."""
         if self.packing.is_words:
             yield f"‹byte_order› {'little' if self.big_endian else 'big'}", replace(self, big_endian=not self.big_endian)
         for other in () if self.packing.cells else PACKINGS.values():
@@ -123,25 +123,25 @@ class Layout:
 def make_layout(
     size: tuple[int, int], name: str, stride: int | None = None, skip: int = 0, byte_order: str | None = None
 ) -> Layout:
-    """Return the layout of a frame with a given packing.
+    """Return the layout of headerless frames.
 
     Parameters
     ----------
     size : tuple of int
-        Number of rows and columns.
+        Numbers of rows and columns.
     name : str
-        Name of the packing.
+        Name of the packing. Letter case is ignored.
     stride : int, optional
-        Bytes from the start of a row to the start of the next.
+        Bytes from the start of a row to the start of the next row. [default: rows without padding]
     skip : int
         Bytes before the first frame.
     byte_order : str, optional
-        "little" or "big", for 16-bit words.
+        "little" or "big", which is permitted only for packings of 16-bit words. [default: little]
 
     Raises
     ------
     RecipeError
-        If a parameter is invalid or contradicts another parameter.
+        If a parameter is invalid, or if two parameters contradict each other.
     """
     rows, cols = size
     if min(size) < 1:
@@ -170,9 +170,11 @@ def make_layout(
 def layout_of(
     path: Path, size: tuple[int, int], packing: str | None, stride: int | None, skip: int = 0, byte_order: str | None = None
 ) -> Layout:
-    """Return the layout of a headerless file. `size` is rows and columns.
+    """Return the layout of a headerless file.
 
-    If `packing` is None, the suffix of the file may state the packing.
+    If `packing` is None, the packing is the suffix of the file name, such as .raw10, or u16 if the suffix is not the name of
+    a packing. Raises RecipeError if a parameter is invalid, and InputFileError if a frame is too large. See `make_layout`
+    for the other parameters.
     """
     suffix = path.suffix.lower().removeprefix(".")
     layout = make_layout(size, packing or (suffix if suffix in PACKINGS else WORDS), stride, skip, byte_order)
@@ -182,10 +184,7 @@ def layout_of(
 
 
 def read(path: Path, layout: Layout) -> RawContent:
-    """Read the frame of a file that contains a single frame.
-
-    Raises InputFileError if the size of the file does not fit the layout.
-    """
+    """Read the frame in a file with a single frame. Raises InputFileError if the layout does not match the file size."""
     size = path.stat().st_size - layout.skip
     if size != layout.frame_bytes:
         raise InputFileError(
@@ -195,29 +194,29 @@ def read(path: Path, layout: Layout) -> RawContent:
 
 
 def _counted(size: int, layout: Layout) -> str:
-    """Describe the size of a file without the skipped bytes, for a message."""
+    """Describe the number of bytes in a file after the skipped bytes, for a message."""
     if size < 0:
         return f"{size + layout.skip} bytes, fewer than ‹skip› {layout.skip}"
     return f"{size} bytes after ‹skip› {layout.skip}" if layout.skip else f"{size} bytes"
 
 
 def _cure(size: int, layout: Layout) -> str:
-    """Return the advice for a file of the wrong size: the packings that fit, or all options for the layout."""
+    """Return the remedy for a file of the wrong size: the packings that match its size, and the options for the layout."""
     fitting = [
         name
         for name, packing in PACKINGS.items()
         if not (packing.pattern or packing.polarised) and replace(layout, packing=packing, stride=None).frame_bytes == size
     ]
     if fitting:
-        return f"{layout.rows}×{layout.cols} pixels would fit with ‹packing› {', '.join(fitting)}; {GIVE_LAYOUT}"
+        return f"{layout.rows}×{layout.cols} pixels match this size with ‹packing› {', '.join(fitting)}; {GIVE_LAYOUT}"
     return GIVE_LAYOUT
 
 
 def content_of(stored: bytes | bytearray | NDArray[np.uint8], layout: Layout) -> RawContent:
     """Convert the bytes of a frame to its content.
 
-    The content includes other readings of the bytes, from which a wrong layout can be recognised, and the CFA if the layout
-    states one.
+    The content includes all interpretations of the bytes with the same number of bytes per frame, from which l3 can detect a
+    wrong layout. If the packing states a CFA, the content also includes the CFA.
     """
     content = RawContent(values=layout.unpack(stored), exchangeable=layout.exchangeable)
 
@@ -233,9 +232,9 @@ def content_of(stored: bytes | bytearray | NDArray[np.uint8], layout: Layout) ->
 
 
 def stack(path: Path, layout: Layout) -> MultiFrameFile | None:
-    """Return the frames of a file, or None if it contains only one.
+    """Open a file with several frames. Return None if the file is too short for two frames.
 
-    If the last frame is truncated, `read_frame` raises an error when that frame is read.
+    If the last frame is truncated, reading this frame raises InputFileError.
     """
     size = path.stat().st_size - layout.skip
     if size < 2 * layout.frame_bytes:
@@ -244,7 +243,7 @@ def stack(path: Path, layout: Layout) -> MultiFrameFile | None:
 
 
 def read_frame(path: Path, layout: Layout, number: int) -> RawContent:
-    """Read frame `number` of a file, counted from 0. Raises InputFileError if the frame is truncated."""
+    """Read frame `number` (from 0) of a file. Raises InputFileError if the frame is truncated."""
     stored = np.fromfile(path, np.uint8, layout.frame_bytes, offset=layout.skip + number * layout.frame_bytes)
     if stored.size < layout.frame_bytes:
         raise InputFileError(f"{path} ends in the middle of frame {number} ({layout}); {GIVE_LAYOUT}")
@@ -252,11 +251,11 @@ def read_frame(path: Path, layout: Layout, number: int) -> RawContent:
 
 
 def stdin(layout: Layout) -> MultiFrameFile:
-    """Return the frames on stdin, read one by one. The first `layout.skip` bytes are skipped.
+    """Return the frames on stdin, which are read one at a time. The first `layout.skip` bytes are skipped.
 
-    Reading raises InputFileError if stdin ends in the middle of a frame.
+    Reading a frame raises InputFileError if stdin ends in the middle of the frame.
     """
-    # Unbuffered, because a thread that waits in a buffered stream would prevent the interpreter from exiting.
+    # The stream is unbuffered. A thread that waits in a buffered stream would prevent the interpreter from exiting.
     pipe = open(0, "rb", buffering=0, closefd=False)  # noqa: SIM115
     to_skip = layout.skip
 

@@ -1,6 +1,6 @@
-"""Read camera raws with LibRaw: pixels, black and white levels, and colours.
+"""Read camera raws with LibRaw: pixels, black levels, white levels and colours.
 
-The module also reads metadata about the camera: names, colour matrices, noise and lens. The metadata come from the tags of
+The module also reads metadata about the camera: names, colour matrices, noise and lens. The metadata are from the tags of
 DNG 1.7 and Exif or, if a tag is missing, from LibRaw.
 """
 
@@ -26,7 +26,10 @@ from l3cli.system.limits import require_picture
 
 @isolated("rawpy", "tifffile")
 def read(path: Path) -> RawContent:
-    """Read the frame of a camera raw within its visible area. Raises InputFileError in the same cases as `opened`."""
+    """Read the visible area of the frame in a camera raw.
+
+    Raises InputFileError if LibRaw cannot read the file, or if the file contains no mosaic.
+    """
     with opened(path) as raw:
         content = _visible(path, raw)
         content["camera"], shot = _stated_by_tags(path)
@@ -36,7 +39,7 @@ def read(path: Path) -> RawContent:
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[Any]:
-    """Yield the rawpy object of a raw file.
+    """Open a raw file with LibRaw during the block, and yield its rawpy object.
 
     Raises InputFileError if LibRaw cannot read the file, or if the file contains no mosaic.
     """
@@ -52,15 +55,15 @@ def opened(path: Path) -> Iterator[Any]:
         reason = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
         raise InputFileError(
             f"{path} is damaged, or is not a raw file that LibRaw supports ({reason}); "
-            "use a camera raw, a one-channel TIFF or PNG, a .npy, or a headerless .raw"
+            "use a camera raw, a TIFF or PNG file with one channel, a .npy file, or a headerless .raw file"
         ) from error
 
 
 def _visible(path: Path, raw: Any) -> RawContent:
-    """Return the frame without masked borders. Black and white levels may differ between colours.
+    """Return the frame without masked borders.
 
-    If the black levels of the colours differ, values are shifted to a common black level. Raises InputFileError if the
-    colours or levels are invalid.
+    If the black levels of the colours differ, the values are shifted to a common black level. If only the white levels
+    differ, the lowest is returned. Raises InputFileError if the colours or the levels are invalid.
     """
     colours, letters = raw.raw_colors_visible, raw.color_desc.decode("ascii", "replace")
     if raw.num_colors == 1:  # for a monochrome sensor, LibRaw returns the colour 6, which does not exist
@@ -69,7 +72,7 @@ def _visible(path: Path, raw: Any) -> RawContent:
     whites = np.array(raw.camera_white_level_per_channel or (0,), np.float64)
     white_level = np.where(whites > 0, whites, raw.white_level) + np.zeros_like(black_level)
     if colours.max() >= min(len(letters), len(black_level)):
-        raise InputFileError(f"{path} uses a colour that it does not define; copy the file again")
+        raise InputFileError(f"{path} contains a pixel with an undefined colour; copy the file again")
     used = np.unique(colours)
     if not (black_level[used] < white_level[used]).all():
         levels = f"{black_level[used].max():g} is not below the white level {white_level[used].min():g}"
@@ -81,7 +84,7 @@ def _visible(path: Path, raw: Any) -> RawContent:
         values, common, top = with_one_black_level(values, black_level[colours], white_level[colours])
     rows, cols = raw.raw_pattern.shape
     pattern = codes_of(letters)[colours[:rows, :cols]]
-    shot = getattr(raw, "other", None)  # exists since rawpy 0.26
+    shot = getattr(raw, "other", None)  # requires rawpy 0.26
     exposure = float(shot.shutter_speed) if shot is not None else None
     return RawContent(
         values=values,
@@ -95,9 +98,10 @@ def _visible(path: Path, raw: Any) -> RawContent:
 
 
 def _neutral(raw: Any, letters: str) -> NDArray[np.float64] | None:
-    """Return the code of each colour and the signal of a grey object, which is the inverse of the white-balance multiplier.
+    """Return the code of each colour and the signal of a grey surface (colour, 2).
 
-    Returns None if the file states no multipliers, which LibRaw returns as 0, or if there is a single colour.
+    The signal is the inverse of the white-balance multiplier. The result is None if the file has a single colour, or if it
+    states no multipliers, for which LibRaw returns 0.
     """
     multipliers = np.array(raw.camera_whitebalance[: len(letters)], np.float64)
     stated = {code: 1 / each for code, each in zip(codes_of(letters).tolist(), multipliers, strict=False) if each > 0}
@@ -107,18 +111,18 @@ def _neutral(raw: Any, letters: str) -> NDArray[np.float64] | None:
 
 
 def _stated_by_tags(path: Path) -> tuple[list[str], dict[str, str | float]]:
-    """Return the camera names and the shot settings in TIFF tags, or empty values if the file is not a TIFF."""
+    """Return the camera names and the settings of the shot from TIFF tags. Both are empty if the file has no such tags."""
     import tifffile
 
     try:
         with tifffile.TiffFile(path) as file:
             return camera_names(file.pages[0]), shot_of_page(file.pages[0])
-    except Exception:  # LibRaw has read the frame, which can be used without the tags
+    except Exception:  # LibRaw has already read the frame, which is usable without the tags
         return [], {}
 
 
 def _shot(raw: Any) -> dict[str, str | float]:
-    """Return the settings that LibRaw reads, whatever the structure of the file (rawpy 0.26 and later)."""
+    """Return the settings of the shot that LibRaw reads from any file format. Requires rawpy 0.26, otherwise empty."""
     shot, lens = getattr(raw, "other", None), getattr(raw, "lens", None)
     stated = {
         "lens": getattr(lens, "model", None),
@@ -131,20 +135,20 @@ def _shot(raw: Any) -> dict[str, str | float]:
 
 # ---------------------------------------------------------------------------------------- facts about the camera
 
-LIGHTS = {  # value of Exif's LightSource (calibration illuminants of DNG) → name of the illuminant
+LIGHTS = {  # value of the Exif tag LightSource (and CalibrationIlluminant in DNG) → name of the illuminant
     1: "D55", 2: "F2", 3: "A", 4: "D55", 9: "D55", 10: "D65", 11: "D75", 12: "F1", 13: "F3", 14: "F2", 15: "F3", 17: "A",
     18: "B", 19: "C", 20: "D55", 21: "D65", 22: "D75", 23: "D50", 24: "3200K",
 }  # fmt: skip
-USUAL_LIGHT = "D65"  # illuminant of matrices that state none, such as the matrices included in LibRaw
-UNITS_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # units of Exif's FocalPlaneResolutionUnit
-PITCHES_UM = 0.5, 50.0  # range of plausible pixel pitches
-LONGEST = 60  # maximum length of a camera name
+USUAL_LIGHT = "D65"  # assumed illuminant of matrices without an illuminant, such as the matrices in LibRaw
+UNITS_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # value of the Exif tag FocalPlaneResolutionUnit → unit in mm
+PITCHES_UM = 0.5, 50.0  # range of plausible pixel pitches in µm
+LONGEST = 60  # maximum length of a make or model in characters
 
 
 def stated(path: Path) -> Stated:
-    """Return the metadata of a raw file about the camera. Invalid tags are treated as missing.
+    """Return the metadata about the camera in a raw file. Invalid tags are treated as missing.
 
-    Raises InputFileError if the file cannot be opened as a raw file.
+    Raises InputFileError if LibRaw cannot read the file.
     """
     require_regular(path, "use a raw file")
     names, figures, matrices = _stated(path)
@@ -168,9 +172,9 @@ def stated(path: Path) -> Stated:
 
 
 def _rows(codes: NDArray, values: NDArray) -> dict[int, NDArray[np.float64]]:
-    """Return the rows of a matrix by colour code, or {} if the matrix is invalid.
+    """Return the row of a colour matrix for each colour code, or an empty dictionary if the matrix is invalid.
 
-    For a repeated code, the first row is used.
+    If a code is repeated, its first row is returned.
     """
     values = np.asarray(values, np.float64)
     if values.size != 3 * len(codes) or not np.isfinite(values).all() or not values.any(axis=-1).all():
@@ -182,7 +186,7 @@ def _rows(codes: NDArray, values: NDArray) -> dict[int, NDArray[np.float64]]:
 
 
 def _named(names: list[str]) -> str:
-    """Join make and model without repeating the make: "Canon", "Canon EOS 550D" → "Canon EOS 550D"."""
+    """Join make and model, without repeating the make: "Canon" and "Canon EOS 550D" become "Canon EOS 550D"."""
     make, model = (" ".join("".join(c if c.isprintable() else " " for c in name).split())[:LONGEST] for name in names)
     return model if model.lower().startswith(make.lower()) else f"{make} {model}".strip()
 
@@ -196,16 +200,16 @@ def _positive(value: float | None) -> float | None:
 
 @isolated("rawpy", "tifffile")
 def _stated(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, NDArray, NDArray]]]:
-    """Return the metadata of a raw file.
+    """Read the metadata about the camera in a raw file.
 
     Returns
     -------
-    list of str
-        Make and model.
-    dict of str to float
+    names : list of str
+        Make and model, which may be empty.
+    figures : dict of str to float
         Numbers such as "iso" and "f_number".
-    list of tuple
-        For each colour matrix, the code of the illuminant, the colour code of each row, and the values.
+    matrices : list of tuple
+        For each colour matrix, the code of the illuminant, the colour code of each row, and the values (row, 3).
     """
     names, figures, matrices = _facts_of_tags(path)
     with opened(path) as raw:
@@ -213,16 +217,19 @@ def _stated(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, ND
             letters = raw.color_desc.decode("ascii", "replace")[: raw.num_colors]
             values = np.array(raw.rgb_xyz_matrix, np.float64)[: len(letters)]
             matrices = [(0, codes_of(letters), values)] if values.any() else []
-        shot = getattr(raw, "other", None)  # exists since rawpy 0.26
+        shot = getattr(raw, "other", None)  # requires rawpy 0.26
         known = {"iso": "iso_speed", "focal_length_mm": "focal_length", "f_number": "aperture"}
         if not getattr(shot, "focal_length", 0.0):
-            del known["f_number"]  # LibRaw returns 1 if the file states no aperture
+            del known["f_number"]  # for a file without an aperture, LibRaw returns 1
         figures = {name: float(getattr(shot, key, 0.0)) for name, key in known.items()} | figures
     return names, figures, matrices
 
 
 def _facts_of_tags(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, NDArray, NDArray]]]:
-    """Return the three results of `_stated` from the tags of a TIFF or DNG file. They are empty for all other files."""
+    """Read the names, figures and matrices (see `_stated`) from the tags of a TIFF or DNG file.
+
+    All three are empty for files in other formats and for files with unreadable tags.
+    """
     import tifffile
 
     try:
@@ -253,7 +260,10 @@ def _figures(pages: list[Any]) -> dict[str, float]:
 
 
 def _matrices(pages: list[Any]) -> list[tuple[int, NDArray, NDArray]]:
-    """Return the matrices from XYZ to the camera's channels: AnalogBalance · CameraCalibration · ColorMatrix."""
+    """Return the matrices that convert XYZ to the channels of the camera: AnalogBalance · CameraCalibration · ColorMatrix.
+
+    Each is a tuple (code of the illuminant, colour code of each row, values).
+    """
     raw = [page for page in pages if page.tags.valueof("PhotometricInterpretation") == COLOUR_FILTER_ARRAY]
     codes = np.array(numbers((raw or pages)[0], "CFAPlaneColor", (0, 1, 2)), np.int64)
     return [(each.light, codes, each.camera @ each.colour) for each in calibrations(pages[0], len(codes))]

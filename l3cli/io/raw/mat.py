@@ -1,7 +1,8 @@
-"""Read frames from MATLAB files: a variable (row, col) or (row, col, frame). Version 7.3 is read as HDF5, others with scipy.
+"""Read frames from MATLAB files: a variable (row, col) or (row, col, frame).
 
-MATLAB users store stacks as (row, col, frame). Files of version 5 that Python wrote (scipy.io.savemat) keep numpy's order
-(frame, row, col). The text at the beginning of a file shows which program wrote the file.
+Files of version 7.3 are read as HDF5, and files of earlier versions with scipy. MATLAB users store stacks in the order (row,
+col, frame). Stacks that Python wrote to files of version 5 (scipy.io.savemat) have the order (frame, row, col). The text at
+the beginning of a file shows which program wrote the file.
 """
 
 from pathlib import Path
@@ -19,16 +20,16 @@ from l3cli.system.limits import require_picture, require_values
 
 PYTHON_PLATFORMS = (b"Platform: posix", b"Platform: nt")
 HDF5_VERSION = b"MATLAB 7.3 MAT-file"
-TEXT = 116  # bytes of text at the beginning of a file, which identify the program that wrote it
+TEXT = 116  # length in bytes of the text at the beginning of a file, which identifies the program that wrote the file
 COUNTS, NUMBERS = ("uint8", "uint16"), ("uint8", "uint16", "int16", "int32", "uint32", "single", "double")
-BYTES = {"uint8": 1, "int16": 2, "uint16": 2, "double": 8}  # bytes per value; all other types have 4
-LEAST_SIDE = 8  # smallest number of rows and columns; smaller variables are settings
+BYTES = {"uint8": 1, "int16": 2, "uint16": 2, "double": 8}  # type → bytes per value; all other types have 4 bytes
+LEAST_SIDE = 8  # minimum number of rows and of columns of a frame; smaller variables are settings
 
-_loaded: dict[tuple[Any, ...], NDArray] = {}  # the array that was read last; the key identifies its file
+_loaded: dict[tuple[Any, ...], NDArray] = {}  # identity of the file, and name → the variable that was read last
 
 
 def stack(path: Path, dataset: str | None) -> MultiFrameFile:
-    """Return the frames of the variable `dataset`, or of the only array if `dataset` is None."""
+    """Open the frames of a variable. If `dataset` is None, the file must contain only one array of frames."""
     with open_regular(path) as stream:
         text = stream.read(TEXT)
     if text.startswith(HDF5_VERSION):
@@ -40,10 +41,21 @@ def stack(path: Path, dataset: str | None) -> MultiFrameFile:
 
 @isolated("scipy.io")
 def find_variable(path: Path, dataset: str | None, from_python: bool) -> tuple[str, int]:
-    """Return the name of the variable and its number of frames.
+    """Return the name of the variable with the frames, and its number of frames.
 
-    `from_python` states whether Python wrote the file. If `dataset` is None, the only array in the file is used. Raises
-    InputFileError if the variable does not exist or contains a picture with several channels.
+    Parameters
+    ----------
+    path : Path
+        The file, of a version before 7.3.
+    dataset : str or None
+        Name of the variable. If it is None, the file must contain only one array of frames.
+    from_python : bool
+        Whether Python wrote the file, which determines the order of the axes.
+
+    Raises
+    ------
+    InputFileError
+        If the variable does not exist, is not an array of frames, is too large, or contains a picture with several channels.
     """
     import scipy.io
 
@@ -64,7 +76,7 @@ def find_variable(path: Path, dataset: str | None, from_python: bool) -> tuple[s
 
 @isolated("scipy.io")
 def frame(path: Path, name: str, from_python: bool, number: int) -> NDArray:
-    """Read a frame (row, col) of a variable that `find_variable` has found."""
+    """Read frame `number` (from 0) of the variable `name`, which `find_variable` returned, as an array (row, col)."""
     import scipy.io
 
     key = (str(path), *stamp(path), name)
@@ -88,9 +100,10 @@ def _axes(path: Path, name: str, shape: tuple[int, ...], from_python: bool) -> A
 
 
 def _only_variable(path: Path, variables: dict[str, tuple[tuple[int, ...], str]]) -> str:
-    """Return the name of the only array of uint8 or uint16 or, if there is none, of the only array of other numbers.
+    """Return the name of the only array with the type uint8 or uint16.
 
-    Raises InputFileError if there is no such array, or more than one.
+    If no array has such a type, arrays with any numeric type are considered. Raises InputFileError if none or more than one
+    is found.
     """
     arrays = sorted(name for name, (shape, kind) in variables.items() if kind in NUMBERS and _is_stack(shape))
     chosen = [name for name in arrays if variables[name][1] in COUNTS] or arrays

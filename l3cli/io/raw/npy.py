@@ -1,4 +1,4 @@
-"""Read raw frames from numpy's .npy files: one frame (row, col), or a stack (frame, row, col). Files are memory-mapped."""
+"""Read raw frames from .npy files of numpy, with memory mapping: one frame (row, col), or a stack (frame, row, col)."""
 
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,11 @@ def map_array(path: Path) -> NDArray[Any]:
     """
     require_regular(path, "use a .npy file")
     try:
-        with np.errstate(over="ignore"):  # impossibly large shapes are rejected by np.load or by the size limit
+        with np.errstate(over="ignore"):  # if a stated shape is impossibly large, np.load or the size limit rejects the file
             values = np.load(path, mmap_mode="r", allow_pickle=False)
     except OSError as error:
-        raise InputFileError(f"{path} cannot be read: {error.strerror or error}; use another .npy file") from error
-    except Exception as error:  # a damaged header can raise any exception of Python's tokenizer
+        raise InputFileError(f"{path} cannot be read: {error.strerror or error}; use a readable .npy file") from error
+    except Exception as error:  # for a damaged header, Python's tokenizer can raise any exception
         raise InputFileError(f"{path} is not a complete .npy file; write it with numpy.save(file, array)") from error
     if not isinstance(values, np.ndarray):
         values.close()
@@ -33,32 +33,31 @@ def map_array(path: Path) -> NDArray[Any]:
 
 
 def read(path: Path) -> RawContent:
-    """Read the frame of a file that contains a single frame.
-
-    Raises InputFileError if the file contains several frames.
-    """
+    """Read the frame in a file with a single frame. Raises InputFileError if the file contains anything else."""
     shape = map_array(path).shape
     if len(shape) == 3:
-        raise InputFileError(f"{path} contains {shape[0]} frames; pass it alone, or use files with one frame each")
+        raise InputFileError(
+            f"{path} contains {shape[0]} frames; specify this file as the only input, or use files with one frame each"
+        )
     return RawContent(values=np.array(_mapped(path, 2)))
 
 
 def stack(path: Path) -> MultiFrameFile | None:
-    """Return the frames of a file with three axes, or None for any other file."""
+    """Open the frames of an array with three axes. Return None for any other array."""
     shape = map_array(path).shape
     if len(shape) != 3:
         return None
     frame_axes(str(path), shape)
 
     def frame(number: int) -> RawContent:
-        # Map the file for each frame, because the pages of a mapping that stays open count as used memory.
+        # The file is mapped again for each frame, because the pages of a mapping that stays open count as used memory.
         return RawContent(values=np.array(_mapped(path, 3)[number]))
 
     return MultiFrameFile(len(_mapped(path, 3)), frame, numbered=False)
 
 
 def _mapped(path: Path, axes: int) -> NDArray:
-    """Memory-map an array. Raises InputFileError unless it contains numbers and has `axes` axes of acceptable lengths."""
+    """Memory-map an array. Raises InputFileError if it has other than `axes` axes, is not numeric, or is too large."""
     values = map_array(path)
     if values.ndim != axes or values.dtype.kind not in "iuf":
         found = f"a {values.ndim}-dimensional array of {values.dtype}"

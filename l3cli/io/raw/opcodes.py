@@ -1,8 +1,8 @@
-"""Opcode lists of a DNG file (Adobe DNG 1.7, chapter 7): changes to the mosaic or to the picture that the file requests.
+"""Opcode lists of a DNG file (Adobe DNG 1.7, chapter 7): corrections of the mosaic or of the picture that the file requests.
 
-l3 corrects bad pixels, converts gain maps and radial vignetting to a gain per pixel, and applies rectilinear lens warps to
-the picture. If another opcode is optional, l3 ignores it with a note. Otherwise l3 rejects the file, unless the user asks to
-ignore the opcode.
+l3 supports three types of opcodes. It corrects bad pixels, converts gain maps and radial vignetting to a gain per pixel, and
+applies rectilinear lens warps to the picture. All other opcodes are ignored with a note if they are optional. If they are
+required, l3 rejects the file, unless the user sets an option to ignore them.
 """
 
 import struct
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from l3cli.frames.lens_warp import BLUE, GREEN, RED, UNCHANGED, LensWarp, corrected_places
 
-LISTS = ("OpcodeList1", "OpcodeList2", "OpcodeList3")  # for stored, linear and demosaicked values, respectively
+LISTS = ("OpcodeList1", "OpcodeList2", "OpcodeList3")  # lists for stored, linear and demosaicked values, in this order
 WARP_RECTILINEAR, FIX_VIGNETTE_RADIAL, FIX_BAD_PIXELS_CONSTANT, FIX_BAD_PIXELS_LIST, GAIN_MAP = 1, 3, 4, 5, 9
 SUPPORTED = ((4, 5), (5, 3, 9), (3, 9, 1))  # supported opcodes in each list
 NAMES = (
@@ -23,14 +23,14 @@ NAMES = (
     "MapTable", "MapPolynomial", "GainMap", "DeltaPerRow", "DeltaPerColumn", "ScalePerRow", "ScalePerColumn",
     "WarpRectilinear2",
 )  # fmt: skip
-OPTIONAL = 1  # bit of an opcode's flags that permits readers to ignore the opcode
-MOST_OPCODES = 1000
-MOST_GAIN = 64.0
-MOST_PLANES = 16
-MOST_WARP = 10.0  # largest factor, and reciprocal of the smallest, by which a warp may change a distance from the centre
-HEAD = struct.Struct(">IIII")  # identifier, version, flags, bytes
-AREA = struct.Struct(">8I")  # top, left, bottom, right, first plane, planes, row pitch, column pitch
-MAP = struct.Struct(">2I4dI")  # points down and across, spacings, origins, planes
+OPTIONAL = 1  # bit in the flags of an opcode that permits readers to ignore the opcode
+MOST_OPCODES = 1000  # maximum number of opcodes in a list
+MOST_GAIN = 64.0  # largest plausible gain
+MOST_PLANES = 16  # maximum number of colour planes
+MOST_WARP = 10.0  # maximum factor, in both directions, by which a warp may change a distance from the centre
+HEAD = struct.Struct(">IIII")  # identifier, version, flags, number of bytes
+AREA = struct.Struct(">8I")  # top, left, bottom, right, first plane, number of planes, row pitch, column pitch
+MAP = struct.Struct(">2I4dI")  # numbers of points down and across, spacings, origins, number of planes
 Floats = NDArray[np.float64]
 
 
@@ -46,13 +46,13 @@ class Opcode:
 
 @dataclass(frozen=True)
 class GainMap:
-    """Gains on a coarse grid, for some of the rows, columns and colour planes."""
+    """Gains on a coarse grid, which apply to some of the rows, columns and colour planes."""
 
-    stage: int
-    area: tuple[slice, slice]  # rows, columns
-    planes: range
-    spacing: tuple[float, float]  # grid spacing in heights and widths of the image
-    origin: tuple[float, float]
+    stage: int  # index in LISTS
+    area: tuple[slice, slice]  # rows and columns to which the gains apply
+    planes: range  # colour planes to which the gains apply
+    spacing: tuple[float, float]  # spacing of the grid (down, across) as fractions of the height and width of the image
+    origin: tuple[float, float]  # position of the first grid point (down, across), in the same units
     gains: Floats  # (row, col, plane)
 
 
@@ -60,9 +60,9 @@ class GainMap:
 class Vignette:
     """Radial gain 1 + k0 r² + k1 r⁴ + …, where r is 1 in the corner farthest from the centre."""
 
-    terms: tuple[float, ...]
-    centre: tuple[float, float]  # down, across, in heights and widths of the image
-    warps: tuple[LensWarp, ...]  # the warps before this opcode, so that the gain refers to the warped picture
+    terms: tuple[float, ...]  # k0, k1, …
+    centre: tuple[float, float]  # centre (down, across) as fractions of the height and width of the image
+    warps: tuple[LensWarp, ...]  # warps that precede this opcode; the gain applies to the picture after these warps
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,11 @@ class Opcodes:
     """The corrections that a file requests."""
 
     constants: tuple[int, ...] = ()  # stored values that mark bad pixels
-    rects: tuple[NDArray[np.int64], ...] = ()  # (rect, 5) stage, top, left, bottom, right of bad pixels
+    rects: tuple[NDArray[np.int64], ...] = ()  # (rectangle, 5) stage, top, left, bottom and right of bad pixels
     gains: tuple[GainMap | Vignette, ...] = ()
-    warps: tuple[LensWarp, ...] = ()  # for the picture of the active area
-    notes: tuple[str, ...] = ()  # notes on ignored optional opcodes
-    demanded: tuple[str, ...] = ()  # unsupported mandatory opcodes
+    warps: tuple[LensWarp, ...] = ()  # warps of the picture of the active area
+    notes: tuple[str, ...] = ()  # notes about optional opcodes that are ignored
+    demanded: tuple[str, ...] = ()  # required opcodes that l3 does not support
 
     def __bool__(self) -> bool:
         return bool(self.constants or self.rects or self.gains)
@@ -84,7 +84,7 @@ class Opcodes:
 
 
 def read_opcodes(page: Any, planes: Sequence[int], area: tuple[int, int]) -> Opcodes:
-    """Return the opcodes of a page.
+    """Read the opcode lists of a page.
 
     Parameters
     ----------
@@ -93,12 +93,17 @@ def read_opcodes(page: Any, planes: Sequence[int], area: tuple[int, int]) -> Opc
     planes : sequence of int
         Colour code of each plane of the demosaicked picture.
     area : tuple of int
-        Rows and columns of the active area.
+        Numbers of rows and columns of the active area.
+
+    Returns
+    -------
+    Opcodes
+        The corrections. They are empty if the page has no opcodes.
 
     Raises
     ------
     ValueError, struct.error
-        If a list is damaged.
+        If a list is damaged or contains implausible values.
     """
     found: dict[str, list[Any]] = {"constants": [], "rects": [], "gains": [], "warps": [], "notes": [], "demanded": []}
     linearised = page.tags.valueof("LinearizationTable") is not None
@@ -144,9 +149,9 @@ def _listed(page: Any) -> list[Opcode]:
 
 
 def _bad_rects(opcode: Opcode) -> NDArray[np.int64]:
-    """Return rectangles and single points of bad pixels (rect, 5): index of the list, then top, left, bottom, right.
+    """Return the rectangles and single points of bad pixels (rectangle, 5): index of the list, top, left, bottom, right.
 
-    Raises ValueError if the list has the wrong length.
+    Raises ValueError if the content of the opcode has the wrong length.
     """
     _, points, rects = struct.unpack_from(">III", opcode.content)
     if len(opcode.content) != 12 + 8 * points + 16 * rects:
@@ -180,13 +185,10 @@ def _vignette(opcode: Opcode, warps: tuple[LensWarp, ...]) -> Vignette:
 
 
 def _warps(opcode: Opcode, planes: Sequence[int], area: tuple[int, int]) -> list[LensWarp]:
-    """Return the warp of an opcode, or an empty list if it leaves all pixels where they are.
+    """Return the warp of an opcode as a list with one element, or an empty list if the warp does not move any pixel.
 
-    Raises
-    ------
-    ValueError
-        If the number of sets of terms is not 1 or the number of planes, if a term or the centre is out of range, or if
-        the warp changes distances by more than a factor of MOST_WARP.
+    Raises ValueError if the number of sets of terms is neither 1 nor the number of planes, if a term or the centre is out of
+    range, or if the warp changes distances by more than a factor of MOST_WARP.
     """
     (count,) = struct.unpack_from(">I", opcode.content)
     if count not in (1, len(planes)):
@@ -207,7 +209,11 @@ def _warps(opcode: Opcode, planes: Sequence[int], area: tuple[int, int]) -> list
 
 
 def bad_pixels(opcodes: Opcodes, stored: NDArray[np.uint16], active: tuple[int, int, int, int]) -> NDArray[np.bool_]:
-    """Return a mask (row, col) of the active area that is True for pixels that the opcodes mark as bad."""
+    """Return a mask (row, col) of the active area that is true for the pixels that the opcodes mark as bad.
+
+    `stored` are the stored values (row, col) of the whole image. `active` are the top, left, bottom and right edges of the
+    active area.
+    """
     top, left, bottom, right = active
     bad = np.isin(stored[top:bottom, left:right], opcodes.constants)
     origins = ((top, left), (0, 0), (0, 0))
@@ -222,7 +228,7 @@ def bad_pixels(opcodes: Opcodes, stored: NDArray[np.uint16], active: tuple[int, 
 def gain_of_pixels(
     opcodes: Opcodes, pattern: NDArray[np.int64], planes: Sequence[int], shape: tuple[int, int]
 ) -> NDArray[np.float32]:
-    """Return the gain (row, col) of every pixel in the active area.
+    """Return the gain (row, col) of each pixel in the active area.
 
     Parameters
     ----------
@@ -233,14 +239,14 @@ def gain_of_pixels(
     planes : sequence of int
         Colour code of each plane.
     shape : tuple of int
-        Rows and columns of the active area.
+        Numbers of rows and columns of the active area.
 
     Raises
     ------
     ValueError
-        If a gain is not positive or implausibly large.
+        If a gain is not positive or is implausibly large.
     """
-    with np.errstate(all="ignore"):  # the result of an overflow is rejected below
+    with np.errstate(all="ignore"):  # after an overflow, the check below fails
         gain = _product(opcodes, pattern, planes, shape)
     if not (gain.min() > 0 and gain.max() <= MOST_GAIN):
         raise ValueError(f"the gains are {gain.min():.3g}…{gain.max():.3g}")
@@ -278,7 +284,7 @@ def _radial(vignette: Vignette, shape: tuple[int, int]) -> Floats:
 
 
 def _interpolated(each: GainMap, plane: int, shape: tuple[int, int]) -> Floats:
-    """Return the gains (row, col) in the area of a gain map: linear between grid points, constant beyond the outermost."""
+    """Return the gains (row, col) in the area of a gain map. They are linear between grid points and constant beyond."""
     sides = []
     for axis in (0, 1):
         place = (np.arange(shape[axis])[each.area[axis]] + 0.5) / shape[axis]

@@ -1,6 +1,6 @@
 """Read binary portable graymaps (PGM, P5) with 8 or 16 bits, without scaling.
 
-OpenImageIO would scale the values so that the maximum in the header becomes 65535, but a raw mosaic must not be scaled.
+OpenImageIO is not used for these files, because it scales the values so that the maximum in the header becomes 65535.
 """
 
 import re
@@ -15,11 +15,11 @@ from l3cli.system.limits import require_picture
 
 GAP = rb"(?:\s|#[^\n\r]*[\n\r])+"
 HEADER = re.compile(rb"P5" + GAP + rb"(\d{1,9})" + GAP + rb"(\d{1,9})" + GAP + rb"(\d{1,5})\s")
-LONGEST_HEADER = 65536  # bytes, including comments
+LONGEST_HEADER = 65536  # maximum length of the header in bytes, including comments
 
 
 def read(path: Path) -> RawContent:
-    """Read the pixels (row, col) of a graymap in DN, as uint8 or uint16 like in the file.
+    """Read the pixels (row, col) of a graymap in DN. They are uint8 if the stated maximum is below 256, otherwise uint16.
 
     Raises InputFileError if the file is not a single, complete P5 graymap.
     """
@@ -35,9 +35,11 @@ def read(path: Path) -> RawContent:
     dtype = np.dtype(np.uint8 if top < 256 else ">u2")
     wanted, size = rows * cols * dtype.itemsize, path.stat().st_size - header.end()
     if size != wanted:
-        problem, cure = ("is truncated", "copy it again") if size < wanted else ("is too long", "save one graymap per file")
+        problem, cure = (
+            ("is truncated", "copy the file again") if size < wanted else ("is too long", "save one graymap per file")
+        )
         raise InputFileError(
-            f"{path} {problem}: it has {size} bytes after the header, but {rows}×{cols} values need {wanted}; {cure}"
+            f"{path} {problem}: {size} bytes follow the header, but {rows}×{cols} values need {wanted}; {cure}"
         )
     require_picture(str(path), rows, cols)
     values = np.fromfile(path, dtype, offset=header.end()).reshape(rows, cols)

@@ -1,8 +1,8 @@
-"""Read SER, the raw video format of planetary astronomy: a header of 178 bytes, then frames of 8 or 16 bits.
+"""Read SER files, the raw videos of planetary astronomy: a header of 178 bytes, and frames with 8 or 16 bits per value.
 
-The reference is the SER format description 3. Programs disagree on which value of LittleEndian means little-endian, so l3
-chooses the byte order in which neighbouring pixels of the first frame are more similar. The frame times at the end of a file
-are not read.
+The reference is the SER format description 3. Programs disagree about the value of LittleEndian that means little-endian. l3
+therefore chooses the byte order in which neighbouring pixels of the first frame are more similar. The frame times at the end
+of a file are not read.
 """
 
 import struct
@@ -20,20 +20,21 @@ from l3cli.io.raw.headerless import Layout, read_frame
 from l3cli.system.files import open_regular
 from l3cli.system.limits import require_picture
 
-HEADER = struct.Struct("<14s7i")  # followed by names and two dates
+HEADER = struct.Struct("<14s7i")  # beginning of the header; names and two dates follow
 HEADER_BYTES = 178
 MAGIC = b"LUCAM-RECORDER"
-PATTERNS = {0: "", 8: "RGGB", 9: "GRBG", 10: "GBRG", 11: "BGGR", 16: "CYYM", 17: "YCMY", 18: "YMCY", 19: "MYYC"}  # ColorID
-COLOURS = (100, 101)  # ColorID of RGB and BGR
+# Value of ColorID → letters of the CFA, or "" for a monochrome sensor.
+PATTERNS = {0: "", 8: "RGGB", 9: "GRBG", 10: "GBRG", 11: "BGGR", 16: "CYYM", 17: "YCMY", 18: "YMCY", 19: "MYYC"}
+COLOURS = (100, 101)  # values of ColorID for RGB and BGR
 
 
 def stack(path: Path) -> MultiFrameFile:
-    """Return the frames of a SER file.
+    """Open the frames of a SER file.
 
     Raises
     ------
     InputFileError
-        If the file is not a SER file, contains colour frames, or contains fewer frames than its header states.
+        If the file is not a SER file, contains demosaicked frames, or contains fewer frames than its header states.
     """
     layout, pattern, count = _header(path)
 
@@ -47,9 +48,9 @@ def stack(path: Path) -> MultiFrameFile:
 
 
 def _header(path: Path) -> tuple[Layout, NDArray[np.int64] | None, int]:
-    """Return the layout of the frames, the colours of the CFA (None for a monochrome camera), and the number of frames.
+    """Return the layout of the frames, the colour codes of the CFA (None for a monochrome camera), and the number of frames.
 
-    Raises InputFileError if the header is damaged or describes colour frames.
+    Raises InputFileError if the header is damaged or describes demosaicked frames, or if frames are missing.
     """
     with open_regular(path) as stream:
         stored = stream.read(HEADER_BYTES)
@@ -72,10 +73,10 @@ def _header(path: Path) -> tuple[Layout, NDArray[np.int64] | None, int]:
 
 
 def _in_byte_order(path: Path, layout: Layout) -> Layout:
-    """Return the layout with the byte order that makes the first frame smoother."""
+    """Return the layout with the byte order in which the first frame is smoother. 8-bit layouts are unchanged."""
     if not layout.packing.is_words:
         return layout
     first = read_frame(path, layout, 0)
-    period = np.arange(4, dtype=np.uint8).reshape(2, 2)  # in all SER arrays, the CFA repeats after two rows and columns
+    period = np.arange(4, dtype=np.uint8).reshape(2, 2)  # the period of every CFA in SER files is 2×2
     readings = [roughness(values, bits, period) for _, values, bits in first["readings"]()][:2]
     return Layout(layout.rows, layout.cols, layout.packing, skip=layout.skip, big_endian=readings[1] < readings[0])

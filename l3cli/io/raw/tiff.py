@@ -1,7 +1,7 @@
-"""Read raw frames from single-channel pictures: TIFF and PNG.
+"""Read raw frames from single-channel TIFF and PNG files.
 
-A TIFF file with several pages is a stack. l3 rejects a stack unless all pages have the same size and type. Mosaics in the
-file layout that l3 writes are read in this process. OpenImageIO reads all other files in the isolated process.
+A TIFF file with several pages is a stack, whose pages must have the same size and type. If a file has the layout in which l3
+writes mosaics, it is read in this process. OpenImageIO reads all other files in the isolated process.
 """
 
 import contextlib
@@ -25,11 +25,11 @@ from l3cli.system.limits import most_pixels
 
 MOST_PAGES = 1_000_000  # maximum number of pages
 
-_opened: dict[tuple[Any, ...], Any] = {}  # the file that was opened last; the key identifies the file
+_opened: dict[tuple[Any, ...], Any] = {}  # identity of the file that was opened last → its ImageInput
 
 
 def read(path: Path) -> RawContent:
-    """Read the frame of a single-channel picture."""
+    """Read the frame in a single-channel picture. Raises InputFileError if the file contains anything else."""
     if (plain := read_plain(path)) is not None:
         return plain
     return read_by_library(path)
@@ -37,14 +37,14 @@ def read(path: Path) -> RawContent:
 
 @isolated("OpenImageIO", "tifffile")
 def read_by_library(path: Path) -> RawContent:
-    """Read the frame of a picture with OpenImageIO."""
+    """Read the frame in a single-channel picture with OpenImageIO. Raises InputFileError as in `read`."""
     _check_first_page(path)
     with opened(path) as (source, spec):
         return _content(path, source, spec)
 
 
 def _content(path: Path, source: Any, spec: Any) -> RawContent:
-    """Return the frame at the current page of OpenImageIO's ImageInput."""
+    """Return the frame on the current page of an OpenImageIO ImageInput."""
     values, exposure = mono_of(path, source, spec)
     flip = flip_of(path, spec.get_int_attribute("Orientation", UPRIGHT))
     return RawContent(values=values, orientation=flip, exposure=exposure, shot=shot_of_spec(spec))
@@ -54,7 +54,10 @@ def _content(path: Path, source: Any, spec: Any) -> RawContent:
 
 
 def stack(path: Path) -> MultiFrameFile | None:
-    """Return the frames of a TIFF file with several pages, or None for any other file."""
+    """Open a TIFF file with several pages. Return None for any other file.
+
+    Raises InputFileError if the pages differ in size or type.
+    """
     if is_plain(path):
         return None
     count = count_pages(path)
@@ -63,10 +66,10 @@ def stack(path: Path) -> MultiFrameFile | None:
 
 @isolated("OpenImageIO", "tifffile")
 def count_pages(path: Path) -> int:
-    """Return the number of pages of a TIFF file.
+    """Return the number of pages in a TIFF file, or 1 for a PNG file.
 
-    Raises InputFileError if pages differ in size or type, for example because a thumbnail follows the picture, or if there
-    are images that are not pages.
+    Raises InputFileError if the pages differ in size or type, for example because a thumbnail follows the picture, if they
+    are the channels of a picture, or if the file contains images that are not pages.
     """
     first = _page(path, 0).spec()
     usual, count = _kind(first), _count(path)
@@ -83,27 +86,31 @@ def count_pages(path: Path) -> int:
 
 @isolated("OpenImageIO", "tifffile")
 def read_page(path: Path, number: int) -> RawContent:
-    """Read a single-channel page as stored. Pages are counted from 0."""
+    """Read the frame on page `number`, from 0. Raises InputFileError if the page is damaged or has several channels."""
     source = _page(path, number)
     require_bearable(path, source.spec())
     return _content(path, source, source.spec())
 
 
 def _require_frames(path: Path, spec: Any, count: int) -> None:
-    """Raise InputFileError if the pages are channels of a picture, as ImageJ, tifffile or OME state, or columns."""
+    """Raise InputFileError if the pages are probably not frames.
+
+    ImageJ, tifffile and OME may state that pages are channels of a picture. If frames have very few columns, the last axis
+    probably contains channels or frames (see `frame_axes`).
+    """
     text = spec.get_string_attribute("ImageDescription")
     channels = re.search(r"^channels=([0-9]{1,9})$", text, re.MULTILINE) if text.startswith("ImageJ=") else None
     channels = channels or re.search(r'<Pixels [^>]*SizeC="([0-9]{1,9})"', text)
-    # A larger number of channels means frames, because tifffile writes stacks with unnamed axes in this way.
+    # A larger number of channels means frames, because tifffile writes the frames of a stack as channels by default.
     if (channels and 1 < int(channels[1]) <= MOST_CHANNELS) or re.match(r"""\{.*"axes": "[A-Z]*C[A-Z]*\"""", text):
         raise InputFileError(
-            f"{path}: the pages are channels of a picture according to the description; save the frames of a mosaic as pages"
+            f"{path}: according to the image description, the pages are channels of a picture; save raw frames as pages"
         )
     frame_axes(str(path), (count, spec.height, spec.width))
 
 
 def _page(path: Path, number: int) -> Any:
-    """Return OpenImageIO's ImageInput, which stays open for further pages, positioned at a page.
+    """Return the OpenImageIO ImageInput of a file, positioned at a page. It stays open for the next pages.
 
     Raises InputFileError if the page is damaged.
     """
@@ -119,17 +126,17 @@ def _page(path: Path, number: int) -> Any:
 
 
 def _kind(spec: Any) -> str:
-    """Describe the size, channels and type of a page, and whether it is a smaller copy or a mask."""
+    """Describe the size, the channels and the type of a page, and state whether it is a smaller copy or a mask."""
     part = ", a smaller copy or a mask" if spec.get_int_attribute("tiff:subfiletype", 0) & ~ONE_OF_MANY else ""
     channels = f"{spec.nchannels} channel{'s' if spec.nchannels > 1 else ''}"
     return f"{spec.height}×{spec.width} pixels, {channels} of {spec.format}{part}"
 
 
 def _count(path: Path) -> int:
-    """Return the number of pages.
+    """Return the number of pages in a TIFF file.
 
-    Libraries mistake a broken chain of pages for the end of the file, so the offset of the next page is checked here. Raises
-    InputFileError if the chain is broken, or if a page has subpages other than smaller copies.
+    If the chain of pages is broken, libraries assume that the file ends there. This function therefore checks the offset of
+    the next page. Raises InputFileError if the chain is broken, or if a page has subpages other than smaller copies.
     """
     import tifffile
 
@@ -150,10 +157,7 @@ def _count(path: Path) -> int:
 
 
 def _check_first_page(path: Path) -> None:
-    """Check the first page with `_check_tags` if the file is a TIFF file.
-
-    Damaged files are ignored, because OpenImageIO reports them.
-    """
+    """Check the tags of the first page if the file is a TIFF file. Damaged files are ignored: OpenImageIO reports them."""
     import tifffile
 
     try:
@@ -166,22 +170,25 @@ def _check_first_page(path: Path) -> None:
 
 
 def _check_tags(path: Path, page: Any) -> None:
-    """Raise InputFileError for tags that OpenImageIO ignores: an orientation that TIFF does not define, or a DNG mosaic."""
+    """Raise InputFileError if a page has an invalid orientation or is a DNG mosaic, which OpenImageIO does not detect."""
     tags = page.tags
     flip_of(path, tags.valueof("Orientation", UPRIGHT))
     if "DNGVersion" in tags or tags.valueof("PhotometricInterpretation") == COLOUR_FILTER_ARRAY:
-        raise InputFileError(f"{path} contains a DNG mosaic; rename it to {path.stem}.dng, so that l3 reads the DNG tags")
+        raise InputFileError(
+            f"{path} contains a DNG mosaic; rename the file to {path.stem}.dng, so that l3 reads the DNG tags"
+        )
 
 
 # ------------------------------------------------------------------------------------------------- plain mosaics
-# Reading these files without tifffile and without the decoding process shortens the rendering of a still. Importing tifffile
-# would take a tenth of the time, and starting the decoding process a quarter.
+# A file in the layout of l3 is read without tifffile and without the isolated process, which shortens the rendering of a
+# single frame. The import of tifffile would take 10 % of the time, and the start of the isolated process 25 %.
 
 ENTRY = np.dtype([("tag", "<u2"), ("type", "<u2"), ("count", "<u4"), ("content", "V4")])
 MAX_TAGS, MAX_STRIPS = 20, 1 << 20
-WIDTH, LENGTH, BITS, OFFSETS, ROWS_PER_STRIP, COUNTS, DATE_TIME, EXIF = 256, 257, 258, 273, 278, 279, 306, 34665  # tags
+# Numbers of tags.
+WIDTH, LENGTH, BITS, OFFSETS, ROWS_PER_STRIP, COUNTS, DATE_TIME, EXIF = 256, 257, 258, 273, 278, 279, 306, 34665
 EXPOSURE_TIME = 33434
-# tags with a single allowed value: compression, photometric interpretation, orientation, channels, planes, sample format
+# Tag → its only permitted value: compression, photometric interpretation, orientation, channels, planes, sample format.
 FIXED = {259: [1], 262: [1], 274: [UPRIGHT], 277: [1], 284: [1], 339: [1]}
 NEEDED = {WIDTH, LENGTH, BITS, OFFSETS, ROWS_PER_STRIP, COUNTS, *FIXED}
 RATIONAL = np.dtype("<u4,<u4")
@@ -189,16 +196,16 @@ TYPES: dict[int, np.dtype] = {3: np.dtype("<u2"), 4: np.dtype("<u4"), 5: RATIONA
 
 
 class _Plain(NamedTuple):
-    """Layout of a file that l3 wrote, and its exposure time."""
+    """Layout of a file in the layout of l3, and its exposure time."""
 
     shape: tuple[int, int]
     dtype: np.dtype
-    offset: int  # bytes before the pixels
-    exposure: float | None  # s
+    offset: int  # number of bytes before the pixels
+    exposure: float | None  # exposure time in s; None if the file does not state it
 
 
 def is_plain(path: Path) -> bool:
-    """Whether a file has the layout in which l3 writes mosaics."""
+    """Return whether a file has the layout in which l3 writes mosaics. False if the file cannot be read."""
     try:
         with open_regular(path) as stream:
             return _layout(stream) is not None
@@ -207,7 +214,10 @@ def is_plain(path: Path) -> bool:
 
 
 def read_plain(path: Path, depths: tuple[int, ...] = (8, 16)) -> RawContent | None:
-    """Read a mosaic in the layout that l3 writes, with a bit depth in `depths`. Returns None for any other file."""
+    """Read a mosaic from a file in the layout of l3, with a bit depth in `depths`. Return None for any other file.
+
+    The values (row, col) are uint16.
+    """
     with open_regular(path) as stream:
         plain = _layout(stream)
         if plain is None or 8 * plain.dtype.itemsize not in depths:
@@ -215,13 +225,15 @@ def read_plain(path: Path, depths: tuple[int, ...] = (8, 16)) -> RawContent | No
         stream.seek(plain.offset)
         values = np.fromfile(stream, plain.dtype, prod(plain.shape))
     if values.size < prod(plain.shape):
-        return None  # the file was truncated in the meantime
+        return None  # the file was truncated after its layout was read
     return RawContent(values=values.reshape(plain.shape).astype(np.uint16, copy=False), exposure=plain.exposure)
 
 
 def _layout(stream: BinaryIO) -> _Plain | None:
-    """Return the layout of a file, or None unless it is the layout in which l3 writes mosaics: little-endian, one page, one
-    channel of 8 or 16 bits, uncompressed, consecutive strips, no other tags.
+    """Return the layout of a file if it is the layout in which l3 writes mosaics, otherwise None.
+
+    This layout is little-endian and uncompressed, with one page, one channel of 8 or 16 bits, consecutive strips, and no
+    additional tags.
     """
     try:
         magic, at = struct.unpack("<4sI", stream.read(8))
@@ -243,21 +255,21 @@ def _layout(stream: BinaryIO) -> _Plain | None:
             exposure = (float(np.float32(above / below)) or None) if below else None
             if tag != EXPOSURE_TIME:
                 return None
-    except (ValueError, KeyError, TypeError, struct.error, RecipeError):  # the general reader reports what is wrong
+    except (ValueError, KeyError, TypeError, struct.error, RecipeError):  # OpenImageIO will report the fault
         return None
     return _Plain((rows, cols), np.dtype(f"<u{bits // 8}"), int(offsets[0]), exposure)
 
 
 def _directory(stream: BinaryIO, at: int) -> dict[int, list[Any]]:
-    """Return the numbers in each tag of a TIFF directory.
+    """Return the numbers in each tag of the TIFF directory at the byte `at`.
 
-    Raises ValueError or KeyError if a tag is repeated or has another type, or if another directory follows.
+    Raises ValueError or KeyError if a tag is repeated or its type is not in TYPES, or if a second directory follows.
     """
     [count] = _numbers(stream, at, np.dtype("<u2"), 1)
     [following] = _numbers(stream, at + 2 + ENTRY.itemsize * count, np.dtype("<u4"), 1)
     tags: dict[int, list[Any]] = {}
     for tag, kind, length, content in _numbers(stream, at + 2, ENTRY, min(count, MAX_TAGS)):
-        if tag == DATE_TIME:  # text, which is not needed
+        if tag == DATE_TIME:  # a text that is not needed
             tags[tag] = []
         elif TYPES[kind].itemsize * length > len(content):
             tags[tag] = _numbers(stream, int.from_bytes(content, "little"), TYPES[kind], length)
@@ -269,7 +281,7 @@ def _directory(stream: BinaryIO, at: int) -> dict[int, list[Any]]:
 
 
 def _numbers(stream: BinaryIO, at: int, dtype: np.dtype, count: int) -> list[Any]:
-    """Return numbers from a file. Raises ValueError if there are too many, or if the file ends before them."""
+    """Read `count` numbers at the byte `at`. Raises ValueError if there are too many, or if the file is too short."""
     if count > MAX_STRIPS or at + count * dtype.itemsize > os.fstat(stream.fileno()).st_size:
         raise ValueError
     stream.seek(at)

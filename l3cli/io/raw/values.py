@@ -1,8 +1,8 @@
 """Convert pixel values of any number type to 16-bit DN.
 
-Integers from 0 to 65535 are DN, whatever type stores them. For other values, such as floating-point values from 0 to 1 or
-negative values, the scale is unknown. The user must state the scale by setting the black and the white level in the units of
-the file.
+Integer values from 0 to 65535 are DN, even if the data type is floating-point. The scale of other values, such as fractions
+from 0 to 1 or negative values, is unknown. The user must then set the black level and the white level in the units of the
+file.
 """
 
 import numpy as np
@@ -11,20 +11,21 @@ from numpy.typing import NDArray
 from l3cli.errors import InputFileError
 
 TOP = 65535  # largest DN
-# Levels of scaled values in DN, with a margin for noise below black and for values above white.
+# Black level and white level of scaled values in DN, with margins for noise below black and for values above white.
 SCALED_BLACK, SCALED_WHITE = 8192.0, 57344.0
 FULL_SCALE_ONE = 2.0  # if full scale is 1, all values are below this limit, even with noise
-LEAST_DN_LEVEL = 16.0  # a white level of at least this value is in DN
+LEAST_DN_LEVEL = 16.0  # a white level is in DN if it is at least this value
 
 
 def as_dn(values: NDArray) -> NDArray[np.uint16] | None:
-    """Return integer values from 0 to 65535 as uint16, or None for other values.
+    """Convert integer values from 0 to 65535, of any type, to uint16. Return None if the values are not DN.
 
-    Floating-point values that are all 0 or 1 do not count as DN, because they may be fractions of full scale.
+    Values are not DN if a value is not an integer, is out of range or is NaN, or if the array is empty. Floating-point
+    values of at most 1 are also not DN, because they may be fractions of full scale.
     """
     if values.dtype in (np.uint8, np.uint16):
         return values.astype(np.uint16, copy=False)
-    if not values.size or not (values.min() >= 0 and values.max() <= TOP):  # also true for NaN
+    if not values.size or not (values.min() >= 0 and values.max() <= TOP):  # this condition is also true for NaN
         return None
     if values.dtype.kind == "f" and (values.max() <= 1 or (values != np.rint(values)).any()):
         return None
@@ -32,29 +33,34 @@ def as_dn(values: NDArray) -> NDArray[np.uint16] | None:
 
 
 def require_dn(name: str, values: NDArray) -> NDArray[np.uint16]:
-    """Convert values to DN. Raises InputFileError, beginning with `name`, if the values are not DN."""
+    """Convert values to DN. Raises InputFileError if the values are not DN. `name` is the name of the file for messages."""
     dn = as_dn(values)
     if dn is None:
-        raise InputFileError(f"{name} contains {_range_of(name, values)}; save DN, that is, integers from 0 to {TOP}")
+        raise InputFileError(f"{name} contains {_range_of(name, values)}; save the values in DN (integers from 0 to {TOP})")
     return dn
 
 
 def scaled_dn(name: str, values: NDArray, black: float | None, white: float | None) -> NDArray[np.uint16]:
-    """Convert values on another scale to DN with the levels SCALED_BLACK and SCALED_WHITE.
+    """Convert values in the units of a file to DN with the black level SCALED_BLACK and the white level SCALED_WHITE.
 
     Parameters
     ----------
     name : str
-        Name of the file in messages.
+        Name of the file, for messages.
     values : ndarray
         Stored values.
     black, white : float or None
-        Black and white level in the units of the file.
+        Black level and white level in the units of the file, or None if the user has not set a level.
+
+    Returns
+    -------
+    ndarray of uint16
+        Values in DN, clipped to 0…65535.
 
     Raises
     ------
     InputFileError
-        If a level is missing or not in the units of the values, or if a value is not finite.
+        If a level is None or is not in the units of the values, or if a value is not finite.
     """
     found = _range_of(name, values)
     if black is None or white is None:
@@ -64,15 +70,15 @@ def scaled_dn(name: str, values: NDArray, black: float | None, white: float | No
         )
     if not black < white or (float(values.max()) < FULL_SCALE_ONE and white >= LEAST_DN_LEVEL):
         raise InputFileError(
-            f"{name} contains {found}, which do not fit ‹black_level› {black:g} and ‹white_level› {white:g}; "
-            "set both in the units of the file"
+            f"{name} contains {found}, which do not match ‹black_level› {black:g} and ‹white_level› {white:g}; "
+            "set both levels in the units of the file"
         )
     dn = SCALED_BLACK + (values.astype(np.float64) - black) * ((SCALED_WHITE - SCALED_BLACK) / (white - black))
     return np.clip(np.rint(dn), 0, TOP).astype(np.uint16)
 
 
 def _range_of(name: str, values: NDArray) -> str:
-    """Describe the type and range of values. Raises InputFileError if they are not finite numbers."""
+    """Describe the type and the range of values. Raises InputFileError if the values are not finite numbers."""
     if values.dtype.kind not in "iuf":
         raise InputFileError(f"{name} contains values of type {values.dtype}; save integers or floating-point numbers")
     least, most = values.min(), values.max()

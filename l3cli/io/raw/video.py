@@ -1,4 +1,4 @@
-"""Read raw videos with PyAV (FFmpeg). A raw video has one channel, is compressed without loss, and contains mosaics."""
+"""Read raw videos with PyAV (FFmpeg). A raw video contains mosaics with one channel and lossless compression."""
 
 import contextlib
 import itertools
@@ -14,14 +14,14 @@ from l3cli.io.isolated import isolated
 from l3cli.io.raw import InOrder, MultiFrameFile, RawContent
 from l3cli.io.video import CONTAINERS, DecodedVideo, InTurn, StatedTimes, storable_rate
 
-PALETTE = "pal8"  # pixel format of uncompressed 8-bit AVI
-AT_A_TIME = 500  # number of frames whose times are read in one call
+PALETTE = "pal8"  # pixel format of uncompressed 8-bit AVI files
+AT_A_TIME = 500  # number of frames whose times are read in one request
 
 
 def stack(path: Path) -> MultiFrameFile:
-    """Return the frames of a video, whose number is not known in advance.
+    """Open the frames of a video. Their number is unknown until the video ends.
 
-    Raises InputFileError unless the video has one grey channel of 8 to 16 bits, such as FFV1 in MKV.
+    Raises InputFileError unless the video has one grey channel with 8 to 16 bits, such as FFV1 in MKV.
     """
     fraction, numbers = _rate(path), itertools.count()
     rate = storable_rate(Fraction(*fraction)) if fraction else None
@@ -34,13 +34,13 @@ def stack(path: Path) -> MultiFrameFile:
 
 
 def _times(path: Path) -> StatedTimes | None:
-    """Return the times of the frames, or None if some frames have no time.
+    """Return the times of the frames, without decoding them. None if the video has no frames, or if a time is missing.
 
-    The file is read up to its end or up to the first damaged frame. No frame is decoded.
+    The file is read to its end or to the first damaged frame.
     """
     ticks: list[int | None] = []
     tick = (1, 1)
-    with contextlib.suppress(InputFileError):  # the damage is reported when the frame is read
+    with contextlib.suppress(InputFileError):  # reading the damaged frame will report the error
         while True:
             tick, more = _some_times(path, len(ticks))
             if not more:
@@ -60,7 +60,7 @@ def _rate(path: Path) -> tuple[int, int] | None:
 
 @isolated("av")
 def _some_times(path: Path, number: int) -> tuple[tuple[int, int], list[int | None]]:
-    """Return the seconds per tick, and the times in ticks of at most AT_A_TIME frames, beginning with frame `number`."""
+    """Return the length of a tick in s, and the times in ticks of at most AT_A_TIME frames, starting at frame `number`."""
     video = _timed.video(path, number)
     return (video.tick.numerator, video.tick.denominator), video.times(AT_A_TIME)
 
@@ -69,7 +69,8 @@ def _some_times(path: Path, number: int) -> tuple[tuple[int, int], list[int | No
 def _frame(path: Path, number: int) -> NDArray[np.uint16] | None:
     """Return frame `number` (row, col) of a raw video in DN, or None after the last frame.
 
-    Frames must be requested in order, from 0. Raises InputFileError if the frame is damaged. Later frames can still be read.
+    Frames must be requested in order, from 0. Raises InputFileError if the frame is damaged. The frames after a damaged
+    frame can still be read.
     """
     frame = _in_turn.frame(path, number)
     if frame is None:
@@ -79,13 +80,13 @@ def _frame(path: Path, number: int) -> NDArray[np.uint16] | None:
 
 
 def _of_palette(path: Path, pixels: NDArray[np.uint8], palette: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the indices of a palette image as raw values.
+    """Return the indices of a palette image, which are raw values if the palette (colour, ARGB) is a grey ramp.
 
-    Raises InputFileError if the palette (colour, ARGB) contains colours, because the indices are then not raw values.
+    Raises InputFileError for any other palette.
     """
     if not (palette[:, 1:] == np.arange(256)[:, None]).all():
         raise InputFileError(
-            f"{path} has a colour palette; record a raw video with one channel (pixel format gray, gray12le…)"
+            f"{path} has a colour palette; record a raw video with one channel (pixel format gray, gray12le, …)"
         )
     return pixels
 
@@ -98,9 +99,9 @@ _in_turn, _timed = InTurn(_opened), InTurn(_opened)
 
 
 def _require_mosaics(path: Path, context: Any) -> None:
-    """Raise InputFileError unless a video has one grey channel of 8 to 16 bits, or a palette."""
+    """Raise InputFileError unless a video has one grey channel with 8 to 16 bits, or a palette."""
     if not (context.pix_fmt or "").startswith(("gray", PALETTE)) or "f" in context.pix_fmt:
         raise InputFileError(
             f"{path} has the pixel format {context.pix_fmt or 'unknown'}; "
-            "record a raw video with one channel (pixel format gray, gray12le…)"
+            "record a raw video with one channel (pixel format gray, gray12le, …)"
         )

@@ -1,6 +1,6 @@
-"""Formats of scene files. The `source` in a recipe and the suffix of a file determine which module reads the file.
+"""Formats of scene files. The key `source` in a recipe and the suffix of a file determine which module reads the file.
 
-To add a format, write a module in this folder and add an entry to FORMATS. A new source also needs keys in
+To add a format, write a module in this folder and add an entry to FORMATS. For a new source, also add its keys to
 simulation/sources.py. The module must define the functions `read` and `size`. If the entry sets `has_files` or
 `names_unknown`, the module must also define `files` or `unknown`, respectively. l3 imports the module when it reads the
 first scene in this format.
@@ -21,11 +21,11 @@ from l3cli.frames.scene import PolarisedPictures, Scene, SpectralCube
 class SceneFormat:
     """A file format of scenes."""
 
-    source: str  # value of `source` in a recipe
-    module: str  # module in this folder
-    suffixes: tuple[str, ...] = ()  # in lower case; empty for all suffixes that no earlier line lists
-    keys: tuple[str, ...] = ()  # recipe keys that are passed to the reader
-    is_folder: bool | None = False  # whether a scene is a folder rather than a file; None if it can be either
+    source: str  # value of the key `source` in a recipe
+    module: str  # module in this folder that reads the format
+    suffixes: tuple[str, ...] = ()  # in lower case; empty for all suffixes that no earlier entry of the source lists
+    keys: tuple[str, ...] = ()  # recipe keys that are passed to `read` and `size`
+    is_folder: bool | None = False  # whether a scene is a folder instead of a file; None if it can be either
     has_files: bool = False  # whether a scene consists of several files
     names_unknown: bool = False  # whether the module has a function `unknown`, which returns unknown header fields
     holds: str = ""  # description of the contents, for the documentation
@@ -37,27 +37,28 @@ class SceneFormat:
         Returns
         -------
         Scene, SpectralCube, PolarisedPictures or ndarray
-            A scene with its illuminant, a cube of bands, pictures of polarised light, or a linear picture (row, col, 3).
+            A scene with its illuminant, a cube of bands, pictures of polarised light, or a linear picture (row, col, 3),
+            depending on the format.
 
         Raises
         ------
         InputFileError
-            If the file does not have this format.
+            If the file cannot be read or does not have this format.
         """
         content: Scene | SpectralCube | PolarisedPictures | NDArray[np.float32] = self._reader.read(path, **keys)
         return content
 
     def size(self, path: Path, **keys: Any) -> tuple[int, int]:
-        """Return the number of rows and columns of a scene, without reading its values if the header states the size."""
+        """Return the numbers of rows and columns of a scene. The values are read only if no header states the size."""
         rows, cols = self._reader.size(path, **keys)
         return rows, cols
 
     def files(self, path: Path) -> list[Path]:
-        """Return all files that belong to a scene."""
+        """Return all files of which a scene consists."""
         return self._reader.files(path) if self.has_files else [path]
 
     def unknown(self, path: Path) -> list[str]:
-        """Return the header fields that l3 does not recognise and that may affect the values."""
+        """Return the header fields of a scene that l3 does not recognise and that may affect its values."""
         fields: list[str] = self._reader.unknown(path) if self.names_unknown else []
         return fields
 
@@ -102,11 +103,11 @@ FORMATS = (
 
 
 def format_of(source: str, path: Path) -> SceneFormat:
-    """Return the format of a scene file, given the `source` in the recipe."""
+    """Return the format of a scene file, given the value of the key `source` in the recipe."""
     suffix = path.suffix.lower()
     return next(each for each in FORMATS if each.source == source and (not each.suffixes or suffix in each.suffixes))
 
 
 def is_folder(source: str) -> bool | None:
-    """Whether each scene of a source is a folder. None if a scene can be a folder or a file."""
+    """Return whether the scenes of a source are folders instead of files. None if they can be either."""
     return next((each.is_folder for each in FORMATS if each.source == source), False)

@@ -1,7 +1,7 @@
 """Read spectral cubes from pictures.
 
-A cube may be a folder with one picture per band, a picture with one channel per band (such as EXR), or a TIFF file with one
-page per band.
+A cube is a folder with one picture per band, a picture with one channel per band (such as EXR), or a TIFF file with one page
+per band.
 """
 
 import re
@@ -30,7 +30,8 @@ def read(path: Path) -> SpectralCube:
 
     The pictures in a folder are sorted by the numbers in their names, and only the first channel of each picture is used.
     The names of files, channels or pages may state wavelengths ("450nm", "S0.450,5nm"). If only some names state a
-    wavelength, the bands without one are left out. Raises InputFileError if there are no pictures, or if their sizes differ.
+    wavelength, the other bands are left out. If no name states a wavelength, the wavelengths of the cube are None. Raises
+    InputFileError if a folder contains no pictures, or if its pictures differ in size or bit depth.
     """
     if path.is_dir():
         pictures = _pictures(path)
@@ -44,7 +45,7 @@ def read(path: Path) -> SpectralCube:
 
 
 def size(path: Path) -> tuple[int, int]:
-    """Return the number of rows and columns of the first picture. Raises InputFileError if there are no pictures."""
+    """Return the numbers of rows and columns of a cube. Raises InputFileError if a folder contains no pictures."""
     if path.suffix.lower() in TIFF and not path.is_dir():
         rows, cols = _tiff_size(path)
         return rows, cols
@@ -52,7 +53,7 @@ def size(path: Path) -> tuple[int, int]:
 
 
 def files(path: Path) -> list[Path]:
-    """Return the pictures in a folder, sorted by the last number in their names. For a file, return the file itself."""
+    """Return the pictures in a folder, sorted by the last number in their names, or the file itself if `path` is a file."""
 
     def order(path: Path) -> tuple[str, int]:
         numbers = re.findall(r"\d+", path.stem)
@@ -73,9 +74,9 @@ def _pictures(folder: Path) -> list[Path]:
 
 
 def _named(names: list[str] | tuple[str, ...]) -> tuple[list[int], NDArray[np.float64] | None]:
-    """Select the bands whose names state a wavelength. Returns their indices and their wavelengths in nm.
+    """Select the bands whose names state a wavelength. Return the indices and the wavelengths in nm of these bands.
 
-    If no name states a wavelength, all bands are selected, and the wavelengths are None.
+    If no name states a wavelength, return the indices of all bands, and None.
     """
     stated = of_names(names)
     wanted = [index for index, each in enumerate(stated) if each is not None]
@@ -97,7 +98,7 @@ def _stacked(pictures: list[Path]) -> NDArray:
         if pixels.shape != cube.shape[:2] or pixels.dtype != cube.dtype:
             raise InputFileError(
                 f"{picture} and {pictures[0].name} differ in size or bit depth; "
-                "keep only the pictures of the bands in the folder"
+                "remove all pictures from the folder that are not bands of the cube"
             )
         cube[..., band] = pixels
     assert cube is not None
@@ -110,8 +111,8 @@ def _stacked(pictures: list[Path]) -> NDArray:
 def _of_tiff(values: NDArray, names: list[str], stated: dict[str, Any]) -> SpectralCube:
     """Convert the result of `read_tiff` to a cube.
 
-    The wavelengths come from the metadata or, if there are none, from the names of the bands. Scales and offsets are
-    applied, and pixels with the no-data value are marked.
+    The wavelengths are from the metadata or, if the metadata contain no wavelengths, from the names of the bands. Scales and
+    offsets are applied, and pixels with the no-data value are marked.
     """
     if stated["wavelengths"]:
         wanted, wavelength = list(range(values.shape[2])), in_nm(stated["wavelengths"], "")
@@ -128,7 +129,7 @@ def _of_tiff(values: NDArray, names: list[str], stated: dict[str, Any]) -> Spect
 
 @isolated("tifffile")
 def _tiff_size(path: Path) -> tuple[int, int]:
-    """Return the number of rows and columns of the bands in a TIFF file."""
+    """Return the numbers of rows and columns of the bands in a TIFF file."""
     import tifffile
 
     with tifffile.TiffFile(path) as file:
@@ -138,10 +139,9 @@ def _tiff_size(path: Path) -> tuple[int, int]:
 
 @isolated("OpenImageIO", "tifffile")
 def read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
-    """Return the bands of a TIFF file (row, col, band), their names, and metadata from tags.
+    """Return the bands of a TIFF file (row, col, band), their names, and the metadata in the tags (see `_stated`).
 
-    The metadata are the wavelengths, the value of pixels without data, and the scales and offsets that GDAL writes. Raises
-    InputFileError if a page is damaged.
+    The list of names is empty if the file contains no names. Raises InputFileError if a page is damaged.
     """
     import tifffile
 
@@ -151,7 +151,8 @@ def read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
         bands = int(np.prod(series.shape)) // (page.imagelength * page.imagewidth)
         stated, names = _stated(file, page, bands), _page_names(file, series, bands)
         pages = [each.index for each in series.pages if each is not None]
-        has_all_pages = len(pages) * page.samplesperpixel == bands  # otherwise all bands follow the first page (ImageJ)
+        # ImageJ may write a single page and append the values of the other bands without pages.
+        has_all_pages = len(pages) * page.samplesperpixel == bands
         values = None if has_all_pages else series.asarray()
         axes = series.axes
     if values is not None:
@@ -166,7 +167,7 @@ def read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
         require_bearable(path, spec)
         pixels = pixels_of(path, source, spec)
         depth = 8 * pixels.dtype.itemsize
-        if pixels.dtype.kind == "u":  # OpenImageIO shifts values with, for example, 12 bits to the upper bits
+        if pixels.dtype.kind == "u":  # OpenImageIO shifts, for example, 12-bit values to the upper bits
             pixels = pixels >> pixels.dtype.type(depth - spec.get_int_attribute("oiio:BitsPerSample", depth))
         planes.append(pixels)
         names = names or list(spec.channelnames)
@@ -175,9 +176,10 @@ def read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
 
 
 def _bands_of(path: Path, file: Any) -> Any:
-    """Return the series of pages that contains the bands.
+    """Return the series of pages (tifffile) that contains the bands.
 
-    Raises InputFileError if the file contains several series of the same size, or axes other than row, column and band.
+    Raises InputFileError if the file contains several series of the same size, or if the series has axes other than row,
+    column and band.
     """
     series = file.series[0]
     page = series.keyframe
@@ -187,7 +189,7 @@ def _bands_of(path: Path, file: Any) -> Any:
     if len(further) > 1 or "Y" not in series.axes or "X" not in series.axes:
         lengths = "×".join(map(str, series.shape))
         raise InputFileError(
-            f"{path} has axes {series.axes} of lengths {lengths}; save a cube with only rows, columns and bands"
+            f"{path} has the axes {series.axes} with the lengths {lengths}; save a cube with only rows, columns and bands"
         )
     if page.samplesperpixel > 1 and sum(each is not None for each in series.pages) > 1:
         raise InputFileError(f"{path} has pages with {page.samplesperpixel} channels; save pages with one channel")
@@ -196,10 +198,13 @@ def _bands_of(path: Path, file: Any) -> Any:
 
 
 def _stated(file: Any, page: Any, bands: int) -> dict[str, Any]:
-    """Return the metadata of the bands from the tags of a page: wavelengths in nm, no-data value, scales, offsets and
-    descriptions.
+    """Read the metadata of the bands that tifffile or GDAL stored in the tags of a page.
 
-    The metadata are those of tifffile and GDAL. Entries that the file does not contain are empty or None.
+    Returns
+    -------
+    dict
+        "wavelengths" in nm, "nodata" (value of pixels without data), "SCALE", "OFFSET" and "DESCRIPTION". Each is a list with
+        one entry per band, except "nodata". Missing metadata are an empty list or None.
     """
     stated: dict[str, Any] = {"wavelengths": [], "nodata": None, "SCALE": [], "OFFSET": [], "DESCRIPTION": []}
     for metadata in file.shaped_metadata or ():
@@ -224,9 +229,9 @@ def _stated(file: Any, page: Any, bands: int) -> dict[str, Any]:
 
 
 def _page_names(file: Any, series: Any, bands: int) -> list[str]:
-    """Return the names of the bands: labels of ImageJ, channel names of OME, or names or descriptions of pages.
+    """Return the names of the bands: ImageJ labels, OME channel names, or the names or descriptions of the pages.
 
-    The result is empty if the file contains no names.
+    The result is empty if the file does not contain one name per band.
     """
     if file.is_imagej and len(labels := (file.imagej_metadata or {}).get("Labels") or ()) == bands:
         return [str(label) for label in labels]

@@ -1,6 +1,7 @@
-"""Plugin for GStreamer's Python loader, which finds it if GST_PLUGIN_PATH contains the folder plugins.
+"""Plugin for GStreamer's Python loader, which loads this file if GST_PLUGIN_PATH contains the folder `plugins`.
 
-The loader may use the Python of another environment. The packages in the environment of l3cli then take precedence.
+The loader may run in a different Python environment than the environment of l3cli. The path of the packages in the
+environment of l3cli is therefore inserted first.
 """
 
 import sys
