@@ -1,7 +1,7 @@
-"""Find the numbered frames of a sequence: a folder, pattern, glob, stack, headerless stream or video.
+"""Find the raw frames of an input, or the pictures of a finished sequence for evaluation.
 
-The module also finds sequences of finished pictures for evaluation. It lists the frames without reading them, so memory does
-not grow with the number of frames.
+An input is a folder, a numbered pattern, a glob, a file with one or several frames, a video, or a headerless stream on
+stdin. Frames are listed without being read, and each frame is read on demand.
 """
 
 import contextlib
@@ -48,12 +48,12 @@ STDIN_NAME = "stdin"  # name of the input in messages
 
 @dataclass(frozen=True)
 class FrameReference:
-    """Identifies a frame of a sequence. `Frames.read` reads the frame."""
+    """Identifies a frame of a sequence. `Frames.read` reads the frame with this number."""
 
     number: int
-    stem: str  # output file name without its suffix
-    source: Path | None = None  # the file, if it contains only this frame
-    origin: str = ""  # digest of everything from which the picture is made, once it has been computed
+    stem: str  # name of the output file, without suffix
+    source: Path | None = None  # the input file, if it contains only this frame
+    origin: str = ""  # digest of everything that determines the rendered picture; "" if not yet computed
 
 
 @dataclass(frozen=True)
@@ -61,15 +61,15 @@ class FrameSequence:
     """The frames of an input in order. A stream ends at the first frame for which `Frames.read` returns None."""
 
     what: str  # name of the input in messages
-    frames: "Frames"  # frames of the input; a stream may end before the last of these frames
-    count: int | None  # expected number of frames; None for a stream of unknown length
-    stills: bool  # whether the frames are independent pictures rather than a sequence in time
+    frames: "Frames"  # a stream may end before the last of these frames
+    count: int | None  # expected number of frames, including missing frames; None for a stream of unknown length
+    stills: bool  # whether the frames are independent pictures instead of a sequence in time
     rate: Fraction | None = None  # frames per second, if the file states it
     missing: Sequence[range] = ()  # ranges of frame numbers that are missing from the sequence
-    is_stream: bool = False
-    wanted: range | None = None  # frame numbers selected from a stream
-    unit: int | None = 1  # step between consecutive frame numbers; None if irregular, as in time stamps
-    times: Stated | None = None  # times of the frames, if the file states them
+    is_stream: bool = False  # whether the frames must be read in order and their number may be unknown
+    wanted: range | None = None  # frame numbers that the user selected from a stream; None for all frames
+    unit: int | None = 1  # step between consecutive frame numbers; None if irregular, for example if they are time stamps
+    times: Stated | None = None  # reads the times of the frames; None if the file states none
     part: range | None = None  # positions, counted from 0, of the frames to render; None for all frames
 
     @property
@@ -83,17 +83,23 @@ class FrameSequence:
         return self.count if self.part is None else len(self.part)
 
     def renders(self, place: int) -> bool:
-        """Whether the frame at a position is rendered. If not, it may still be read, because other frames depend on it."""
+        """Return whether the frame at a position is to be rendered.
+
+        Frames that are not rendered may still be read, because other frames depend on them.
+        """
         return self.part is None or place in self.part
 
     def absent(self, numbers: range) -> InputFileError:
-        """Return the error that reports missing frames."""
+        """Return an error with the numbers of missing frames. The caller raises it."""
         step = f"x{numbers.step}" if numbers.step > 1 else ""
         named = f"frame {numbers[0]} is" if len(numbers) == 1 else f"frames {numbers[0]}-{numbers[-1]}{step} are"
         return InputFileError(f"{named} not in {self.what}; select existing frames with ‹frames›, or add ‹skip_bad›")
 
     def rest(self, number: int) -> range:
-        """Return the selected frame numbers from `number` on, which are missing if a stream ended before this frame."""
+        """Return the selected frame numbers of a stream from `number` on. The range is empty if no frames were selected.
+
+        These frames are missing if the stream ended before frame `number`.
+        """
         return self.wanted[self.wanted.index(number) :] if self.wanted else range(0)
 
 
@@ -102,13 +108,13 @@ class _Series:
     """The frame numbers of an input, and a function that reads the frame with a given number."""
 
     what: str  # name of the input in messages
-    numbers: Collection[int] | None  # frame numbers in order; None for a stream
+    numbers: Collection[int] | None  # existing frame numbers in order; None for a stream
     read: Callable[[int], RawFrame | None]
-    stem: Callable[[int], str]
-    rate: Fraction | None = None
+    stem: Callable[[int], str]  # returns the name of the output file, without suffix
+    rate: Fraction | None = None  # frames per second, if the file states it
     files: Mapping[int, Path] | None = None  # frame number → file, if each frame has its own file
-    times: Stated | None = None  # times of the frames, for a stream
-    expected: range | None = None  # frame numbers that should exist; None if no numbers other than `numbers` are expected
+    times: Stated | None = None  # reads the times of the frames; None if the file states none
+    expected: range | None = None  # frame numbers that should exist; None if only `numbers` are expected
 
 
 def find_frames(
@@ -123,28 +129,40 @@ def find_frames(
     Parameters
     ----------
     inputs : tuple of Path
-        The inputs.
+        The inputs. A pattern or glob is one input, and STDIN is a headerless stream.
     table : TransformTable
-        States the CFA, and the size of headerless frames.
+        States the CFA and, unless `known` states it, the size of headerless frames.
     known : RawOverrides
-        Facts about the raw files that the user states.
+        Properties of the raw files that the user set. They take precedence over the properties in the files.
     selection : range, optional
-        Frame numbers to select. All of them are expected to exist. The number of a file is the last number in its name. The
-        frames of a stack are counted from 0. For a pattern, all numbers between the first and the last are expected.
+        Frame numbers to select. All of them are expected to exist. [default: all frames of the input; for a pattern, all
+        numbers from the first to the last are expected to exist]
     dataset : str, optional
         Name of the array in an HDF5 or MATLAB file.
+
+    Returns
+    -------
+    FrameSequence
+        The frames in order of their numbers, and the numbers of the frames that are expected but do not exist.
 
     Raises
     ------
     InputFileError
-        If there are no frames.
+        If there are no frames, or if the number of gains in `known` differs from the number of frames.
     RecipeError
-        If there are several inputs and one of them is not a file with a single frame.
+        If there are several inputs and one of them is not a file with a single frame, if `dataset` does not apply to the
+        input, or if the size of frames on stdin is unknown.
+
+    Notes
+    -----
+    The number of a frame in its own file is the last number in the file name. If a name contains no number, or if two names
+    contain the same number, the files are numbered from 0 instead. The frames of a file with several frames are numbered
+    from 0.
     """
     plain = [path for path in inputs if is_one_file(path)]
     if len(plain) < len(inputs) and len(inputs) > 1:
         other = next(path for path in inputs if not is_one_file(path))
-        raise RecipeError(f"{other} is a sequence; pass it as the only input, or pass only files with one frame each")
+        raise RecipeError(f"{other} is a sequence; specify it as the only input, or specify only files with one frame each")
     stills = len(inputs) > 1
     series = _series_of_files("the inputs", inputs, table, known) if stills else _series(inputs[0], table, known, dataset)
     if known.gains and series.numbers is not None and len(series.expected or series.numbers) != len(known.gains):
@@ -165,9 +183,9 @@ def find_frames(
 
 
 def _divided(wanted: range, numbers: Collection[int]) -> tuple[Sequence[int], list[range]]:
-    """Split the wanted frame numbers into existing numbers, in order, and ranges of missing numbers.
+    """Return the wanted frame numbers that exist, in order, and ranges of the wanted numbers that do not exist.
 
-    Ranges are not expanded, because they may contain too many numbers to list.
+    The ranges are not expanded to lists, because `wanted` may contain very many numbers.
     """
     if isinstance(numbers, range):  # a stack, whose frames are numbered from 0
         there: Sequence[int] = range(wanted.start, min(wanted.stop, len(numbers)), wanted.step)
@@ -182,10 +200,10 @@ def _divided(wanted: range, numbers: Collection[int]) -> tuple[Sequence[int], li
 
 
 def read_dark(sequence: FrameSequence) -> DarkFrame:
-    """Return the mean of dark frames.
+    """Return the mean of the dark frames in a sequence.
 
-    Raises InputFileError if a frame is missing or damaged, or if the frames differ in size. Raises RecipeError if the frames
-    come from stdin.
+    Raises InputFileError if a frame is damaged, or if the frames differ in size. Raises RecipeError if the frames are read
+    from stdin.
     """
     if sequence.what == STDIN_NAME:
         raise RecipeError("dark frames cannot be read from stdin; save them in files")
@@ -201,7 +219,11 @@ def _until_none(frames: Iterable[RawFrame | None]) -> Iterator[RawFrame]:
 
 
 def frame_files(path: Path) -> list[Path]:
-    """Return the files of a folder, a pattern, a glob or a single file. Raises InputFileError if there are no files."""
+    """Return the raw files of a folder, a pattern or a glob, in order.
+
+    Any other path is returned in a list, even if it does not exist. Raises InputFileError if a folder or glob contains no
+    files. The list is empty if no file matches a pattern.
+    """
     if path.is_dir():
         return _in_folder(path)
     if not path.exists() and PATTERN.search(path.name):
@@ -210,13 +232,13 @@ def frame_files(path: Path) -> list[Path]:
 
 
 def is_still(path: Path, table: TransformTable, known: RawOverrides) -> bool:
-    """Whether a path is a file with a single frame."""
+    """Return whether a path is the name of a file that contains a single frame. The file need not exist."""
     return is_one_file(path) and not (path.exists() and read_stack(path, table, known))
 
 
 @dataclass(frozen=True)
 class Frames:
-    """The frames of an input. References are created one by one during iteration, because an input may have many frames."""
+    """The frames of an input. References are created during iteration, because an input may have very many frames."""
 
     series: _Series
     wanted: Iterable[int]
@@ -233,13 +255,14 @@ class Frames:
     def read(self, number: int) -> RawFrame | None:
         """Read the frame with the given number.
 
-        Returns None after the end of a stream. Raises InputFileError if the frame is damaged.
+        Returns None after the end of a stream. Raises InputFileError if the frame is damaged, or if a stream ends before it
+        has one frame for each gain.
         """
         return self.series.read(number)
 
 
 def is_one_file(path: Path) -> bool:
-    """Whether a path, existing or not, is the name of a file that can contain a single frame."""
+    """Return whether a path is the name of a file whose format can contain a single frame. The file need not exist."""
     if path == STDIN or path.is_dir() or not format_of(path).holds_frame:
         return False
     return path.exists() or not (PATTERN.search(path.name) or is_glob(path))
@@ -267,7 +290,9 @@ def _in_folder(folder: Path) -> list[Path]:
     ideals = {path.name.removesuffix(RAW) + IDEAL for path in found if path.name.endswith(RAW)}  # written by `l3 simulate`
     files = of_one_kind(folder, (path for path in found if path.name not in ideals))
     if not files:
-        raise InputFileError(f"{folder} contains no raw frames; use a folder with .tif, .png, .npy, .raw or .dng files")
+        raise InputFileError(
+            f"{folder} contains no raw frames; use a folder with raw frames such as .tif, .png, .npy, .raw or .dng files"
+        )
     return files
 
 
@@ -281,15 +306,15 @@ def _globbed(path: Path) -> list[Path]:
 def _series_of_files(what: str, paths: Iterable[Path], table: TransformTable, known: RawOverrides) -> _Series:
     """Return a series with one frame per file.
 
-    The number of a frame is the last number in its file name. If a name contains no number, or if two
-    names contain the same number, the frames are numbered from 0.
+    The number of a frame is the last number in its file name. If a name contains no number, or if two names contain the same
+    number, the frames are numbered from 0.
     """
     paths = list(paths)
     named = [number for path in paths if (number := last_number(path)) is not None]
     numbers = named if len(set(named)) == len(paths) else range(len(paths))
     files = dict(zip(numbers, paths, strict=True))
     places = {number: place for place, number in enumerate(numbers)}
-    rate = _film_rate(paths[0]) if len(paths) > 1 else None  # the rate of a single frame has no meaning
+    rate = _film_rate(paths[0]) if len(paths) > 1 else None  # a frame rate is meaningless for a single frame
     return _Series(
         what, files, lambda number: read_raw(files[number], table, known.of_frame(places[number])),
         lambda number: files[number].stem, rate, files,
@@ -297,7 +322,7 @@ def _series_of_files(what: str, paths: Iterable[Path], table: TransformTable, kn
 
 
 def _film_rate(path: Path) -> Fraction | None:
-    """Return the frame rate that a file with one frame states, as in CinemaDNG, or None."""
+    """Return the frame rate in a file with a single frame, such as a CinemaDNG file, or None if it states none."""
     return format_of(path).rate(path) if path.is_file() else None
 
 
@@ -305,7 +330,7 @@ def _series_of_pattern(pattern: Path, table: TransformTable, known: RawOverrides
     files = numbered_files(pattern)
     if not files:
         raise InputFileError(f"{pattern} matches no file; use a pattern of the raw frames, such as frame_%04d.tif")
-    # The files of a pattern should have consecutive numbers, so a missing number means a lost frame.
+    # The files of a pattern are expected to have consecutive numbers. A missing number means that a frame is missing.
     whole, rate = range(min(files), max(files) + 1), _film_rate(next(iter(files.values())))
     return _Series(
         str(pattern), files, lambda number: read_raw(files[number], table, known.of_frame(number - whole.start)),
@@ -317,12 +342,12 @@ def _series_of_pattern(pattern: Path, table: TransformTable, known: RawOverrides
 
 
 def _series_of_stack(what: str, stem: str, stack: MultiFrameFile, table: TransformTable, known: RawOverrides) -> _Series:
-    """Return the frames of a file or of stdin. Output names consist of `stem`, unless it is empty, and the frame number.
+    """Return the frames of a file or of stdin. Output names consist of `stem`, if it is not empty, and the frame number.
 
     Raises InputFileError if there are no frames.
     """
     if stack.count == 0:
-        raise InputFileError(f"{what} contains no frames; use a file with frames × rows × columns")
+        raise InputFileError(f"{what} contains no frames; use an array with the axes (frame, row, column)")
 
     def read(number: int) -> RawFrame | None:
         content = stack.read(number)
@@ -346,26 +371,26 @@ def _series_of_stack(what: str, stem: str, stack: MultiFrameFile, table: Transfo
 PICTURES = suffixes("codes")
 Linear = NDArray[np.float32]  # (row, col, 3) linear sRGB
 GIVE = 'use a folder of pictures, a pattern such as "out/%04d.png", or a video'
-KNOWN_MOTION = ("down", "right", "seen")
+KNOWN_MOTION = ("down", "right", "seen")  # channel names of files with the known motion
 
 
 @dataclass(frozen=True)
 class PictureSequence:
-    """Pictures in order, which are read one by one."""
+    """Pictures in order. They are read one by one."""
 
-    name: str
+    name: str  # name of the sequence in messages
     shape: tuple[int, int]  # rows, cols
     count: int | None  # None for a video, whose length is unknown
-    pictures: Callable[[], Iterator[Linear]]
-    files: tuple[Path, ...]
-    motion: tuple[Path, ...] = ()  # files with the motion from the previous picture to each picture
+    pictures: Callable[[], Iterator[Linear]]  # returns an iterator that reads the pictures from the first on
+    files: tuple[Path, ...]  # one file per picture, or the video
+    motion: tuple[Path, ...] = ()  # files with the motion from the previous picture to each picture; empty if unknown
 
 
 def find_pictures(path: Path) -> PictureSequence:
-    """Find a sequence of pictures: a folder, a numbered pattern, a glob, or a video.
+    """Find a sequence of pictures. The path is a folder, a numbered pattern, a glob, or a video.
 
-    If the folder was written by `l3 simulate`, only the ideal pictures are used. Raises InputFileError if there are no
-    pictures, if sizes differ, or if a number is missing.
+    If a folder was written by `l3 simulate`, only the ideal pictures are used. Raises InputFileError if there are no
+    pictures, if the pictures differ in size, or if a number of a pattern is missing.
     """
     if is_video(path) and not _names_several(path):
         return PictureSequence(str(path), _video_shape(path), None, functools.partial(_video_pictures, path), (path,))
@@ -373,10 +398,10 @@ def find_pictures(path: Path) -> PictureSequence:
 
 
 def picture_files(path: Path) -> list[Path]:
-    """Return the pictures of a folder, a numbered pattern or a glob, in order. Their sizes may differ.
+    """Return the picture files of a folder, a numbered pattern or a glob, in order. The pictures may differ in size.
 
-    If the folder was written by `l3 simulate`, only the ideal pictures are used. Raises InputFileError if there are no
-    pictures, or if a number is missing.
+    If a folder was written by `l3 simulate`, only the ideal pictures are used. Raises InputFileError if there are no
+    pictures, if a file is not a supported picture, if a number of a pattern is missing, or if the path is a single file.
     """
     if not _names_several(path):
         what = "is a single file" if path.exists() else "does not exist"
@@ -403,7 +428,10 @@ def picture_files(path: Path) -> list[Path]:
 
 
 def require_alike(ours: PictureSequence, wanted: PictureSequence | None) -> None:
-    """Raise InputFileError if a sequence has only one picture, or differs from the ideal sequence in size or length."""
+    """Raise InputFileError if a sequence has only one picture, or if it differs from `wanted` in size or length.
+
+    If `wanted` is None, there is no comparison. Unknown lengths of videos are not compared.
+    """
     if ours.count == 1:
         raise InputFileError(f"{ours.name} contains only one picture; use a sequence of at least two")
     if wanted is None:
@@ -419,6 +447,7 @@ def require_alike(ours: PictureSequence, wanted: PictureSequence | None) -> None
 def paired(ours: PictureSequence, wanted: PictureSequence | None) -> Iterator[tuple[Linear, Linear | None, Linear | None]]:
     """Yield the rendered picture, the ideal picture and the known motion of each frame.
 
+    The ideal picture is None if `wanted` is None. The motion is an array as in `read_motion`, or None if it is unknown.
     Raises InputFileError if one sequence ends before the other.
     """
     ideals: Iterator[Linear | None] = wanted.pictures() if wanted else itertools.repeat(None)
@@ -436,10 +465,10 @@ def paired(ours: PictureSequence, wanted: PictureSequence | None) -> Iterator[tu
 
 
 def read_motion(path: Path, shape: tuple[int, int]) -> Linear:
-    """Read the motion of a frame since the previous frame, as an array (3, row, col).
+    """Read the motion of each pixel from the previous frame to a frame, as an array (3, row, col).
 
-    The three planes are the downward motion in pixels, the motion to the right in pixels, and 1 where the motion is known.
-    Raises InputFileError if the file does not contain the motion of frames of this size.
+    The three planes are the downward motion in pixels, the motion to the right in pixels, and 1 where the motion is known (0
+    elsewhere). Raises InputFileError if the file does not contain the motion of frames of `shape` (rows, columns).
     """
     planes, names = read_image(path)
     if names != KNOWN_MOTION or planes.shape[:2] != shape or not np.isfinite(planes).all():
@@ -451,7 +480,7 @@ def read_motion(path: Path, shape: tuple[int, int]) -> Linear:
 
 
 def _names_several(path: Path) -> bool:
-    """Whether a path is a folder, a numbered pattern or a glob."""
+    """Return whether a path is a folder, a numbered pattern or a glob."""
     return path.is_dir() or (not path.exists() and (bool(PATTERN.search(path.name)) or is_glob(path)))
 
 
@@ -470,7 +499,7 @@ def _file_pictures(path: Path, files: list[Path]) -> PictureSequence:
         if (size := picture_size(each)) != shape:
             raise InputFileError(
                 f"{each} has {size[0]}×{size[1]} pixels, but {files[0].name} has {shape[0]}×{shape[1]}; "
-                "use pictures of one size"
+                "use pictures of equal size"
             )
     motion = tuple(each.with_name(each.name.removesuffix(IDEAL) + MOTION) for each in files if each.name.endswith(IDEAL))
     known = motion if len(motion) == len(files) and all(each.is_file() for each in motion) else ()
@@ -508,9 +537,9 @@ def _video_shape(path: Path) -> tuple[int, int]:
 
 @isolated("av")
 def _video_picture(path: Path, number: int) -> NDArray | None:
-    """Return frame `number` as encoded sRGB (row, col, 3) with 8 or 16 bits, or None after the last frame.
+    """Return frame `number` as encoded sRGB (row, col, 3), uint8 or uint16, or None after the last frame.
 
-    Luma and chroma are converted with the BT.709 matrix, which `l3 render` uses.
+    Frames must be read in order. Luma and chroma are converted to RGB with the BT.709 matrix, which `l3 render` uses.
     """
     frame = _open.setdefault(path, InTurn(_video)).frame(path, number)
     if frame is None:

@@ -1,6 +1,6 @@
-"""Read and write tags of TIFF 6, TIFF/EP, Exif and DNG 1.7, by the names that tifffile uses.
+"""Read and write tags of TIFF 6, TIFF/EP, Exif and DNG 1.7. Tags have the names that tifffile uses.
 
-The tags of the camera and of the settings of a shot are the same in all formats.
+The tags with the name of the camera and the settings of a shot are the same in all these formats.
 """
 
 import re
@@ -18,21 +18,24 @@ from l3cli.frames.frame import Shot
 BYTE, ASCII, SHORT, LONG, RATIONAL, SRATIONAL, DOUBLE = 1, 2, 3, 4, 5, 10, 12  # codes of the types of tag values
 FRACTIONS = (RATIONAL, SRATIONAL)
 COLOUR_FILTER_ARRAY, LINEAR_RAW = 32803, 34892  # values of PhotometricInterpretation
-REDUCED, ONE_OF_MANY = 1, 2  # bits of NewSubfileType: a smaller copy of another image; one page of several
+REDUCED, ONE_OF_MANY = 1, 2  # bits of NewSubfileType: the page is a smaller copy of another image, or one page of several
 RECTANGULAR = 1  # value of CFALayout
 UNSIGNED = 1  # value of SampleFormat
 UPRIGHT = 1  # value of Orientation
-LIBRAW_FLIP = (0, 0, 1, 3, 2, 4, 6, 7, 5)  # flip codes for the values 0…8 of Orientation
-# exceptions that can occur when damaged tags are read
+LIBRAW_FLIP = (0, 0, 1, 3, 2, 4, 6, 7, 5)  # LibRaw's flip code for each value 0…8 of Orientation
+# Exceptions that damaged tags can cause.
 BROKEN = (ValueError, TypeError, KeyError, IndexError, AttributeError, ZeroDivisionError, OverflowError, struct.error)
 LONGEST_NAME = 80  # maximum length of a camera name; longer names are cut
 MAX_DENOMINATOR = 10**9
-MAX_INTEGER = 2**31 - 1  # maximum numerator and denominator
-Entry = tuple[int, int, int, object, bool]  # a tag as tifffile expects it: code, type, count, value, write only once
+MAX_INTEGER = 2**31 - 1  # maximum numerator
+Entry = tuple[int, int, int, object, bool]  # a tag for tifffile: code, type, count, value, whether only page 0 has it
 
 
 def flip_of(path: Path, orientation: object) -> int:
-    """Return LibRaw's flip code for the tag Orientation. Raises InputFileError for a value that TIFF does not define."""
+    """Return LibRaw's flip code for a value of the tag Orientation.
+
+    The value 0 counts as upright. Raises InputFileError for other values that TIFF does not define.
+    """
     if not (isinstance(orientation, int | np.integer) and 0 <= orientation < len(LIBRAW_FLIP)):
         raise InputFileError(
             f"{path}: the tag Orientation is {orientation}, but TIFF defines only 1…{len(LIBRAW_FLIP) - 1}; "
@@ -45,7 +48,10 @@ def flip_of(path: Path, orientation: object) -> int:
 
 
 def numbers(page: Any, name: str, default: Any) -> Any:
-    """Return the numbers in a tag as a list, with fractions divided, or `default` if the tag is missing."""
+    """Return the numbers in a tag as a list, or `default` if the tag is missing. Fractions become floats.
+
+    Raises an exception in BROKEN if the tag is damaged, for example if a denominator is 0.
+    """
     tag = page.tags.get(name)
     if tag is None:
         return default
@@ -56,9 +62,10 @@ def numbers(page: Any, name: str, default: Any) -> Any:
 
 
 def number(value: Any) -> float | None:
-    """Convert the value of an Exif tag to a number, or return None if it is not a number.
+    """Convert the value of an Exif tag to a float, or return None if it is not a number.
 
-    Two numbers are numerator and denominator of a fraction. Of more than two numbers, the first is used.
+    Two numbers are the numerator and the denominator of a fraction. If the denominator is 0, or if there are more than two
+    numbers, the first number is returned.
     """
     if isinstance(value, tuple | list | np.ndarray) and len(value):
         value = value[0] / value[1] if len(value) == 2 and value[1] else value[0]
@@ -66,21 +73,27 @@ def number(value: Any) -> float | None:
 
 
 def exif_of(page: Any) -> dict[str, Any]:
-    """Return the Exif directory of a page, or {} if there is none."""
+    """Return the tags in the Exif directory of a page by name, or {} if there is no such directory."""
     exif = page.tags.valueof("ExifTag")
     return exif if isinstance(exif, dict) else {}
 
 
 def exposure_time(page: Any) -> float | None:
-    """Return the exposure time in s from the first page of a TIFF or DNG file, from a TIFF/EP tag or an Exif tag."""
+    """Return the exposure time in s from the first page of a TIFF or DNG file, or None if it is missing or invalid.
+
+    The tag of TIFF/EP takes precedence over the tag of Exif.
+    """
     seconds = page.tags.valueof("ExposureTime") or exif_of(page).get("ExposureTime")
     if not (isinstance(seconds, tuple) and len(seconds) == 2 and seconds[1]):
-        return None  # missing or invalid
+        return None
     return float(seconds[0] / seconds[1])
 
 
 def camera_names(page: Any) -> list[str]:
-    """Return make, model and other names of the camera from the first page of a TIFF or DNG file, or [] without a model."""
+    """Return the make, the model and other names of the camera from the first page of a TIFF or DNG file.
+
+    The make can be "". The list is empty if the page does not state the model.
+    """
     texts = [page.tags.valueof(tag) for tag in ("Model", "Make", "UniqueCameraModel", "LocalizedCameraModel")]
     written = [text.decode("utf-8", "replace") if isinstance(text, bytes) else text for text in texts]
     model, make, *others = [text.strip("\0 ")[:LONGEST_NAME] if isinstance(text, str) else "" for text in written]
@@ -91,7 +104,7 @@ def camera_names(page: Any) -> list[str]:
 
 
 def entry(name: str, kind: int, values: Iterable[float]) -> Entry:
-    """Return a tag with numbers as tifffile expects it."""
+    """Return a tag of the given name and type code with numbers, for tifffile. Fractions are approximated (`_fraction`)."""
     if kind == DOUBLE:
         parts: list[float] = [float(value) for value in values]
     elif kind in FRACTIONS:
@@ -104,12 +117,12 @@ def entry(name: str, kind: int, values: Iterable[float]) -> Entry:
 
 
 def _fraction(value: float) -> Fraction:
-    """Return the nearest fraction whose numerator and denominator fit in 32 bits."""
+    """Return a fraction that is close to a number, with a numerator and a denominator that fit in 32 bits."""
     return Fraction(value).limit_denominator(min(MAX_DENOMINATOR, int(MAX_INTEGER / max(1.0, abs(value)))))
 
 
 def text_entry(name: str, text: str) -> Entry:
-    """Return a tag with ASCII text as tifffile expects it. Other characters become question marks."""
+    """Return a tag of the given name with a text, for tifffile. Characters that are not in ASCII become question marks."""
     return _code(name), ASCII, 0, text.encode("ascii", "replace").decode(), True
 
 
@@ -121,10 +134,10 @@ def _code(name: str) -> int:
 
 # ------------------------------------------------------------------------------------------- settings of a shot
 
-LONGEST_TEXT = 100  # maximum number of characters
-MAX_BELIEVABLE = 1e7  # largest plausible number; ISO speeds go up to 4 million
+LONGEST_TEXT = 100  # maximum number of characters of a text; longer texts are cut
+MAX_BELIEVABLE = 1e7  # largest plausible number; the highest ISO speeds are about 4 million
 DATE = re.compile(r"\d{4}:\d\d:\d\d \d\d:\d\d:\d\d", re.ASCII)
-SHOT = {  # field of Shot → (name in tifffile, as a tag or in the Exif directory; name in OpenImageIO)
+SHOT = {  # field of Shot → (name of the tag in tifffile, name in OpenImageIO)
     "f_number": ("FNumber", "FNumber"),
     "focal_length": ("FocalLength", "Exif:FocalLength"),
     "make": ("Make", "Make"),
@@ -136,9 +149,11 @@ SHOT = {  # field of Shot → (name in tifffile, as a tag or in the Exif directo
 
 
 def believable_shot(stated: Mapping[str, Any]) -> Shot:
-    """Return the settings of a shot without implausible values.
+    """Return the settings of a shot, without invalid and implausible values.
 
-    Texts are shortened and must be printable, dates must be valid, and numbers must be positive.
+    `stated` contains values by the name of the field of `Shot`, and other names are ignored. Characters that are not
+    printable are removed from texts, and long texts are cut. A date without the form of Exif, and a number that is not
+    positive or above MAX_BELIEVABLE, are replaced by the defaults of `Shot`.
     """
     usual, fields = Shot(), dict[str, Any]()
     for name in stated.keys() & SHOT.keys():
@@ -152,7 +167,10 @@ def believable_shot(stated: Mapping[str, Any]) -> Shot:
 
 
 def shot_of_page(page: Any) -> dict[str, str | float]:
-    """Return the settings of a shot from the tags of a tifffile page or from its Exif directory."""
+    """Return the settings of a shot, by field of `Shot`, from the tags of a tifffile page or from its Exif directory.
+
+    Missing settings are left out.
+    """
     exif = exif_of(page)
     stated = {name: page.tags.valueof(tag, exif.get(tag)) for name, (tag, _) in SHOT.items()}
     plain = {name: value if isinstance(value, str) else number(value) for name, value in stated.items()}
@@ -160,13 +178,16 @@ def shot_of_page(page: Any) -> dict[str, str | float]:
 
 
 def shot_of_spec(spec: Any) -> dict[str, str | float]:
-    """Return the settings of a shot from OpenImageIO's ImageSpec."""
+    """Return the settings of a shot, by field of `Shot`, from OpenImageIO's ImageSpec. Missing settings are left out."""
     stated = {name: spec.getattribute(other) for name, (_, other) in SHOT.items()}
     return {name: value for name, value in stated.items() if isinstance(value, str | float | int)}
 
 
 def shot_entries(shot: Shot, exposure: float | None) -> list[Entry]:
-    """Return the tags (TIFF/EP) with the settings of a shot and its exposure time in s."""
+    """Return the TIFF/EP tags with the settings of a shot and its exposure time in s. Unknown settings have no tag.
+
+    ISO speeds above 65535 are stored as 65535, the maximum of the tag.
+    """
     entries = [entry("ExposureTime", RATIONAL, [exposure])] if exposure else []
     for name, (tag, _) in SHOT.items():
         value = getattr(shot, name)

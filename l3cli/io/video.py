@@ -1,10 +1,11 @@
 """Write and read videos with PyAV (FFmpeg).
 
-The module writes videos and y4m streams, decodes videos frame by frame, and determines the times of frames. The functions
-that decode must be called only in the isolated process. The module raw/video.py reads raw videos.
+The module writes videos and y4m streams, decodes videos frame by frame, and determines the times of frames. The decoding
+functions must be called only in a process of `io.isolated`. The module raw/video.py reads raw videos.
 
-Written pictures are sRGB, and every video is labelled accordingly: BT.709 primaries, sRGB transfer function (BT.709 for
-ProRes, which cannot label sRGB), and the BT.709 matrix in limited range if colours are stored as luma and chroma.
+Written pictures are sRGB, and every video is labelled accordingly: BT.709 primaries, the sRGB transfer function (the BT.709
+transfer function for ProRes, which has no label for sRGB), and the BT.709 matrix in limited range if colours are stored as
+luma and chroma.
 """
 
 import contextlib
@@ -27,27 +28,27 @@ from l3cli.system.files import atomic_output
 from l3cli.system.limits import require_picture
 
 INSTALL = 'videos need PyAV; install it with: pip install "l3cli[video]"'
-SLOWEST, FASTEST = Fraction(1, 1000), Fraction(1000)  # frames per second
-FINEST = 1_000_000  # maximum denominator of rates and times, so that numerators fit in the 32 bits of containers
+SLOWEST, FASTEST = Fraction(1, 1000), Fraction(1000)  # plausible frame rates in frames per second
+FINEST = 1_000_000  # maximum denominator of frame rates and times; containers store numerators with 32 bits
 
 
 def storable_rate(rate: Fraction) -> Fraction | None:
-    """Return the nearest frame rate that every container can store, such as 30000/1001 for 29.97002997 per second.
+    """Return the nearest frame rate that every container can store, such as 30000/1001 for 29.97002997 frames per second.
 
-    Returns None if the rate is not plausible for a video.
+    Returns None if the rate is below 1/1000 or above 1000 frames per second.
     """
     return rate.limit_denominator(FINEST) if SLOWEST <= rate <= FASTEST else None
 
 
 def pyav() -> Any:
-    """Import PyAV on first use, and suppress the messages of FFmpeg. Raises L3Error if PyAV is not installed."""
+    """Import PyAV, suppress the messages of FFmpeg, and return the module. Raises L3Error if PyAV is not installed."""
     try:
         import av
     except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
-    av.logging.set_level(av.logging.ERROR)  # l3 reports errors in one line, and the messages of FFmpeg are suppressed
+    av.logging.set_level(av.logging.ERROR)  # errors reach Python's logger "libav", which prints nothing; l3 reports them
     log = logging.getLogger("libav")
-    if not log.handlers:  # this function is called for every frame
+    if not log.handlers:  # this function is called for every frame, but the logger needs only one handler
         log.addHandler(logging.NullHandler())
     log.propagate = False
     return av
@@ -58,21 +59,21 @@ def pyav() -> Any:
 
 @dataclass(frozen=True)
 class Encoding:
-    """Settings for encoding pictures as a video: FFmpeg's encoder, its pixel formats by bit depth, and the file suffixes."""
+    """Settings for encoding pictures as a video."""
 
-    encoder: str
-    formats: dict[int, str]
-    suffixes: tuple[str, ...]
+    encoder: str  # name in FFmpeg
+    formats: dict[int, str]  # bits per value of the pictures → pixel format in FFmpeg
+    suffixes: tuple[str, ...]  # suffixes of the files that can contain the video
     presets: bool = False  # whether `preset` and `crf` apply
-    options: tuple[tuple[str, str], ...] = ()
-    tag: str | None = None
-    transfer: str = "IEC61966_2_1"
+    options: tuple[tuple[str, str], ...] = ()  # options of the encoder: names and values
+    tag: str | None = None  # codec tag in MP4 and QuickTime files; None for the default of FFmpeg
+    transfer: str = "IEC61966_2_1"  # name of the transfer function in PyAV; IEC 61966-2-1 is sRGB
     frames_at_once: int | None = None  # number of frames that the encoder processes in parallel; None: encoder's choice
     reorders: int = 0  # number of frames that x265 needs before it knows the decoding times of B-frames
 
 
-# The output of x264 depends on how x264 divides the work. By default, every frame is split into one slice per core, which
-# makes files up to a tenth larger. A fixed number of parallel frames gives the same bytes on every machine.
+# The output of x264 depends on how x264 divides the work between threads. By default, x264 splits every frame into one slice
+# per core, which makes files up to 10 % larger. With a fixed number of parallel frames, every machine writes the same bytes.
 ENCODINGS = {
     "h264": Encoding("libx264", {8: "yuv420p"}, (".mp4", ".mov", ".mkv"), presets=True, frames_at_once=4),
     "h265": Encoding(
@@ -90,31 +91,32 @@ ENCODINGS = {
         "prores_ks", {8: "yuv422p10le", 16: "yuv422p10le"}, (".mov",), options=(("profile", "hq"),), transfer="BT709"
     ),
 }
-USUAL = {".mp4": "h264", ".mov": "prores", ".mkv": "ffv1"}  # default codecs
-X265_UNIT = 64  # pixels, side of x265's coding tree units
+USUAL = {".mp4": "h264", ".mov": "prores", ".mkv": "ffv1"}  # suffix → default codec
+X265_UNIT = 64  # width and height of the coding tree units of x265 in pixels
 READ_BEHIND = 64  # bytes of padding, because FFmpeg may read 16 bytes past the end of a picture (libavutil, frame.h)
 RGB_MATRIX = 0  # ITU-T H.273 matrix coefficients: identity, for RGB
 Y4M = ".y4m"
+# Bits per value of the pictures → pixel format in FFmpeg, label in the y4m header.
 Y4M_FORMATS = {8: ("yuv420p", "C420jpeg"), 16: ("yuv420p10le", "C420p10 XYSCSS=420P10")}
 
 
-USUAL_RATE = Fraction(30)  # frames per second, if neither the user nor the input states the rate
+USUAL_RATE = Fraction(30)  # frames per second, used if neither the user nor the input states the rate
 
 
 @dataclass(frozen=True)
 class VideoChoice:
-    """Settings of a video. None selects the default of a setting."""
+    """Settings of a video."""
 
     rate: Fraction  # frames per second
-    bits: int  # bits per value of the pictures
-    codec: str | None = None  # key of ENCODINGS
-    crf: float | None = None
-    preset: str = "veryfast"
-    tick: Fraction | None = None  # s, unit of the times of frames; None for the duration of a frame
+    bits: int  # bits per value of the pictures: 8 or 16
+    codec: str | None = None  # key of ENCODINGS; None for the default of the file suffix
+    crf: float | None = None  # constant rate factor of h264 and h265; None for the default of the encoder
+    preset: str = "veryfast"  # speed of h264 and h265
+    tick: Fraction | None = None  # unit of the times of frames in s; None for the duration of a frame
 
 
 def is_video(path: Path) -> bool:
-    """Whether a file name has the suffix of a video."""
+    """Return whether a file name has the suffix of a video that l3 can write: .mp4, .mov, .mkv or .y4m."""
     return path.suffix.lower() in (*USUAL, Y4M)
 
 
@@ -150,7 +152,10 @@ class _Converter:
         self._bytes = np.empty(0, np.uint8)
 
     def even(self, picture: NDArray) -> NDArray:
-        """Repeat the last row or column if the pixel format requires even numbers of rows or columns."""
+        """Return a picture with even numbers of rows and columns, if the pixel format requires them.
+
+        The last row or column is repeated.
+        """
         if not self.pixel_format.startswith(("yuv420", "yuv422")):
             return picture
         rows, cols = picture.shape[:2]
@@ -160,14 +165,15 @@ class _Converter:
     def frame(self, picture: NDArray) -> Any:
         buffer, source = self._buffer_for(self.even(picture))
         frame = pyav().VideoFrame.from_numpy_buffer(buffer, format=source)
-        # A single thread, because rendering uses the other cores. With several threads, conversion takes 20 % longer.
+        # Conversion uses a single thread. With several threads it takes 20 % longer, because rendering uses the other cores.
         coded = {"dst_colorspace": "ITU709", "dst_color_range": "MPEG"} if self.pixel_format.startswith("yuv") else {}
         return self._reformatter.reformat(frame, format=self.pixel_format, threads=1, **coded)
 
     def _buffer_for(self, picture: NDArray) -> tuple[NDArray, str]:
-        """Copy a picture into a padded buffer that is reused for each picture. Returns the buffer and its pixel format.
+        """Copy a picture into a padded buffer and return the buffer and its pixel format.
 
-        Allocating a new FFmpeg frame for each picture would take three times as long.
+        The buffer is reused for the next picture, because allocating an FFmpeg frame for each picture would take three times
+        as long.
         """
         widened = picture.dtype == np.uint8 and self.pixel_format.startswith("yuv")
         rows, cols, count = *picture.shape[:2], 4 if widened else picture.shape[2]
@@ -183,10 +189,10 @@ class _Converter:
 
 
 def _widen(picture: NDArray[np.uint8], buffer: NDArray[np.uint8]) -> None:
-    """Copy pixels of three bytes into pixels of four bytes, which FFmpeg converts to luma and chroma faster.
+    """Copy pixels of three bytes (RGB) to pixels of four bytes, which FFmpeg converts to luma and chroma faster.
 
-    The copy and the conversion together take 80 % of the time that FFmpeg needs to convert pixels of three bytes. Each pixel
-    is copied as a 32-bit integer, so its fourth byte is the first byte of the next pixel. FFmpeg ignores the fourth byte.
+    The conversion takes 20 % less time than with pixels of three bytes, although the time for the copy is included. Each
+    pixel is copied as a 32-bit integer, so its fourth byte is the first byte of the next pixel. FFmpeg ignores this byte.
     """
     pixels = picture.size // 3
     buffer.reshape(-1).view("<u4")[: pixels - 1] = np.ndarray(pixels - 1, "<u4", picture.data, strides=(3,))
@@ -194,34 +200,35 @@ def _widen(picture: NDArray[np.uint8], buffer: NDArray[np.uint8]) -> None:
 
 
 def _x265_parameters(rows: int, cols: int, is_short: bool) -> str:
-    """Return x265 parameters that avoid two of its bugs.
+    """Return parameters that avoid two bugs of x265.
 
-    Videos of one or two frames get no B-frames, because x265 would never set their decoding times. Frames smaller than a
-    coding tree unit are encoded without assembly code, because that code would write beyond the frame.
+    Videos of one or two frames are encoded without B-frames, because x265 would not set the decoding times of B-frames.
+    Frames below the size of a coding tree unit are encoded without assembly code, which would write beyond the frame.
     """
     return "log-level=none" + ":bframes=0" * is_short + ":asm=0" * (min(rows, cols) < X265_UNIT)
 
 
 class VideoWriter:
-    """A video that is open for writing. All pictures (row, col, 3) must have the same size and type, uint8 or uint16."""
+    """Writes pictures to a video. All pictures must have the same size and type. `finish` must be called at the end."""
 
     def __init__(self, path: Path, container: Any, choice: VideoChoice) -> None:
         self._container, self._choice = container, choice
         self._encoding = _encoding(path, choice)
         self._converter = _Converter(self._encoding.formats[choice.bits])
         self._stream: Any = None
-        self._waiting: list[Any] = []  # first frames, kept until the encoder's options are known from their number
+        self._waiting: list[Any] = []  # the first frames, kept until their number determines the options of the encoder
         self._tick, self._time = choice.tick or 1 / choice.rate, -1
 
     def write(self, picture: NDArray, time: int | None = None) -> None:
-        """Add a picture.
+        """Add a picture to the video.
 
         Parameters
         ----------
         picture : ndarray, (row, col, 3)
-            uint8 or uint16.
+            Encoded sRGB, uint8 or uint16.
         time : int, optional
-            Time in ticks, later than the time of the previous picture. [default: one tick later]
+            Time of the picture in ticks, later than the time of the previous picture. [default: 0 for the first picture,
+            otherwise one tick after the previous picture]
         """
         frame = self._converter.frame(picture)
         self._tag(frame)
@@ -232,7 +239,7 @@ class VideoWriter:
             self._encode_waiting()
 
     def finish(self) -> None:
-        """Write the pictures that are still buffered here or in the encoder."""
+        """Write the pictures that are still buffered by the object or by the encoder. Does nothing without pictures."""
         if self._waiting:
             self._encode_waiting()
         if self._stream is not None:
@@ -266,7 +273,7 @@ class VideoWriter:
         return stream
 
     def _tag(self, where: Any) -> None:
-        """Label the colours of a frame or of the whole video."""
+        """Set the colour space labels of an FFmpeg frame or codec context."""
         names = pyav().video.reformatter
         where.color_primaries = names.ColorPrimaries.BT709
         where.color_trc = names.ColorTrc[self._encoding.transfer]
@@ -279,16 +286,17 @@ class VideoWriter:
 def new_video(
     path: Path, choice: VideoChoice, finished: Callable[[Path], None] = lambda temporary: None
 ) -> Iterator[VideoWriter]:
-    """Context manager that yields a new video for writing.
+    """Create a video in a context manager that yields its writer.
 
     The file is written under a temporary name. At the end of the block, `finished` is called with the temporary file, and
-    then the file is renamed to `path`. Raises L3Error if FFmpeg cannot write the video.
+    then the file is renamed to `path`. If the block raises an exception, the temporary file is removed. Raises L3Error if
+    FFmpeg cannot write the video.
     """
     av = pyav()
     form = {".mp4": "mp4", ".mov": "mov", ".mkv": "matroska"}[path.suffix.lower()]
     with atomic_output(path) as temporary:
         try:
-            # bitexact keeps versions, times and random numbers out of the file, so that equal inputs give equal bytes
+            # With bitexact, FFmpeg writes no versions, times or random numbers. Equal inputs then give equal bytes.
             with av.open(str(temporary), "w", format=form, container_options={"fflags": "+bitexact"}) as container:
                 writer = VideoWriter(path, container, choice)
                 yield writer
@@ -300,7 +308,7 @@ def new_video(
 
 
 class Y4mWriter:
-    """Writes pictures as a y4m stream: 4:2:0, limited range."""
+    """Writes pictures (row, col, 3) of the same size to a y4m stream: luma and chroma 4:2:0, limited range."""
 
     def __init__(self, stream: BinaryIO, choice: VideoChoice) -> None:
         pixels, self._colours = Y4M_FORMATS[choice.bits]
@@ -322,7 +330,7 @@ class Y4mWriter:
 
 
 def _write_all(stream: BinaryIO, content: Any) -> None:
-    """Write all bytes, even if an unbuffered stream accepts only some of them at a time."""
+    """Write all bytes to a stream that may accept only some of them at a time because it is unbuffered."""
     rest = memoryview(content).cast("B")
     while len(rest):
         rest = rest[stream.write(rest) :]
@@ -332,13 +340,13 @@ def _write_all(stream: BinaryIO, content: Any) -> None:
 def new_y4m(
     path: Path | None, choice: VideoChoice, finished: Callable[[Path], None] = lambda temporary: None
 ) -> Iterator[Y4mWriter]:
-    """Context manager that yields a new y4m file for writing, or a stream on stdout if `path` is None.
+    """Create a y4m file, or a stream on stdout if `path` is None, in a context manager that yields its writer.
 
-    The file is written under a temporary name. At the end of the block, `finished` is called with the temporary file, and
-    then the file is renamed to `path`.
+    A file is written under a temporary name. At the end of the block, `finished` is called with the temporary file, and then
+    the file is renamed to `path`. For a stream, `finished` is not called.
     """
     if path is None:
-        # Unbuffered, because a thread that waits in a buffered stream would prevent the interpreter from exiting.
+        # The stream is unbuffered, because a thread that waits in a buffered stream would keep the interpreter from exiting.
         with open(1, "wb", buffering=0, closefd=False) as stream:
             yield Y4mWriter(stream, choice)
         return
@@ -361,16 +369,16 @@ class DecodedVideo:
     path : Path
         The video file.
     what : str
-        Description of suitable files, for messages that end with "use `what`".
+        Description of suitable files. In messages it follows the word "use".
     require : callable
-        Checks the file, given its path and FFmpeg's codec context, and raises InputFileError if it is unsuitable.
+        Called with the path and FFmpeg's codec context. It raises InputFileError if the video is unsuitable.
     formats : str
-        FFmpeg's names of the accepted container formats.
+        FFmpeg's names of the accepted container formats, separated by commas.
 
     Raises
     ------
     InputFileError
-        If the file is not such a video.
+        If the file is not a video in one of `formats`, if its codec is not supported, or if its frames are too large.
     """
 
     def __init__(self, path: Path, what: str, require: Callable[[Path, Any], None], formats: str = CONTAINERS) -> None:
@@ -390,13 +398,13 @@ class DecodedVideo:
             raise InputFileError(f"{path} is encoded with a codec that FFmpeg does not support; use {what}")
         require(path, context)
         require_picture(str(path), context.height, context.width)
-        context.thread_count = 1  # because `following` captures messages of the decoding thread
+        context.thread_count = 1  # so that frames are decoded in this thread, whose messages `following` captures
         self.shape: tuple[int, int] = context.height, context.width
         self.rate: Fraction | None = stream.average_rate or None
-        self.tick: Fraction = stream.time_base  # s
+        self.tick: Fraction = stream.time_base  # unit of times in s
         self._packets = self._container.demux(stream)
         self._decoded: Iterator[Any] = iter(())
-        self._damaged = False  # whether any frame since the last key frame is damaged
+        self._damaged = False  # whether any frame since the last intact key frame is damaged
         self.position = 0  # number of the next frame
 
     def close(self) -> None:
@@ -405,14 +413,15 @@ class DecodedVideo:
     def following(self) -> Any | None:
         """Return the next frame as a PyAV frame, or None after the last frame.
 
-        Raises InputFileError if the frame is damaged. Later frames may be intact.
+        Raises InputFileError if the frame is damaged. Then the method can be called again for the frames after it, which may
+        be intact.
         """
         av = pyav()
         self.position += 1
         try:
             while (frame := next(self._decoded, None)) is None:
                 packet = next(self._packets)
-                # FFmpeg conceals slices with wrong checksums and only logs a message, in the decoding thread (this thread).
+                # If the checksum of a slice is wrong, FFmpeg only logs a message, in this thread, and conceals the slice.
                 with av.logging.Capture() as complaints:
                     self._decoded = iter(packet.decode())
                 self._damaged = bool(complaints) or (self._damaged and not packet.is_keyframe)
@@ -420,43 +429,47 @@ class DecodedVideo:
             return None
         except (av.error.FFmpegError, OSError) as error:
             self._damaged = True
-            raise InputFileError(f"{self.path} is damaged ({error.strerror}); copy the video again") from error
+            raise InputFileError(f"{self.path} is damaged ({error.strerror}); use an undamaged copy of the video") from error
         if self._damaged:
-            raise InputFileError(f"{self.path} is damaged (checksum); copy the video again")
+            raise InputFileError(f"{self.path} is damaged (wrong checksum); use an undamaged copy of the video")
         return frame
 
     def times(self, most: int) -> list[int | None]:
-        """Return the times in ticks of at most `most` following frames, in file order.
+        """Return the times in ticks of the next frames, at most `most`, in the order of the file, without decoding them.
 
-        The time of a frame is None if the file does not state it. Raises InputFileError if the file is damaged.
+        This order can differ from the order of display. The time of a frame is None if the file does not state it. Raises
+        InputFileError if the file is damaged.
         """
         try:
             packets = list(itertools.islice((packet for packet in self._packets if packet.size), most))
         except (pyav().error.FFmpegError, OSError) as error:
-            raise InputFileError(f"{self.path} is damaged ({error.strerror}); copy the video again") from error
+            raise InputFileError(f"{self.path} is damaged ({error.strerror}); use an undamaged copy of the video") from error
         self.position += len(packets)
         return [packet.pts for packet in packets]
 
 
 class InTurn:
-    """Reads the frames of several videos. The frames of each video must be read in order, beginning with the first."""
+    """Reads the frames of several videos, one after another. Only one video is open at a time.
+
+    The frames of a video must be read in order, beginning with frame 0, and before the frames of the next video.
+    """
 
     def __init__(self, opened: Callable[[Path], DecodedVideo]) -> None:
         self._opened = opened
         self._video: DecodedVideo | None = None
 
     def frame(self, path: Path, number: int) -> Any | None:
-        """Return frame `number` of a video as a PyAV frame, or None after the last frame. Frames are counted from 0.
+        """Return frame `number` of a video, counted from 0, as a PyAV frame, or None after the last frame.
 
         Raises InputFileError if the frame is damaged. Later frames may be intact.
         """
         return self.video(path, number).following()
 
     def video(self, path: Path, number: int) -> DecodedVideo:
-        """Return the video, positioned before frame `number`.
+        """Return a video whose next frame is frame `number`.
 
-        If `number` is 0, the video is opened again. Raises InputFileError if the frames are not read in order, which happens
-        after a frame has crashed the decoder.
+        If `number` is 0, the video is opened again. Raises InputFileError if another frame is the next frame. This happens
+        only after a frame has crashed the decoder.
         """
         if number == 0:
             if self._video is not None:
@@ -464,21 +477,23 @@ class InTurn:
             self._video = None
             self._video = self._opened(path)
         if self._video is None or self._video.path != path or self._video.position != number:
-            raise InputFileError(f"{path} cannot be read beyond a frame that crashed the decoder; copy the video again")
+            raise InputFileError(
+                f"{path} cannot be read after a frame that crashed the decoder; use an undamaged copy of the video"
+            )
         return self._video
 
 
 # --------------------------------------------------------------------------------------------------------- times of frames
 
-JITTER = Fraction(1, 1000)  # s, resolution of times in Matroska files
+JITTER = Fraction(1, 1000)  # resolution of times in Matroska files in s
 
 
 @dataclass(frozen=True)
 class StatedTimes:
-    """The times of all frames of a video, as its file states them."""
+    """The times of all frames of a video, as stated in its file."""
 
-    tick: Fraction  # s
-    ticks: NDArray[np.int64]  # (frame) in display order
+    tick: Fraction  # unit of `ticks` in s
+    ticks: NDArray[np.int64]  # (frame,) in the order of display
 
     @property
     def are_even(self) -> bool:
@@ -487,7 +502,10 @@ class StatedTimes:
         return steps.size == 0 or int(steps.max() - steps.min()) * self.tick <= JITTER
 
     def range(self) -> str:
-        """Return the shortest and the longest time between two frames in s, as text."""
+        """Return the shortest and the longest time between consecutive frames as text, such as "0.0333–0.05 s".
+
+        There must be at least two frames.
+        """
         steps = np.diff(self.ticks) * float(self.tick)
         return f"{steps.min():.3g}–{steps.max():.3g} s"
 
@@ -495,8 +513,9 @@ class StatedTimes:
 def unit_of(numbers: Sequence[int]) -> int | None:
     """Return the step between consecutive frame numbers, or None if the numbers are irregular, for example time stamps.
 
-    The step is the smallest difference between consecutive numbers. The numbers are regular if at least half of the
-    differences are equal to the step, and if every difference is a multiple of the step.
+    `numbers` are in ascending order. The step is the smallest difference between consecutive numbers. The numbers are
+    regular if at least half of the differences are equal to the step, and if every difference is a multiple of the step. For
+    fewer than two numbers, the step is 1.
     """
     steps = Counter(after - before for before, after in pairwise(numbers))
     unit = min(steps, default=1)
@@ -505,21 +524,23 @@ def unit_of(numbers: Sequence[int]) -> int | None:
 
 
 class Pacing:
-    """Assigns times to frames in order, in ticks from the first frame.
+    """Assigns times to frames in order. Times are in ticks after the first frame.
 
     Parameters
     ----------
     unit : int or None
-        Step between consecutive frame numbers. None if the numbers are irregular. Frames are then evenly spaced.
+        Step between consecutive frame numbers, which is one tick. If it is None (irregular numbers), all frames are one tick
+        apart.
     stated : StatedTimes, optional
         Times to use instead of the frame numbers.
     step : int
-        Only every `step`-th frame is used. The times are divided by `step`, so that each frame has its original duration.
+        Only every `step`-th frame is used. Stated times are divided by `step`, so that each frame keeps its original
+        duration.
     """
 
     def __init__(self, unit: int | None, stated: StatedTimes | None = None, step: int = 1) -> None:
         self._unit, self.stated = unit, stated
-        # s, or None for the duration of a frame
+        # Unit of times in s. None for the duration of a frame.
         self.tick = None if stated is None else max(stated.tick / step, Fraction(1, FINEST))
         self._scale = Fraction(0) if stated is None or self.tick is None else stated.tick / step / self.tick
         self._first, self._last = 0, -1
@@ -528,7 +549,10 @@ class Pacing:
         self._number = 0  # number of the previous frame
 
     def time(self, number: int) -> int:
-        """Return the time of the next frame, whose number is `number`."""
+        """Return the time of the next frame, which has the frame number `number`.
+
+        The time is at least one tick later than the time of the previous frame.
+        """
         time = self._time(number)
         if self._last < 0:
             self._first = time
@@ -546,4 +570,4 @@ class Pacing:
         return self._last + 1 if self._unit is None else number // self._unit
 
 
-Stated = Callable[[], StatedTimes | None]  # reads the times, which may take long; returns None if the file states none
+Stated = Callable[[], StatedTimes | None]  # reads the times, which may take long; returns None if the file has none

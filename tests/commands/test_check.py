@@ -365,7 +365,7 @@ def test_measurements_of_a_known_camera(tmp_path: Path, l3: L3) -> None:
     [
         ("camera.toml", "none.toml", 1, "none.toml does not exist"),
         ("camera.toml", "dark1.npy", 1, "dark1.npy"),
-        ("dark2.npy", "dark3.npy", 3, "dark3.npy does not exist; copy the frame there"),
+        ("dark2.npy", "dark3.npy", 3, "dark3.npy does not exist; copy the frame to this folder, or correct its file name"),
         ("exposure_s = 0.02", "", 2, "needs exactly one of the keys"),
         ("exposure_ms = 5", "exposure_ms = -5", 7, "white[1].exposure_ms is -5; use more than 0"),
         ("exposure_ms = 5", "exposure_min = 5", 7, "unknown key `exposure_min`"),

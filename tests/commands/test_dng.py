@@ -348,7 +348,7 @@ def test_what_is_read_changes_the_frame_as_it_states(tmp_path: Path, name: str) 
     assert frame.notes == (TWO_SAMPLES,) * (name == "SamplesPerPixel")
 
 
-TWO_SAMPLES = "it has two samples per pixel (dual pixels), and l3 uses only the first"
+TWO_SAMPLES = "the file has two samples per pixel (dual pixels), and l3 uses only the first sample"
 BLACK_LEVELS: dict[
     str, tuple[Tags, float | np.ndarray]
 ] = {  # of tags as cameras and apps write them; (row, col) of each site

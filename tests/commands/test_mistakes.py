@@ -55,7 +55,7 @@ MISTAKES = """
     2 calibrate two_kinds.toml -o new.h5
         contains mono and curves
     2 calibrate rotator.toml -o new.h5
-        [rotator] describes the polariser of [[polariser]] captures; add the captures, or remove it
+        [rotator] applies only to [[polariser]] captures; add [[polariser]] captures, or remove [rotator]
     2 calibrate reference.toml -o new.h5
         the channel "r" of "rotator.reference" has no angle; set channel.r.polariser_deg
     2 calibrate two_zeros.toml -o new.h5
@@ -117,7 +117,7 @@ MISTAKES = """
     3 render table.h5 picture.png -o new.png
         picture.png has 3 channels
     3 render table.h5 camera.toml -o new.png
-        use a camera raw, a one-channel TIFF
+        use a camera raw, a TIFF or PNG file with one channel
     3 render table.h5 empty.tif -o new.png
         empty.tif is not a picture
     3 render table.h5 folder -o new.png

@@ -158,7 +158,7 @@ def test_known_formats_are_never_called_damaged(tmp_path: Path) -> None:
     for magic, suffix in MISNAMED.items():
         assert suffix in BY_SUFFIX
         (tmp_path / "a.unknown").write_bytes(magic + bytes(100))
-        with pytest.raises(InputFileError, match=rf"rename it to a\{suffix}"):
+        with pytest.raises(InputFileError, match=rf"rename the file to a\{suffix}"):
             read_raw(tmp_path / "a.unknown", RGGB)
 
 

@@ -67,7 +67,7 @@ def _header(path: Path) -> tuple[Layout, NDArray[np.int64] | None, int]:
     size = path.stat().st_size - HEADER_BYTES
     if size < count * layout.frame_bytes:
         whole = size // layout.frame_bytes
-        raise InputFileError(f"{path} contains only {whole} of {count} frames; copy it again or repair it")
+        raise InputFileError(f"{path} contains only {whole} of {count} frames; copy or repair the file")
     pattern = codes_of(PATTERNS[colour]).reshape(2, 2) if PATTERNS[colour] else None
     return _in_byte_order(path, layout), pattern, count
 

@@ -203,8 +203,8 @@ def _stated(file: Any, page: Any, bands: int) -> dict[str, Any]:
     Returns
     -------
     dict
-        "wavelengths" in nm, "nodata" (value of pixels without data), "SCALE", "OFFSET" and "DESCRIPTION". Each is a list with
-        one entry per band, except "nodata". Missing metadata are an empty list or None.
+        "wavelengths" in nm, "nodata" (value of pixels without data), "SCALE", "OFFSET" and "DESCRIPTION". Each value is a
+        list with one entry per band, except "nodata". Missing metadata are an empty list or None.
     """
     stated: dict[str, Any] = {"wavelengths": [], "nodata": None, "SCALE": [], "OFFSET": [], "DESCRIPTION": []}
     for metadata in file.shaped_metadata or ():

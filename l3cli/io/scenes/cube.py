@@ -1,8 +1,8 @@
-"""Read spectral cubes from MATLAB, HDF5 and .npy files. A .npy file cannot contain wavelengths.
+"""Read spectral cubes from MATLAB, HDF5 and .npy files.
 
-MATLAB and HDF5 files of any version are read as nested dictionaries of arrays. The attributes of an HDF5 dataset describe
-the scale of its values. l3 reads the attributes of the CF conventions (scale_factor, add_offset, _FillValue, missing_value)
-and of NEON (Scale_Factor, by which values are divided, and Data_Ignore_Value).
+The attributes of an HDF5 dataset describe the scale of its values. l3 reads the attributes of the CF conventions
+(scale_factor, add_offset, _FillValue, missing_value) and of NEON (Scale_Factor, by which the values are divided, and
+Data_Ignore_Value). A .npy file contains only the values, without wavelengths and attributes.
 """
 
 from collections.abc import Container, Iterator
@@ -22,11 +22,12 @@ from l3cli.io.scenes.wavelengths import GOOD_NAMES, NAMES, in_nm, is_named, unit
 from l3cli.system.limits import require_values
 
 Content = dict[str, Any]
-SCALE, OFFSET, WHITE = "scale_factor", "add_offset", "Scale_Factor"  # attributes: factor, offset, value of a perfect white
+# Attributes: factor by which stored values are multiplied, offset that is then added, and stored value of a perfect white.
+SCALE, OFFSET, WHITE = "scale_factor", "add_offset", "Scale_Factor"
 MISSING = ("_FillValue", "missing_value", "Data_Ignore_Value")  # attributes that contain the value of pixels without data
 MATLAB, NPY = ".mat", ".npy"
-OTHER_SOURCES = {".tif": "channels", ".tiff": "channels", ".exr": "channels", ".hdr": "envi"}  # suffixes of other sources
-TITLES = ("NAME", "standard_name", "long_name")  # attributes that name an array: HDF5 dimension scales, CF conventions
+OTHER_SOURCES = {".tif": "channels", ".tiff": "channels", ".exr": "channels", ".hdr": "envi"}  # suffix → other `source`
+TITLES = ("NAME", "standard_name", "long_name")  # attributes that name an array (HDF5 dimension scales, CF conventions)
 DEEPEST = 16  # maximum nesting of groups or structs
 
 
@@ -38,14 +39,19 @@ def read(path: Path, variable: str | None, axes: str) -> SpectralCube:
     path : Path
         The cube file.
     variable : str or None
-        Name of the array that contains the cube. None if the file contains only one array with three axes.
+        Name of the array that contains the cube. None selects the only array with three axes.
     axes : str
-        Names of the axes in order, such as "row col band".
+        Names of the axes of the stored array in order, separated by spaces, such as "band row col".
+
+    Returns
+    -------
+    SpectralCube
+        The cube (row, col, band). Its wavelengths are None if the file contains no list of wavelengths.
 
     Raises
     ------
     InputFileError
-        If the file does not contain the cube, or if it contains several lists of wavelengths that differ.
+        If the file cannot be read or does not contain the cube, or if it contains several lists of wavelengths that differ.
 
     Notes
     -----
@@ -79,9 +85,9 @@ def read(path: Path, variable: str | None, axes: str) -> SpectralCube:
 def _as_stored(
     values: NDArray, wavelength: NDArray[np.float64] | None, good: NDArray[np.bool_] | None, attributes: dict[str, Any]
 ) -> SpectralCube:
-    """Make a cube from stored values (row, col, band).
+    """Return a cube of stored values (row, col, band).
 
-    The attributes of the dataset define the scale and the missing pixels.
+    The attributes of the dataset define the scale of the values and mark the pixels without data.
     """
     ignored = None
     for mark in (attributes[name] for name in MISSING if name in attributes):
@@ -94,7 +100,10 @@ def _as_stored(
 
 
 def size(path: Path, variable: str | None, axes: str) -> tuple[int, int]:
-    """Return the number of rows and columns of the cube, without reading its values if the header states the size."""
+    """Return the number of rows and columns of the cube that `read` returns.
+
+    The values are read only if the header does not state the size. Raises InputFileError as `read` does.
+    """
     _refuse_other_source(path)
     shapes = {"values": map_array(path).shape} if path.suffix.lower() == NPY else array_shapes(path)
     wanted = [
@@ -108,9 +117,9 @@ def size(path: Path, variable: str | None, axes: str) -> tuple[int, int]:
 
 
 def _refuse_other_source(path: Path) -> None:
-    """Raise InputFileError if the suffix of a file belongs to another `source`."""
+    """Raise InputFileError if files with the suffix of `path` are read with another `source`."""
     if (source := OTHER_SOURCES.get(path.suffix.lower())) is not None:
-        raise InputFileError(f'{path} is no array of MATLAB, HDF5 or numpy; set source = "{source}" in the recipe')
+        raise InputFileError(f'{path} is not a MATLAB, HDF5 or .npy file; set source = "{source}" in the recipe')
 
 
 def _path_of(variable: str) -> str:
@@ -118,13 +127,13 @@ def _path_of(variable: str) -> str:
     return variable.replace(".", "/").strip("/")
 
 
-Lists = dict[tuple[str, str], NDArray[np.float64]]  # (group, name) → list of numbers; all lists have the same length
+Lists = dict[tuple[str, str], NDArray[np.float64]]  # (group, name) → list of numbers; all lists have one number per band
 
 
 def _lists(arrays: dict[str, NDArray], attributes: dict[str, dict[str, Any]], length: int) -> Lists:
-    """Return all lists of `length` numbers in a file.
+    """Return all lists of `length` numbers in a file, from arrays and attributes. If `length` is 1, there are none.
 
-    Arrays are listed under their group, and attributes under the group or array to which they belong.
+    The group in the key of an attribute is the path of the group or array that has the attribute.
     """
     found: Lists = {}
     for path, values in arrays.items():
@@ -140,7 +149,7 @@ def _lists(arrays: dict[str, NDArray], attributes: dict[str, dict[str, Any]], le
 
 
 def _titles(attributes: dict[str, Any]) -> Iterator[str]:
-    """Yield the names that the attributes of an array state."""
+    """Yield the names of an array that its attributes contain."""
     for key in TITLES:
         if isinstance(title := attributes.get(key), str):
             yield title.removeprefix("radiation_")  # as in the CF standard name "radiation_wavelength"
@@ -149,9 +158,10 @@ def _titles(attributes: dict[str, Any]) -> Iterator[str]:
 def _nearest(
     cube: str, lists: Lists, names: tuple[str, ...], titled: Container[tuple[str, str]] = ()
 ) -> list[tuple[str, str]]:
-    """Return the keys of the lists that have one of `names`, or are in `titled`, and are nearest to a cube.
+    """Of the lists with one of `names` and the lists in `titled`, return the keys of those nearest to a cube.
 
-    The attributes of the cube are nearest, followed by the group of the cube, the enclosing groups, and all other groups.
+    The attributes of the cube are nearest, followed by the group of the cube, the enclosing groups from the innermost to the
+    outermost, and all other groups.
     """
     usual = [key for key in lists if key in titled or is_named(key[1], names)]
     places = [cube]
@@ -164,10 +174,10 @@ def _nearest(
 
 
 def _wavelengths(path: Path, cube: str, lists: Lists, attributes: dict[str, dict[str, Any]]) -> NDArray[np.float64] | None:
-    """Return the wavelengths in nm, or None if the file states none.
+    """Return the wavelength of each band in nm, or None if the file contains no list of wavelengths.
 
-    The unit is the attribute "units" of the list or the last word of its name. Otherwise it is inferred from the numbers.
-    Raises InputFileError if the file contains several different lists of wavelengths.
+    The unit is in the attribute "unit" or "units" of the list or in the last word of its name. Otherwise it is inferred from
+    the numbers. Raises InputFileError if a list is invalid, or if the nearest lists differ.
     """
     found = []
     titled = {key for key in lists if any(map(is_named, _titles(attributes.get("/".join(key).strip("/"), {}))))}
@@ -186,7 +196,10 @@ def _wavelengths(path: Path, cube: str, lists: Lists, attributes: dict[str, dict
 
 
 def _good_bands(cube: str, lists: Lists) -> NDArray[np.bool_] | None:
-    """Return a mask of the good bands, from a list of 0 and 1, or None if the file contains no such list."""
+    """Return a mask that is true for good bands, or None if the file contains no list of good bands.
+
+    A list is used only if all its values are 0 or 1 and at least one value is 1.
+    """
     for key in _nearest(cube, lists, GOOD_NAMES):
         if np.isin(lists[key], (0, 1)).all() and lists[key].any():
             return np.asarray(lists[key] == 1)
@@ -197,20 +210,21 @@ def _good_bands(cube: str, lists: Lists) -> NDArray[np.bool_] | None:
 
 
 def read_content(path: Path) -> Content:
-    """Read all numbers and texts in a MATLAB file (suffix .mat) or an HDF5 file (any other suffix).
+    """Read all numeric arrays in a MATLAB file (suffix .mat) or an HDF5 file (any other suffix).
 
-    Groups and structs become dictionaries. Arrays from MATLAB keep the order of axes that they have in MATLAB, without axes
-    of length 1. Raises InputFileError if the file has neither format.
+    Groups and structs become nested dictionaries. Arrays that MATLAB wrote have the same order of axes as in MATLAB, and
+    axes of length 1 are removed. From MATLAB files before version 7.3, texts are read as well. Raises InputFileError if the
+    file cannot be read.
     """
     return read_matlab(path) if path.suffix.lower() == MATLAB else _read_hdf5(path)
 
 
 @isolated("h5py", "scipy.io")
 def read_matlab(path: Path) -> Content:
-    """Read the content of a .mat file."""
+    """Read the content of a MATLAB file as `read_content` does, whatever the suffix of the file."""
     import h5py
 
-    return _stored(path, reverse=True) if h5py.is_hdf5(path) else _loaded(path)  # -v7.3 files are HDF5, with reversed axes
+    return _stored(path, reverse=True) if h5py.is_hdf5(path) else _loaded(path)  # version 7.3 is HDF5, with reversed axes
 
 
 @isolated("h5py")
@@ -220,9 +234,10 @@ def _read_hdf5(path: Path) -> Content:
 
 @isolated("h5py", "scipy.io")
 def array_shapes(path: Path) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of all numeric arrays in a .mat or HDF5 file, by name ("a", "a/b").
+    """Return the shape of each numeric array in a MATLAB or HDF5 file, by its path in the file, such as "a" or "a/b".
 
-    Shapes are read from headers. Only structs in MATLAB files before version 7.3 must be read completely.
+    The shapes are those of the arrays that `read_content` returns. They are read from headers, except that structs in MATLAB
+    files before version 7.3 must be read completely.
     """
     import h5py
 
@@ -244,7 +259,7 @@ def _squeezed(shape: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _arrays(content: Content, prefix: str = "") -> Iterator[tuple[str, NDArray]]:
-    """Yield the path and values of every numeric array."""
+    """Yield the path, such as "a/b", and the values of every numeric array in nested dictionaries."""
     for name, value in content.items():
         if isinstance(value, dict):
             yield from _arrays(value, f"{prefix}{name}/")
@@ -253,7 +268,7 @@ def _arrays(content: Content, prefix: str = "") -> Iterator[tuple[str, NDArray]]
 
 
 def _loaded(path: Path, names: list[str] | None = None) -> Content:
-    """Read variables from a .mat file before version 7.3. If `names` is None, all variables are read."""
+    """Read variables from a MATLAB file before version 7.3. If `names` is None, all variables are read."""
     from scipy.io import loadmat, whosmat
 
     for name, shape, _ in whosmat(path):
@@ -263,7 +278,7 @@ def _loaded(path: Path, names: list[str] | None = None) -> Content:
 
 
 def _plain(content: Content, depth: int = 0) -> Content:
-    """Return only the fields that contain numbers or text."""
+    """Return only the fields that contain numbers or text. Structs that are nested too deeply are left out."""
     fields: Content = {}
     for name, value in content.items():
         if isinstance(value, dict) and depth < DEEPEST:
@@ -274,14 +289,14 @@ def _plain(content: Content, depth: int = 0) -> Content:
 
 
 def _is_matlab(path: Path) -> bool:
-    """Whether an HDF5 file was written by MATLAB (-v7.3)."""
+    """Return whether an HDF5 file was written by MATLAB, as a file of version 7.3."""
     with open(path, "rb") as stream:
         return stream.read(10) == b"MATLAB 7.3"
 
 
 @isolated("h5py")
 def _attributes(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the numeric and text attributes of every group and dataset in an HDF5 file, by path.
+    """Return the numeric attributes and texts of every group and dataset in an HDF5 file that has any, by path.
 
     The path of the root is "". If the file is not an HDF5 file, the result is empty.
     """
@@ -304,7 +319,7 @@ def _attributes(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def _plain_attribute(attributes: Any, key: str) -> Any:
-    """Return an attribute if it is text or contains at most a million numbers, otherwise None."""
+    """Return the value of an attribute if it is a text or contains at most a million numbers, otherwise None."""
     kind, shape = attributes.get_id(key).dtype, attributes.get_id(key).shape
     if kind.kind in "fiu" and np.prod(shape, dtype=float) <= 1e6:
         return np.asarray(attributes[key])

@@ -2,7 +2,7 @@
 
 FIELDS lists every field of the format (NV5 Geospatial, "ENVI Header Files", and the frame offsets of ENVI Classic) and
 describes how l3 uses the field. l3 ignores the additional fields of manufacturers. The function `unknown` returns the names
-of ignored fields that may affect the values.
+of ignored fields that could affect the values.
 """
 
 import math
@@ -21,11 +21,11 @@ from l3cli.io.scenes.wavelengths import UNSTATED, in_nm, of_names
 from l3cli.system.files import open_regular
 from l3cli.system.limits import read_bounded, require_picture
 
-TYPES = {1: "u1", 2: "i2", 3: "i4", 4: "f4", 5: "f8", 12: "u2", 13: "u4", 14: "i8", 15: "u8"}
-COMPLEX = (6, 9)
+TYPES = {1: "u1", 2: "i2", 3: "i4", 4: "f4", 5: "f8", 12: "u2", 13: "u4", 14: "i8", 15: "u8"}  # "data type" → numpy type
+COMPLEX = (6, 9)  # "data type" of complex numbers
 AXES = {"bsq": ("bands", "lines", "samples"), "bil": ("lines", "bands", "samples"), "bip": ("lines", "samples", "bands")}
 STANDARD = ("envi standard", "envi", "standard", *UNSTATED)  # file types of uncompressed cubes
-DATA = ("", ".img", ".dat", ".raw", ".bsq", ".bil", ".bip", ".bin", ".cube", ".hyspex")
+DATA = ("", ".img", ".dat", ".raw", ".bsq", ".bil", ".bip", ".bin", ".cube", ".hyspex")  # suffixes of data files
 CURE = "use a complete ENVI header"
 
 # Words in the names of manufacturers' fields that suggest an effect on the values, as in "radiance gain" or "dark level".
@@ -42,8 +42,8 @@ class HeaderField:
     """A field of an ENVI header."""
 
     name: str
-    fate: str  # READ: used; REFUSED: an error, unless the value changes nothing; HARMLESS: ignored, no effect on the cube
-    meaning: str
+    fate: str  # READ: l3 uses it; REFUSED: l3 rejects values that it does not support; HARMLESS: it does not affect the cube
+    meaning: str  # for the documentation
 
 
 FIELDS = (
@@ -131,14 +131,14 @@ FIELDS = (
 
 @dataclass(frozen=True)
 class Layout:
-    """Position of the values in the data file."""
+    """Type and positions of the values in the data file."""
 
-    shape: tuple[int, int, int]  # lengths of `axes`; the last axis varies fastest
-    axes: tuple[str, str, str]
+    shape: tuple[int, int, int]  # lengths of `axes`
+    axes: tuple[str, str, str]  # "lines", "samples" and "bands" in the order of the file; the last axis varies fastest
     dtype: np.dtype
-    offset: int  # bytes before the first value
-    strides: tuple[int, int, int]  # bytes
-    end: int  # required size of the data file in bytes
+    offset: int  # number of bytes before the first value
+    strides: tuple[int, int, int]  # distances in bytes between neighbouring values along `axes`
+    end: int  # minimum size of the data file in bytes
 
     @property
     def size(self) -> tuple[int, int]:
@@ -146,7 +146,7 @@ class Layout:
 
 
 class Header:
-    """The fields of an ENVI header. Names are in lower case."""
+    """The fields of an ENVI header file, by name in lower case. Raises InputFileError if the file is not an ENVI header."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.fields = path, _fields(path)
@@ -158,7 +158,10 @@ class Header:
         return self.fields.get(name, "")
 
     def whole(self, name: str, least: int = 0, default: int | None = None) -> int:
-        """Return a field that is an integer of at least `least`. Without a default, the field must exist."""
+        """Return a field as an integer, or `default` if the field is missing.
+
+        Raises InputFileError if the field is not an integer of at least `least`, or if it is missing and has no default.
+        """
         text = self.text(name)
         if not text and default is not None:
             return default
@@ -169,7 +172,10 @@ class Header:
         return int(text)
 
     def numbers(self, name: str, count: int) -> NDArray[np.float64] | None:
-        """Return `count` numbers, or None if the field is missing. A single number in the file is repeated."""
+        """Return a field as `count` numbers, or None if the field is missing. A single number in the field is repeated.
+
+        Raises InputFileError if the field contains another number of entries, or an entry that is not a number.
+        """
         if not self.text(name):
             return None
         words = [word for word in re.split(r"[,\s]+", self.text(name)) if word]
@@ -193,10 +199,15 @@ def read(path: Path, holds: str = "reflectance") -> SpectralCube:
         Content of the cube according to the recipe: "reflectance", "radiance" or "photons". It determines whether l3 uses
         the gains for reflectance or the gains for radiance.
 
+    Returns
+    -------
+    SpectralCube
+        The cube (row, col, band). Its wavelengths are None if the header contains no wavelengths.
+
     Raises
     ------
     InputFileError
-        If header and data do not match, or if the header requires something that l3 does not support.
+        If the data file is missing or too short, or if the header is invalid or requires a feature that l3 does not support.
     """
     header = Header(path)
     layout = _layout(header)
@@ -216,7 +227,7 @@ def read(path: Path, holds: str = "reflectance") -> SpectralCube:
 
 
 def size(path: Path, holds: str = "reflectance") -> tuple[int, int]:
-    """Return the number of rows and columns according to the header. Raises InputFileError in the same cases as `read`."""
+    """Return the number of rows and columns in the header. Raises InputFileError as `read` does."""
     header = Header(path)
     layout = _layout(header)
     _wavelengths(header), _good_bands(header), _scale(header, holds), _whole_data(path, layout)
@@ -230,7 +241,10 @@ def files(path: Path) -> list[Path]:
 
 
 def unknown(path: Path) -> list[str]:
-    """Return the fields of a header that are not in FIELDS and whose names suggest that they affect the values."""
+    """Return the names of header fields that are not in FIELDS and that suggest an effect on the values.
+
+    Empty fields are left out.
+    """
     known = {field.name for field in FIELDS}
     return [name for name, text in _fields(path).items() if name not in known and text and CHANGING.search(name)]
 
@@ -240,16 +254,16 @@ def _fields(path: Path) -> dict[str, str]:
 
     Raises InputFileError if the file is not an ENVI header.
     """
-    with open_regular(path, "use the .hdr file") as stream:  # a data file may exceed the size limit of text files
+    with open_regular(path, "use the .hdr file") as stream:  # `read_bounded` would only report that a data file is too large
         if b"ENVI" not in stream.read(64):
-            raise InputFileError(f"{path} is not an ENVI header; give the .hdr file of the cube")
+            raise InputFileError(f"{path} is not an ENVI header; use the .hdr file of the cube")
     content = read_bounded(path)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = content.decode("latin-1")
     if not text.lstrip().startswith("ENVI"):
-        raise InputFileError(f"{path} is not an ENVI header; give the .hdr file of the cube")
+        raise InputFileError(f"{path} is not an ENVI header; use the .hdr file of the cube")
     lines = [line for line in text.splitlines() if not line.lstrip().startswith(";")]  # a semicolon starts a comment
     fields, at = {}, 0
     while at < len(lines):
@@ -266,7 +280,7 @@ def _fields(path: Path) -> dict[str, str]:
 
 
 def _goes_on(value: str, following: str) -> bool:
-    """Whether a value continues in the following line, because its brace is still open or opens in that line."""
+    """Return whether a value continues in the following line: its brace is still open, or the brace opens in that line."""
     return "}" not in value if value.startswith("{") else not value and following.lstrip().startswith("{")
 
 
@@ -276,7 +290,9 @@ def _data(path: Path) -> Path:
         for data in (stem.with_name(stem.name + suffix), stem.with_name(stem.name + suffix.upper())):
             if data.is_file() and data != path:
                 return data
-    raise InputFileError(f"{path}: the data file is missing; put {stem.name} or {stem.name}.img beside the header")
+    raise InputFileError(
+        f"{path}: the data file is missing; copy {stem.name} or {stem.name}.img to the folder of the header"
+    )
 
 
 def _whole_data(path: Path, layout: Layout) -> Path:
@@ -284,22 +300,22 @@ def _whole_data(path: Path, layout: Layout) -> Path:
     data = _data(path)
     size = data.stat().st_size
     if size < layout.end:
-        raise InputFileError(f"{data} has {size} bytes, but its header requires {layout.end}; copy the whole file again")
+        raise InputFileError(f"{data} has {size} bytes, but its header requires {layout.end}; use the complete data file")
     return data
 
 
 def _layout(header: Header) -> Layout:
-    """Return the layout of the values. Raises InputFileError if a field is missing or unsupported."""
+    """Return the layout of the values. Raises InputFileError if a field is missing, invalid or unsupported."""
     sizes = {name: header.whole(name, 1) for name in ("lines", "samples", "bands")}
     kind = " ".join(header.text("file type").split())
     if kind.lower() not in STANDARD:
         raise header.wrong("file type", f'is "{kind[:40]}", which l3 does not support', "save the cube as ENVI Standard")
     if header.text("read procedures"):
         raise header.wrong(
-            "read procedures", "says that only another program can read the data", "save the cube as ENVI Standard"
+            "read procedures", "means that only another program can read the data", "save the cube as ENVI Standard"
         )
     if header.text("file compression").lower() not in ("", "0", "none", "false"):
-        raise header.wrong("file compression", "says that the data are compressed", "save the cube without compression")
+        raise header.wrong("file compression", "means that the data are compressed", "save the cube without compression")
     code = header.whole("data type")
     if code not in TYPES:
         what = " (complex numbers)" if code in COMPLEX else ""
@@ -326,14 +342,14 @@ def _frame_offsets(header: Header, name: str) -> tuple[int, int]:
     if listed is None:
         return 0, 0
     if not all(number >= 0 and number == int(number) for number in listed):
-        raise header.wrong(name, "must contain two numbers of bytes")
+        raise header.wrong(name, "must contain two integers of at least 0 (numbers of bytes)")
     return int(listed[0]), int(listed[1])
 
 
 def _wavelengths(header: Header) -> NDArray[np.float64] | None:
-    """Return the wavelength of each band in nm, from the field "wavelength" or otherwise from the names of the bands.
+    """Return the wavelength of each band in nm, from the field "wavelength" or, without it, from the names of the bands.
 
-    If neither states wavelengths, return None. Raises InputFileError if the field or its unit is invalid.
+    Returns None if there are no wavelengths. Raises InputFileError if the field or its unit is invalid.
     """
     bands = header.whole("bands", 1)
     if (listed := header.numbers("wavelength", bands)) is not None:
@@ -361,10 +377,11 @@ def _good_bands(header: Header) -> NDArray[np.bool_] | None:
 
 
 def _scale(header: Header, holds: str) -> tuple[NDArray[np.float64], NDArray[np.float64], float | None]:
-    """Return the gain and the offset of each band, and the scaled value of a perfect white, or None if it is unknown.
+    """Return the gain and the offset of each band, and the value of a perfect white.
 
-    The gains for reflectance are used if the cube contains reflectance, otherwise the gains for radiance. Raises
-    InputFileError if a field is invalid, or if two fields scale the data.
+    The value of a perfect white is after gain and offset, and None if it is unknown. The gains for reflectance are used if
+    the cube contains reflectance, otherwise the gains for radiance. Raises InputFileError if a field is invalid, or if two
+    fields scale the data.
     """
     bands = header.whole("bands", 1)
     white = None
@@ -404,7 +421,10 @@ def _scale(header: Header, holds: str) -> tuple[NDArray[np.float64], NDArray[np.
 
 
 def _linear(header: Header, kind: str, bands: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return gains and offsets for `kind` ("data" or "data reflectance"), or None if they are missing or change nothing."""
+    """Return the gain and the offset of each band from the fields whose names begin with `kind`.
+
+    Missing gains are 1 and missing offsets are 0. If all gains are 1 and all offsets are 0, return None.
+    """
     gain, offset = (header.numbers(f"{kind} {what} values", bands) for what in ("gain", "offset"))
     gain, offset = np.ones(bands) if gain is None else gain, np.zeros(bands) if offset is None else offset
     if not (np.isfinite(gain).all() and np.isfinite(offset).all() and gain.all()):

@@ -11,27 +11,28 @@ from l3cli.frames.scene import Scene
 from l3cli.io.scenes.cube import Content, array_shapes, read_matlab
 from l3cli.physics import spectra
 
-Curve = tuple[NDArray[np.floating], NDArray[np.floating]]
+Curve = tuple[NDArray[np.floating], NDArray[np.floating]]  # wavelengths in nm, values
 
 
 def read(path: Path, light: Curve | None = None) -> Scene:
-    """Read an ISET scene and its illuminant.
+    """Read the reflectances of an ISET scene and its illuminant.
 
-    l3 reads all three forms in which ISET stores scenes: a scene struct with floats or with integers between dmin and dmax,
-    the variables photons and wave, and coefficients (mcCOEF) of a basis about a mean (imgMean). Small negative values are
-    noise and become zero. Specular highlights are preserved (docs/method.md#simulation).
+    ISET stores scenes in three forms, and l3 reads all of them: a struct `scene`, the variables `photons` and `wave`, or
+    coefficients `mcCOEF` of basis functions, to which a mean spectrum `imgMean` is added. Photons are floats, or integers
+    that represent the range from `dmin` to `dmax`. They are divided by the illuminant. Negative reflectances become zero,
+    because they are noise. Reflectances above 1, which are specular highlights, are preserved (docs/method.md#simulation).
 
     Parameters
     ----------
     path : Path
         The scene file.
     light : tuple of ndarray, optional
-        Wavelengths in nm and photons of an illuminant, for files without an illuminant.
+        Wavelengths in nm and photons of an illuminant, which is used if the file contains no illuminant.
 
     Raises
     ------
     InputFileError
-        If the file is not an ISET scene.
+        If the file is not a complete ISET scene, or if neither the file nor `light` states the illuminant.
     """
     content = read_matlab(path)
     content = content["scene"] if isinstance(content.get("scene"), dict) else content
@@ -49,7 +50,7 @@ def read(path: Path, light: Curve | None = None) -> Scene:
         photons = photons[..., None]  # MATLAB drops a last axis of length 1
     if photons.ndim != 3 or photons.shape[2] != wavelength.size:
         raise InputFileError(
-            f"{path}: photons of shape {photons.shape} do not match {wavelength.size} wavelengths; "
+            f"{path}: the photons of shape {photons.shape} do not match the {wavelength.size} wavelengths; "
             "save the scene from ISET again"
         )
     if illuminant.size != wavelength.size or not (illuminant > 0).all():
@@ -65,7 +66,10 @@ def read(path: Path, light: Curve | None = None) -> Scene:
 
 
 def size(path: Path, light: Curve | None = None) -> tuple[int, int]:
-    """Return the number of rows and columns of an ISET scene, without reading the photons if the header states the size."""
+    """Return the number of rows and columns of the scene that `read` returns.
+
+    The photons are read only if the header does not state the size. Raises InputFileError as `read` does.
+    """
     shapes = array_shapes(path)
     for name in (f"{scene}{array}" for scene in ("scene/", "") for array in ("mcCOEF", "photons", "data/photons")):
         if len(shapes.get(name, ())) in (2, 3):
@@ -75,7 +79,11 @@ def size(path: Path, light: Curve | None = None) -> tuple[int, int]:
 
 
 def _photons(content: Content) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """Return the wavelengths in nm and the photons (row, col, wave). Raises KeyError with the name of a missing variable."""
+    """Return the wavelengths in nm and the photons (row, col, wavelength).
+
+    The last axis of the photons is missing if there is only one wavelength. Raises KeyError with the name of a missing
+    variable.
+    """
     if "mcCOEF" in content:
         basis = content["basis"]
         functions = np.asarray(basis["basis"], np.float32).reshape(np.size(basis["wave"]), -1)
@@ -92,10 +100,11 @@ def _photons(content: Content) -> tuple[NDArray[np.float64], NDArray[np.float32]
 
 
 def _illuminant(stored: Any, wavelength: NDArray[np.float64], light: Curve | None) -> NDArray[np.float64]:
-    """Return the photons that a perfect white reflects, at each wavelength.
+    """Return the photons of the illuminant, which a perfect white reflects, at each wavelength.
 
-    They are read from ISET's new illuminant struct (photons) or its old struct (energy). If the file contains no struct,
-    `light` is used. Raises KeyError if the file contains no illuminant.
+    New versions of ISET store photons, and old versions store energy, which is converted to photons. If the file contains no
+    illuminant (`stored` is not a struct), `light` is used. Raises KeyError if `light` is None too, or if a variable of the
+    struct is missing.
     """
     if not isinstance(stored, dict):
         if light is None:
@@ -118,7 +127,10 @@ def _numbers(values: Any) -> NDArray[np.float64]:
 
 
 def _decoded(values: Any, holder: Content, low: str, high: str) -> NDArray[np.float32]:
-    """Convert stored values to float32. Integers are scaled so that 0 to their maximum becomes `low` to `high`."""
+    """Convert stored values to float32. Integers are scaled, so that 0 and the maximum of their type become two limits.
+
+    `low` and `high` are the names of these limits in the struct `holder`.
+    """
     array = np.asarray(values)
     decoded = array.astype(np.float32)
     if array.dtype.kind in "iu":

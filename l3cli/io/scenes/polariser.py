@@ -37,8 +37,8 @@ def read(path: Path, pictures: str, angles_deg: Sequence[float] | None) -> Polar
     pictures : str
         Glob that selects the pictures in the folder.
     angles_deg : sequence of float, optional
-        Angle of each picture, in the natural order of the file names or in the order of the pages. By default, the angles
-        are read from the file names.
+        Angle of the polariser for each picture, in the natural order of the file names or in the order of the pages. By
+        default, the angles are read from the file names. For a stack, they are required.
 
     Raises
     ------
@@ -52,19 +52,19 @@ def read(path: Path, pictures: str, angles_deg: Sequence[float] | None) -> Polar
     else:
         values = _stack(path)
         if angles_deg is None:
-            raise InputFileError(f"{path} states no angles; set angles_deg to the angle of the polariser of each picture")
+            raise InputFileError(f"{path} states no angles; set angles_deg to the polariser angle of each picture")
         angles = tuple(angles_deg)
         if len(values) != len(angles):
             raise InputFileError(
-                f"{path} has {len(values)} pictures, but angles_deg states {len(angles)} angles; "
-                "state one angle for each picture"
+                f"{path} has {len(values)} pictures, but angles_deg lists {len(angles)} angles; "
+                "list one angle for each picture"
             )
     _require_determined(path, angles)
     return PolarisedPictures(values, angles)
 
 
 def size(path: Path, pictures: str, angles_deg: Sequence[float] | None) -> tuple[int, int]:
-    """Return the number of rows and columns of the pictures. The angles are checked as well."""
+    """Return the number of rows and columns of the pictures. Raises InputFileError if the angles are invalid."""
     if not path.is_dir():
         rows, cols = read(path, pictures, angles_deg).values.shape[1:3]
         return rows, cols
@@ -74,7 +74,7 @@ def size(path: Path, pictures: str, angles_deg: Sequence[float] | None) -> tuple
 
 
 def files(path: Path) -> list[Path]:
-    """Return all pictures in a folder. For a file, return the file itself."""
+    """Return all pictures in a folder in natural order, whether selected or not. For a file, return the file itself."""
     if not path.is_dir():
         return [path]
     return sorted((each for each in path.iterdir() if _is_picture(each)), key=natural_order)
@@ -90,8 +90,8 @@ def _selected(folder: Path, pattern: str) -> list[Path]:
     if len(found) < FEWEST_PICTURES:
         names = f" ({listed(each.name for each in found)})" if found else ""
         raise InputFileError(
-            f"{folder} contains {len(found)} pictures{names} that match {pattern}; at least {FEWEST_PICTURES} angles of the "
-            "polariser are necessary"
+            f"{folder} contains {len(found)} pictures{names} that match {pattern}; use pictures at {FEWEST_PICTURES} or "
+            "more angles of the polariser"
         )
     return found
 
@@ -99,7 +99,8 @@ def _selected(folder: Path, pattern: str) -> list[Path]:
 def _angles(folder: Path, paths: list[Path], stated: Sequence[float] | None) -> tuple[float, ...]:
     """Return the angle of each picture in degrees.
 
-    Raises InputFileError if the angles in the recipe contradict the names of the pictures, or if the names are ambiguous.
+    Raises InputFileError if the angles in the recipe contradict the names of the pictures, or if the recipe states no angles
+    and the names are ambiguous.
     """
     named = _named_angles([path.stem for path in paths])
     names = listed(path.name for path in paths)
@@ -118,22 +119,22 @@ def _angles(folder: Path, paths: list[Path], stated: Sequence[float] | None) -> 
         return named
     if len(stated) != len(paths):
         raise InputFileError(
-            f"{folder} contains {len(paths)} pictures ({names}), but angles_deg states {len(stated)} angles; state one "
+            f"{folder} contains {len(paths)} pictures ({names}), but angles_deg lists {len(stated)} angles; list one "
             "angle for each picture"
         )
     if named is not None and sorted(named) == sorted(stated) and list(named) != list(stated):
         raise InputFileError(
-            f"{folder}: angles_deg states the angles in another order than the names of the pictures ({names}); list the "
-            "angles in the order of the names, or remove angles_deg"
+            f"{folder}: the order of the angles in angles_deg differs from the order of the pictures ({names}); list the "
+            "angles in the order of the pictures, or remove angles_deg"
         )
     return tuple(stated)
 
 
 def _named_angles(names: list[str]) -> tuple[float, ...] | None:
-    """Return the angles that names of pictures state in degrees, or None if they do not state one angle each.
+    """Return the angle in degrees in the name of each picture, or None if not every name states exactly one angle.
 
-    An angle is the only number with a unit (45deg, 45°). Without units, it is the only number that differs between the
-    names, which must be equal otherwise, or the only number of each name.
+    The angle is the only number with a unit (45deg, 45°). Without units, it is the only number in each name, or the only
+    number that differs between the names if all other parts of the names are equal.
     """
     with_unit = [DEGREES.findall(name) for name in names]
     if all(len(each) == 1 for each in with_unit):
@@ -155,11 +156,11 @@ def _require_determined(path: Path, angles: Sequence[float]) -> None:
     widest = max(abs(one - other) for one, other in combinations(angles, 2)) if len(angles) > 1 else 0.0
     radians = 1.5 < widest < 2 * np.pi and any(angle % 1 for angle in angles)
     reason = "they look like radians; convert angles_deg to degrees" if radians else "use angles such as 0, 45, 90, 135"
-    raise InputFileError(f"{path}: polarisers at the angles {shown} (degrees) do not determine the polarisation; {reason}")
+    raise InputFileError(f"{path}: pictures at the angles {shown} (degrees) do not determine the polarisation; {reason}")
 
 
 def _stacked(paths: list[Path]) -> NDArray:
-    """Return pictures as an array (picture, row, col, colour). Raises InputFileError if they differ in size or type."""
+    """Read pictures as an array (picture, row, col, colour). Raises InputFileError if they differ in size or type."""
     values: NDArray | None = None
     for index, path in enumerate(paths):
         pixels = _colours(path, read_image(path)[0])
@@ -177,7 +178,7 @@ def _stacked(paths: list[Path]) -> NDArray:
 
 
 def _colours(path: Path, pixels: NDArray) -> NDArray:
-    """Return the pixels (row, col, 1 or 3) without an alpha channel."""
+    """Return the pixels (row, col, 1 or 3) without an alpha channel. Raises InputFileError for more than 4 channels."""
     channels = pixels.shape[2]
     if channels > 4:
         raise InputFileError(f"{path} has {channels} channels; use grey or RGB pictures")
@@ -185,18 +186,23 @@ def _colours(path: Path, pixels: NDArray) -> NDArray:
 
 
 def _stack(path: Path) -> NDArray:
-    """Return the pictures of a stack as an array (picture, row, col, colour)."""
+    """Read the pictures of a stack as an array (picture, row, col, colour).
+
+    The last axis has the length 1 for grey pictures. Raises InputFileError if the file is not a stack.
+    """
     suffix = path.suffix.lower()
     if suffix in bands.TIFF:
         return np.moveaxis(bands.read_tiff(path)[0], 2, 0)[..., None]
     if suffix != ".npy":
         raise InputFileError(
-            f"{path} is not a stack of pictures; use a folder of pictures, a TIFF file with a page per angle, or a .npy file"
+            f"{path} is not a stack of pictures; use a folder of pictures, a TIFF file with one page per angle, or a .npy "
+            "file"
         )
     values = map_array(path)
     if values.dtype.kind not in "fiu" or values.ndim not in (3, 4) or (values.ndim == 4 and values.shape[3] not in (1, 3)):
         shape = "×".join(map(str, values.shape))
         raise InputFileError(
-            f"{path} has {shape} values of the type {values.dtype}; save an array (angle, row, col) or (angle, row, col, 3)"
+            f"{path} has {shape} values of type {values.dtype}; save numbers with the axes (angle, row, col) or "
+            "(angle, row, col, 3)"
         )
     return np.array(values if values.ndim == 4 else values[..., None])

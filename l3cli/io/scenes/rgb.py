@@ -1,4 +1,4 @@
-"""Read RGB pictures as scenes. The values are either colours, which l3 converts to spectra, or signals of camera
+"""Read RGB pictures as scenes. Their values are either colours, from which l3 estimates spectra, or signals of camera
 channels."""
 
 from pathlib import Path
@@ -12,15 +12,15 @@ from l3cli.physics.display import srgb_decoded
 
 
 def size(path: Path, holds: str = "sRGB") -> tuple[int, int]:
-    """Return the number of rows and columns of a picture."""
+    """Return the number of rows and columns of a picture. `holds` has no effect. Raises InputFileError as `read` does."""
     return picture_size(path)
 
 
 def read(path: Path, holds: str = "sRGB") -> NDArray[np.float32]:
-    """Read a picture (row, col, 3) as linear values, where 1 is white.
+    """Read a picture (row, col, 3) as linear values, where 1 is white. An alpha channel is ignored.
 
-    Integers are decoded from sRGB, and floats are assumed to be linear. If `holds` is "codes", integers are not decoded but
-    divided by the maximum of their type. Raises InputFileError if the file is not a colour picture.
+    Integers are decoded from sRGB. If `holds` is "codes", they are divided by the maximum of their type instead. Floats are
+    assumed to be linear, and negative floats and NaN become 0. Raises InputFileError if the file is not a colour picture.
     """
     pixels, names = read_image(path)
     if len(names) < 3:

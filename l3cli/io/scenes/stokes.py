@@ -14,17 +14,18 @@ from l3cli.physics.stokes import FEATURES, IN_ORDER
 
 
 def read(path: Path) -> PolarisedPictures:
-    """Read S0, S1 and S2.
+    """Read the Stokes parameters S0, S1 and S2.
 
     Raises
     ------
     InputFileError
-        If the file does not contain S0, S1 and S2.
+        If the file does not contain S0, S1 and S2, or if its values are unsigned integers.
 
     Notes
     -----
-    Channels with the names S0, S1 and S2 are used, whatever their order. Without such names, a file has S0, S1 and S2, or
-    S0, S1, S2, DoLP and AoLP, which l3 itself writes. The first or the last axis of a .npy file has the length 3.
+    Channels with the names S0, S1 and S2 are used in any order. Without these names, the channels must be S0, S1 and S2, or
+    S0, S1, S2, DoLP and AoLP as in the files that l3 writes. An OpenEXR file must have the names. The array in a .npy file
+    has the axes (row, col, parameter) or (parameter, row, col).
     """
     values, names = _planes(path)
     if set(IN_ORDER) <= set(names):
@@ -33,26 +34,26 @@ def read(path: Path) -> PolarisedPictures:
         chosen = list(range(len(IN_ORDER)))
     else:
         found = f" ({', '.join(names)})" if names else ""
-        raise InputFileError(f"{path} has {values.shape[2]} channels{found}; save S0, S1 and S2, in this order or named")
+        raise InputFileError(f"{path} has {values.shape[2]} channels{found}; save three channels named S0, S1 and S2")
     if values.dtype.kind == "u":
         raise InputFileError(f"{path} has unsigned integers, but S1 and S2 can be negative; save floating-point numbers")
     return PolarisedPictures(np.stack([values[..., index, None] for index in chosen]), None)
 
 
 def size(path: Path) -> tuple[int, int]:
-    """Return the number of rows and columns."""
+    """Return the number of rows and columns. Raises InputFileError as `read` does."""
     rows, cols = read(path).values.shape[1:3]
     return rows, cols
 
 
 def _planes(path: Path) -> tuple[NDArray, list[str]]:
-    """Return the planes (row, col, plane) of a file, and their names if it states any."""
+    """Return the planes (row, col, plane) of a file and their names, or an empty list if the file contains no names."""
     suffix = path.suffix.lower()
     if suffix == ".npy":
         values = map_array(path)
         if values.dtype.kind not in "fiu" or values.ndim != 3:
             shape = "×".join(map(str, values.shape))
-            raise InputFileError(f"{path} has {shape} values of the type {values.dtype}; save an array (row, col, 3)")
+            raise InputFileError(f"{path} has {shape} values of type {values.dtype}; save numbers with axes (row, col, 3)")
         if values.shape[2] != len(IN_ORDER) and values.shape[0] == len(IN_ORDER):
             values = np.moveaxis(values, 0, 2)
         return np.array(values), []

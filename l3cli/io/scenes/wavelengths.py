@@ -1,4 +1,4 @@
-"""Parse wavelengths in scene files. They are in lists, or in the names of bands, pages, files and arrays."""
+"""Find the wavelengths of bands in lists of numbers and in the names of bands, pages, files and arrays."""
 
 import re
 from collections.abc import Sequence
@@ -13,14 +13,14 @@ NAMES = (
     "centerwavelength", "centerwavelengths", "centrewavelength", "centrewavelengths", "bandcenters", "bandcentres",
 )  # fmt: skip
 GOOD_NAMES = ("bbl", "goodwavelengths", "goodbands")  # names of lists of 0 (bad band) and 1 (good band)
-UNSTATED = ("", "unknown", "none", "n/a")
+UNSTATED = ("", "unknown", "none", "n/a")  # values of header fields, such as a unit, that state nothing
 INVERSE_CM = ("wavenumber", "wavenumbers", "cm-1", "1/cm", "cm^-1", "cm⁻¹")
 HERTZ = {"thz": 1e12, "ghz": 1e9, "mhz": 1e6, "khz": 1e3, "hz": 1.0}
 METRIC = {"millimeter": 1e6, "millimetre": 1e6, "centimeter": 1e7, "centimetre": 1e7, "meter": 1e9, "metre": 1e9}
 LIGHT_SPEED_NM = 299792458e9  # nm/s
-MICROMETRES = 100.0  # numbers without a unit are assumed to be in µm if all of them are smaller than this
+MICROMETRES = 100.0  # numbers without a unit are assumed to be in µm if all of them are below this number
 UNIT_WORDS = "Nanometers, Micrometers, Millimeters, Centimeters, Meters, Angstroms, Wavenumber, GHz, MHz, Index"
-SHORTEST, LONGEST = 300.0, 2600.0  # nm; a number without a unit in a name is a wavelength only within this range
+SHORTEST, LONGEST = 300.0, 2600.0  # range in nm in which a number without a unit in a name can be a wavelength
 IN_NAME = re.compile(r"(\d+(?:[.,]\d+)?)[\s_]*(nm|nanomet\w*|[uµμ]m|micromet\w*|microns?)(?![A-Za-z])", re.IGNORECASE)
 
 
@@ -29,21 +29,21 @@ def in_nm(values: Sequence[float] | NDArray, unit: str) -> NDArray[np.float64] |
 
     Parameters
     ----------
-    values : array, (band)
+    values : array, (band,)
         Numbers in the unit `unit`.
     unit : str
-        Name of the unit in the file. If it is empty, consecutive integers from 0 or 1 are indices of bands. Other numbers
-        are in µm if all of them are below 100, and otherwise in nm.
+        Name of the unit in the file. If it is empty or "unknown", consecutive integers from 0 or 1 are assumed to be indices
+        of bands. Other numbers are assumed to be in µm if all of them are below 100, and otherwise in nm.
 
     Returns
     -------
-    ndarray, (band), or None
+    ndarray, (band,), or None
         Wavelengths in nm. None if the numbers are indices of bands.
 
     Raises
     ------
     ValueError
-        If the unit is unknown, or if a number is not positive.
+        If the unit is not a unit of wavelength, or if a number is not positive and finite.
     """
     numbers, word = np.asarray(values, np.float64).ravel(), " ".join(unit.split()).strip("{}()[] ")
     counted = numbers.size > 1 and numbers[0] in (0, 1) and (np.diff(numbers) == 1).all()
@@ -64,10 +64,10 @@ def in_nm(values: Sequence[float] | NDArray, unit: str) -> NDArray[np.float64] |
 
 
 def in_name(name: str) -> float | None:
-    """Return the wavelength in nm that the name of a band or file states, such as "red (650.5 nm)", or None.
+    """Return the wavelength in nm in the name of a band or file, such as "red (650.5 nm)", or None if there is none.
 
-    A comma is a decimal point, as in "S0.450,5nm". A period is also a decimal point. However, if the number would then be
-    below 100 nm, the period separates the number from the text before it, as in "S0.450nm".
+    A comma or a period in the number is a decimal separator. However, if the number in nm were below 100, the period would
+    separate the number from the text before it: "S0.450nm" is 450 nm.
     """
     found = IN_NAME.search(name)
     if found is None:
@@ -79,11 +79,11 @@ def in_name(name: str) -> float | None:
 
 
 def of_names(names: Sequence[str]) -> list[float | None]:
-    """Return the wavelength in nm that each name contains, or None for each name without a wavelength.
+    """Return the wavelength in nm in each name, or None for each name without a wavelength.
 
-    If no name contains a wavelength with a unit, the last number in each name may be a wavelength in nm. This is assumed if
-    every name contains a number, all numbers are between 300 and 2600, and no two numbers are closer than 2. Otherwise the
-    numbers are taken as band indices.
+    If no name contains a wavelength with a unit, the last number in each name is assumed to be a wavelength in nm, provided
+    that there are at least two names, every name contains a number, all numbers are from 300 to 2600, and any two numbers
+    differ by at least 2. Otherwise the numbers are assumed to be indices of bands.
     """
     stated = [in_name(name) for name in names]
     if any(stated):
@@ -100,12 +100,12 @@ def of_names(names: Sequence[str]) -> list[float | None]:
 
 
 def is_named(name: str, names: Sequence[str] = NAMES) -> bool:
-    """Whether the name of an array is one of `names`. Letter case, punctuation and units are ignored."""
+    """Return whether the name of an array is one of `names`. Letter case, punctuation and a unit at the end are ignored."""
     return _plain(name) in names
 
 
 def unit_in(name: str) -> str:
-    """Return the unit in the name of an array, such as "wavelength_um" or "Wavelength (nm)", or "" if there is none."""
+    """Return the unit at the end of the name of an array, as in "wavelength_um" or "Wavelength (nm)", or "" if none."""
     words = [word for word in re.split(r"[\s_()\[\]/]+", name) if word]
     return words[-1] if len(words) > 1 and length_nm(words[-1]) is not None else ""
 
