@@ -147,7 +147,7 @@ MISTAKES = """
     2 render table.h5 raw.tif -o new.tif --space xyz --bits 16
         linear
     2 render table.h5 raw.tif -o new.png --bits 32
-        new.png: .png files store 8 or 16 bits per value, not 32; use .tif or .exr
+        new.png: .png files have 8 or 16 bits per value, not 32; use .tif or .exr
     2 render table.h5 raw.tif -o new.mp4 --bits 32
         write a .tif or .exr
     2 render table.h5 raw.tif -o new.mp4 --space rec2020
