@@ -36,9 +36,9 @@ BLACK_BODIES = (2200, 2500, 2856, 3200, 3600)  # colour temperatures of the whit
 DAYLIGHTS = (4500, 5000, 5500, 6500, 7500, 8600)  # colour temperatures of the white-balance curve in daylight, in K
 NOISE_LEVELS = 64  # a noise profile is fitted at this number of signals from 1 DN (at 16 bits) to the white level
 MIN_COLOURS = 3  # minimum number of channels with different responsivities for colour matrices
-# The number of different responsivities is the number of singular values above this fraction of the largest singular value.
-# Before, each responsivity is scaled to a sum of 1. Equal channels whose curves have measurement errors of 5 % reach 0.03, and
-# the third value of RCCG is 0.2.
+# Responsivities are scaled to a sum of 1. The number of their singular values above this fraction of the largest one is the
+# number of different responsivities. Equal channels whose curves have measurement errors of 5 % reach 0.03, and the third
+# value of RCCG is 0.2.
 DIFFERENT = 0.05
 RGB = ({"r", "red"}, {"g", "green"}, {"b", "blue"})  # names of red, green and blue channels
 SIGNAL_BITS = 16  # bit depth of the signals in tuning files
@@ -117,7 +117,7 @@ def light_matrices(camera: CameraModel, light: str) -> LightMatrices | None:
 
 
 def _colours_of(camera: CameraModel) -> int:
-    """Return the number of channels with different responsivities, apart from their sensitivity.
+    """Return the number of channels whose responsivities differ in more than a factor.
 
     For example, it is 1 for a monochrome camera with four polarisers, and 3 for a Bayer array with two exposures.
     """
@@ -401,8 +401,8 @@ class Exported(NamedTuple):
 def export(camera: CameraModel) -> Exported:
     """Return all files of a camera for other software.
 
-    Colour matrices are computed only for cameras with at least three channels with different responsivities, and tuning files
-    only for Bayer arrays. If these files are left out, the note states the reason.
+    Colour matrices are computed only for cameras that have at least three channels with different responsivities, and tuning
+    files only for Bayer arrays. If these files are left out, the note states the reason.
     """
     camera = replace(camera, name=printable(camera.name))  # the name may contain unprintable bytes
     files = {**_curves(camera), DATASHEET: _datasheet_csv(camera)}
