@@ -190,7 +190,7 @@ def _changed(
         rows, cols = pixels.shape
         return pixels, gain_of_pixels(mosaic.opcodes, mosaic.pattern, mosaic.planes, (rows, cols))
     except ValueError as error:
-        raise InputFileError(f"{path} has damaged tags ({error}); copy it again") from error
+        raise InputFileError(f"{path} has damaged tags ({error}); copy the file again") from error
 
 
 def _black_levels(mosaic: Mosaic, shape: tuple[int, int]) -> NDArray[np.float64]:
@@ -237,7 +237,7 @@ def _read_tags(path: Path) -> Mosaic:
     except tifffile.TiffFileError as error:
         raise InputFileError(f"{path} is damaged or not a DNG file; use the camera's original raw file") from error
     except tags.BROKEN as error:
-        raise InputFileError(f"{path} has damaged tags ({error}); copy it again") from error
+        raise InputFileError(f"{path} has damaged tags ({error}); copy the file again") from error
 
 
 def _raw_page(path: Path, file: Any) -> Any:

@@ -55,13 +55,13 @@ def _header(path: Path) -> tuple[Layout, NDArray[np.int64] | None, int]:
     with open_regular(path) as stream:
         stored = stream.read(HEADER_BYTES)
     if len(stored) < HEADER_BYTES or not stored.startswith(MAGIC):
-        raise InputFileError(f"{path} is not a complete SER file; copy it again")
+        raise InputFileError(f"{path} is not a complete SER file; copy the file again")
     _, _, colour, _, cols, rows, bits, count = HEADER.unpack_from(stored)
     if colour in COLOURS:
         raise InputFileError(f"{path} contains colour frames, which are already demosaicked; use the raw frames")
     if colour not in PATTERNS or not (rows > 0 and cols > 0 and count > 0 and 0 < bits <= 16):
         stated = f"ColorID {colour}, {count} frames of {rows}×{cols} pixels with {bits} bits"
-        raise InputFileError(f"{path} has an invalid header ({stated}); copy it again")
+        raise InputFileError(f"{path} has an invalid header ({stated}); copy the file again")
     require_picture(str(path), rows, cols)
     layout = Layout(rows, cols, PACKINGS["u8" if bits <= 8 else "u16"], skip=HEADER_BYTES)
     size = path.stat().st_size - HEADER_BYTES

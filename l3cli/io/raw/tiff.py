@@ -140,7 +140,7 @@ def _count(path: Path) -> int:
     """
     import tifffile
 
-    broken = InputFileError(f"{path} is damaged, because the chain of its pages is broken; copy it again")
+    broken = InputFileError(f"{path} is damaged, because the chain of its pages is broken; copy the file again")
     with tifffile.TiffFile(path) as file:
         with contextlib.suppress(IndexError):
             file.pages.get(MOST_PAGES)  # limited, because a chain of pages may form a loop
