@@ -379,7 +379,7 @@ def test_a_camera_recipe_is_another_one_from_another_pixel_on(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("[1, 0]", "[0, 2]", "phase is [0, 2], but the array of"),
+        ("[1, 0]", "[0, 2]", "phase is [0, 2], but the array in"),
         ("[1, 0]", "[-1, 0]", "use at least 0"),
         ("phase = [1, 0]", "", "missing key `phase` at the top level"),
         ("phase", "bits = 3\nphase", "unknown key `bits` at the top level"),
