@@ -44,7 +44,7 @@ LEARNING = (
 # Cameras with scene recipes of their own: configs/scenes/NAME.toml for training and NAME_unseen.toml for tests.
 POLARISED = ("polarised", "polarised_colour")
 # Camera recipe → class recipe, for the cameras that do not use the class recipe `default`.
-CLASSES = {"nona_bayer_hdr": "blocks", "rccb": "clear", "rgbir4x4": "long_period"}
+CLASSES = {"nona_bayer_hdr": "blocks", "polarised": "polarised", "rccb": "clear", "rgbir4x4": "long_period"}
 
 
 def recipe_folder() -> Path:

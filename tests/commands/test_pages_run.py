@@ -84,7 +84,7 @@ def desk(pipeline: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(CONFIGS, folder / "configs")
     small = {"cameras/bayer": bayer_camera(), "classes/default": CLASSES}
     small["scenes/default"] = 'illuminants = ["D65"]\n' + SMALL["scenes"]
-    small["classes/fast"] = FEW_CLASSES
+    small["classes/fast"] = small["classes/polarised"] = FEW_CLASSES
     small["designs/dyes"] = re.sub(r"^[ocyk] = .*\n", "", (CONFIGS / "designs/dyes.toml").read_text(), flags=re.MULTILINE)
     small["scenes/demo_unseen"] = (CONFIGS / "scenes/demo_unseen.toml").read_text().replace("[720, 1280]", "[192, 256]")
     for name in ("polarised", "polarised_unseen"):

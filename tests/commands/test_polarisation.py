@@ -19,6 +19,7 @@ from l3cli.io.images import read_image
 from l3cli.physics.stokes import STOKES, dolp
 from l3cli.recipes.builtin import known_recipes
 from tests.helpers.calls import L3, Refused
+from tests.helpers.paths import CONFIGS
 from tests.helpers.recipes import small_classes
 
 SCENES = """
@@ -30,6 +31,7 @@ source = "dead leaves"
 size = [48, 56]
 count = 3
 """
+CLASSES = {"polarised": "polarised", "polarised_colour": "default"}  # that `l3 init` writes
 KINDS = {"polarised": "Stokes", "polarised_colour": "CIE 1931 + Stokes"}
 
 
@@ -56,6 +58,7 @@ def test_a_new_folder_trains_for_the_illuminant_of_its_scenes(name: str, tmp_pat
     assert tomllib.loads((tmp_path / "demo/scenes.toml").read_text())["illuminants"] == ["D65"]
     assert tomllib.loads((tmp_path / "demo/scenes.toml").read_text())["target"]["outputs"] == KINDS[name]
     assert "lights" not in tomllib.loads((tmp_path / "demo/classes.toml").read_text())["learning"]
+    assert (tmp_path / "demo/classes.toml").read_bytes() == (CONFIGS / f"classes/{CLASSES[name]}.toml").read_bytes()
 
 
 @pytest.mark.parametrize("name", KINDS)

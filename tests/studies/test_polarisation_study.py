@@ -3,17 +3,20 @@
 python -m pytest -m slow -s tests/studies/test_polarisation_study.py      needs L3_DATA; half an hour on a core
 
 Two scenes (data/polarisation/colour, green channel) are sampled by the array 90 45 / 135 0, without noise, and with noise of
-1 % and 2 % of full scale in the dark. The rivals are bilinear interpolation and LMMSE, one linear transform of 9 × 9 pixels
-per site, which is trained on the other scene with the same noise. Intensities are clipped at full scale, as in the
+1 % and 2 % of full scale in the dark. The rivals are bilinear interpolation, and the methods of
+docs/peers/polarisation_rivals.py: Newton's polynomials, residual interpolation (IGRI), and LMMSE, which is trained on the
+other scene with the same noise. Intensities are clipped at full scale, as in the
 photographs, which are noisy themselves: I0 + I90 and I45 + I135 differ by 1.3 % RMS. With L3_TABLES, a folder with
 table0.h5, table1.h5 and table2.h5, nothing is trained.
 """
 
+import importlib
 import itertools
 import os
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -34,14 +37,14 @@ from l3cli.simulation.light import Target, make_light
 from l3cli.simulation.recipe import Lens
 from l3cli.simulation.sensor import expose, mosaic
 from l3cli.simulation.sources import DeadLeaves, WantedScene
-from tests.helpers.paths import CONFIGS
+from tests.helpers.paths import CONFIGS, ROOT
 
 Array = NDArray[np.float64]
 ANGLES = (90, 45, 135, 0)  # of the channels
-CFA = np.array([[0, 1], [2, 3]])
+CFA = np.array([[0, 1], [2, 3]], np.uint8)
 NOISES = (0.0, 0.01, 0.02)  # of full scale in the dark; the variance rises by 0.05 of it times the signal
 PIXELS = {0.0: (10500.0, 2.3), 0.01: (2000.0, 20.0), 0.02: (1000.0, 20.0)}  # well and read noise in e- with this noise
-RADIUS, BORDER = 4, 8  # pixels
+BORDER = 8  # pixels
 
 
 def truth(folder: Path, number: int) -> Array:
@@ -60,27 +63,6 @@ def as_outputs(intensities: NDArray[np.floating]) -> Array:
     """Return S1, S0 and S2 of intensities (channel, row, col), clipped at full scale."""
     at = dict(zip(ANGLES, np.minimum(intensities, 1), strict=True))
     return np.stack([at[0] - at[90], sum(at.values()) / 2, at[45] - at[135]])
-
-
-def windows(raw: Array, site: tuple[int, int]) -> Array:
-    """Return the neighbourhoods (pixel, tap) of a site, and a constant."""
-    side = 2 * RADIUS + 1
-    every = np.lib.stride_tricks.sliding_window_view(np.pad(raw, RADIUS, mode="reflect"), (side, side))
-    taps = every[site[0] :: 2, site[1] :: 2].reshape(-1, side * side)
-    return np.concatenate([taps, np.full((len(taps), 1), 0.05)], axis=1)
-
-
-def lmmse(other: Array, raw: Array, noise: float) -> Array:
-    """Return the intensities of a raw frame by linear transforms that are trained on another scene."""
-    made, training = np.zeros((4, *raw.shape)), sampled(other, noise, np.random.default_rng(5))
-    for site in np.ndindex(2, 2):
-        taps, wanted = windows(training, site), other[:, site[0] :: 2, site[1] :: 2].reshape(4, -1).T
-        moments = taps.T @ taps
-        ridge = 1e-6 * np.trace(moments) / len(moments) * np.eye(len(moments))
-        weights = np.linalg.solve(moments + ridge, taps.T @ wanted)
-        there = made[:, site[0] :: 2, site[1] :: 2]
-        there[:] = (windows(raw, site) @ weights).T.reshape(there.shape)
-    return made
 
 
 def rendered(table: TransformTable, raw: Array) -> Array:
@@ -120,21 +102,32 @@ def table(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     training = str(folder / "training.h5")
     camera = ("--camera", str(folder / "camera.toml"))
     assert run(["simulate", str(folder / "scenes.toml"), *camera, "-o", training, "--quiet"]) == 0
-    assert run(["train", training, "-o", str(folder / name), "--quiet"]) == 0
+    assert run(["train", training, "--classes", "polarised", "-o", str(folder / name), "--quiet"]) == 0
     return noise, load(TransformTable, folder / name)
 
 
+@pytest.fixture
+def rivals(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The module docs/peers/polarisation_rivals.py."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs/peers"))
+    return importlib.import_module("polarisation_rivals")
+
+
 @pytest.mark.slow
-def test_photographs(table: tuple[float, TransformTable], l3_data: Path) -> None:
+def test_photographs(table: tuple[float, TransformTable], rivals: ModuleType, l3_data: Path) -> None:
+    """With noise, the table is better than all rivals. Without noise, it is at most 0.3 dB worse than the best rival."""
     noise, trained = table
     folder, found = l3_data / "polarisation/colour", dict[str, list[StokesQuality]]()
     scenes = {number: truth(folder, number) for number in (1, 2)}
     for number, full in scenes.items():
         raw, target = sampled(full, noise, np.random.default_rng(number)), as_outputs(full)
+        other = scenes[3 - number]
         made = {
             "l3": np.stack([behind(rendered(trained, raw), angle) for angle in ANGLES]),
             "bilinear": bilinear(raw, CFA),
-            "LMMSE": lmmse(scenes[3 - number], raw, noise),
+            "Newton": rivals.newton(raw, CFA),
+            "IGRI": rivals.igri(raw, CFA),
+            "LMMSE": rivals.lmmse(other, sampled(other, noise, np.random.default_rng(5)), raw, CFA),
         }
         for name, intensities in made.items():
             quality, _ = judge_stokes(as_outputs(intensities), target, np.array([0.0, 1.0, 0.0]), STOKES, BORDER)
@@ -143,12 +136,11 @@ def test_photographs(table: tuple[float, TransformTable], l3_data: Path) -> None
     print(f"\nnoise {noise:.0%}".ljust(12), *(f"{key:>16}" for key in FIGURES))
     for name, figures in mean.items():
         print(f"{name:11}", *(f"{value:16.2f}" for value in figures.values()))
-    ours, plain, linear = mean["l3"], mean["bilinear"], mean["LMMSE"]
-    assert all(ours[key] > plain[key] for key in FIGURES[:5])
-    assert ours["aolp_rmse"] < plain["aolp_rmse"]
+    ours = mean.pop("l3")
+    for key in ("psnr_intensities", "psnr_s0", "psnr_dolp"):
+        assert ours[key] > max(each[key] for each in mean.values()) - (0.0 if noise else 0.3)
     if noise:
-        assert all(ours[key] > linear[key] for key in ("psnr_intensities", "psnr_s0", "psnr_dolp"))
-        assert ours["aolp_rmse"] < linear["aolp_rmse"]
+        assert ours["aolp_rmse"] < min(each["aolp_rmse"] for each in mean.values())
 
 
 FIGURES = ("psnr_intensities", "psnr_s0", "psnr_s1", "psnr_s2", "psnr_dolp", "aolp_rmse")
