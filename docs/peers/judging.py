@@ -16,17 +16,18 @@ from seconds import per_megapixel, tiled_to
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, open_training_set
-from l3cli.evaluation.basic import develop, develop_bands, fit_colour, light_of
-from l3cli.evaluation.quality import band_figures, band_quality, cropped, psnr
+from l3cli.evaluation.basic import develop, develop_bands, develop_stokes, fit_colour, light_of
+from l3cli.evaluation.quality import band_figures, band_quality, cropped, judge_stokes, psnr
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.display import displayed, displayed_delta_e, srgb_curve, white_luminance
+from l3cli.physics.stokes import STOKES
 from l3cli.rendering.renderer import make_renderer
 
 Array = NDArray[np.floating]
 Figures = dict[str, float]
 Row = dict[str, Any]  # row of figures.json: name, program, ours, figures, settings, seconds; for some methods by_frame
 BORDER = 10  # pixels left out at each edge
-LOWER = ("delta_e", "angle")  # metrics that are better if they are smaller
+LOWER = ("delta_e", "angle", "AoLP")  # metrics that are better if they are smaller
 OURS = "l3"
 DIGITS = 12  # stored digits of a digest
 
@@ -112,6 +113,24 @@ def band_protocol() -> Protocol:
         return means | {"angle": band_quality(*given).mean_angle}
 
     return Protocol(_bands, figures)
+
+
+def stokes_protocol() -> Protocol:
+    """Return the protocol for polarisation: PSNR (dB) of the four intensities, S0 and DoLP, and RMS error of AoLP (degrees).
+
+    The Stokes parameters of rivals are the least-squares solution for the angles and extinction ratios of the camera.
+    """
+
+    def figures(planes: Array, frame: TrainingPair) -> Figures:
+        quality, _ = judge_stokes(planes, frame.target, frame.white, STOKES, BORDER)
+        angle = np.nan if quality.aolp_rmse is None else quality.aolp_rmse
+        return {"I": quality.psnr_intensities, "S0": quality.psnr_s0, "DoLP": quality.psnr_dolp, "AoLP": angle}
+
+    def planes(frame: TrainingPair, head: TrainingSet, method: Method) -> Array:
+        assert not isinstance(method, Denoiser)
+        return develop_stokes(frame, head.camera, method)
+
+    return Protocol(planes, figures)
 
 
 def picture_protocol() -> Protocol:

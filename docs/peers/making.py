@@ -7,9 +7,11 @@ import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import provenance
 
 import l3cli
+from l3cli.io.images import read_image
 from l3cli.options.commands import InitOptions
 from l3cli.recipes.builtin import find_recipe, known_benchmarks
 from l3cli.stages.starting import start
@@ -20,6 +22,8 @@ LEVELS = (0.2, 0.02, 0.01)  # mean signals, as fractions of full scale
 DAYS, FACES = ("01", "06", "13"), (1, 2, 4, 5, 6)
 PHOTOS = {"BanteaySrei_03.jpg": 4, "FruitMCC_6500.tif": 3, "woodDuck.png": 3, "elephant.png": 2}  # reduction factor of each
 NANOMETRES = [405, 435, 450, 470, 505, 525, 570, 590, 630, 645, 660, 700, 780, 850, 870, 890, 910, 940, 970]
+POLARISED_SHARES = (0.9, 0.1, 0.02)  # signals of an unpolarised white, as fractions of full scale
+ANGLES = (0, 45, 90, 135)  # degrees; angles of the photographs behind a polariser
 COMPOSITION = '[[scene]]\nsource = "composition"\nsize = [360, 480]\nseed = 7\n'
 PATTERN = re.compile(r"^pattern = \[.*?^\]", re.DOTALL | re.MULTILINE)
 
@@ -77,6 +81,31 @@ def noise(folder: Path, data: Path, jobs: int, recipes: Sequence[str] = RECIPES)
         sets[f"{level}"] = _simulated(recipe, "bayer", folder / f"test{level}.h5", jobs)
     training = _simulated("default", "bayer", folder / "training.h5", jobs)
     return sets, {name: _trained(training, name, folder / f"{name}.h5", jobs) for name in recipes}
+
+
+def polarisation(folder: Path, data: Path, jobs: int) -> tuple[dict[str, Path], Path]:
+    """Return the test sets of a monochrome polarisation camera at each of POLARISED_SHARES, and the table.
+
+    The scenes are the green channels of photographs of two scenes behind a polariser. The table is trained on dead leaves
+    only. The lens blurs neither the photographs nor the training scenes, because the photographs were already taken through
+    a lens.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    scenes, sharp = "", "[lens]\ndiffraction = false\n"
+    for number in (1, 2):
+        stack = folder / f"scene{number}.npy"
+        pictures = [read_image(data / f"polarisation/colour/{angle}_{number}.png")[0] for angle in ANGLES]
+        np.save(stack, np.stack([picture[..., 1] for picture in pictures]).astype(np.float32) / 255)
+        scenes += f'[[scene]]\nsource = "polariser"\nfile = "{stack}"\nangles_deg = {list(ANGLES)}\n'
+    sets = {}
+    for share in POLARISED_SHARES:
+        head = f'illuminants = ["D65"]\nexposure_share = [{share}]\n[target]\noutputs = "Stokes"\n{sharp}'
+        recipe = _written(folder / f"test{share}.toml", head + scenes)
+        sets[f"{share}"] = _simulated(recipe, "polarised", folder / f"test{share}.h5", jobs)
+    text = find_recipe("polarised", "scenes").read_text(encoding="utf-8")
+    recipe = _written(folder / "training.toml", text.replace("[target]", f"{sharp}\n[target]"))
+    training = _simulated(recipe, "polarised", folder / "training.h5", jobs)
+    return sets, _trained(training, "polarised", folder / "table.h5", jobs)
 
 
 def _faces(data: Path) -> str:

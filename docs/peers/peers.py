@@ -19,6 +19,7 @@ import cbm3d
 import libraw_rivals
 import making
 import network
+import polarisation_rivals
 import provenance
 import rawtherapee
 from judging import (
@@ -31,6 +32,7 @@ from judging import (
     judged,
     picture_protocol,
     put_seconds,
+    stokes_protocol,
 )
 from peers_page import Part, page
 from rivals import PLAIN, Demosaic, Rival, gathered, installed
@@ -44,7 +46,7 @@ from l3cli.system.files import write_whole
 FOLDER = Path(__file__).parent
 FIGURES, PAGE = FOLDER / "figures.json", FOLDER.parent / "peers.md"
 Programs = list[Callable[[], list[Rival]]]
-OUR_METHODS = "l3's own"  # published methods that l3 contains as baselines
+OUR_METHODS = "l3's own"  # published methods in l3 or in this folder
 
 
 @dataclass(frozen=True)
@@ -127,11 +129,20 @@ def noise(folder: Path, data: Path, jobs: int) -> Comparison:
     return Comparison(sets, tables, *_rivals(programs, picture_protocol()))
 
 
+def polarisation(folder: Path, data: Path, jobs: int) -> Comparison:
+    sets, table = making.polarisation(folder, data, jobs)
+    lmmse = polarisation_rivals.trained_on_other_scenes(sets.values())
+    methods = {"bilinear": bilinear, "Newton": polarisation_rivals.newton, "IGRI": polarisation_rivals.igri, "LMMSE": lmmse}
+    rivals = [Rival(name, OUR_METHODS, {PLAIN: demosaic}) for name, demosaic in methods.items()]
+    return Comparison(sets, {"polarised": table}, rivals, stokes_protocol())
+
+
 PARTS: dict[str, Callable[[Path, Path, int], Comparison]] = {
     "bayer": bayer,
     "xtrans": xtrans,
     "bands": bands,
     "noise": noise,
+    "polarisation": polarisation,
 }
 
 

@@ -14,16 +14,20 @@ lmmse     One linear transform per site, trained on another picture: A. Spote, P
           demosaicing of colour and polarisation from filter arrays", Color and Imaging Conference 2021.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import correlate, uniform_filter
 
+from l3cli.artifacts.training_set import open_training_set
+from l3cli.evaluation.basic import balanced_bands, stokes_response, white_electrons
 from l3cli.evaluation.demosaic import menon
 from l3cli.evaluation.quality import cropped
 from l3cli.frames.frame import pad_mosaic
 from l3cli.physics.mosaic import tiled
+from l3cli.physics.stokes import STOKES, stokes_of
 
 Array = NDArray[np.float64]
 CFA = NDArray[np.uint8]
@@ -193,6 +197,29 @@ def lmmse(scene: Array, training: Array, mosaic: Array, cfa: CFA) -> Array:
         there = planes[:, row :: cfa.shape[0], col :: cfa.shape[1]]
         there[:] = (_windows(mosaic, cfa, (row, col)) @ weights).T.reshape(there.shape)
     return planes
+
+
+def trained_on_other_scenes(sets: Iterable[Path]) -> Callable[[Array, CFA], Array]:
+    """Return LMMSE for the frames of training sets of two frames each.
+
+    For each frame, the transforms are trained on the other frame of the set. For other mosaics, they are trained on a frame
+    of the first set.
+    """
+    others: dict[bytes, tuple[Array, Array]] = {}
+    for path in sets:
+        with open_training_set(path) as reader:
+            frames, camera = list(reader), reader.head.camera
+        seen = [balanced_bands(each, camera, white_electrons(each, camera), lambda mosaic, _: mosaic) for each in frames]
+        scenes = [
+            np.tensordot(stokes_response(each, camera), stokes_of(each.target, STOKES) / each.white[1], 1) for each in frames
+        ]
+        others |= {seen[own].tobytes(): (scenes[1 - own], seen[1 - own]) for own in (0, 1)}
+
+    def demosaic(mosaic: Array, cfa: CFA) -> Array:
+        scene, training = others.get(mosaic.tobytes(), next(iter(others.values())))
+        return lmmse(scene, training, mosaic, cfa)
+
+    return demosaic
 
 
 def _windows(mosaic: Array, cfa: CFA, site: tuple[int, int]) -> Array:

@@ -234,13 +234,28 @@ def develop_stokes(frame: TrainingPair, camera: CameraModel, demosaic: Demosaic)
     ndarray, (3, row, col)
         S1, S0 and S2 in the unit of the target.
     """
+    bands = balanced_bands(frame, camera, white_electrons(frame, camera), demosaic)
+    stokes = np.einsum("sc,crk->srk", np.linalg.pinv(stokes_response(frame, camera)), bands)
+    return np.asarray(stokes[[1, 0, 2]] * frame.white[1])
+
+
+def stokes_response(frame: TrainingPair, camera: CameraModel) -> Array:
+    """Return the response of each channel to S0, S1 and S2, relative to its response to S0: (channel, stokes).
+
+    The light has the spectrum of the frame's illuminant.
+    """
     light = light_of(frame, camera)
     radiance = spectra.sampling_matrix(light.wavelength, camera.wavelength) @ light.radiance
+<<<<<<< HEAD
     response = (camera.stokes_weights @ radiance).T  # shape: (channel, stokes)
     response = response / response[:, :1]
     bands = balanced_bands(frame, camera, white_electrons(frame, camera), demosaic)
     stokes = np.einsum("sc,crk->srk", np.linalg.pinv(response), bands)
     return np.asarray(stokes[[1, 0, 2]] * frame.white[1])
+=======
+    response = (camera.stokes_weights @ radiance).T
+    return np.asarray(response / response[:, :1])
+>>>>>>> f017587f (Bands of polarisation cameras contain the polarised light; comparison with methods for polarisation cameras; accuracy and speed on the page)
 
 
 def white_electrons(frame: TrainingPair, camera: CameraModel) -> Array:

@@ -728,8 +728,7 @@ def output_weights(target: Target, camera: CameraModel, light: Light, bands: Arr
     if target.light:
         light = target.light.at(light.luminance)
     if target.kind == CAMERA:
-        weights = electron_weights(camera, light, bands) * (camera.saturation_exposure / camera.full_scale)
-        return weights if camera.readout is None else weights * camera.channel_gains[:, None]
+        return electron_weights(camera, light, bands) * _band_unit(camera)
     if target.kind == UNLIT:
         return light.luminance * spectra.held_interpolation(bands, spectra.SAMPLED)
     if target.functions:
@@ -750,6 +749,27 @@ def output_weights(target: Target, camera: CameraModel, light: Light, bands: Arr
     else:
         functions = spectra.colour_matching_functions(light.wavelength, target.kind)
     return matching_weights(functions, light, bands)
+
+
+def polarised_weights(target: Target, camera: CameraModel, light: Light, bands: Array) -> Array:
+    """Return the contribution of S1 and S2 of each band to the target outputs.
+
+    The parameters are the same as for `output_weights`. The result has the shape (2, output, band). The bands of a camera
+    include the polarised light that passes their polarisers.
+    """
+    if target.kind == CAMERA:
+        seen = target.light.at(light.luminance) if target.light else light
+        return stokes_weights(camera, seen, bands)[1:] * _band_unit(camera)
+    weights = np.zeros((2, len(target.outputs), len(bands)))
+    for each, name in zip(weights, ("S1", "S2"), strict=True):
+        each[target.outputs.index(name)] = output_weights(target, camera, light, bands)[target.luminance]
+    return weights
+
+
+def _band_unit(camera: CameraModel) -> Array:
+    """Return the factor (channel, 1) that converts electrons per second to the unit of the outputs of a camera's bands."""
+    unit = np.full((len(camera.channels), 1), camera.saturation_exposure / camera.full_scale)
+    return unit if camera.readout is None else unit * camera.channel_gains[:, None]
 
 
 LEAST_SEEN = 0.1  # smallest permitted fraction of the spectral weight of a target that the bands of a scene cover

@@ -43,7 +43,8 @@ Array = NDArray[np.float64]
 ANGLES = (90, 45, 135, 0)  # of the channels
 CFA = np.array([[0, 1], [2, 3]], np.uint8)
 NOISES = (0.0, 0.01, 0.02)  # of full scale in the dark; the variance rises by 0.05 of it times the signal
-PIXELS = {0.0: (10500.0, 2.3), 0.01: (2000.0, 20.0), 0.02: (1000.0, 20.0)}  # well and read noise in e- with this noise
+# without noise, a camera with little noise: the photographs are noisy themselves
+PIXELS = {0.0: (40000.0, 2.3), 0.01: (2000.0, 20.0), 0.02: (1000.0, 20.0)}  # well and read noise in e- with this noise
 BORDER = 8  # pixels
 
 
