@@ -246,16 +246,8 @@ def stokes_response(frame: TrainingPair, camera: CameraModel) -> Array:
     """
     light = light_of(frame, camera)
     radiance = spectra.sampling_matrix(light.wavelength, camera.wavelength) @ light.radiance
-<<<<<<< HEAD
-    response = (camera.stokes_weights @ radiance).T  # shape: (channel, stokes)
-    response = response / response[:, :1]
-    bands = balanced_bands(frame, camera, white_electrons(frame, camera), demosaic)
-    stokes = np.einsum("sc,crk->srk", np.linalg.pinv(response), bands)
-    return np.asarray(stokes[[1, 0, 2]] * frame.white[1])
-=======
     response = (camera.stokes_weights @ radiance).T
     return np.asarray(response / response[:, :1])
->>>>>>> f017587f (Bands of polarisation cameras contain the polarised light; comparison with methods for polarisation cameras; accuracy and speed on the page)
 
 
 def white_electrons(frame: TrainingPair, camera: CameraModel) -> Array:

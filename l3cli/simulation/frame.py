@@ -28,7 +28,6 @@ from l3cli.frames.frame import RawFrame, as_taken
 from l3cli.frames.scene import ChannelPicture, Scene
 from l3cli.physics import spectra
 from l3cli.physics.lens import diffraction_transfer, gaussian_transfer, relative_illumination
-from l3cli.physics.stokes import has_stokes
 from l3cli.simulation import sensor
 from l3cli.simulation.light import (
     CAMERA,
@@ -235,26 +234,13 @@ def _collected(
     # The common scale is removed before rounding to float32, so that the rounding is the same at every luminance.
     unit = collected.max() or 1.0
     through = (collected[:, None] / unit * terms).reshape(-1, bands.size)
-<<<<<<< HEAD
     if scene.polarisation is None:
         planes = project(scene.reflectance, np.concatenate([wanted, through]))
     else:
-        targets = np.stack([wanted, np.zeros_like(wanted), np.zeros_like(wanted)])
-        if has_stokes(target.outputs):
-            for index, name in ((1, "S1"), (2, "S2")):
-                targets[index, target.outputs.index(name)] = wanted[target.luminance]
+        targets = np.concatenate([wanted[None], polarised_weights(target, camera, light, bands)])
         weights = (stokes_weights(camera, light, bands)[:, :, None] / unit * terms).reshape(3, -1, bands.size)
         planes = project_stokes(scene, np.concatenate([targets, weights], axis=1))
     ideal, rates = planes[: len(wanted)], planes[len(wanted) :]
-=======
-    planes = project(scene.reflectance, np.concatenate([wanted, through]))
-    ideal, rates = planes[: len(wanted)], planes[len(wanted) :]
-    if scene.polarisation is not None:
-        weights = stokes_weights(camera, light, bands)[1:, :, None] / unit * terms
-        rates += polarised_part(scene, weights.reshape(2, -1, bands.size))
-        if has_stokes(target.outputs) or target.kind == CAMERA:
-            ideal += polarised_part(scene, polarised_weights(target, camera, light, bands))
->>>>>>> f017587f (Bands of polarisation cameras contain the polarised light; comparison with methods for polarisation cameras; accuracy and speed on the page)
     if transfer is not None:
         shape = (len(collected), len(terms), *rates.shape[1:])
         rates = blurred_channels(rates.reshape(shape), transfer, pitch)

@@ -18,7 +18,7 @@ from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.frames.scene import NO_ILLUMINANT, Scene
 from l3cli.physics import spectra
 from l3cli.physics.display import fit_through
-from l3cli.physics.stokes import STOKES, luminance_name
+from l3cli.physics.stokes import STOKES, has_stokes, luminance_name
 from l3cli.spectra.file import names_file, read_table
 from l3cli.spectra.table import NOISE, gaps
 
@@ -761,8 +761,9 @@ def polarised_weights(target: Target, camera: CameraModel, light: Light, bands: 
         seen = target.light.at(light.luminance) if target.light else light
         return stokes_weights(camera, seen, bands)[1:] * _band_unit(camera)
     weights = np.zeros((2, len(target.outputs), len(bands)))
-    for each, name in zip(weights, ("S1", "S2"), strict=True):
-        each[target.outputs.index(name)] = output_weights(target, camera, light, bands)[target.luminance]
+    if has_stokes(target.outputs):
+        for each, name in zip(weights, ("S1", "S2"), strict=True):
+            each[target.outputs.index(name)] = output_weights(target, camera, light, bands)[target.luminance]
     return weights
 
 

@@ -18,11 +18,7 @@ from l3cli.physics.stokes import STOKES, aolp, dolp, stokes_of
 from l3cli.recipes.builtin import find_recipe
 from l3cli.simulation import procedural
 from l3cli.simulation.frame import simulate
-<<<<<<< HEAD
-from l3cli.simulation.light import OUTPUTS, Target, make_light, stokes_weights
-=======
-from l3cli.simulation.light import CAMERA, OUTPUTS, Target, make_light
->>>>>>> f017587f (Bands of polarisation cameras contain the polarised light; comparison with methods for polarisation cameras; accuracy and speed on the page)
+from l3cli.simulation.light import CAMERA, OUTPUTS, Target, make_light, stokes_weights
 from l3cli.simulation.polarisation import fresnel_degree
 from l3cli.simulation.recipe import Lens
 from l3cli.simulation.sources import DeadLeaves, WantedScene, on_sensor
@@ -63,7 +59,6 @@ def test_electrons_of_known_stokes_parameters(camera: CameraModel, extinction: f
     np.testing.assert_array_equal(made.white, [0, made.white[1], 0])
 
 
-<<<<<<< HEAD
 def test_electrons_of_leaves_behind_ideal_polarisers(camera: CameraModel) -> None:
     """Also pixels that are nearly dark behind a polariser agree with arithmetic of 64 bits, relative to their own signal."""
     angles = np.array([90.0, 45.0, 135.0, 0.0])
@@ -78,7 +73,8 @@ def test_electrons_of_leaves_behind_ideal_polarisers(camera: CameraModel) -> Non
     wanted = 0.01 * np.einsum("scb,srkb->crk", weights, stokes)
     assert (wanted.min(axis=0) < 0.1 * wanted.max(axis=0)).any()
     np.testing.assert_allclose(made, wanted, rtol=1e-6)
-=======
+
+
 @pytest.mark.parametrize("name", ["polarised", "polarised_colour"])
 def test_the_bands_of_a_camera_are_behind_its_polarisers(name: str) -> None:
     """The bands are proportional to the electrons of all channels, and a white without polarisation is in their unit."""
@@ -87,7 +83,6 @@ def test_the_bands_of_a_camera_are_behind_its_polarisers(name: str) -> None:
     made = simulate(camera, uniform(0.4, -0.25), light, 0.01, Lens(), (0,), Target(camera.channels, "", CAMERA), "none")
     factor = made.electrons / made.target
     np.testing.assert_allclose(factor, np.full_like(factor, factor.mean()), rtol=1e-5)
->>>>>>> f017587f (Bands of polarisation cameras contain the polarised light; comparison with methods for polarisation cameras; accuracy and speed on the page)
 
 
 def test_polarisation_that_depends_on_the_wavelength(camera: CameraModel) -> None:
