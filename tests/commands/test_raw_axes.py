@@ -204,6 +204,6 @@ def test_values_that_are_no_numbers_and_captures_of_fractions(tmp_path: Path) ->
     values[:, 3, 3] = np.nan
     with pytest.raises(InputFileError, match="infinite or not a number"):
         read(npy(tmp_path / "a", values), LEVELS)
-    with pytest.raises(InputFileError, match="save DN"):
+    with pytest.raises(InputFileError, match="save the values in DN"):
         raw_content(npy(tmp_path / "b", FRAMES[0] / 4096))
     np.testing.assert_array_equal(raw_content(npy(tmp_path / "c", FRAMES[0].astype(np.int32)))["values"], FRAMES[0])
