@@ -641,16 +641,16 @@ FORMATS = (
     SpectrumFormat(
         "CGATS.17, ArgyllCMS",
         (".sp", ".ti3", ".cie", ".ccss", ".cgats"),
-        "illuminants, reflectances and charts, with one column per sample; the fields are called SPEC_380, "
-        "SPECTRAL_NM380 or nm380",
+        "illuminants, reflectances and charts; the spectral fields must have names such as SPEC_380, SPECTRAL_NM380 or "
+        "nm380",
         is_cgats,
         _cgats,
     ),
     SpectrumFormat(
         "JCAMP-DX",
         (".jdx", ".dx", ".jcamp"),
-        "one spectrum over nm, µm or Å, compressed (ASDF) or not; in a file of SpectraSuite, l3 reads the processed "
-        "spectrum",
+        "one spectrum, with wavelengths in nm, µm or Å, compressed (ASDF) or uncompressed; from a file written by "
+        "SpectraSuite, l3 reads the processed spectrum",
         is_jcamp,
         _jcamp,
     ),
