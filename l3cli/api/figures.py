@@ -48,7 +48,7 @@ def delta_e_2000(one: ArrayLike, other: ArrayLike) -> Array:
 def scielab(one: ArrayLike, other: ArrayLike, viewing: float = quality.VIEWING) -> Array:
     """Return the S-CIELAB difference between two sRGB pictures for each pixel.
 
-    S-CIELAB first blurs both pictures as the eye does at the viewing distance. Then it computes CIEDE2000.
+    S-CIELAB first applies the blur of the eye at the viewing distance to both pictures. Then it computes CIEDE2000.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Raw frames in memory, a renderer for raw frames, and the base of the plugins for video programs.
+"""Raw frames in memory, a renderer for raw frames, and a class for the plugins for video programs.
 
 `read_raw` reads a raw frame from a file, and `raw_frame` converts an array to a raw frame. `Renderer` renders raw frames.
 `Mosaics` prepares the frames of a video program for rendering (l3cli/video_hosts).
@@ -473,7 +473,7 @@ class Renderer:
     def _lit(self, white: str | None, source: WhiteSource | None, frame: RawFrame) -> NoiseRenderer:
         """Return the renderer whose transforms fit `white` or, if `source` is set, the white of the frame.
 
-        The cache contains the renderer of only one mixture of illuminants, apart from the renderer of common transforms.
+        The cache contains the renderer of the common transforms, and the renderer of the latest mixture of illuminants.
         """
         found = source.white(frame) if source else given_white(white, self._pictured)
         mix = None if found is None else nearest_for(self._pictured, found.light.xyz)

@@ -523,7 +523,7 @@ class CameraModel(Artifact):
         return iso / self.gains.iso if iso > 0 and self.gains and self.gains.iso > 0 else None
 
     def under(self, noise: NoiseScale) -> "CameraModel":
-        """Return the camera model with the analog gain and the remaining temporal noise that `noise` specifies."""
+        """Return the camera model at the analog gain of `noise`, with the temporal noise that a temporal filter leaves."""
         return replace(self.at_gain(noise.gain), noise_left=noise.noise_left)
 
     def channel_map(self, shape: tuple[int, ...]) -> NDArray[np.uint8]:

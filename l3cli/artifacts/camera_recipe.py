@@ -46,7 +46,7 @@ ReadNoise = Annotated[float, msgspec.Meta(ge=0, le=MAX_READ_NOISE_E)]
 
 
 class ChannelRecipe(Recipe):
-    """Section [channel.NAME]. It is needed for a channel that has a polariser, an exposure or gain other than 1, its own
+    """Section [channel.NAME]. Only needed for a channel that has a polariser, an exposure or gain other than 1, its own
     read noise, or the filter of a different channel.
     """
 
@@ -185,7 +185,7 @@ def polarisers_of(
 def _leakage(one: ChannelRecipe, wavelength: NDArray[np.float64], folder: Path) -> NDArray[np.float64]:
     """Return the inverse of the extinction ratio of a channel at each wavelength.
 
-    The leakage is 1 without a polariser. It is 0 for a polariser without the key `extinction`, which is ideal. Raises
+    Without a polariser, the leakage is 1. A polariser without the key `extinction` is ideal, and its leakage is 0. Raises
     InputFileError if the file with the extinction ratios contains a ratio below 1.
     """
     if one.polariser_deg is None:

@@ -283,7 +283,7 @@ class ClassRule:
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
-        """Number of levels, contrasts, combinations of additional features, and kinds."""
+        """Numbers of levels, contrasts, combinations of additional features, and kinds (chromas and saturation cases)."""
         return self.levels, self.contrasts, self.combinations, self.kinds
 
     @property

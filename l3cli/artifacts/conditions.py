@@ -1,4 +1,4 @@
-"""Conditions of a transform table: additional transforms for single illuminants, and for frames with different noise.
+"""Conditions of a transform table: additional transforms for single illuminants and for noise sets.
 
 See docs/method.md#several-illuminants and docs/method.md#noise-sets. All conditions use the same class rules, except for
 class edges that depend on the noise.
@@ -86,7 +86,7 @@ class PlaneTransforms:
 
 @dataclass(frozen=True)
 class Condition:
-    """Transforms of all layers for one condition: for one illuminant, for a different noise, or for both."""
+    """Transforms of all layers for one condition: for one illuminant, for a noise set, or for both."""
 
     first: MosaicTransforms = group()
     later: tuple[PlaneTransforms, ...] = group(default=())

@@ -25,7 +25,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
 from l3cli.errors import InputFileError
 
-USUAL, OTHERS = "sums", "condition_sums"  # HDF5 groups with the sums for the noise of the camera, and for different noise
+USUAL, OTHERS = "sums", "condition_sums"  # HDF5 groups with the sums for the noise of the camera, and for the noise sets
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class PartialSums(Artifact):
     """Header of a file with partial sums of the first layer.
 
     The sums for the noise of the camera are stored in the groups sums/00000, sums/00001…, in the order of `sites`. The sums
-    for the first different noise (docs/method.md#noise-sets) are stored in the groups condition_sums/0/00000….
+    for the first noise set (docs/method.md#noise-sets) are stored in the groups condition_sums/0/00000….
 
     The last stage in the history describes the training. All shards of a training have equal histories.
     """
@@ -165,7 +165,7 @@ class PartialLayerSums(Artifact):
     ratio_taps: int = data(
         "int64", doc="number of taps for colour ratios and bilateral chroma, which follow the taps of the windows", default=0
     )
-    gradients: tuple[GradientScale, ...] = group(default=())  # scale of gradients for each different noise
+    gradients: tuple[GradientScale, ...] = group(default=())  # scale of gradients for each noise set
 
     @property
     def rule(self) -> PlaneRule:
@@ -210,7 +210,7 @@ class PartialSumsReader:
     head : PartialSums or PartialLayerSums
         Header of the file.
     conditions : int
-        Number of different noises, besides the noise of the camera, for which the file contains sums.
+        Number of noise sets for which the file contains sums, in addition to the sums for the noise of the camera.
 
     Raises
     ------
@@ -241,7 +241,7 @@ class PartialSumsReader:
         index : int
             Index of the site in `head.sites`.
         condition : int, default 0
-            0 for the noise of the camera, or the number of a different noise, from 1 to `conditions`.
+            0 for the noise of the camera, or the number of a noise set, from 1 to `conditions`.
 
         Returns
         -------

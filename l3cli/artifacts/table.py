@@ -117,7 +117,7 @@ class TransformTable(Artifact):
     camera : CameraModel or None
         The camera model for which the table was trained, without its `fit`. `l3 train` always stores it.
     conditions : tuple of Condition
-        Transforms for different noise, then transforms for each illuminant.
+        Transforms for noise sets, then transforms for each illuminant.
     spectra : SpectralSmoothing or None
         Smoothing of spectra after all layers. None: no smoothing.
     chroma_smoothing : ChromaSmoothing or None
@@ -267,7 +267,7 @@ class TransformTable(Artifact):
         """Return a table with only the transforms for one illuminant.
 
         If `light` is None, the result contains the transforms that were trained on all illuminants together. In both cases,
-        the result also contains the conditions for different noise.
+        the result also contains the conditions for noise sets.
         """
         if light is None:
             return replace(self, conditions=self.noises) if self.lights else self

@@ -603,8 +603,9 @@ def respond(rates: Array, photons: Array) -> tuple[Array, Array]:
 def linearity_errors(series: Series, span: float) -> Array:
     """Return the linearity error of each channel, averaged over filters and patches.
 
-    Only captures in which a patch is between 5 % and 95 % of full scale are used, and only patches with at least three such
-    captures behind a filter. `span` is the full scale in DN. The result is 0 for channels without such a patch.
+    For each patch and filter, only captures with a signal between 5 % and 95 % of full scale are used. If fewer than three
+    captures remain, the patch is ignored for this filter. `span` is the full scale in DN. The error of a channel without
+    usable patches is 0.
     """
     low, high = (share * span for share in noise.LINEAR)
     errors: list[list[float]] = [[] for _ in range(series.values.shape[2])]

@@ -148,9 +148,9 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
 def line_noise(squares: Sequence[tuple[float, float, int]], pixels: int) -> LineNoise:
     """Estimate the temporal noise of rows or columns (docs/method.md#row-and-column-noise).
 
-    A line is a row or a column. The noise is significant if, without noise of the lines, the probability of such a ratio of
-    mean squares would be at most `CHANCE`. Fixed patterns have no effect, because the mean squares are computed from
-    differences between frames.
+    A line is a row or a column. The ratio between the mean square of the lines and the mean square of the pixels is tested.
+    The noise is significant if, in a sensor without line noise, a ratio at least this large has a probability of at most
+    `CHANCE`. Fixed patterns have no effect, because the mean squares are computed from differences between frames.
 
     Parameters
     ----------

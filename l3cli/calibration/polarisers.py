@@ -185,8 +185,9 @@ def measure_polarisers(
 ) -> PolariserFit:
     """Measure the polarisers of all channels from frames behind a rotating polariser.
 
-    If a channel is saturated in a capture, this capture is not used for the channel. If the measurement file does not state
-    which channels have polarisers, these are the channels whose signal changes with the angle of the rotating polariser.
+    A channel is measured only from captures in which the channel is not saturated. If the measurement file does not state
+    which channels have polarisers, l3 assumes that a channel has a polariser if its signal changes with the angle of the
+    rotating polariser.
 
     Raises
     ------

@@ -507,11 +507,11 @@ def fit_gain(photons: Array, values: Array, black_level: float) -> tuple[float, 
 
 
 def gain_error(photons: Array, values: Array, black_level: float, alpha: float, beta: float, drift: float) -> float:
-    """Return the standard error of alpha.
+    """Return the standard error of `alpha`, the slope of the fit in Eq. 2.
 
-    Alpha is fitted to each chart separately. The standard error is the standard deviation of these values, or the effect of
-    the declared lamp drift if it is larger, divided by the square root of the number of charts. `photons` and `values` have
-    the shape (chart, patch).
+    The slope is also fitted to each chart separately. The standard error is the standard deviation of these slopes, divided
+    by the square root of the number of charts. If the declared lamp drift would cause a larger standard deviation, that
+    standard deviation is used instead. `photons` and `values` have the shape (chart, patch).
     """
     single, _ = chart_factors(photons, values, black_level, beta)
     charts = len(single)

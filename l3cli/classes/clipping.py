@@ -253,7 +253,7 @@ class ClippedBlocks:
     shape: tuple[int, int]  # number of block rows and block columns of the frame
 
     def neighbour(self, down: int, right: int) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-        """Return the index of the block at the same offset from each block, and whether it is inside the frame.
+        """Return the index of the neighbour of each block at an offset, and whether the neighbour is inside the frame.
 
         `down` and `right` are the offset in blocks. Outside the frame, the index is 0.
         """
@@ -263,15 +263,15 @@ class ClippedBlocks:
         return np.where(inside, row * self.shape[1] + col, 0), inside
 
     def scaled(self, signal: Array) -> tuple[Array, Array]:
-        """Scale the brightness of signals (channel, block) to the unclipped channels of the blocks.
+        """Scale the signals (channel, block) such that they fit the unclipped channels of the blocks.
 
         Returns
         -------
         signal : ndarray, (channel, block)
             The scaled signals.
         likeness : ndarray, (block,)
-            Likeness of the scaled signals and the blocks, from 0 to 1. It is 1 if they are equal in the unclipped channels,
-            and if the scaled signals reach the signals of the blocks in the clipped channels.
+            Similarity between each block and its scaled signal, from 0 to 1. The similarity is 1 if both are equal in the
+            unclipped channels, and if the scaled signal is not below the block in any clipped channel.
         """
         ratio, unclipped = signal / self.own, 1 - self.clipped
         scale = (unclipped * ratio).sum(axis=0) / ((unclipped * ratio**2).sum(axis=0) + MIN_WEIGHT)
@@ -287,8 +287,8 @@ class ClippedBlocks:
     def estimated(self, colour: Array, white: Array) -> Array:
         """Estimate the signals that the blocks would have if no channel clipped: (channel, block).
 
-        The signals of the unclipped channels are known. For the clipped channels, the signals are computed from a mixture of
-        the colour `colour`, (channel, block), and white. The mixture is the one that fits the unclipped channels best.
+        The signals of the unclipped channels are known. The signals of the clipped channels are computed from the mixture of
+        `colour`, (channel, block), and white that fits the unclipped channels best.
         """
         unclipped, ratio, of_white = 1 - self.clipped, colour / self.own, white[:, None] / self.own
         squares = (unclipped * ratio**2).sum(axis=0) + MIN_WEIGHT

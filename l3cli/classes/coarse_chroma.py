@@ -111,6 +111,10 @@ def _between(length: int) -> tuple[NDArray[np.intp], Array]:
 
 
 def _at(scale: Array, luminance: Array) -> Array:
-    """Return the scale of each plane at every luminance. Negative luminances are replaced by zero."""
+    """Return the scale of each plane at every luminance: (plane, row, col).
+
+    Row p of `scale` contains the coefficients of a quadratic polynomial in the luminance. Negative luminances are replaced
+    by zero.
+    """
     above = np.maximum(luminance, 0)
     return np.asarray(np.einsum("pn,nrc->prc", scale, np.stack([np.ones_like(above), above, above**2])))

@@ -83,7 +83,7 @@ def inner_span(span: int) -> int:
 
 
 def boxes(patch: int, period: int, inner: int) -> tuple[Window, ...]:
-    """Return the boxes from which the four differences are computed.
+    """Return the boxes from which the differences along the four axes are computed.
 
     If a box would have to be centred between two pixels, there are two boxes instead, at both neighbouring positions.
     """

@@ -65,12 +65,12 @@ def centres(shares: NDArray[np.float64], reach: float = 1.0) -> NDArray[np.float
 
 
 def clipped_mean(share: NDArray[np.floating], sensitivity: NDArray[np.float64]) -> NDArray[np.floating]:
-    """Return the mean signal of a grey over all channels, each of which clips at 1 (docs/method.md#exposures).
+    """Return the signal of a grey surface, averaged over all channels after clipping at 1 (docs/method.md#exposures).
 
     Parameters
     ----------
     share : ndarray, (…)
-        Signal in the most sensitive channel without clipping, as a fraction of full scale.
+        Signal of the most sensitive channel before clipping, as a fraction of full scale.
     sensitivity : ndarray, (channel,)
         Sensitivities relative to the most sensitive channel.
     """

@@ -168,8 +168,8 @@ def kernel_macros(rule: ClassRule) -> dict[str, int]:
 def kernel_arrays(rule: ClassRule, *others: ClassRule) -> tuple[NDArray, ...]:
     """Return the arrays with the constants of the features, in the order of the kernel arguments.
 
-    `others` are class rules for different noise. They differ from `rule` only in the contrast edges and in the constants of
-    the additional features. These constants are appended to the constants of `rule`.
+    `others` are the class rules of the noise sets (docs/method.md#noise-sets). They differ from `rule` only in the contrast
+    edges and in the constants of the additional features. These constants are appended to the constants of `rule`.
     """
     basic = [
         np.concatenate([contrast.kernel_array(each) for each in (rule, *others)])

@@ -36,8 +36,9 @@ def label_planes(
     first_rule : ClassRule
         Class rule of the first layer.
     *others : PlaneRule
-        Class rules for different noise, which differ only in the scale of the gradients. The classes of all rules are
-        numbered consecutively, as if each rule had its own CFA sites.
+        Class rules of the noise sets (docs/method.md#noise-sets). They differ from `rule` only in the scale of the
+        gradients. The classes are numbered consecutively: first the classes of `rule` at all sites, then the classes of each
+        noise set at all sites.
 
     Returns
     -------

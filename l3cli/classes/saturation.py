@@ -182,5 +182,5 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.uint16]:
-    """Return the saturation case of each code, which saturation.cl reads: (code,)."""
+    """Return the saturation case of each saturation code: (code,). The OpenCL file saturation.cl reads this array."""
     return rule.case_of_code

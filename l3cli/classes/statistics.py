@@ -32,7 +32,7 @@ class Statistics:
 
 
 class PatchSums(NamedTuple):
-    """Sums over training patches, all of which are centred on the same CFA site."""
+    """Sums over the pixels of each training patch. All patches are centred on the same CFA site."""
 
     sums: NDArray[np.uint32]  # (channel, patch): sums of v = DN >> shift
     squares: NDArray[np.uint32] | None  # (channel, patch): sums of v²; None if the rule has only one contrast

@@ -46,8 +46,9 @@ def tensor(
 ) -> tuple[Integers, Integers, Integers]:
     """Compute the elements xx, yy and xy of the structure tensor, which are weighted sums of products of gradients.
 
-    Before the products are computed, gradients are multiplied by `factor`, shifted right by `shift` bits, and clipped. Both
-    arrays have the shape of the gradients: 2 rows and columns less than `luminance`, and 4 more than the tensor.
+    Before the products are computed, gradients are multiplied by `factor`, shifted right by `shift` bits, and clipped. The
+    gradients, `factor` and `shift` have two rows and two columns fewer than `luminance`. The tensor has four rows and four
+    columns fewer than the gradients.
     """
     across = np.clip((luminance[1:-1, 2:] - luminance[1:-1, :-2]) * factor >> shift, -GRADIENT, GRADIENT)
     down = np.clip((luminance[2:, 1:-1] - luminance[:-2, 1:-1]) * factor >> shift, -GRADIENT, GRADIENT)
@@ -91,7 +92,7 @@ def directions(a: Integers, b: Integers) -> tuple[Integers, Integers]:
 
 
 def turn_signs(turn: NDArray[np.int64]) -> tuple[int, int]:
-    """Return the signs by which a and b are multiplied if the 3 × 3 window is turned.
+    """Return the signs by which a = xx − yy and b = 2 xy of the structure tensor change when a 3 × 3 window is turned.
 
     `turn` contains the old index of each tap of the turned window. A rotation by 90° changes both signs. Mirroring changes
     the sign of b, and transposition changes the sign of a.

@@ -190,7 +190,7 @@ def _guarded(work: Callable[[], int | None], record: Record) -> int:
 
 
 def _usage(error: click.ClickException) -> str:
-    """Return the message of a usage error. It ends with the call of --help that explains the command."""
+    """Return the message of a usage error, with a reference to the --help of the command."""
     message = error.format_message().rstrip(".")
     if isinstance(error, click.NoSuchOption):
         similar = [name for name in error.possibilities or () if name.startswith("--")]

@@ -55,7 +55,7 @@ class PixelRecipe(Recipe):
     # multiplied by the transmittance of each filter.
     bare: float | str = 0.6
     pitch_um: Positive | None = None  # this key and the keys below replace values of the camera
-    well_e: Positive | None = None  # full-well capacity; the gain changes such that a full well is at full scale
+    well_e: Positive | None = None  # full-well capacity; l3 scales the gain so that a full well is at full scale
     read_noise_e: NotNegative | None = None
     f_number: Positive | None = None
 

@@ -176,8 +176,8 @@ class Task:
     def bayer(self, filters: Sequence[int]) -> list[Cfa]:
         """Return the Bayer array for each combination of three filters with enough independent outputs.
 
-        The filter with the middle wavelength is at the two green sites. The remaining two filters are at the red and the
-        blue site.
+        The filter with the intermediate centre wavelength is at the two green sites. The remaining two filters
+        are at the red and the blue site.
         """
         centres = self.curves @ self.scenes.wavelength / self.curves.sum(axis=1)
         threes = (sorted(three, key=lambda each: float(centres[each])) for three in itertools.combinations(filters, 3))
@@ -291,7 +291,7 @@ class Task:
 
 @functools.lru_cache(maxsize=1)
 def _task(recipe: Path, moments: Path) -> Task:
-    """Return a task. The cache ensures that a process reads the files of the task only once."""
+    """Return the task for a design recipe. The cache ensures that each process reads the files only once."""
     return Task(recipe, moments)
 
 

@@ -351,7 +351,7 @@ def merges(camera: CameraModel) -> dict[str, Merge | None]:
 def merged(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
     """Average the exposures of each colour filter, weighted by the inverse of their noise variances.
 
-    An exposure is not used at pixels near which it clips. If all exposures of a filter clip near a pixel, the least
+    At each pixel, exposures that clip nearby are ignored. If all exposures of a filter clip near a pixel, the least
     sensitive exposure is used.
     """
     span, channels = camera.white_level - camera.black_level, np.arange(len(camera.channels))

@@ -69,15 +69,15 @@ def menon(mosaic: Array, cfa: CFA) -> Array:
 
 
 def baselines(cfa: CFA) -> dict[str, Demosaic]:
-    """Return the name and the function of each installed demosaicking method that supports a CFA, for XYZ pictures.
+    """Return the installed demosaicking methods that support a CFA, by name.
 
-    "basic" is always included.
+    The methods are used for comparison with tables that have the outputs XYZ. "basic" is always included.
     """
     return _with_plugins({"basic": interpolate} | _bayer_baselines(cfa), cfa)
 
 
 def band_baselines(cfa: CFA) -> dict[str, Demosaic]:
-    """Return the name and the function of each demosaicking method for a camera's own bands.
+    """Return the demosaicking methods, by name, for comparison with tables whose outputs are the bands of the camera.
 
     If every band occurs once per CFA period, the methods are "bilinear", "sd" and "ppid". For a Bayer CFA, they are
     "bilinear" and, if colour-demosaicing is installed, "malvar" and "menon". For any other CFA, the only method is "basic".
@@ -91,7 +91,7 @@ def band_baselines(cfa: CFA) -> dict[str, Demosaic]:
 
 
 def stokes_baselines(cfa: CFA) -> dict[str, Demosaic]:
-    """Return the name and the function of the demosaicking method for the channels of a monochrome polarisation camera."""
+    """Return the demosaicking method, by name, for the channels of a monochrome polarisation camera."""
     return {"bilinear": bilinear} if occurs_once(cfa) else {"basic": interpolate}
 
 

@@ -81,7 +81,7 @@ class PlainPatches:
     def visual_noise(self, seen: Array, wanted: Array) -> float | None:
         """Return the visual noise: the weighted sum of the standard deviations of L*, a* and b*, averaged over the patches.
 
-        `seen` and `wanted`, (row, col, 3), are the CIELAB of the picture and of the target, blurred as the eye does. The
+        `seen` and `wanted`, (row, col, 3), are the CIELAB of the picture and of the target after the S-CIELAB blur. The
         result is None if there are no patches.
         """
         errors = [(seen[place] - wanted[place])[inside] for place, inside in self._patches]
@@ -134,9 +134,9 @@ class Quality:
     mean_delta_e: float  # mean CIEDE2000
     median_delta_e: float  # median of CIEDE2000
     p95_delta_e: float  # 95th percentile of CIEDE2000
-    scielab: float  # mean CIEDE2000 after both pictures are blurred as the eye does
+    scielab: float  # mean CIEDE2000 after the S-CIELAB blur of both pictures
     mottle: float | None  # RMS C*ab of blotches in uniform patches; None if the target has no uniform patches
-    # Weighted sum of the σ of L*, a* and b* in uniform patches, blurred as the eye does. None without uniform patches.
+    # Weighted sum of the σ of L*, a* and b* in uniform patches after the S-CIELAB blur. None without uniform patches.
     visual_noise: float | None
     psnr: float  # dB; PSNR of the encoded sRGB values
     output_psnr: float  # dB; PSNR of XYZ before clipping. The peak of each output is its value for display white
@@ -222,7 +222,7 @@ class Target:
         self.patches = PlainPatches(self._labs[0], self._counted)
 
     def _labs_of(self, linear: Array) -> tuple[Array, Array]:
-        """Return the CIELAB of a displayed picture, and its CIELAB after a blur as in the eye: (row, col, 3)."""
+        """Return the CIELAB of a displayed picture before and after the S-CIELAB blur: two arrays (row, col, 3)."""
         xyz = displayed_xyz(linear)
         return lab(xyz, daylight()), _blurred_lab(xyz, daylight(), self._viewing)
 
@@ -544,7 +544,7 @@ def _blurred_lab(xyz: Array, white: Array, viewing: float) -> Array:
 
 
 def blurred(xyz: Array, viewing: float) -> Array:
-    """Blur XYZ (row, col, 3) as the eye does, with one filter per opponent plane. The filters are about one degree wide."""
+    """Apply the S-CIELAB blur to XYZ (row, col, 3), with one filter per opponent plane. Filters span about one degree."""
     opponent = np.einsum("oc,rkc->ork", OPPONENT_FROM_XYZ, xyz)
     reach = np.arange(-half_size(viewing), half_size(viewing) + 1)
     total = np.zeros_like(opponent)

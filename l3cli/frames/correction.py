@@ -421,7 +421,7 @@ def correction_in(file: CameraFile, table: "TransformTable") -> Correction:
 def correction_again(file: CameraFile) -> Correction:
     """Read the corrections in a worker process. The result is cached for the frames of a run.
 
-    Raises InputFileError if the file is not the one that the main process read.
+    Raises InputFileError if the file has changed since the main process read it.
     """
     require_same(file.path, file.digest)
     return correction_of(_camera_of(file))

@@ -73,7 +73,7 @@ def estimate_gain(frame: RawFrame, camera: CameraModel) -> GainEstimate:
     ------
     ValueError
         If the gain cannot be estimated, for example because too few areas are uniform and not clipped, or because the camera
-        has temporal noise of rows or columns, which differences between neighbouring pixels contain only in part. The
+        has temporal row or column noise. Differences between neighbouring pixels contain only part of such noise. The
         message states the reason.
     """
     if camera.noise.lines:

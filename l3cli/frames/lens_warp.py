@@ -1,7 +1,7 @@
 """Correction of lens distortion and of lateral chromatic aberration, which moves pixels (docs/raw-files.md#lens-warps).
 
 A warp is a function that returns, for each pixel of the corrected picture, the corresponding position in the uncorrected
-picture. The formula is the one of the opcode WarpRectilinear (Adobe DNG 1.7, chapter 7). Positions are relative to the
+picture. The formula is defined by the opcode WarpRectilinear (Adobe DNG 1.7, chapter 7). Positions are relative to the
 optical centre, and the distance from the optical centre to the farthest corner is 1. Let (y, x) be the position of a pixel
 in the corrected picture, and r² = y² + x². The position in the uncorrected picture is then
 

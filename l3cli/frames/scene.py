@@ -83,10 +83,10 @@ class Scene:
 
     @functools.cached_property
     def fingerprint(self) -> NDArray[np.float64]:
-        """Values (PROJECTIONS) by which equal scenes are recognised. They do not depend on the camera.
+        """Numbers that identify the scene and do not depend on the camera.
 
-        The values are projections of the reflectances in the wavelength range SHOWN, or of all bands if no band is in this
-        range.
+        The numbers are PROJECTIONS projections of the reflectances in the wavelength range SHOWN, or of all bands if no band
+        is in this range.
         """
         inside = (self.wavelength >= SHOWN[0]) & (self.wavelength <= SHOWN[1])
         return _projections(self.reflectance, inside | (not inside.any()))
@@ -109,7 +109,7 @@ class ChannelPicture:
 
     @functools.cached_property
     def fingerprint(self) -> NDArray[np.float64]:
-        """Values (PROJECTIONS) by which equal pictures are recognised, which are projections of the signals."""
+        """Numbers that identify the picture: PROJECTIONS projections of the signals."""
         return _projections(self.signal, np.ones(self.signal.shape[2], bool))
 
 

@@ -95,8 +95,8 @@ def shading_of_gain(gain: NDArray[np.floating], period: tuple[int, ...]) -> Shad
     gain : ndarray, (row, col)
         Gain of each pixel.
     period : tuple of int
-        Rows and columns of the CFA. The mean gain in the surrounding period becomes the output gain, and the difference
-        becomes the colour shading.
+        Rows and columns of the CFA. The output gain is the mean gain in the surrounding CFA period. The gain of a pixel,
+        divided by the output gain, determines the colour shading.
     """
     (rows, cols), (down, across) = gain.shape, period
     first = np.clip(np.arange(0, cols + NODE_SPACING_COLUMNS, NODE_SPACING_COLUMNS) - across // 2, 0, max(cols - across, 0))

@@ -316,7 +316,7 @@ class Composer:
             out.todo("unit", unit, what, unitless[0])
 
     def _wanted(self, key: str, example: str, what: str, where: str) -> None:
-        """Add a key whose value is a table that the user must create. The explanation is added only the first time."""
+        """Add a key whose value is a CSV file that the user must create. The explanation is added only the first time."""
         if key in self.shared:
             self.out.key(key, example, "as above")
         else:

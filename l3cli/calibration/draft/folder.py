@@ -271,8 +271,8 @@ def channels_of_sweep(spectra: Spectra) -> list[str]:
 def _finished(tables: Sequence[Spectra]) -> list[Spectra]:
     """Return the tables that may contain responsivities.
 
-    Tables with the spectra of monochromator steps or of patches are excluded. A table with one column may also belong to a
-    lamp or a photodiode, and is therefore returned only if the folder contains no further table.
+    Tables with the spectra of monochromator steps or of patches are excluded. A table with one column may instead describe
+    a lamp or a photodiode, and is therefore returned only if the folder contains no other table.
     """
     broad = [table for table in tables if not table.has_patches and not _has_lines(table)]
     broad = [table for table in broad if len(table.table.values) <= MAX_CHANNELS and table.table.values.max() > 0]
@@ -360,9 +360,10 @@ def _has_unit(curves: Spectra, per_energy: bool) -> bool:
 
 
 def sensor_figures(out: DraftText, camera: CameraModel | None) -> None:
-    """Add the section [datasheet] with the levels and the noise of the camera.
+    """Add the section [datasheet] with the black level, the white level and the noise of the camera.
 
-    It is needed because tables of curves do not contain these values. If the camera is unknown, the section is a TODO.
+    The section is needed because tables of responsivity curves do not contain these values. If the camera is unknown, the
+    section is a TODO.
     """
     if camera is None:
         out.todo_table("[datasheet]", "levels and noise of the sensor, from its data sheet", *SHEET)

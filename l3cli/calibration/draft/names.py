@@ -245,7 +245,7 @@ def altered(values: NDArray[np.uint16]) -> str | None:
 
 
 def drawn(values: NDArray[np.uint16]) -> bool:
-    """Return whether the intermediate values of a frame have no noise, as in a mask or a drawing."""
+    """Whether a frame is probably a mask or a drawing, because areas between its lowest and highest value have no noise."""
     inner = values[1:, 1:]
     same = (inner == values[:-1, 1:]) & (inner == values[1:, :-1])
     low, high = int(values.min()), int(values.max())

@@ -242,9 +242,10 @@ def guess_array(steps: Sequence[Group], scale: Scale, period: tuple[int, int]) -
 
 
 def _names(peaks: Sequence[float]) -> list[str]:
-    """Return a name for each channel: "w" for one channel, "r", "g" and "b" for three, otherwise such as "nm550".
+    """Return a name for each channel.
 
-    `peaks` contains the peak wavelength of each channel in nm.
+    A single channel is "w", and three channels are "r", "g" and "b". Otherwise the names contain the peak wavelengths, for
+    example "nm550". `peaks` contains the peak wavelength of each channel in nm.
     """
     if len(peaks) == 1:
         return ["w"]
@@ -322,8 +323,9 @@ class Column:
 def columns_of(tables: Sequence[Spectra]) -> list[Column]:
     """Return the columns of all tables that contain mostly narrow-band spectra, in order.
 
-    The wavelength of a spectrum is the wavelength in the name of its column. If the table has only one column, the name of
-    the file is used too. If no name contains a wavelength, it is the wavelength of the peak.
+    The name of a column usually contains the wavelength of its spectrum. If the name contains no wavelength and the table
+    has only one column, the wavelength in the file name is used. If no name contains a wavelength, the wavelength of the
+    peak is used.
     """
     columns = []
     for spectra in tables:

@@ -262,7 +262,7 @@ class _Solution:
     evidence: float  # as in `Posterior`
 
     def posterior(self) -> Posterior:
-        """Return the posterior, without negative responsivities, and the values that it predicts for each patch."""
+        """Return the posterior without negative responsivities, and the predicted values of each patch."""
         count, size = self.shape
         curves = count * size
         state = self.state if self.state[:curves].min() >= 0 else self._not_negative()

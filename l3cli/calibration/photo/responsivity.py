@@ -161,7 +161,7 @@ def _geometry(capture: PhotoCapture, mosaic: Array, cfa: NDArray[np.uint8], refl
 
 
 def _check(capture: PhotoCapture, values: PatchValues, body: Body, reflectance: Array) -> None:
-    """Raise InputFileError if too few patches are usable, if a channel is too dark, or if they do not resemble the chart."""
+    """Raise InputFileError if too few patches are usable, a channel is too dark, or the patches do not match the chart."""
     count = len(values.mean)
     for channel, name in enumerate(body.channels):
         used = values.used[:, channel]
@@ -446,7 +446,7 @@ def prior_of(channels: Sequence[str], known: CurveStatistics) -> Prior:
 
 
 def _shot(matrix: ColourMatrix, reflectance: Array) -> Shot:
-    """Return a shot of an evenly lit chart without glare. Its values are the values that a colour matrix predicts."""
+    """Return a shot of an evenly lit chart without glare, with the patch values that a colour matrix predicts."""
     light = spectra.illuminant(matrix.light, WAVELENGTH)
     weights = spectra.xyz_weights(WAVELENGTH)
     xyz = (reflectance * light) @ weights.T / (weights[1] @ light)
