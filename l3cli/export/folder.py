@@ -318,7 +318,7 @@ def _study(words: Words, costs: tuple[Cost, ...]) -> dict[str, Any]:
 
 
 def _clipped_white(table: TransformTable) -> dict[str, Any]:
-    """Return the clipped white of a set of transforms for table.json. Empty if the illuminant of the set is unknown."""
+    """Return the entry of table.json with the XYZ of the darkest white that clips every channel. Empty if it is unknown."""
     return {} if table.clipped_white is None else {"clipped_white": table.clipped_white.tolist()}
 
 

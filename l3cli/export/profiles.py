@@ -78,7 +78,7 @@ VC4, PISP = Target("bcm2835", (12, 16), (49, 64)), Target("pisp", (32, 32), (33,
 
 @dataclass(frozen=True)
 class Matrix:
-    """A colour matrix, rounded as in the files, and its colour errors for measured surfaces."""
+    """A colour matrix, rounded as in the exported files, and its colour errors for measured surfaces."""
 
     values: Array  # (row, column), rounded to DIGITS decimals
     errors: Array  # (surface,) CIEDE2000
@@ -308,7 +308,7 @@ def _middles(count: int) -> Array:
 
 
 def rgb_order(channels: Sequence[str]) -> tuple[int, int, int] | None:
-    """Return the indices of the channels r, g and b, or None unless the camera has exactly these three channels."""
+    """Return the indices of the channels r, g and b, or None if the camera has any other set of channels."""
     colours = [next((index for index, each in enumerate(RGB) if name.casefold() in each), None) for name in channels]
     if len(colours) != len(RGB) or set(colours) != {0, 1, 2}:
         return None
@@ -316,7 +316,7 @@ def rgb_order(channels: Sequence[str]) -> tuple[int, int, int] | None:
 
 
 def bayer_order(channels: Sequence[str], cfa: NDArray[np.integer]) -> tuple[int, int, int] | None:
-    """Return the indices of the channels r, g and b, or None unless the array is a 2×2 Bayer array with g on a diagonal."""
+    """Return the indices of the channels r, g and b if the CFA is a 2×2 Bayer array with g on a diagonal, otherwise None."""
     order = rgb_order(channels)
     if order is None or cfa.shape != (2, 2):
         return None

@@ -458,7 +458,7 @@ def _page_facts(table: TransformTable, balance: WhiteBalance | None) -> str:
         "camera": printable(table.camera_name),
         "cfa": table.cfa.tolist(),
         "codes": codes.tolist(),  # TIFF/EP colour codes; a channel without such a code has a code that TIFF/EP does not use
-        "names": [code_of(name) for name in table.channels],  # TIFF/EP colour codes; null if a channel has none
+        "names": [code_of(name) for name in table.channels],  # TIFF/EP colour codes; null for a channel without a code
         "black": table.black_level,
         "white": table.white_level,
         "layers": len(table.layers),

@@ -159,7 +159,7 @@ def short_words(table: TransformTable) -> ShortWords:
 
 
 def _value_step(table: TransformTable) -> float:
-    """Return the step of the integer input values of the last layer, in the unit in which float weights are applied."""
+    """Return the value, on the scale of the float weights, of one integer step of the inputs of the last layer."""
     return PLANE_STEP if table.later else 1 / (table.white_level - table.black_level)
 
 

@@ -101,7 +101,7 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice, shard: tuple[
     Parameters
     ----------
     output : Path
-        Name of the output: a file, a folder, a pattern of numbered files, or - for stdout.
+        Name of the output: a file, a folder, a pattern of numbered files, or "-" for stdout.
     suffix : str
         Suffix of the files in a folder, without a period.
     choice : VideoChoice
@@ -112,7 +112,8 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice, shard: tuple[
     Returns
     -------
     Destination
-        The destination. A TIFF file is a destination for a single picture (see `paged`).
+        The destination. For an output such as "out.tif", the kind is "file", because the number of frames is not yet known.
+        `paged` later changes the kind to "pages" if the sequence has several frames.
 
     Raises
     ------

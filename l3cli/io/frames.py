@@ -190,8 +190,8 @@ def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray
     Raises
     ------
     InputFileError
-        If the file is neither a raw file nor such a picture, if the size, the bit depth or the CFA does not match, or if the
-        file cannot be read.
+        If the file is neither a raw file nor a single-channel picture, if the size, the bit depth or the CFA does not match,
+        or if the file cannot be read.
     """
     if path.suffix.lower() in BY_SUFFIX and format_of(path).suffixes[0] not in PICTURES:
         content = raw_content(path, ("black_level",))
@@ -205,7 +205,7 @@ def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray
 def _whole_frame(
     path: Path, content: RawContent, shape: tuple[int, int], bits: int, array: FilterArray | None
 ) -> NDArray[np.uint16]:
-    """Check the content of a file, and return its values as uint16. The arguments and errors are as in `read_frame`."""
+    """Check the content of a file and return its values as uint16. For arguments and errors, see `read_frame`."""
     values, pattern = content["values"], content.get("pattern")
     if array is not None and pattern is not None:
         phase = phase_of(path, pattern, array)
@@ -235,9 +235,10 @@ def _read_picture(path: Path, rows: int, cols: int, bits: int) -> NDArray:
 
 
 def phase_of(path: Path, pattern: NDArray[np.int64], array: FilterArray) -> tuple[int, int]:
-    """Return the CFA row and CFA column of the first pixel of a file, from the colour codes `pattern` that the file states.
+    """Return the CFA row and CFA column of the first pixel of a file.
 
-    Raises InputFileError if `pattern` is not the CFA of the sensor in any phase.
+    `pattern` contains the colour codes that the file states. Raises InputFileError if `pattern` matches the
+    CFA of the sensor in no phase, or in several phases that are not equivalent.
     """
     try:
         return find_phase(str(path), pattern, array)
@@ -347,7 +348,10 @@ def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, Cur
 
 
 def _has_numbers(path: Path) -> bool:
-    """Return whether a text file contains at least three rows of numbers, so that a user may expect it to be a table."""
+    """Return whether a text file contains at least three rows of numbers and is therefore probably meant as a table.
+
+    A file that cannot be read counts as a table.
+    """
     try:
         with open(path, "rb") as stream:
             return len(FIGURES.findall(stream.read(65536))) >= 3

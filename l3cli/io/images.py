@@ -30,7 +30,7 @@ def read_image(path: Path) -> tuple[NDArray, tuple[str, ...]]:
 
 @isolated("OpenImageIO")
 def picture_flip(path: Path) -> int:
-    """Return the LibRaw flip code that rotates the stored pixels to the upright picture, from the tag Orientation."""
+    """Convert the tag Orientation of a picture to the LibRaw flip code, which makes the stored pixels upright."""
     with opened(path) as (_, spec):
         return flip_of(path, spec.get_int_attribute("Orientation", UPRIGHT))
 

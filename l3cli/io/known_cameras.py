@@ -80,7 +80,10 @@ def known_curves(slug: str) -> FinishedCurves:
 
 
 def known_as(stated: str) -> str | None:
-    """Return the key in cameras.toml of the camera whose make and model a raw file states, or None if it is not included."""
+    """Find a camera in cameras.toml by the make and model that a raw file states, and return the key of the camera.
+
+    The result is None if cameras.toml does not contain the camera.
+    """
     words = [word for word in slug_of(stated).split("_") if word not in COMPANY]
     model = "_".join(dict.fromkeys(words))  # without a repeated make, as in "NIKON CORPORATION NIKON D810"
     return next(

@@ -342,9 +342,9 @@ def _series_of_pattern(pattern: Path, table: TransformTable, known: RawOverrides
 
 
 def _series_of_stack(what: str, stem: str, stack: MultiFrameFile, table: TransformTable, known: RawOverrides) -> _Series:
-    """Return the frames of a file or of stdin. Output names consist of `stem`, if it is not empty, and the frame number.
+    """Convert a stack or stream of raw frames to a series. Output names are STEM_NUMBER, or NUMBER if `stem` is empty.
 
-    Raises InputFileError if there are no frames.
+    The output name of a single frame is STEM, unless the stack sets `numbered`. Raises InputFileError if the stack is empty.
     """
     if stack.count == 0:
         raise InputFileError(f"{what} contains no frames; use an array with the axes (frame, row, column)")
@@ -447,8 +447,8 @@ def require_alike(ours: PictureSequence, wanted: PictureSequence | None) -> None
 def paired(ours: PictureSequence, wanted: PictureSequence | None) -> Iterator[tuple[Linear, Linear | None, Linear | None]]:
     """Yield the rendered picture, the ideal picture and the known motion of each frame.
 
-    The ideal picture is None if `wanted` is None. The motion is an array as in `read_motion`, or None if it is unknown.
-    Raises InputFileError if one sequence ends before the other.
+    The ideal picture is None if `wanted` is None. The motion is an array in the form that `read_motion` returns, or None if
+    the motion is unknown. Raises InputFileError if one sequence ends before the other.
     """
     ideals: Iterator[Linear | None] = wanted.pictures() if wanted else itertools.repeat(None)
     motions = iter(wanted.motion) if wanted else iter(())

@@ -122,7 +122,7 @@ def _fraction(value: float) -> Fraction:
 
 
 def text_entry(name: str, text: str) -> Entry:
-    """Return a tag of the given name with a text, for tifffile. Characters that are not in ASCII become question marks."""
+    """Return a tag with a string value for tifffile. Characters that are not in ASCII become question marks."""
     return _code(name), ASCII, 0, text.encode("ascii", "replace").decode(), True
 
 
@@ -134,7 +134,7 @@ def _code(name: str) -> int:
 
 # ------------------------------------------------------------------------------------------- settings of a shot
 
-LONGEST_TEXT = 100  # maximum number of characters of a text; longer texts are cut
+LONGEST_TEXT = 100  # maximum number of characters in the string value of a tag; longer strings are cut
 MAX_BELIEVABLE = 1e7  # largest plausible number; the highest ISO speeds are about 4 million
 DATE = re.compile(r"\d{4}:\d\d:\d\d \d\d:\d\d:\d\d", re.ASCII)
 SHOT = {  # field of Shot → (name of the tag in tifffile, name in OpenImageIO)

@@ -340,7 +340,7 @@ def _write_all(stream: BinaryIO, content: Any) -> None:
 def new_y4m(
     path: Path | None, choice: VideoChoice, finished: Callable[[Path], None] = lambda temporary: None
 ) -> Iterator[Y4mWriter]:
-    """Create a y4m file, or a stream on stdout if `path` is None, in a context manager that yields its writer.
+    """Context manager that creates a y4m file and yields its writer. If `path` is None, the frames are written to stdout.
 
     A file is written under a temporary name. At the end of the block, `finished` is called with the temporary file, and then
     the file is renamed to `path`. For a stream, `finished` is not called.
@@ -435,10 +435,10 @@ class DecodedVideo:
         return frame
 
     def times(self, most: int) -> list[int | None]:
-        """Return the times in ticks of the next frames, at most `most`, in the order of the file, without decoding them.
+        """Read the times of up to `most` frames, in ticks, without decoding the frames.
 
-        This order can differ from the order of display. The time of a frame is None if the file does not state it. Raises
-        InputFileError if the file is damaged.
+        The times are in the order of the file, which can differ from the order of display. The time of a frame is None if
+        the file does not state it. Raises InputFileError if the file is damaged.
         """
         try:
             packets = list(itertools.islice((packet for packet in self._packets if packet.size), most))

@@ -140,7 +140,7 @@ class Declaration:
     def stored(self, given: Any) -> Any:
         """Convert `given`, or the default if `given` is None, to the value to store.
 
-        The result is a tuple if the option may be repeated, and None if the default is also None.
+        The result is a tuple if the option may be repeated. It is None if both `given` and the default are None.
         """
         given = self.default if given is None else given
         if given is None:
@@ -153,7 +153,7 @@ class Declaration:
 def option(default: Any, help: str, reader: Reader | None = None, **about: Any) -> Any:
     """Return a dataclass field that declares an option.
 
-    Use the default None for an option that is off by default. Any other default, even 0, becomes part of the key of a run.
+    An option that is off by default must have the default None. Any other default, even 0, affects `Options.run_key`.
 
     Parameters
     ----------
@@ -307,7 +307,7 @@ SITE = Pair("ROW,COL", ",", Number(0, 65535, "rows or columns", whole=True))
 
 
 class Shard(Pair):
-    """A shard I/N of a run, where I is the number of the shard, from 1 to N, the number of all shards."""
+    """A shard I/N of a run. N is the number of shards, and I is the number of this shard, from 1 to N."""
 
     def __init__(self) -> None:
         super().__init__("I/N, such as 1/4", "/", Number(0, 1_000_000, "shards", whole=True))
@@ -395,7 +395,7 @@ class JobsOptions(Options):
 
 @options
 class WorkerOptions(JobsOptions, SchedulerOptions):
-    """Options for processes on this machine, or for workers on other machines. The options cannot be combined."""
+    """Options for processes on this machine or for workers on other machines, which cannot be combined."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

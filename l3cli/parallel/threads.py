@@ -15,7 +15,7 @@ READ_SECONDS, WORK_SECONDS, WRITE_SECONDS = 1.0, 5.0, 25.0
 
 
 class _End(Exception):
-    """Item of a queue that marks its end."""
+    """Marks the end of a queue."""
 
 
 @contextlib.contextmanager

@@ -54,8 +54,9 @@ def white_luminance(luminance: Array) -> float:
 def white_percentile(values: Array) -> float:
     """Return the 99th percentile of an array, or NaN if it contains NaN.
 
-    The result is that of np.percentile, except that rounding in float32 differs between versions of numpy. np.percentile is
-    not used because it imports numpy's masked arrays, which takes 5 % of the time for rendering a picture.
+    The result equals the result of np.percentile, except for the rounding in float32, which differs between versions of
+    numpy. np.percentile is not used because it imports numpy's masked arrays, which takes 5 % of the time for rendering a
+    picture.
     """
     flat = values.ravel()
     place = (flat.size - 1) * (WHITE_PERCENTILE / 100)
@@ -126,7 +127,7 @@ def codes(encoded: Array, bits: int = 8) -> NDArray[Any]:
 
 
 def srgb_codes(linear: Array, bits: int = 8) -> NDArray[Any]:
-    """Convert linear sRGB values, which are clipped to 0…1, to the codes of a picture file with 8 or 16 bits."""
+    """Clip linear sRGB values to 0…1, and encode the values as integers with 8 or 16 bits."""
     return codes(srgb_curve(linear), bits)
 
 
@@ -231,7 +232,7 @@ def _delta_e_2000(one: Array, other: Array) -> Array:
     """Return the CIEDE2000 differences between two arrays of L*, a*, b* (3, colour), as in Sharma, Wu and Dalal (2005).
 
     To avoid trigonometric functions, each hue is a unit vector, and the mean of two hues is the bisector of their vectors.
-    Only one angle, that of the mean hue, is computed.
+    The only angle that is computed is the angle of the mean hue.
     """
     (light_1, a_1, b_1), (light_2, a_2, b_2) = one, other
     stretch = 1.5 - 0.5 * _vivid((_length(a_1, b_1) + _length(a_2, b_2)) / 2)

@@ -1,6 +1,6 @@
 """Lens optics: camera equation, cos⁴ falloff, and blur by diffraction and defocus (docs/method.md#optics).
 
-The formulas are those of ISETCam, and tests compare the results with ISETCam. Lengths are in m unless stated otherwise.
+The formulas are taken from ISETCam, and tests compare the results with ISETCam. Lengths are in m unless stated otherwise.
 """
 
 import numpy as np

@@ -22,7 +22,7 @@ BLACK_BODY = Quantity(500, 100_000, "K")  # permitted colour temperatures of bla
 DAYLIGHT = Quantity(4000, 25_000, "K")  # colour temperatures for which CIE daylight is defined
 # Correlated colour temperatures of CIE daylight in K, for the current value of the second radiation constant (CIE 15).
 DAYLIGHT_KELVIN = {f"D{hundreds}": hundreds * 100 * 1.4388 / 1.4380 for hundreds in (50, 55, 65, 75)}
-UNSEEN = 1e-9  # light is invisible if its luminance is below this fraction of that of light with equal power at 555 nm
+UNSEEN = 1e-9  # light is invisible below this fraction of the luminance of light with equal power at 555 nm
 LONGEST_NM = 20_000  # maximum wavelength of a spectrum
 SPRAGUE_STEP = 20.0  # Sprague polynomials interpolate reflectances whose bands are at most this distance apart, in nm
 Array = NDArray[np.floating]
@@ -253,7 +253,10 @@ def sampled_radiance(wavelength: Array) -> Array:
 
 
 def is_spectrum(outputs: tuple[str, ...], channels: tuple[str, ...]) -> bool:
-    """Return whether the outputs of a table are a spectrum: reflectances, radiances, or the channels of the camera."""
+    """Return whether a table has spectral outputs.
+
+    Spectral outputs are reflectances, radiances, or the signals of the camera's own channels.
+    """
     return outputs in (channels, REFLECTANCES, RADIANCES)
 
 
@@ -412,7 +415,10 @@ def at_luminance(radiance: Array, wavelength: Array, luminance: float) -> Array:
 
 
 def white_point(name: str) -> NDArray[np.float64]:
-    """Return the XYZ (3,) of a perfect white under an illuminant, with Y = 1. Raises RecipeError if it is unknown."""
+    """Return the XYZ (3,) of a perfect white under an illuminant, with Y = 1.
+
+    Raises RecipeError if no illuminant has this name.
+    """
     wavelength = np.arange(380.0, 781.0, 5.0)
     xyz = xyz_weights(wavelength) @ illuminant(name, wavelength)
     return xyz / xyz[1]

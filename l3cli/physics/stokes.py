@@ -138,18 +138,18 @@ def behind(stokes: Array, angle: float) -> Array:
 
 
 def malus_matrix(angles: Sequence[float]) -> Array:
-    """Return the matrix (picture, 3) that maps S0, S1 and S2 to intensities behind ideal polarisers at `angles` degrees."""
+    """Return the matrix (picture, 3) that maps S0, S1 and S2 to intensities after ideal polarisers at `angles` degrees."""
     double = 2 * np.radians(np.asarray(angles, np.float64))
     return 0.5 * np.stack([np.ones_like(double), np.cos(double), np.sin(double)], axis=1)
 
 
 def fit_stokes(intensities: Array, angles: Sequence[float]) -> tuple[Array, Array]:
-    """Fit Stokes parameters to intensities behind an ideal polariser at several angles, by least squares.
+    """Fit Stokes parameters, by least squares, to the intensities after an ideal polariser at several angles.
 
     Parameters
     ----------
     intensities : ndarray, (picture, …)
-        Intensity behind the polariser at each angle.
+        Intensity after the polariser at each angle.
     angles : sequence of float
         Angles of the transmission axis in degrees, at least three different ones.
 

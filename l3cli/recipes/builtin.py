@@ -48,7 +48,10 @@ CLASSES = {"nona_bayer_hdr": "blocks", "polarised": "polarised", "rccb": "clear"
 
 
 def recipe_folder() -> Path:
-    """Return the folder configs/. It is inside an installed package, but next to the package in a repository."""
+    """Return the folder configs/.
+
+    An installed package contains the folder. In the repository, the folder is next to the package.
+    """
     package = Path(__file__).parents[1]
     inside = package / "configs"
     return inside if inside.is_dir() else package.parent / "configs"
@@ -144,7 +147,7 @@ def known_camera(contents: Mapping[str, bytes]) -> dict[str, bytes]:
 
 
 def common_files(rows: int, cols: int) -> dict[str, bytes]:
-    """Return the contents of the files of a new folder for a real camera, by file name, without the camera recipe.
+    """Return the files that `l3 init` writes for a real camera, except the camera recipe, as file name → content.
 
     The scenes are limited to `rows` × `cols` pixels, the size of the sensor.
     """

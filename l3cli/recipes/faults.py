@@ -191,7 +191,8 @@ def _table(kind: Any, value: Any) -> type[Recipe] | None:
 def _entries(kind: Any, value: Any) -> dict[str, Any] | list[Any] | None:
     """Return the declared type of each entry of a list, or of each entry of a table with arbitrary keys.
 
-    The result is None if `value` is neither, if `kind` does not permit it, or if the list has the wrong length.
+    The result is None if `value` is not a list or a table, if the type `kind` does not permit such a value, or if the list
+    has the wrong length.
     """
     for each in _plain_types(kind):
         origin, arguments = get_origin(each), get_args(each)

@@ -225,7 +225,10 @@ def responsivity_figures(camera: CameraModel) -> tuple[Figure, ...]:
 
 
 def _band_figure(camera: CameraModel) -> Figure:
-    """Plot the half widths of the confidence bands. The bands of a good calibration are too narrow for the first plot."""
+    """Plot the half widths of the confidence bands.
+
+    This separate plot is needed because the bands of a good calibration are too narrow to be visible around the curves.
+    """
     shares = 100 * camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     plot = Plot(spanning("wavelength (nm)", camera.wavelength), spanning("half width (% of peak)", shares, zero=True))
     keys = colours.channel_keys(camera)

@@ -225,7 +225,7 @@ class Plot:
         return tuple(keys)
 
     def points(self, keys: Sequence[Key], x: Array, y: Array, used: NDArray[np.bool_]) -> None:
-        """Draw the points of all channels, with the colour and the mark of the channel.
+        """Draw the points of all channels. The colour and the mark of a point show its channel.
 
         Parameters
         ----------

@@ -433,7 +433,8 @@ def shown_frames(document: dict[str, Any], at: float | None = None) -> list[int]
     -------
     list of int
         Indices of the frames. The first is the frame with the median of the table's main metric. If at most FRAMES_SHOWN
-        frames are available, all others follow, from the worst to the best. Otherwise the worst and the best frame follow.
+        frames are available, all other frames follow, from the worst to the best. Otherwise the worst and the best frame
+        follow.
     """
     figure = main_of(document)
     among = [number for number, frame in enumerate(document["frames"]) if lit_as(frame["luminance"], at)]

@@ -119,7 +119,7 @@ def _comparison(
 
 
 def _key(kind: str, scale: float) -> tuple[Key, ...]:
-    """Return the colour key of a map. The brightness of the angle is that of a degree at the end of the scale."""
+    """Return the colour key of a map. In the key for angles, all colours have the degree at the end of the scale."""
     if kind == "S0":
         return ()
     steps = np.arange(KEY_STEPS + (kind == "DoLP")) / KEY_STEPS

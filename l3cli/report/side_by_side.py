@@ -197,7 +197,10 @@ def _title(side: Side, sides: list[Side]) -> str:
 
 
 def _frame_block(sides: list[Side], index: list[int], pictures: list[dict[str, Pixels]], limit: int, jpeg: Jpeg) -> Block:
-    """Show the frame rendered with each table, and the ideal picture. If all have the same size, the block has a slider."""
+    """Show a frame as rendered with each table, and the ideal picture.
+
+    If all pictures have the same size, the block compares the pictures with a slider.
+    """
     frames = [side.document["frames"][at] for side, at in zip(sides, index, strict=True)]
     shown = [
         (_title(side, sides), of[OURS], f"mean ΔE00 {frame[OURS]['mean_delta_e']:.2f}")

@@ -127,7 +127,10 @@ def kind_names(insight: dict[str, Any]) -> list[str]:
 
 
 def _contrast(table: TransformTable, contrast: int) -> str:
-    """Return an explanation of the first and of the last contrast, with a leading comma. Empty for all other contrasts."""
+    """Return the part of a title that explains the lowest or the highest contrast, such as ", the flattest".
+
+    The result is empty for any other contrast, or if there is only one contrast.
+    """
     if table.first.rule.contrasts == 1:
         return ""
     return {0: ", the flattest", table.first.rule.contrasts - 1: ", the most textured"}.get(contrast, "")

@@ -73,7 +73,7 @@ def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array]
 
 
 def patches_table(errors: dict[str, Array]) -> Table:
-    """Make a table of the ΔE00 of each patch, with one column per picture. `errors` is as in `patches_figure`."""
+    """Make a table of the ΔE00 of each patch, with one column per picture. `errors` has the format of `patches_figure`."""
     rows = tuple((name, *(f"{float(of[patch]):.2f}" for of in errors.values())) for patch, name in enumerate(PATCH_NAMES))
     return Table("ΔE00 of each patch", ("patch", *errors), rows)
 
@@ -135,7 +135,7 @@ def validation_blocks(camera: CameraModel, fit: Fit, figures: dict[str, Any]) ->
     -------
     tuple of Block
         Plots of predictions, residuals and smoothing, drawings of charts, and tables of the errors for each chart and for
-        each illumination band. Blocks without data are left out, so that the result may be empty.
+        each illumination band. Blocks without data are left out, and the result may be empty.
     """
     graphs: list[Figure] = []
     if fit.validation is not None:

@@ -207,7 +207,7 @@ def _numbers(
 
 
 def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurve, ...], tuple[str, ...]]:
-    """Return the digitised curves in a text, as points (X, Y), and their faults. Both are empty for any other text.
+    """Return the points (X, Y) and the faults of the digitised curves in a text. Both are empty if the text has no curves.
 
     Programs for digitising plots write several curves in one of two forms:
 
@@ -361,7 +361,7 @@ def is_wavelength(heading: str) -> bool:
 
 
 def _bare(cell: str) -> str | None:
-    """Return the unit in a cell that contains nothing but a unit, without its brackets, otherwise None."""
+    """Return the unit, without brackets, in a cell that contains only a unit. Return None for any other cell."""
     inside = cell.strip("[]() ")
     known = units.parse(inside) is not None or units.RAW.fullmatch(inside) or inside.lower() == "a.u."
     return inside if inside and (known or re.fullmatch(r"% ?\w+", inside)) else None
@@ -519,8 +519,9 @@ def _text_curves(content: str, path: Path) -> CurveTable:
 def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Path) -> CurveTable:
     """Interpolate digitised curves to steps of 1 nm. The points of a curve may be in any order.
 
-    Beyond an end inside the plot, a curve is zero. Beyond an end at the edge of the plot, it has a constant value. If the
-    curves have faults, an InputFileError with all faults is raised.
+    All curves are extended to the wavelength range of the plot. A curve that ends at an edge of the plot continues with its
+    last value. A curve that ends inside the plot continues with zeros. If the curves have faults, an InputFileError that
+    lists all faults is raised.
     """
     wrong = list(faults)
     lines = [np.array(sorted(points), np.float64).reshape(-1, 2).T for _, points in curves]
@@ -544,7 +545,10 @@ def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Pa
 
 
 def _curve_faults(name: str, line: Array, grid: Array) -> Iterator[str]:
-    """Yield the faults of a digitised curve `line` (X and Y) in a plot that extends over the wavelengths `grid`."""
+    """Yield the faults of a digitised curve.
+
+    The rows of `line` are the X and Y of its points. `grid` contains the wavelengths of the whole plot.
+    """
     x, y = line
     if x.size < 2:
         if x.size:
@@ -618,8 +622,9 @@ def other_unit(first: float, last: float) -> tuple[str, str] | None:
 
 
 def _wavelength_column(heading: Sequence[str], path: Path) -> tuple[int, float | None]:
-    """Return the index of the wavelength column, and the size of its unit in nm, or None if the heading states no unit.
+    """Return the index of the wavelength column, and the factor that converts its wavelengths to nm.
 
+    The factor is None if the heading states no unit.
     Raises InputFileError unless exactly one column contains wavelengths.
     """
     named = [number for number, cell in enumerate(heading) if is_wavelength(cell)] or ([0] if not heading[0] else [])

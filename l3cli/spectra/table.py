@@ -238,8 +238,9 @@ class CurveTable:
     def shares(self) -> Array:
         """Convert the columns (column, wavelength) to transmittances or reflectances, which are fractions in 0…1.
 
-        Columns in percent are divided by 100. Values beyond 0…1 by at most NOISE are clipped. Raises InputFileError if
-        values are farther out of range, or if a heading states a unit other than percent or a fraction.
+        Columns in percent are divided by 100. Values that exceed the range 0…1 by at most NOISE are clipped. Raises
+        InputFileError if a value exceeds the range by more than NOISE, or if the unit in a heading is neither percent nor a
+        fraction.
         """
         for heading in filter(None, self.units):
             unit = units.parse(heading)
@@ -419,7 +420,7 @@ def _quantity_per(parsed: units.Unit | None, below: dict[str, int]) -> tuple[str
 
 
 def _without_angle(unit: str) -> tuple[str, float] | None:
-    """Parse a unit of spectral irradiance or spectral flux, such as µW/cm²/nm. The result is as in `_conversion`."""
+    """Parse a unit of spectral irradiance or spectral flux, such as µW/cm²/nm. See `_conversion` for the result."""
     parsed = units.parse(unit)
     return _quantity_per(parsed, {"s": -1, "m": -3}) or _quantity_per(parsed, {"s": -1, "m": -1})
 

@@ -116,8 +116,8 @@ def length_nm(text: str) -> float | None:
 def split(heading: str) -> tuple[str, str | None]:
     """Split a column heading such as "name (unit)", "name [unit]", "name / unit" or "name %" into name and unit.
 
-    If the heading contains no unit, the name is the whole heading and the unit is None. If a unit of raw readings follows
-    the name without brackets, as in "scope counts", the name is also the whole heading.
+    If the heading contains no unit, the name is the whole heading and the unit is None. A unit of raw readings without
+    brackets, as in "scope counts", is returned as the unit but also remains part of the name.
     """
     heading = heading.strip()
     name, slash, rest = heading.partition(" / ")

@@ -91,7 +91,7 @@ class Passing:
         self.heard("warning", message)
 
     def heard(self, level: str, message: str) -> None:
-        """Process a message after it was passed on. `level` is "info" or "warning"."""
+        """Process a message that the wrapped console has already received. `level` is "info" or "warning"."""
         raise NotImplementedError
 
 

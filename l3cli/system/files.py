@@ -179,7 +179,7 @@ def _hidden_name(path: Path) -> tuple[str, str]:
 
 
 def shortened(name: str, more: int) -> str:
-    """Shorten `name` so that it can be part of a file name with `more` additional bytes.
+    """Shorten `name` so that `more` bytes can be added without exceeding the maximum length of a file name.
 
     A name that is short enough is returned unchanged. Otherwise, a digest of the name replaces its end.
     """

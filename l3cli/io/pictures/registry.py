@@ -43,14 +43,14 @@ NOTHING = Label()
 
 
 def file_identity(digest: str) -> str:
-    """Return the text that identifies the frame in a raw file with a single frame, given the SHA-256 of the file."""
+    """Return the identity of the frame in a single-frame raw file, from the SHA-256 of the file."""
     return f"raw file SHA-256 {digest}"
 
 
 def values_identity(digest: str) -> str:
-    """Return the text that identifies a frame in a stack or stream, given the SHA-256 of its values.
+    """Return the identity of a frame in a stack or stream, from the SHA-256 of the values of the frame.
 
-    The digest is that of the values as little-endian 16-bit integers in row-major order.
+    The SHA-256 is computed from the values as little-endian 16-bit integers in row-major order.
     """
     return f"raw values SHA-256 {digest}"
 
@@ -137,7 +137,7 @@ def holds_raw(path: Path) -> bool:
 
 
 def picture_file(path: Path, picture: Picture) -> bytes:
-    """Return the bytes of the file `path` with a picture. The suffix of `path` selects the format.
+    """Encode a picture in the format that the suffix of `path` selects, and return the bytes of the file.
 
     Raises RecipeError if the format does not support the data type, and L3Error if the picture cannot be encoded.
     """

@@ -47,7 +47,7 @@ def refuse_faults(name: str, content: RawContent, answered: Container[str]) -> N
 
 @dataclass(frozen=True)
 class MultiFrameFile:
-    """The frames of a file. Each frame is read when it is needed."""
+    """A file or stream with several raw frames. Each frame is read when it is needed."""
 
     count: int | None  # number of frames; None for a stream, whose length is unknown until it ends
     read: Callable[[int], RawContent | None]  # reads the frame with a number (from 0); None after the end of a stream

@@ -38,7 +38,7 @@ STACK, FRAME = Axes(0, 1, 2), Axes(None, 0, 1)
 
 
 def frame_axes(name: str, shape: Sequence[int], names: Sequence[str] = (), usual: Axes | None = None) -> Axes:
-    """Return the axes of an array that contains a frame or a stack of frames.
+    """Determine which axes of an array are the rows, the columns and the frames.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def frame_axes(name: str, shape: Sequence[int], names: Sequence[str] = (), usual
     names : sequence of str
         Names of the axes that the file states, in the order of `shape`. Empty if the file states no names.
     usual : Axes, optional
-        The axes if the names do not determine them. [default: (frame, row, col) or (row, col)]
+        Order of the axes if the names do not determine the order. [default: (frame, row, col) or (row, col)]
 
     Returns
     -------

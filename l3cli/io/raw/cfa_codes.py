@@ -47,7 +47,11 @@ def codes_of(letters: str) -> NDArray[np.int64]:
 
 
 def channel_codes(channels: Sequence[str]) -> NDArray[np.uint8]:
-    """Return a different code for each channel: the TIFF/EP code of its name, or a free code if it has none."""
+    """Return a unique code for each channel.
+
+    The code is the TIFF/EP code of the channel name. A name without a TIFF/EP code, or with a code that is already used,
+    receives an unassigned code.
+    """
     codes: list[int] = []
     for index, name in enumerate(channels):
         code = code_of(name)

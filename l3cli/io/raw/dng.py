@@ -225,7 +225,7 @@ def _rate(path: Path) -> tuple[int, int] | None:
 def _read_tags(path: Path) -> Mosaic:
     """Read the tags of the raw image in a file.
 
-    Raises InputFileError if the tags are damaged, if the file contains no mosaic, or if l3 does not support its form.
+    Raises InputFileError if the tags are damaged, if the file contains no mosaic, or if `_refuse_unsupported` raises it.
     """
     import tifffile
 

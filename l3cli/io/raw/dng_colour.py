@@ -48,7 +48,7 @@ class Calibration:
 def calibrations(first: Any, planes: int) -> list[Calibration]:
     """Return the calibrations on the first page of a DNG file with `planes` colour planes.
 
-    Calibrations that are missing or damaged are left out, so that the result may be empty.
+    Calibrations that are missing or damaged are left out, and the result may be empty.
     """
     tags, found = first.tags, []
     ours = tags.valueof("CameraCalibrationSignature", "") == tags.valueof("ProfileCalibrationSignature", "")

@@ -4,7 +4,7 @@ To add a format, write a module in this folder, and add the format to FORMATS. E
 If the entry in FORMATS sets `stackable`, `has_rate` or `has_plain`, the module must also define `stack`, `rate` or
 `is_plain`, respectively. l3 imports the module when it reads the first file in this format.
 
-l3 reads the pixels, the levels, the crop and the orientation from the file. The colour filter array is that of the table. If
+l3 reads the pixels, the levels, the crop and the orientation from the file, and the colour filter array from the table. If
 the file also states an array, the two arrays must agree, and the file determines the phase.
 """
 
@@ -291,7 +291,7 @@ def holds_several(path: Path, sensor: Callable[[], Sensor], known: RawOverrides)
 
 
 def read_stdin(table: Sensor, known: RawOverrides) -> MultiFrameFile:
-    """Return the headerless frames on stdin. By default, their size is that of the table or camera."""
+    """Return the headerless frames on stdin. By default, each frame has the size of the sensor in the table or camera."""
     return stdin(_headerless_layout(STDIN, table, known))
 
 
@@ -377,7 +377,11 @@ def _misread(content: RawContent, table: Sensor, phase: tuple[int, int]) -> str:
 
 
 def _displaced(content: RawContent, table: Sensor, phase: tuple[int, int]) -> tuple[str, ...]:
-    """Return a note if a headerless frame has the size of the whole sensor, but its packing states a phase ≠ (0, 0)."""
+    """Return a warning if the packing of a headerless frame implies an impossible crop, otherwise an empty tuple.
+
+    A packing implies a crop if its colour pattern does not begin at the first site of the CFA. A crop is impossible if the
+    frame has the size of the whole sensor.
+    """
     if "readings" not in content or phase == (0, 0) or content["values"].shape != (table.rows, table.cols):
         return ()
     begins = f"according to its packing, the frame begins at row {phase[0]}, column {phase[1]} of the table's array"

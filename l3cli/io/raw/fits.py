@@ -93,7 +93,7 @@ def read(path: Path, number: int | None = None) -> RawContent:
 def _first_image(path: Path) -> Iterator[tuple[Any, Mapping[str, Any]]]:
     """Open a file during the block. Yield its first image and the keywords of the image.
 
-    The keywords include those of the primary header, unless the header of the image contains the same keyword.
+    The keywords of the primary header are included. If the header of the image contains the same keyword, its value is used.
     """
     try:
         from astropy.io import fits

@@ -122,7 +122,7 @@ def _scale_name(dimension: Any) -> str:
 
 
 def _listed(attribute: Any) -> list[str]:
-    """Return the names in an attribute, which is an array of names or a text such as "[t:y:x]", "t,y,x" or "tyx"."""
+    """Return the names in an attribute, which is an array of names or a string such as "[t:y:x]", "t,y,x" or "tyx"."""
     if isinstance(attribute, np.ndarray):
         return [_text(each) for each in attribute.ravel()[:MOST_AXES]]
     words = re.findall(r"\w+", _text(attribute))
@@ -200,7 +200,7 @@ def _is_artifact(path: Path) -> bool:
 
 
 def _is_stack(member: Any) -> bool:
-    """Return whether the type and the number of axes of a dataset are those of a frame or a stack."""
+    """Return whether a dataset has the data type and the number of axes of a frame or a stack."""
     return member.dtype.kind in "uif" and member.ndim in (2, 3) and bool(member.size)
 
 

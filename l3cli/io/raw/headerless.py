@@ -1,6 +1,6 @@
-"""Read headerless files, which contain only the values of frames.
+"""Read headerless files, which contain pixel values without any metadata.
 
-The options of the user and the table determine the layout of the values. The packings are in frames/packings.py.
+The layout of the values follows from the user's options and from the table. The packings are defined in frames/packings.py.
 """
 
 from collections.abc import Iterator
@@ -194,7 +194,7 @@ def read(path: Path, layout: Layout) -> RawContent:
 
 
 def _counted(size: int, layout: Layout) -> str:
-    """Describe the number of bytes in a file after the skipped bytes, for a message."""
+    """Describe the size of a file for a message, such as "1024 bytes after ‹skip› 16"."""
     if size < 0:
         return f"{size + layout.skip} bytes, fewer than ‹skip› {layout.skip}"
     return f"{size} bytes after ‹skip› {layout.skip}" if layout.skip else f"{size} bytes"

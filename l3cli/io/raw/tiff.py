@@ -37,7 +37,7 @@ def read(path: Path) -> RawContent:
 
 @isolated("OpenImageIO", "tifffile")
 def read_by_library(path: Path) -> RawContent:
-    """Read the frame in a single-channel picture with OpenImageIO. Raises InputFileError as in `read`."""
+    """Read the frame in a single-channel picture with OpenImageIO. Raises the same errors as `read`."""
     _check_first_page(path)
     with opened(path) as (source, spec):
         return _content(path, source, spec)
@@ -230,7 +230,7 @@ def read_plain(path: Path, depths: tuple[int, ...] = (8, 16)) -> RawContent | No
 
 
 def _layout(stream: BinaryIO) -> _Plain | None:
-    """Return the layout of a file if it is the layout in which l3 writes mosaics, otherwise None.
+    """Return the layout of a TIFF file if l3 may have written the file as a mosaic, otherwise None.
 
     This layout is little-endian and uncompressed, with one page, one channel of 8 or 16 bits, consecutive strips, and no
     additional tags.

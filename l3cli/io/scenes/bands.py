@@ -198,13 +198,13 @@ def _bands_of(path: Path, file: Any) -> Any:
 
 
 def _stated(file: Any, page: Any, bands: int) -> dict[str, Any]:
-    """Read the metadata of the bands that tifffile or GDAL stored in the tags of a page.
+    """Read the metadata that tifffile or GDAL has stored in the tags of a TIFF page.
 
     Returns
     -------
     dict
-        "wavelengths" in nm, "nodata" (value of pixels without data), "SCALE", "OFFSET" and "DESCRIPTION". Each value is a
-        list with one entry per band, except "nodata". Missing metadata are an empty list or None.
+        "wavelengths" (in nm), "SCALE", "OFFSET" and "DESCRIPTION" are lists with one entry per band. A list is empty if the
+        page does not contain the metadata. "nodata" is the value of pixels without data, or None.
     """
     stated: dict[str, Any] = {"wavelengths": [], "nodata": None, "SCALE": [], "OFFSET": [], "DESCRIPTION": []}
     for metadata in file.shaped_metadata or ():

@@ -85,9 +85,9 @@ def read(path: Path, variable: str | None, axes: str) -> SpectralCube:
 def _as_stored(
     values: NDArray, wavelength: NDArray[np.float64] | None, good: NDArray[np.bool_] | None, attributes: dict[str, Any]
 ) -> SpectralCube:
-    """Return a cube of stored values (row, col, band).
+    """Scale the values (row, col, band) of a dataset, and mark the pixels without data.
 
-    The attributes of the dataset define the scale of the values and mark the pixels without data.
+    The scale, the offset, the value of a perfect white and the values of pixels without data are read from `attributes`.
     """
     ignored = None
     for mark in (attributes[name] for name in MISSING if name in attributes):
@@ -102,7 +102,7 @@ def _as_stored(
 def size(path: Path, variable: str | None, axes: str) -> tuple[int, int]:
     """Return the number of rows and columns of the cube that `read` returns.
 
-    The values are read only if the header does not state the size. Raises InputFileError as `read` does.
+    The values are read only if the header does not state the size. Raises the same errors as `read`.
     """
     _refuse_other_source(path)
     shapes = {"values": map_array(path).shape} if path.suffix.lower() == NPY else array_shapes(path)
@@ -117,7 +117,7 @@ def size(path: Path, variable: str | None, axes: str) -> tuple[int, int]:
 
 
 def _refuse_other_source(path: Path) -> None:
-    """Raise InputFileError if files with the suffix of `path` are read with another `source`."""
+    """Raise InputFileError if a file with this suffix requires a different value of the key `source`."""
     if (source := OTHER_SOURCES.get(path.suffix.lower())) is not None:
         raise InputFileError(f'{path} is not a MATLAB, HDF5 or .npy file; set source = "{source}" in the recipe')
 
@@ -131,7 +131,7 @@ Lists = dict[tuple[str, str], NDArray[np.float64]]  # (group, name) → list of 
 
 
 def _lists(arrays: dict[str, NDArray], attributes: dict[str, dict[str, Any]], length: int) -> Lists:
-    """Return all lists of `length` numbers in a file, from arrays and attributes. If `length` is 1, there are none.
+    """Return all lists of `length` numbers in the arrays and attributes of a file. Empty if `length` is 1.
 
     The group in the key of an attribute is the path of the group or array that has the attribute.
     """
@@ -149,7 +149,7 @@ def _lists(arrays: dict[str, NDArray], attributes: dict[str, dict[str, Any]], le
 
 
 def _titles(attributes: dict[str, Any]) -> Iterator[str]:
-    """Yield the names of an array that its attributes contain."""
+    """Yield the names of an array that are stored in its attributes, such as "long_name"."""
     for key in TITLES:
         if isinstance(title := attributes.get(key), str):
             yield title.removeprefix("radiation_")  # as in the CF standard name "radiation_wavelength"
@@ -158,10 +158,10 @@ def _titles(attributes: dict[str, Any]) -> Iterator[str]:
 def _nearest(
     cube: str, lists: Lists, names: tuple[str, ...], titled: Container[tuple[str, str]] = ()
 ) -> list[tuple[str, str]]:
-    """Of the lists with one of `names` and the lists in `titled`, return the keys of those nearest to a cube.
+    """Find the lists nearest to a cube in the hierarchy of the file, and return their keys.
 
-    The attributes of the cube are nearest, followed by the group of the cube, the enclosing groups from the innermost to the
-    outermost, and all other groups.
+    Only lists in `titled` and lists whose name is one of `names` are considered. The attributes of the cube are nearest,
+    followed by the group of the cube, the enclosing groups from the innermost to the outermost, and all other groups.
     """
     usual = [key for key in lists if key in titled or is_named(key[1], names)]
     places = [cube]
@@ -236,8 +236,8 @@ def _read_hdf5(path: Path) -> Content:
 def array_shapes(path: Path) -> dict[str, tuple[int, ...]]:
     """Return the shape of each numeric array in a MATLAB or HDF5 file, by its path in the file, such as "a" or "a/b".
 
-    The shapes are those of the arrays that `read_content` returns. They are read from headers, except that structs in MATLAB
-    files before version 7.3 must be read completely.
+    The shapes agree with the arrays that `read_content` returns. Only headers are read, except that structs in MATLAB files
+    before version 7.3 must be read completely.
     """
     import h5py
 
@@ -319,7 +319,7 @@ def _attributes(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def _plain_attribute(attributes: Any, key: str) -> Any:
-    """Return the value of an attribute if it is a text or contains at most a million numbers, otherwise None."""
+    """Return an attribute that is a string or an array of at most a million numbers. Return None for any other attribute."""
     kind, shape = attributes.get_id(key).dtype, attributes.get_id(key).shape
     if kind.kind in "fiu" and np.prod(shape, dtype=float) <= 1e6:
         return np.asarray(attributes[key])

@@ -1,8 +1,8 @@
 """Read ENVI cubes, which consist of a text header and a data file in the same folder.
 
-FIELDS lists every field of the format (NV5 Geospatial, "ENVI Header Files", and the frame offsets of ENVI Classic) and
-describes how l3 uses the field. l3 ignores the additional fields of manufacturers. The function `unknown` returns the names
-of ignored fields that could affect the values.
+FIELDS lists every field of the format and describes how l3 uses the field. The list follows "ENVI Header Files" by NV5
+Geospatial, and includes the frame offsets of ENVI Classic. l3 ignores fields that camera manufacturers have added. The
+function `unknown` returns the names of the ignored fields that could affect the values.
 """
 
 import math
@@ -227,7 +227,7 @@ def read(path: Path, holds: str = "reflectance") -> SpectralCube:
 
 
 def size(path: Path, holds: str = "reflectance") -> tuple[int, int]:
-    """Return the number of rows and columns in the header. Raises InputFileError as `read` does."""
+    """Read the numbers of rows and columns from the header. Raises the same errors as `read`."""
     header = Header(path)
     layout = _layout(header)
     _wavelengths(header), _good_bands(header), _scale(header, holds), _whole_data(path, layout)
@@ -379,9 +379,9 @@ def _good_bands(header: Header) -> NDArray[np.bool_] | None:
 def _scale(header: Header, holds: str) -> tuple[NDArray[np.float64], NDArray[np.float64], float | None]:
     """Return the gain and the offset of each band, and the value of a perfect white.
 
-    The value of a perfect white is after gain and offset, and None if it is unknown. The gains for reflectance are used if
-    the cube contains reflectance, otherwise the gains for radiance. Raises InputFileError if a field is invalid, or if two
-    fields scale the data.
+    The value of a perfect white applies to the scaled data. It is None if the header does not determine it. The gains for
+    reflectance are used if the cube contains reflectance, otherwise the gains for radiance. Raises InputFileError if a field
+    is invalid, or if two fields scale the data.
     """
     bands = header.whole("bands", 1)
     white = None

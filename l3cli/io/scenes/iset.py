@@ -68,7 +68,7 @@ def read(path: Path, light: Curve | None = None) -> Scene:
 def size(path: Path, light: Curve | None = None) -> tuple[int, int]:
     """Return the number of rows and columns of the scene that `read` returns.
 
-    The photons are read only if the header does not state the size. Raises InputFileError as `read` does.
+    The photons are read only if the header does not state the size. Raises the same errors as `read`.
     """
     shapes = array_shapes(path)
     for name in (f"{scene}{array}" for scene in ("scene/", "") for array in ("mcCOEF", "photons", "data/photons")):

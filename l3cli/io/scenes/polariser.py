@@ -1,6 +1,7 @@
-"""Read pictures behind a polariser at several angles: a folder with one picture per angle, or a stack in one file.
+"""Read pictures that were taken through a polariser at several angles.
 
-The angles are stated in the recipe or in the names of the pictures.
+The pictures are in a folder, with one picture per angle, or in a single file with a stack. The recipe or the names of the
+pictures state the angles.
 """
 
 import re

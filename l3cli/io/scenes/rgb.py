@@ -12,7 +12,7 @@ from l3cli.physics.display import srgb_decoded
 
 
 def size(path: Path, holds: str = "sRGB") -> tuple[int, int]:
-    """Return the number of rows and columns of a picture. `holds` has no effect. Raises InputFileError as `read` does."""
+    """Return the number of rows and columns of a picture. `holds` has no effect. Raises the same errors as `read`."""
     return picture_size(path)
 
 

@@ -41,7 +41,7 @@ def read(path: Path) -> PolarisedPictures:
 
 
 def size(path: Path) -> tuple[int, int]:
-    """Return the number of rows and columns. Raises InputFileError as `read` does."""
+    """Return the number of rows and columns. Raises the same errors as `read`."""
     rows, cols = read(path).values.shape[1:3]
     return rows, cols
 
