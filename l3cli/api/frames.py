@@ -326,7 +326,7 @@ class Renderer:
         """Render frames lazily, one after the other. Automatic exposure is determined for each frame separately.
 
         If the table has transforms for several illuminants, all frames use the transforms that fit the white of the
-        first frame. The remaining parameters and the errors are the same as in `picture`.
+        first frame. The other parameters and the errors are the same as in `picture`.
 
         Parameters
         ----------
@@ -361,7 +361,7 @@ class Renderer:
         rate : Fraction or None
             Frame rate in frames/s. With a frame rate, automatic exposure and measured white change smoothly over time,
             as in `l3 render`, and you must pass the frames in order. With None, all frames use the exposure and the
-            white of the first frame that you pass. You can pass the further frames in any order and from any thread.
+            white of the first frame that you pass. You can pass the other frames in any order and from any thread.
         temporal : bool, default False
             Filter the frames over time, as `l3 render --temporal` does. You must then pass the frames in order.
 

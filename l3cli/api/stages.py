@@ -45,7 +45,7 @@ def load(path: Name) -> CameraModel | TransformTable | TrainingSet:
     Returns
     -------
     CameraModel, TransformTable or TrainingSet
-        The artifact. A training set is loaded without its frames, as by `load_training_set`.
+        The artifact. Like `load_training_set`, this function loads a training set without its frames.
 
     Raises
     ------

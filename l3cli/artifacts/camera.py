@@ -403,7 +403,7 @@ class CameraModel(Artifact):
         transmission axis. None if no channel has a polariser.
     noise_left : float
         Fraction of the temporal noise variance that remains after a temporal filter. The method `under` sets this
-        attribute. It is not stored in files.
+        attribute, which is not stored in files.
     """
 
     kind: ClassVar[str] = "camera model"
@@ -698,7 +698,7 @@ class CameraModel(Artifact):
 
         Row noise is an offset that is the same for all pixels of a row, and column noise is an offset that is the same for
         all pixels of a column. Column noise includes the fixed offsets of columns. Both variances are contained in the
-        constant term of `noise_terms`. They apply to a channel with a relative gain of 1. In the remaining channels, the
+        constant term of `noise_terms`. They apply to a channel with a relative gain of 1. In the other channels, the
         offsets are multiplied by the relative gain.
 
         Parameters

@@ -98,7 +98,7 @@ def column_faults(columns: Mapping[str, str], channels: Sequence[str], key: str)
 
 
 def differences(names: Iterable[str], channels: Sequence[str]) -> str:
-    """Describe how `names` differ from the names of the channels, for an error message. They must differ."""
+    """Describe, for an error message, how `names` differ from the channel names. The names must not be equal."""
     odd = sorted(set(names) - set(channels))
     if odd:
         return f'"{odd[0]}" is not a channel; {suggestion(odd[0], channels)}'
@@ -150,7 +150,7 @@ def responsivity(declared: ResponsivityRecipe, channels: Sequence[str], folder: 
 def curve_table(declared: ResponsivityRecipe, channels: Sequence[str], folder: Path) -> CurveTable:
     """Read the curves of the channels from the CSV file of a recipe.
 
-    Small negative values, which are noise of the measurement, become 0. Raises InputFileError if the curve of a channel is
+    Small negative values, which are measurement noise, are replaced by 0. Raises InputFileError if the curve of a channel is
     missing.
     """
     assert declared.file is not None

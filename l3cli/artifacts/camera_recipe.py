@@ -123,12 +123,13 @@ def settings_of(readout: Readout | None, channels: Sequence[str]) -> dict[str, C
 def settings_from(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], path: Path) -> Readout | None:
     """Check the sections [channel.NAME] of a measurement file, and return the readout that they describe.
 
-    The read noise is zero wherever the file does not state it. The result is None as in `readout_of`.
+    If the file does not state the read noise of a channel, the read noise is 0. The result is None in the same cases as the
+    result of `readout_of`.
 
     Raises
     ------
     RecipeError
-        If the sections have `channel_faults`. The message begins with `path`.
+        If `channel_faults` finds a fault. The message begins with `path`.
     """
     refuse_first(channel_faults(channel, channels), path)
     return readout_of(channel, channels, 0.0)
@@ -257,7 +258,7 @@ def noise_keys() -> dict[str, str]:
 
 
 class GainRecipe(Recipe):
-    """Section [gain]: the read noise at further analog gains (docs/method.md#gains)."""
+    """Section [gain]: the read noise at other analog gains (docs/method.md#gains)."""
 
     iso: Annotated[float, msgspec.Meta(ge=0, le=MAX_ISO)] = 0.0  # ISO setting for sensor.gain_dn_per_e; 0 if unknown
     # gains at which the read noise is known, relative to sensor.gain_dn_per_e
@@ -342,7 +343,7 @@ class CameraRecipe(Recipe):
     noise: NoiseRecipe
     optics: OpticsRecipe
     channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # channels that differ in more than the filter
-    gain: GainRecipe | None = None  # further analog gains of the whole sensor
+    gain: GainRecipe | None = None  # other analog gains of the whole sensor
 
 
 class PhaseRecipe(Recipe):

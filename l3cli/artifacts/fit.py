@@ -1,6 +1,6 @@
 """Results of the calibration, and how well the camera model fits the measurements.
 
-They are stored in the group `fit` of a camera model.
+The results are stored in the group `fit` of a camera model.
 """
 
 from collections.abc import Mapping
@@ -135,7 +135,7 @@ class DriftFit:
 class SeriesFit:
     """Fit of captures of a chart behind narrow-band filters.
 
-    The value of each patch is predicted from the remaining exposures behind the same filter.
+    The value of each patch is predicted from the other exposures behind the same filter.
     """
 
     lights: tuple[str, ...] = data("str", "band", doc="name of each band")

@@ -124,8 +124,8 @@ class Clipping:
 class PlaneLayer:
     """A refinement layer. It computes the outputs of each pixel from square windows of three opponent planes.
 
-    The planes are X − aY, Y and Z − bY, from the outputs X, Y, Z of the previous layer. The factors a and b are such that
-    the planes of a white object are (0, Y, 0).
+    The planes are X − aY, Y and Z − bY, from the outputs X, Y, Z of the previous layer. The factors a and b are chosen so
+    that the planes of a white object are (0, Y, 0).
     """
 
     side: int = data("int64", unit="pixel", doc="side of the windows")

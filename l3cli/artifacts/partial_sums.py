@@ -285,8 +285,8 @@ def write_partial_sums(path: Path, head: Head, *sets: Iterable[ClassSums] | Iter
     head : PartialSums or PartialLayerSums
         Header of the file.
     *sets : iterable of ClassSums or LayerSums
-        The sums of each site in `head.sites`: one iterable for the noise of the camera, then one for each different
-        noise. Only the sums of one site are in memory at a time.
+        The sums of each site in `head.sites`: one iterable for the noise of the camera, then one for each noise
+        set. Only the sums of one site are in memory at a time.
     """
     with store.new_artifact(path, head.kind, head.history) as root:
         store.write_fields(root, head)

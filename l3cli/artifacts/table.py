@@ -230,7 +230,7 @@ class TransformTable(Artifact):
         Returns
         -------
         TransformTable
-            If the outputs are X, Y, Z and further outputs, a table with only X, Y, Z. If the only output is Y, a table
+            If the outputs are X, Y, Z and additional outputs, a table with only X, Y, Z. If the only output is Y, a table
             that contains this output three times (GREY). Otherwise, or if there are refinement layers, this table.
         """
         grey = self.outputs == LUMINANCE
@@ -330,7 +330,7 @@ class TransformTable(Artifact):
     def gain_at(self, iso: float) -> float | None:
         """Return the analog gain at an ISO speed, relative to the gain of the table's camera, or None if it is unknown.
 
-        It is unknown if the table contains no camera, or if the ISO speed of the camera is unknown.
+        The gain is unknown if the table contains no camera, or if the ISO speed of the camera is unknown.
         """
         return self.camera.gain_at(iso) if self.camera else None
 

@@ -224,7 +224,7 @@ def frame_name(index: int, scene: str) -> str:
 
 @dataclass(frozen=True)
 class FrameLight:
-    """The illuminant of a frame. It is a part of `TrainingPair` that can be read without the pixels."""
+    """The illuminant of a frame, which is the part of `TrainingPair` that can be read without the pixels."""
 
     illuminant: str = data("str", doc="name of the illuminant")
     white: NDArray[np.float64] = data("float64", "output", unit="cd/m^2 (XYZ)", doc="target of a perfect white")

@@ -54,12 +54,12 @@ def check_whites(captures: Sequence[Capture], lit: Array, signal: Array) -> None
 
 
 def check_darks(captures: Sequence[Capture], signal: Array, deviation: float = 0.0) -> None:
-    """Raise InputFileError if a dark capture contradicts the straight line through the remaining dark captures.
+    """Raise InputFileError if a dark capture contradicts the straight line through the other dark captures.
 
     Parameters
     ----------
     captures : sequence of Capture
-        Dark captures. A capture is checked only if the remaining captures have at least three different exposure times.
+        Dark captures. A capture is checked only if the other captures have at least three different exposure times.
     signal : ndarray, (capture,)
         Mean raw value of each capture in DN.
     deviation : float
@@ -87,7 +87,7 @@ def check_darks(captures: Sequence[Capture], signal: Array, deviation: float = 0
 
 
 def check_series(captures: Sequence[BandCapture], light: NDArray[np.int64], values: Array, valid: NDArray[np.bool_]) -> None:
-    """Raise InputFileError if a capture contradicts the remaining captures behind the same filter.
+    """Raise InputFileError if a capture contradicts the other captures behind the same filter.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def check_series(captures: Sequence[BandCapture], light: NDArray[np.int64], valu
 
 
 def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: Array, absolute: bool) -> None:
-    """Raise InputFileError if a chart contradicts the remaining charts, or if all charts contradict the monochromatic
+    """Raise InputFileError if a chart contradicts the other charts, or if all charts contradict the monochromatic
     captures.
 
     Parameters

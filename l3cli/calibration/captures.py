@@ -530,14 +530,14 @@ def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body
 
 
 def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Fit signals that are proportional to the exposure time, and predict each capture from the remaining captures.
+    """Fit signals that are proportional to the exposure time, and predict each capture from the other captures.
 
     Returns
     -------
     rates : ndarray, (filter, patch, channel)
         Signal per second in DN/s, fitted to all unsaturated captures behind a filter. NaN if all are saturated.
     predicted : ndarray, (capture, patch, channel)
-        Signal in DN, predicted from the remaining captures behind the same filter. 0 if there is no prediction.
+        Signal in DN, predicted from the other captures behind the same filter. 0 if there is no prediction.
     used : ndarray of bool, (capture, patch, channel)
         Whether the patch is unsaturated and has a prediction.
     """

@@ -351,8 +351,8 @@ def with_polarisers(camera: CameraModel, fit: PolariserFit | None, body: Body) -
     """Add polarisers to a camera model whose responsivities were measured in unpolarised light.
 
     The responsivity of a channel with a polariser is converted to light that is polarised along the transmission axis. With
-    the leakage k, this multiplies it by 2 / (1 + k). Relative responsivities are scaled so that their highest peak is 1. If
-    there are no polarisers, the camera model is returned unchanged.
+    the leakage k, the conversion factor is 2 / (1 + k). Relative responsivities are scaled so that their highest peak is 1.
+    If there are no polarisers, the camera model is returned unchanged.
     """
     polarisers = polarisers_of(fit, body, camera.wavelength)
     if polarisers is None:

@@ -552,7 +552,7 @@ def r_squared(measured: Array, predicted: Array) -> Array:
 def cross_validate(photons: Array, values: Array, black_level: float) -> float:
     """Return the relative RMSE of a leave-one-out cross-validation over the charts.
 
-    Each chart is predicted with alpha and beta from the remaining charts. `photons` and `values` have the shape (chart,
+    Each chart is predicted with alpha and beta from the other charts. `photons` and `values` have the shape (chart,
     patch).
     """
     predicted = np.empty_like(values)

@@ -7,7 +7,7 @@ uniform areas, the outputs are therefore replaced by a smooth function of the ch
 
 The means are computed in blocks. A block consists of whole periods of the CFA, and its sides are at least 4 pixels long. For
 uniform areas, each block has four values: the fraction of the outputs that is replaced, and the values that are added to X,
-Y and Z instead. For the hue, each block has three further values. The first is the weight of the hue of unclipped blocks
+Y and Z instead. For the hue, each block has three more values. The first is the weight of the hue of unclipped blocks
 nearby that may show the same surface. The remaining two are X/Y and Z/Y of this hue, multiplied by the weight. All values
 are interpolated between the blocks. All pixels of a quad (2 × 2 pixels) have the same interpolated values.
 """

@@ -44,7 +44,7 @@ def class_name(table: TransformTable, index: int) -> str:
 
 
 def class_words(table: TransformTable, index: int) -> dict[str, str]:
-    """Describe a class of the first layer in words. The keys are the names of the features, the values their values."""
+    """Describe a class of the first layer in words. The result maps the name of each feature to its value."""
     rule = table.first.rule
     place = rule.split(index)
     case = int(rule.case(place.kind))
@@ -63,7 +63,7 @@ def class_words(table: TransformTable, index: int) -> dict[str, str]:
 
 
 def plane_class_words(table: TransformTable, layer: PlaneLayer, index: int) -> dict[str, str]:
-    """Describe a class of a refinement layer in words. The keys are the names of the features, the values their values."""
+    """Describe a class of a refinement layer in words. The result maps the name of each feature to its value."""
     rule, place = layer.rule, layer.rule.split(index)
     case = int(rule.case(place.kind))
     words = {}

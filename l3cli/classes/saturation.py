@@ -25,7 +25,7 @@ SNIPPET = "features/saturation.cl"
 def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[int] | None = None) -> NDArray[np.uint16]:
     """Choose the saturation cases of a class rule, and assign each saturation code to a case.
 
-    Code 0, in which no channel clips, is case 0. The most frequent of the remaining codes become cases. All further codes
+    Code 0, in which no channel clips, is case 0. The most frequent of the remaining codes become cases. All other codes
     are assigned to the nearest case. The nearest case is determined by these criteria, in this order:
 
     1. The case agrees with the code on whether all channels of some colour filter clip.

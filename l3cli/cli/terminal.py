@@ -127,8 +127,8 @@ class Terminal:
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
         """Iterate over `items` and display the progress.
 
-        If stderr is a terminal, this is a progress bar. Otherwise it is a line after each tenth of the work, but not more
-        often than every SHORTEST_SILENCE and at least every LONGEST_SILENCE.
+        If stderr is a terminal, a progress bar is displayed. Otherwise, a line is printed after each tenth of the work, but
+        at most once per SHORTEST_SILENCE and at least once per LONGEST_SILENCE.
         """
         interactive = sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
         return (_with_bar if interactive else _with_lines)(items, total, what)

@@ -118,11 +118,11 @@ class DesignRecipe(Recipe):
     level: Annotated[list[LevelRecipe], msgspec.Meta(min_length=1)]
     pixel: PixelRecipe = msgspec.field(default_factory=PixelRecipe)
     output: Literal["XYZ", "bands", "reflectance"] = "XYZ"
-    # Error metric for XYZ. "lab" approximates ΔE00. "scielab" does too, but first blurs the chroma as the eye does.
+    # Error metric for XYZ. "lab" approximates ΔE00. "scielab" does too, but first blurs the chroma like the eye.
     # "luminance" ignores the chroma. "linear" is a difference in percent of white.
     counts: Literal["lab", "scielab", "luminance", "linear"] = "lab"
     optimise: OptimiseRecipe | None = None
-    rivals: list[list[str]] = msgspec.field(default_factory=list)  # further arrays that --truth trains, as lists of rows
+    rivals: list[list[str]] = msgspec.field(default_factory=list)  # other arrays that --truth trains, as lists of rows
 
     @property
     def needed(self) -> int:

@@ -206,7 +206,7 @@ class Task:
             Seed of the random numbers.
         which : tuple of int
             Index of the pattern, and index of the run. If possible, run 0 starts from repetitions of the best 2×2 array. All
-            further runs start from a random array.
+            other runs start from a random array.
 
         Returns
         -------
@@ -256,7 +256,7 @@ class Task:
         seed : int
             Seed of the random numbers.
         number : int
-            Index of the starting point. Starting point 0 is the filters in the recipe. All further starting points are
+            Index of the starting point. Starting point 0 is the filters in the recipe. All other starting points are
             random variations of these filters.
 
         Returns

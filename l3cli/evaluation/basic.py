@@ -305,7 +305,7 @@ def _electrons(frame: TrainingPair, camera: CameraModel) -> Array:
 
 
 def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:
-    """Return the spectrum of a frame's illuminant. It is the first available of:
+    """Return the spectrum of a frame's illuminant, which is the first of these spectra that is available:
 
     1. the spectrum that is stored with the frame;
     2. the standard illuminant with the name that is stored with the frame;
@@ -339,7 +339,7 @@ def named_light(name: str, *cameras: CameraModel) -> LightSpectrum:
 def merges(camera: CameraModel) -> dict[str, Merge | None]:
     """Return the names of the basic pipelines for a camera, with the function that merges exposures in each pipeline.
 
-    The pipeline "basic" averages the exposures. Two further pipelines use only one of the exposures. If all channels have
+    The pipeline "basic" averages the exposures. Two other pipelines use only one of the exposures. If all channels have
     the same sensitivity, there is only the pipeline "basic", with the value None.
     """
     if camera.readout is None or np.ptp(camera.sensitivity) == 0:

@@ -51,7 +51,7 @@ class Comparison:
         return next(iter(self.curves.values()))
 
     def sentences(self, figure: str) -> list[str]:
-        """Describe, for each pair of cameras, at which luminances each camera is better in the metric `figure`.
+        """Describe, for each pair of cameras, the luminances at which each camera is better in the metric `figure`.
 
         The result is empty if the scenes differ.
         """

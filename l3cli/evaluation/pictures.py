@@ -47,8 +47,8 @@ def frame_pictures(frame: TrainingPair, planes: dict[str, Array]) -> dict[str, P
 def planes_of(picture: Array, frame: TrainingPair) -> Array:
     """Convert a rival's picture of a frame to XYZ planes (3, row, col) in the unit of the target.
 
-    `picture`, (row, col, 3), is linear sRGB of any brightness. It is multiplied by the factor with which its luminance
-    agrees best with the luminance of the target (least squares over all pixels that do not clip).
+    `picture`, (row, col, 3), is linear sRGB of any brightness. The picture is scaled such that its luminance agrees best
+    with the luminance of the target (least squares over all pixels that do not clip).
     """
     planes = scene_xyz(picture, frame.white, 1.0)
     shown, wanted = (of[1][picture.max(axis=2) < 1.0] for of in (planes, frame.target))

@@ -272,7 +272,7 @@ class Target:
 def quality(rendered: Array, target: Array, white: Array, border: int = 0, viewing: float = VIEWING) -> Quality:
     """Return the metrics of XYZ planes (3, row, col), compared with a target.
 
-    The remaining parameters are the same as in `Target`.
+    The other parameters are the same as in `Target`.
     """
     return Target(target, white, border, viewing).judge(rendered)[0]
 

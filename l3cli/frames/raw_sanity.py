@@ -372,7 +372,7 @@ def _sites_differ(blocks: NDArray[np.float64], array: NDArray[np.uint8]) -> floa
 
 
 def _same_sites(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
-    """Whether two CFAs are equal except that channels are exchanged."""
+    """Whether two CFAs are equal after the channels are renumbered."""
     pairs = set(zip(one.flat, other.flat, strict=True))
     return len(pairs) == len(set(one.flat))
 

@@ -47,7 +47,7 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True)
 class Name:
-    """Information in the path of a file. It is None wherever the path does not contain it."""
+    """Information from the path of a file. A field is None if the path does not contain the information."""
 
     path: str  # path relative to the folder of captures
     kind: str | None = None  # type of the capture, a key of KINDS

@@ -361,7 +361,7 @@ def match_steps(steps: Sequence[Group], columns: Sequence[Column], scale: Scale,
 def _in_order(
     steps: Sequence[Group], columns: Sequence[Column], scale: Scale, notes: list[str]
 ) -> Sequence[Column] | list[None]:
-    """Assign spectra, in order, to captures without a wavelength in their names, and add a note about it.
+    """Assign spectra, in order, to captures without a wavelength in their names, and add a note about the assignment.
 
     There must be as many spectra as captures, or as many spectra as monochromator steps. Otherwise no spectra are assigned.
     """

@@ -1,8 +1,8 @@
 """Estimates responsivities and the illuminant of a photo from the patches of a chart.
 
 The responsivities are the posterior of a Gaussian model (docs/method.md#charts-in-photographs). From the same model follow
-the probability of each candidate illuminant, and the illuminant under which a further photo would reduce the colour error
-most.
+the probability of each candidate illuminant, and the illuminant under which an additional photo would reduce the colour
+error most.
 """
 
 import functools
@@ -550,16 +550,16 @@ def response_errors(responsivity: Array, covariance: Array, light: Array, surfac
 def next_light(
     shot: Shot, posterior: Posterior, candidates: Mapping[str, Array], judged_under: Sequence[Array], surfaces: Array
 ) -> tuple[str, float]:
-    """Find the illuminant under which a further photo of the same chart would reduce the colour error most.
+    """Find the illuminant under which an additional photo of the same chart would reduce the colour error most.
 
     Parameters
     ----------
     shot : Shot
-        A photo of the chart. The further photo is assumed to have the same noise and glare.
+        A photo of the chart. The additional photo is assumed to have the same noise and glare.
     posterior : Posterior
         Estimate from the existing photos.
     candidates : mapping of str to ndarray, (wavelength,)
-        Possible illuminants of the further photo.
+        Possible illuminants of the additional photo.
     judged_under : sequence of ndarray, (wavelength,)
         Illuminants under which colour errors are computed.
     surfaces : ndarray, (surface, wavelength)
@@ -570,7 +570,7 @@ def next_light(
     light : str
         Name of the best illuminant in `candidates`.
     remaining : float
-        Colour error after the further photo, divided by the present colour error.
+        Colour error after the additional photo, divided by the present colour error.
     """
 
     def error(covariance: Array) -> float:
@@ -584,7 +584,7 @@ def next_light(
 
 
 def _with(shot: Shot, posterior: Posterior, light: Array) -> Array:
-    """Return the covariance of the responsivities after a further shot under `light`, with unknown exposure and glare."""
+    """Return the covariance of the responsivities after an additional shot under `light` with unknown exposure and glare."""
     count = len(posterior.responsivity)
     stimuli = shot.reflectance * (light / light.mean() * shot.light.mean())
     predicted = (stimuli @ posterior.responsivity.T).T

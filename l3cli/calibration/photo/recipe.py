@@ -50,7 +50,7 @@ class PhotoCamera:
     origin: str  # source of the curves, for a comment in the recipe
     noise: SensorNoise
     white: str | None = None  # value of ‹white› for rendering the photo: the specified illuminant or the chart's illuminant
-    gains: tuple[tuple[float, float], ...] = ()  # further gains, relative to the photo, and the read noise (e-) at each gain
+    gains: tuple[tuple[float, float], ...] = ()  # other gains, relative to the photo, and the read noise (e-) at each gain
     overrides: Mapping[str, str] = field(default_factory=dict)  # options of l3 render that correct metadata of the raw files
 
     def gain_recipe(self) -> str:
@@ -167,7 +167,7 @@ def gains_of(known: Stated, others: Sequence[Stated]) -> tuple[tuple[float, floa
     known : Stated
         Metadata of the raw file to which the gains are relative.
     others : sequence of Stated
-        Metadata of further raw files. Files without noise profile or ISO speed, with an ISO speed that is not higher, or
+        Metadata of additional raw files. Files without noise profile or ISO speed, with an ISO speed that is not higher, or
         with a gain that is too large for a camera recipe are ignored.
 
     Returns
