@@ -237,8 +237,8 @@ def _read_picture(path: Path, rows: int, cols: int, bits: int) -> NDArray:
 def phase_of(path: Path, pattern: NDArray[np.int64], array: FilterArray) -> tuple[int, int]:
     """Return the CFA row and CFA column of the first pixel of a file.
 
-    `pattern` contains the colour codes that the file states. Raises InputFileError if `pattern` matches the
-    CFA of the sensor in no phase, or in several phases that are not equivalent.
+    `pattern` contains the colour codes that the file states. Raises InputFileError if `pattern` matches the CFA of the
+    sensor in no phase, or in several phases that are not equivalent.
     """
     try:
         return find_phase(str(path), pattern, array)

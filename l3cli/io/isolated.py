@@ -46,7 +46,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def isolated(*libraries: str) -> Callable[[F], F]:
-    """Return a decorator for a decoder of untrusted files, which then runs in the isolated process.
+    """Return a decorator that runs a decoder of untrusted files in the isolated process.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ class _Child:
         )
 
     def _crash_message(self, path: Path) -> str:
-        """Return the message for a file whose decoding ended the isolated process, from the exit code of this process."""
+        """Return the message for a file that crashed the isolated process, according to the exit code of the process."""
         code = self._process.returncode
         if code == -signal.SIGXCPU:
             return self._timeout_message(path)
@@ -264,7 +264,7 @@ def arrays_back(answer: Any, file: BinaryIO) -> Any:
 
 
 def _array(description: list[Any], file: BinaryIO) -> np.ndarray:
-    """Copy an array from the memory file, given its [dtype, shape, offset]. Raises ValueError if these are invalid."""
+    """Copy an array from the memory file. Raises ValueError if its description [dtype, shape, offset] is invalid."""
     kind, shape, offset = description
     dtype = np.dtype(kind)
     if dtype.kind not in "biuf" or any(type(n) is not int or n < 0 for n in (*shape, offset)):
@@ -304,7 +304,8 @@ def receive(connection: socket.socket, until: float | None = None) -> bytes:
     """Receive a message that `send` sent.
 
     Raises TimeoutError if the message is not complete when time.monotonic() reaches `until`, EOFError if the connection is
-    closed before, and ValueError if the message is longer than MAX_REPLY. If `until` is None, the time is not limited.
+    closed before the message is complete, and ValueError if the message is longer than MAX_REPLY. If `until` is None, the
+    time is not limited.
     """
     (length,) = LENGTH.unpack(_exactly(connection, LENGTH.size, until))
     if length > MAX_REPLY:

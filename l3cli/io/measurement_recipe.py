@@ -153,7 +153,7 @@ class SweepRecipe(Recipe):
 
 
 class CurvesRecipe(Recipe):
-    """Responsivities that were measured or computed before, outside l3."""
+    """Responsivities that were measured or computed without l3."""
 
     file: str  # CSV file with nm and one column per channel, or rawtoaces JSON file
     columns: dict[str, str] = msgspec.field(default_factory=dict)  # channel → column, if the names differ

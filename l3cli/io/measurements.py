@@ -443,7 +443,7 @@ def _curve(recipe: MeasurementRecipe, folder: Path) -> SweepTable | FinishedCurv
 
 
 def _cameras(recipe: MeasurementRecipe, folder: Path) -> CurveStatistics | tuple[FinishedCurves, ...] | None:
-    """Return the measured responsivities of other cameras or their statistics, from which photos are evaluated.
+    """Return measured responsivities of other cameras, or their statistics, as the prior for the evaluation of photos.
 
     The result is None if the measurement file contains no photos.
     """
@@ -462,7 +462,7 @@ def _assembled(
     levels: Levels | None,
     read: Callable[[Path, Levels], RawContent],
 ) -> Measurements:
-    """Combine a recipe and the contents of its files to measurements, and read the photos with the function `read`.
+    """Combine a recipe and the contents of its files into measurements, and read the photos with the function `read`.
 
     `levels` applies to photos that do not state their levels. If `levels` is None, the levels in [datasheet] apply.
     """

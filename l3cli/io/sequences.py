@@ -83,7 +83,7 @@ class FrameSequence:
         return self.count if self.part is None else len(self.part)
 
     def renders(self, place: int) -> bool:
-        """Return whether the frame at a position is to be rendered.
+        """Return whether the frame at a position must be rendered.
 
         Frames that are not rendered may still be read, because other frames depend on them.
         """

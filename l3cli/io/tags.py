@@ -104,7 +104,7 @@ def camera_names(page: Any) -> list[str]:
 
 
 def entry(name: str, kind: int, values: Iterable[float]) -> Entry:
-    """Return a tag of the given name and type code with numbers, for tifffile. Fractions are approximated (`_fraction`)."""
+    """Return a numeric tag with the type code `kind` for tifffile. Fractions are approximated (see `_fraction`)."""
     if kind == DOUBLE:
         parts: list[float] = [float(value) for value in values]
     elif kind in FRACTIONS:
@@ -152,7 +152,7 @@ def believable_shot(stated: Mapping[str, Any]) -> Shot:
     """Return the settings of a shot, without invalid and implausible values.
 
     `stated` contains values by the name of the field of `Shot`, and other names are ignored. Characters that are not
-    printable are removed from texts, and long texts are cut. A date without the form of Exif, and a number that is not
+    printable are removed from strings, and long strings are cut. A date without the form of Exif, and a number that is not
     positive or above MAX_BELIEVABLE, are replaced by the defaults of `Shot`.
     """
     usual, fields = Shot(), dict[str, Any]()

@@ -187,8 +187,8 @@ def _sent_out(
     Raises
     ------
     L3Error
-        If the scheduler or all workers have stopped, if the software of a worker has another version, if the function fails,
-        or if `fits` rejects a result.
+        If the scheduler or all workers have stopped, if the software of a worker has a different version, if the function
+        fails, or if `fits` rejects a result.
     """
 
     def work(versions: dict[str, str], content: bytes) -> bytes:

@@ -63,7 +63,7 @@ def _greener(green: float, wavelength: Array) -> Array:
 
 
 def light_of_neutral(weights: Array, wavelength: Array, neutral: Array) -> CorrelatedLight:
-    """Find the model illuminant under which a grey surface best has the measured camera signals.
+    """Find the model illuminant that best explains the camera signals of a grey surface.
 
     The illuminant minimises the squared differences between the logarithms of the modelled and the measured signals.
 
@@ -87,7 +87,7 @@ def light_of_neutral(weights: Array, wavelength: Array, neutral: Array) -> Corre
 
 
 def light_of_white(white: Array, wavelength: Array) -> CorrelatedLight:
-    """Find the model illuminant that best has a given white point.
+    """Find the model illuminant whose white point is closest to a given white point.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def light_of_white(white: Array, wavelength: Array) -> CorrelatedLight:
 
 
 def _nearest(weights: Array, wavelength: Array, neutral: Array) -> tuple[float, float, float]:
-    """Return the mired value, the tint and the misfit of the illuminant under which grey best has the signals `neutral`."""
+    """Return the mired value, the tint and the misfit of the illuminant that best explains the signals `neutral` of grey."""
     used = neutral > 0
     wanted = _centred(np.log(neutral[used]))
     mireds, greens = MIREDS, GREENS

@@ -105,7 +105,7 @@ def _less_chromatic(linear: NDArray[np.float64], gamut: Gamut) -> NDArray[np.flo
 
 
 def _darker(linear: NDArray[np.float64], gamut: Gamut) -> NDArray[np.float64]:
-    """Mix darkened and clipped colours (colour, 3), both without values above 1. Clipping has the weight Y⁴."""
+    """Limit colours (colour, 3) to 1, by a mixture of darkening and clipping in which clipping has the weight Y⁴."""
     square = np.square(np.clip(linear @ gamut.luminance, 0, 1))[:, None]
     clipped, scaled = np.minimum(linear, 1), linear / linear.max(axis=1, keepdims=True)
     return scaled + square * square * (clipped - scaled)

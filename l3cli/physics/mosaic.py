@@ -34,7 +34,7 @@ def _near(pattern: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
 
 
 def least_period(pattern: NDArray[Any]) -> NDArray[Any]:
-    """Return the smallest rectangle that tiles a periodic pattern (row, col). It begins at the first element."""
+    """Return the smallest rectangle at the start of a pattern (row, col) that, repeated, gives the whole pattern."""
     lengths = []
     for axis, length in enumerate(pattern.shape):
         periods = (each for each in range(1, length + 1) if length % each == 0)

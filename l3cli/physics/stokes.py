@@ -132,7 +132,7 @@ def polarisation_sigma(stokes: Array, covariance: Array) -> Array:
 
 
 def behind(stokes: Array, angle: float) -> Array:
-    """Return the intensity behind an ideal polariser at `angle` degrees, from the Stokes parameters (3, …)."""
+    """Return the intensity after an ideal polariser at `angle` degrees, from the Stokes parameters (3, …)."""
     double = 2 * np.radians(angle)
     return 0.5 * (stokes[0] + np.cos(double) * stokes[1] + np.sin(double) * stokes[2])
 

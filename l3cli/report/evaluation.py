@@ -364,7 +364,7 @@ def _gain_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
 def level_middles(entries: list[dict[str, Any]]) -> np.ndarray:
     """Return a positive level between the bounds "from" and "to" of each entry, for a logarithmic axis.
 
-    The level is the geometric mean of the bounds. A lower bound below half the upper bound is raised to this half.
+    The level is the geometric mean of the bounds. Lower bounds are first raised to at least half of the upper bound.
     """
     return np.array([np.sqrt(max(entry["from"], entry["to"] / 2) * entry["to"]) for entry in entries])
 

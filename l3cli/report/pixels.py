@@ -55,7 +55,7 @@ COMPONENTS = ("first component", "mean", "second component")  # input planes of 
 class Layer:
     """Classes and weights of one layer, for the pixels of a crop.
 
-    In the arrays with the axis (class), the classes that occur in the crop are the first.
+    In arrays with a class axis, the classes that occur in the crop come first.
     """
 
     side: int  # side of the window in pixels
@@ -95,10 +95,10 @@ def crop_of(
 ) -> tuple[Crop, str]:
     """Choose the crop of a frame that contains the most classes, and encode the crop for the page.
 
-    The crop has the largest size in CROP_SIZES whose encoding fits `limit`. Additional classes, which do not occur in the
-    crop, are sorted by their frequency in the frame. They are all other classes of the table if `more` is large enough,
-    otherwise the other classes of the frame if these fit, otherwise none. The remaining characters of `more` are used for
-    weights of the additional classes.
+    The crop has the largest size in CROP_SIZES whose encoding fits `limit`. Up to `more` characters are used for additional
+    classes, which do not occur in the crop. The additional classes are the first of these sets that fits: all other classes
+    of the table, the other classes of the frame, or no classes. They are sorted by their frequency in the frame. The
+    remaining characters of `more` are used for weights of the additional classes.
 
     Parameters
     ----------

@@ -314,7 +314,7 @@ def _noise_figures(table: TransformTable) -> Figures:
 
 
 def _medians(values: Array, chosen: NDArray[np.bool_]) -> Array:
-    """Return the median, at each level, of the values (site, level, …) for which `chosen` is true, or NaN without any."""
+    """Return the median of the `chosen` values (site, level, …) at each level. It is NaN if no value is chosen."""
     return np.array(
         [np.median(values[:, at][chosen[:, at]]) if chosen[:, at].any() else np.nan for at in range(values.shape[1])]
     )

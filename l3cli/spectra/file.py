@@ -624,8 +624,7 @@ def other_unit(first: float, last: float) -> tuple[str, str] | None:
 def _wavelength_column(heading: Sequence[str], path: Path) -> tuple[int, float | None]:
     """Return the index of the wavelength column, and the factor that converts its wavelengths to nm.
 
-    The factor is None if the heading states no unit.
-    Raises InputFileError unless exactly one column contains wavelengths.
+    The factor is None if the heading states no unit. Raises InputFileError unless exactly one column contains wavelengths.
     """
     named = [number for number, cell in enumerate(heading) if is_wavelength(cell)] or ([0] if not heading[0] else [])
     if len(named) != 1:

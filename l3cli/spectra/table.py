@@ -379,7 +379,7 @@ def gaps(wavelength: NDArray[np.floating], curves: NDArray[np.floating], widest:
 
 
 def _is_power(unit: units.Unit | None) -> bool:
-    """Return whether a unit is proportional to power or to photons. Percent counts as relative power; None does not."""
+    """Return whether a unit is proportional to power or to photons. Percent counts as relative power. False for None."""
     return unit is not None and (not unit.powers or unit.powers.get("J") == 1 or unit.powers.get("photon") == 1)
 
 
@@ -412,7 +412,10 @@ def _conversion(unit: str) -> tuple[str, float] | None:
 
 
 def _quantity_per(parsed: units.Unit | None, below: dict[str, int]) -> tuple[str, float] | None:
-    """Return "J" or "photon", and the factor per nm, of a unit whose other base units have the powers `below`, or None."""
+    """Return "J" or "photon", and the factor that converts values in the unit `parsed` to values per nm.
+
+    The result is None unless `parsed` is J or photon, multiplied by base units with the powers in `below`.
+    """
     for of in ("J", "photon"):
         if parsed is not None and parsed.powers == {of: 1, **below}:
             return of, float(f"{parsed.scale * 1e-9:.9g}")

@@ -26,7 +26,7 @@ def plugins(group: str) -> dict[str, EntryPoint]:
 
 
 def package(entry: EntryPoint) -> str:
-    """Return the name and version of the package of an entry point, or its value "MODULE:OBJECT" without a package."""
+    """Return the name and version of the package of an entry point, or "MODULE:OBJECT" if the package is unknown."""
     return f"{entry.dist.name} {entry.dist.version}" if entry.dist else entry.value
 
 

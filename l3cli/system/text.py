@@ -32,7 +32,10 @@ def figure(value: float, form: str) -> str:
 
 
 def tidy(value: float, digits: int = 3) -> str:
-    """Format a number with `digits` significant digits, as a power of ten only below 1e-4 and from 1e5. NaN is a dash."""
+    """Format a number with `digits` significant digits. NaN becomes a dash.
+
+    Nonzero numbers below 1e-4 and numbers from 1e5 are written as powers of ten.
+    """
     if math.isnan(value):
         return "–"
     if math.isinf(value):

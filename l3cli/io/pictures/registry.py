@@ -77,7 +77,7 @@ class PictureFormat:
     holds: str = "codes"  # "codes", "linear" (linear values only) or "raw" (DN for raw converters)
 
     def encode(self, path: Path, picture: Picture) -> bytes:
-        """Return the bytes of the file `path` with a picture. Raises L3Error if the picture cannot be encoded."""
+        """Encode a picture, and return the bytes of the file `path`. Raises L3Error if the picture cannot be encoded."""
         content: bytes = self._writer.encode(path, picture)
         return content
 

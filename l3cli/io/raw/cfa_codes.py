@@ -40,7 +40,7 @@ def code_of(name: str) -> int | None:
 
 
 def codes_of(letters: str) -> NDArray[np.int64]:
-    """Convert letters such as "RGGB" to codes (letter,). A letter that TIFF/EP does not define becomes a free code."""
+    """Convert letters such as "RGGB" to codes (letter,). Letters that TIFF/EP does not define become unassigned codes."""
     return np.array(
         [LETTERS.index(each) if each in LETTERS else FREE_CODE + index for index, each in enumerate(letters.upper())]
     )

@@ -178,9 +178,10 @@ def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawCon
 def _changed(
     path: Path, mosaic: Mosaic, pixels: NDArray[np.uint16], bad: NDArray[np.bool_]
 ) -> tuple[NDArray[np.uint16], NDArray[np.float32] | None]:
-    """Correct the pixels marked in `bad`, which opcodes list. Return the pixels, and the gain of each pixel or None.
+    """Apply the opcodes of a file: correct the pixels marked in `bad`, and compute the gain of each pixel.
 
-    The gain is requested by opcodes. Raises InputFileError if the gains are implausible.
+    Return the corrected pixels and the gains. The gains are None if no opcode requests gains. Raises InputFileError if the
+    gains are implausible.
     """
     if bad.any():
         pixels = plan_correction(bad, mosaic.pattern).corrected(pixels)
@@ -225,7 +226,8 @@ def _rate(path: Path) -> tuple[int, int] | None:
 def _read_tags(path: Path) -> Mosaic:
     """Read the tags of the raw image in a file.
 
-    Raises InputFileError if the tags are damaged, if the file contains no mosaic, or if `_refuse_unsupported` raises it.
+    Raises InputFileError if the tags are damaged, if the file contains no mosaic, or if l3 does not support the file (see
+    `_refuse_unsupported`).
     """
     import tifffile
 

@@ -372,7 +372,7 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
 
 
 def _misread(content: RawContent, table: Sensor, phase: tuple[int, int]) -> str:
-    """Return an option with which the bytes of a headerless file become a much smoother frame, or "" if none exists."""
+    """Return the option that would decode a headerless file to a much smoother frame, or "" if no option would."""
     return smoother_reading(content["readings"](), shifted_cfa(table.cfa, phase)) if "readings" in content else ""
 
 

@@ -106,8 +106,12 @@ def _axes(path: Path, frames: Any) -> Axes:
 def _axis_names(frames: Any) -> list[str]:
     """Return the names of the axes of a dataset, or an empty list if the file does not state them.
 
-    The names are the labels or scales of the dimensions (HDF5), or the contents of the attribute `axes` of the dataset or of
-    its group (NeXus) or of the attribute _ARRAY_DIMENSIONS (xarray).
+    The function uses the first of these that has one name per axis:
+
+    1. the labels or scales of the dimensions (HDF5),
+    2. the attribute `axes` of the dataset,
+    3. the attribute _ARRAY_DIMENSIONS of the dataset (xarray),
+    4. the attribute `axes` of the group, if the dataset is the signal of the group (NeXus).
     """
     stated = [frames.attrs.get("axes"), frames.attrs.get("_ARRAY_DIMENSIONS")]
     group = frames.parent.attrs

@@ -73,7 +73,7 @@ class Layout:
 
     @property
     def pattern(self) -> NDArray[np.int64] | None:
-        """Colour codes (row, col) of the CFA that the packing states, or None if it states no CFA."""
+        """Colour codes (row, col) of the CFA that the packing states, or None if the packing states no CFA."""
         return codes_of(self.packing.pattern).reshape(2, 2) if self.packing.pattern else None
 
     def __str__(self) -> str:
@@ -82,7 +82,7 @@ class Layout:
         return f"{self.rows}×{self.cols} {words}{padded}"
 
     def unpack(self, content: bytes | bytearray | NDArray[np.uint8]) -> NDArray[np.uint16]:
-        """Convert the bytes of a frame, whose number is `frame_bytes`, to pixels (row, col) in DN."""
+        """Convert the `frame_bytes` bytes of a frame to pixels (row, col) in DN."""
         values = self._stored(content)
         if not self.packing.cells:
             return values.reshape(self.rows, self.cols)
@@ -215,8 +215,8 @@ def _cure(size: int, layout: Layout) -> str:
 def content_of(stored: bytes | bytearray | NDArray[np.uint8], layout: Layout) -> RawContent:
     """Convert the bytes of a frame to its content.
 
-    The content includes all interpretations of the bytes with the same number of bytes per frame, from which l3 can detect a
-    wrong layout. If the packing states a CFA, the content also includes the CFA.
+    To detect a wrong layout, the content also includes the pixels according to every other layout with the same number of
+    bytes per frame. If the packing states a CFA, the content includes the CFA.
     """
     content = RawContent(values=layout.unpack(stored), exchangeable=layout.exchangeable)
 

@@ -122,7 +122,7 @@ def _stated_by_tags(path: Path) -> tuple[list[str], dict[str, str | float]]:
 
 
 def _shot(raw: Any) -> dict[str, str | float]:
-    """Return the settings of the shot that LibRaw reads from any file format. Requires rawpy 0.26, otherwise empty."""
+    """Return the settings of the shot that LibRaw reads from any file format. Empty if rawpy is older than 0.26."""
     shot, lens = getattr(raw, "other", None), getattr(raw, "lens", None)
     stated = {
         "lens": getattr(lens, "model", None),
@@ -262,7 +262,7 @@ def _figures(pages: list[Any]) -> dict[str, float]:
 def _matrices(pages: list[Any]) -> list[tuple[int, NDArray, NDArray]]:
     """Return the matrices that convert XYZ to the channels of the camera: AnalogBalance · CameraCalibration · ColorMatrix.
 
-    Each is a tuple (code of the illuminant, colour code of each row, values).
+    Each matrix is a tuple (code of the illuminant, colour code of each row, values).
     """
     raw = [page for page in pages if page.tags.valueof("PhotometricInterpretation") == COLOUR_FILTER_ARRAY]
     codes = np.array(numbers((raw or pages)[0], "CFAPlaneColor", (0, 1, 2)), np.int64)

@@ -284,7 +284,7 @@ def _radial(vignette: Vignette, shape: tuple[int, int]) -> Floats:
 
 
 def _interpolated(each: GainMap, plane: int, shape: tuple[int, int]) -> Floats:
-    """Return the gains (row, col) in the area of a gain map. They are linear between grid points and constant beyond."""
+    """Return the gains (row, col) in the area of a gain map. Gains are linear between grid points and constant outside."""
     sides = []
     for axis in (0, 1):
         place = (np.arange(shape[axis])[each.area[axis]] + 0.5) / shape[axis]

@@ -157,7 +157,7 @@ def _count(path: Path) -> int:
 
 
 def _check_first_page(path: Path) -> None:
-    """Check the tags of the first page if the file is a TIFF file. Damaged files are ignored: OpenImageIO reports them."""
+    """Check the tags of the first page if the file is a TIFF file. Damaged files are left to OpenImageIO."""
     import tifffile
 
     try:
@@ -196,7 +196,7 @@ TYPES: dict[int, np.dtype] = {3: np.dtype("<u2"), 4: np.dtype("<u4"), 5: RATIONA
 
 
 class _Plain(NamedTuple):
-    """Layout of a file in the layout of l3, and its exposure time."""
+    """Size, data type, offset and exposure time of a TIFF file that can be read without a library."""
 
     shape: tuple[int, int]
     dtype: np.dtype
@@ -205,7 +205,7 @@ class _Plain(NamedTuple):
 
 
 def is_plain(path: Path) -> bool:
-    """Return whether a file has the layout in which l3 writes mosaics. False if the file cannot be read."""
+    """Return whether a TIFF file has the layout in which l3 writes mosaics. False if the file cannot be read."""
     try:
         with open_regular(path) as stream:
             return _layout(stream) is not None
@@ -214,7 +214,7 @@ def is_plain(path: Path) -> bool:
 
 
 def read_plain(path: Path, depths: tuple[int, ...] = (8, 16)) -> RawContent | None:
-    """Read a mosaic from a file in the layout of l3, with a bit depth in `depths`. Return None for any other file.
+    """Read a mosaic if the file has the layout that l3 writes and a bit depth in `depths`. Otherwise, return None.
 
     The values (row, col) are uint16.
     """
@@ -281,7 +281,7 @@ def _directory(stream: BinaryIO, at: int) -> dict[int, list[Any]]:
 
 
 def _numbers(stream: BinaryIO, at: int, dtype: np.dtype, count: int) -> list[Any]:
-    """Read `count` numbers at the byte `at`. Raises ValueError if there are too many, or if the file is too short."""
+    """Read `count` numbers at the byte `at`. Raises ValueError if `count` is too large, or if the file is too short."""
     if count > MAX_STRIPS or at + count * dtype.itemsize > os.fstat(stream.fileno()).st_size:
         raise ValueError
     stream.seek(at)

@@ -213,7 +213,7 @@ def read_content(path: Path) -> Content:
     """Read all numeric arrays in a MATLAB file (suffix .mat) or an HDF5 file (any other suffix).
 
     Groups and structs become nested dictionaries. Arrays that MATLAB wrote have the same order of axes as in MATLAB, and
-    axes of length 1 are removed. From MATLAB files before version 7.3, texts are read as well. Raises InputFileError if the
+    axes of length 1 are removed. From MATLAB files before version 7.3, strings are also read. Raises InputFileError if the
     file cannot be read.
     """
     return read_matlab(path) if path.suffix.lower() == MATLAB else _read_hdf5(path)
@@ -296,9 +296,10 @@ def _is_matlab(path: Path) -> bool:
 
 @isolated("h5py")
 def _attributes(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the numeric attributes and texts of every group and dataset in an HDF5 file that has any, by path.
+    """Return the attributes of the groups and datasets in an HDF5 file, by the path of the group or dataset.
 
-    The path of the root is "". If the file is not an HDF5 file, the result is empty.
+    The path of the root is "". Only attributes that are numbers or strings are included. Groups and datasets without such
+    attributes are left out. If the file is not an HDF5 file, the result is empty.
     """
     import h5py
 

@@ -174,7 +174,7 @@ class Header:
     def numbers(self, name: str, count: int) -> NDArray[np.float64] | None:
         """Return a field as `count` numbers, or None if the field is missing. A single number in the field is repeated.
 
-        Raises InputFileError if the field contains another number of entries, or an entry that is not a number.
+        Raises InputFileError if the field contains a different number of entries, or an entry that is not a number.
         """
         if not self.text(name):
             return None

@@ -64,7 +64,7 @@ def in_nm(values: Sequence[float] | NDArray, unit: str) -> NDArray[np.float64] |
 
 
 def in_name(name: str) -> float | None:
-    """Return the wavelength in nm in the name of a band or file, such as "red (650.5 nm)", or None if there is none.
+    """Return the wavelength in nm in the name of a band or file, such as "red (650.5 nm)", or None if it has none.
 
     A comma or a period in the number is a decimal separator. However, if the number in nm were below 100, the period would
     separate the number from the text before it: "S0.450nm" is 450 nm.
