@@ -101,7 +101,7 @@ def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]
 
 
 def filters_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]) -> list[str]:
-    """Return, for each channel, the name of the channel whose responsivity it uses. Often, this is the channel itself."""
+    """Return the name of the channel whose responsivity each channel uses. Most channels use their own responsivity."""
     return [(channel[name].like if name in channel else None) or name for name in channels]
 
 

@@ -139,7 +139,7 @@ class Condition:
             raise ValueError(f"{place}/edges does not have the {levels} levels of the table")
 
     def pictured(self, taken: list[int]) -> "Condition":
-        """Return the condition with only those outputs of the first layer whose indices are in `taken`.
+        """Return the condition with only the outputs of the first layer whose indices are in `taken`.
 
         Refinement layers stay unchanged.
         """

@@ -247,7 +247,7 @@ def require_readable(path: Path, dataset: h5py.h5d.DatasetID) -> Stored:
     Raises
     ------
     InputFileError
-        If `require_within_file` raises it, or if the dataset or a chunk exceeds the size limit for inputs.
+        If `require_within_file` fails, or if the dataset or a chunk exceeds the size limit for inputs.
     """
     stored = require_within_file(path, dataset)
     chunk = stored.created.get_chunk() if stored.created.get_layout() == h5py.h5d.CHUNKED else ()

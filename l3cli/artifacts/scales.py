@@ -97,7 +97,7 @@ def _write_scales(group: h5py.Group, kind: type, known: Coordinates) -> None:
 def _new_scale(group: h5py.Group, axis: str, length: int, known: tuple[Any, Spec] | None) -> h5py.Dataset:
     """Create a dimension scale for an axis without a declared dataset of its name.
 
-    The scale contains the coordinates in `known` if their number is `length`. Otherwise it only states the length.
+    The scale contains the coordinates in `known` if their number is `length`. Otherwise, the scale only states the length.
     """
     if known is None or len(known[0]) != length or not length:
         scale = group.create_dataset(axis, (length,), ">f4", track_times=False)

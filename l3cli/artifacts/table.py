@@ -225,7 +225,7 @@ class TransformTable(Artifact):
         return (self.first, *self.later)
 
     def pictured(self) -> "TransformTable":
-        """Return a table with only those outputs that are needed to render pictures.
+        """Return a table with only the outputs that are needed to render pictures.
 
         Returns
         -------

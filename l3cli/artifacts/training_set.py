@@ -111,7 +111,7 @@ class TrainingPair:
 
     @property
     def shown(self) -> "Shown | None":
-        """Fingerprints of the scene and the illuminant, or None if they are unknown. For real pairs, they are unknown."""
+        """Fingerprints of the scene and the illuminant, or None if they are unknown. Real pairs have no fingerprints."""
         return None
 
 

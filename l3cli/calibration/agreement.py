@@ -15,8 +15,8 @@ from l3cli.errors import InputFileError
 from l3cli.frames.measurement import BandCapture, Capture, ChartCapture, MonoCapture
 
 FACTOR = 1.5  # largest plausible ratio between signals per second under the same illuminant
-# Largest plausible ratio between the scales of chart captures and monochromatic captures. It is wide, because the light of a
-# monochromator fills the frame differently.
+# Largest plausible ratio between the scales of chart captures and monochromatic captures. The limit is high, because the
+# light of a monochromator fills the frame differently.
 SCALE = 3.0
 STEP = 3.0  # largest plausible ratio between the response to a monochromatic capture and the responses to both neighbours
 # largest plausible ratio for the first and last capture, compared with an extrapolation from the next two captures
@@ -173,8 +173,9 @@ def odd_steps(captures: Sequence[MonoCapture], sweep: Sweep) -> tuple[str, ...]:
 def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
     """Return the factor by which a monochromatic capture is brighter (> 1) or darker (< 1) than its neighbours allow.
 
-    The factor is 1 if the capture is plausible in at least one channel. Otherwise it is the factor of the channel that
-    deviates least. `order` contains the indices of captures, sorted by wavelength, and `place` is a position in `order`.
+    The factor is 1 if the capture is plausible in at least one channel. Otherwise, the result is the factor of the channel
+    that deviates least. `order` contains the indices of captures, sorted by wavelength, and `place` is a position in
+    `order`.
     """
     factors = []
     for channel in range(sweep.values.shape[1]):

@@ -471,7 +471,7 @@ def check_polarisers(measurements: Measurements) -> None:
     Raises
     ------
     InputFileError
-        If `measure_polarisers` raises it, for example because the polarisers of two channels are swapped.
+        If `measure_polarisers` fails, for example because the polarisers of two channels are swapped.
     """
     base, sensor = measurements.base, measurements.datasheet
     if base is not None:

@@ -373,7 +373,7 @@ def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
 def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> CameraModel:
     """Assemble the camera model.
 
-    The responsivity is absolute if charts determine the scale of the curves. Otherwise it is relative.
+    The responsivity is absolute if charts determine the scale of the curves. Otherwise, the responsivity is relative.
 
     Parameters
     ----------
@@ -457,7 +457,7 @@ def check_gains(measured: Array, error: Array, body: Body) -> None:
 def check_exposures(responsivity: Array, body: Body) -> None:
     """Raise InputFileError if two channels with the same filter differ in quantum efficiency.
 
-    The reason is a wrong exposure time in the measurement file. `responsivity` has the shape (channel, wavelength).
+    If they differ, an exposure time in the measurement file is wrong. `responsivity` has the shape (channel, wavelength).
     """
     if body.readout is None:
         return

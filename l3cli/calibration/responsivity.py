@@ -409,9 +409,9 @@ def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defec
 
 
 def unsaturated_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> Array:
-    """Return the mean value of each patch and channel in DN, as `patch_values`.
+    """Return the mean value of each patch and channel in DN.
 
-    Raises InputFileError if a patch is saturated, or if `patch_values` raises it.
+    Raises InputFileError if a patch is saturated, and for the same reasons as `patch_values`.
     """
     values, saturated = patch_values(capture, body, limit, defects)
     if saturated.any():

@@ -94,7 +94,7 @@ class FeatureModule(DescribedFeature, Protocol):
         """
 
     def check(self, feature: Feature, rule: ClassRule) -> None:
-        """Raise ValueError if the stored constants have a wrong number or are out of range."""
+        """Raise ValueError if the number of stored constants is wrong, or if a constant is out of range."""
 
     def observe(self, feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:
         """Return the statistics of pilot patches from which `make_feature` computes the constants, with one row per patch.

@@ -277,7 +277,7 @@ def wanted_outputs(moments: LightMoments, output: str, counts: str, curves: Arra
     """Return the matrix that converts the targets of a patch to outputs, and the weighting of the patches.
 
     The parameters are the same as in `spectra_of`. If `output` is "XYZ" and `counts` is not "linear", errors of the outputs
-    are colour differences. Otherwise they are in percent of white.
+    are colour differences. Otherwise, the errors are in percent of white.
 
     Returns
     -------

@@ -351,7 +351,7 @@ def pixel_camera(path: Path) -> tuple[CameraModel, list[Path]]:
 
 
 def base_camera(pixel: PixelRecipe, folder: Path) -> Path:
-    """Return the path of `pixel.camera`: a file relative to `folder` or, if there is none, a recipe that comes with l3."""
+    """Return the path of `pixel.camera`: a file relative to `folder`, or a recipe that comes with l3."""
     own = folder / pixel.camera
     return own if own.is_file() else find_recipe(pixel.camera, "cameras")
 

@@ -72,7 +72,7 @@ def canonical(cfa: Cfa) -> bytes:
 
 
 def distinct(arrays: Arrays, shape: tuple[int, int], filters: int) -> Arrays:
-    """Return `arrays` without those arrays that are equivalent to an earlier array.
+    """Return `arrays` without the arrays that are equivalent to an earlier array.
 
     `shape` is the shape of each array, and `filters` is the number of filters.
     """

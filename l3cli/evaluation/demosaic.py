@@ -98,8 +98,8 @@ def stokes_baselines(cfa: CFA) -> dict[str, Demosaic]:
 def best_of_bands(cfa: CFA) -> Demosaic:
     """Return the best demosaicking method for the bands of a CFA. Plugins are not considered.
 
-    If every band occurs once per CFA period, it is PPID. For a Bayer CFA, it is Menon's method if colour-demosaicing is
-    installed. Otherwise it is normalised convolution.
+    If every band occurs once per CFA period, the method is PPID. For a Bayer CFA, the method of Menon et al. is used if
+    colour-demosaicing is installed. Otherwise, the method is normalised convolution.
     """
     if occurs_once(cfa):
         return ppi_difference

@@ -45,8 +45,8 @@ def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
     Returns
     -------
     str
-        Differences that exceed the limits, separated by commas. The text is empty if there are none. If the channels have
-        different names, nothing else is compared.
+        Differences that exceed the limits, separated by commas. The text is empty if no difference exceeds a limit. If the
+        channels have different names, nothing else is compared.
     """
     if known.channels != camera.channels:
         return f"channels ({', '.join(known.channels)}; {', '.join(camera.channels)})"

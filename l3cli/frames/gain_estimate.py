@@ -231,7 +231,7 @@ def _energies(whitened: Array, patches: _Patches) -> tuple[Array, Array, int]:
 
 
 def _consistent(plain: _Plain, camera: CameraModel, gain: float) -> _Plain:
-    """Return the patches of those signal ranges that are consistent with the same gain.
+    """Return the patches in the signal ranges that are consistent with the same gain.
 
     Candidates are the estimates from single ranges. The lowest candidate that is consistent with at least a quarter of the
     ranges is used. In the other ranges, the weak components contain texture, for example a grating with a period of two

@@ -96,7 +96,7 @@ def warped(outputs: NDArray[np.float32], names: Sequence[str], warps: Sequence[L
         converted to linear sRGB, and the result is converted back to X, Y, Z. Otherwise, the warp for green is applied to
         all outputs.
     warps : sequence of LensWarp
-        Warps in the order of their application. If there are none, `outputs` is returned.
+        Warps in the order of their application. Without warps, `outputs` is returned unchanged.
 
     Returns
     -------

@@ -43,7 +43,7 @@ class Body:
     cfa: NDArray[np.uint8]  # (cfa_row, cfa_col) channel of each site
     optics: Optics
     readout: Readout | None = None  # exposure and gain of each channel, without read noise; None if all channels are equal
-    polarisers: Polarisers | None = None  # stated polarisers with leakages at LEAKAGE_NM; None if none are stated
+    polarisers: Polarisers | None = None  # polarisers in the measurement file, with leakages at LEAKAGE_NM; or None
 
     @property
     def channel_gains(self) -> NDArray[np.float64]:
@@ -267,7 +267,7 @@ class StatedMatrix:
     rows: dict[int, NDArray[np.float64]]  # colour code of a channel → row (3) of the matrix
 
     def of(self, codes: Sequence[int | None]) -> NDArray[np.float64]:
-        """Return the rows (channel, 3) of the matrix for the given colour codes, without codes that are None."""
+        """Return the rows (channel, 3) of the matrix for the given colour codes. Codes that are None are skipped."""
         return np.array([self.rows[code] for code in codes if code is not None])
 
 

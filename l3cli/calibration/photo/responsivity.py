@@ -78,8 +78,8 @@ class Photograph:
 def measure(capture: PhotoCapture, body: Body) -> Photograph:
     """Measure the patches of a photo.
 
-    If there are dark frames, the black level is their mean. Otherwise it comes from the raw file. If there are photos of a
-    white target, the patches are divided by the illumination in these photos.
+    The black level is the mean of the dark frames or, without dark frames, the black level in the raw file. If there are
+    photos of a white target, the patches are divided by the illumination in these photos.
 
     Raises
     ------
@@ -378,9 +378,9 @@ def _padded(parts: Sequence[NDArray], fill: float | bool) -> NDArray:
 def _sensor(photographs: Sequence[Photograph], measurements: Measurements) -> tuple[SensorFigures, bool]:
     """Return the noise and the levels of the sensor, and whether the noise was estimated from the patches.
 
-    If there is a data sheet, gain and noise come from it. Otherwise they are estimated from the patches. The levels always
-    come from the first photo. Raises InputFileError if the white level exceeds the bit depth of the camera, or if the noise
-    of the patches does not increase with the signal.
+    Gain and noise are read from the data sheet, if there is one. Otherwise, they are estimated from the patches. The levels
+    always come from the first photo. Raises InputFileError if the white level exceeds the bit depth of the camera, or if the
+    noise of the patches does not increase with the signal.
     """
     first = photographs[0]
     if measurements.datasheet is not None:
@@ -438,7 +438,7 @@ def balanced_curves(curves: Curves, light: str) -> Curves:
 def prior_of(channels: Sequence[str], known: CurveStatistics) -> Prior:
     """Return the prior for a camera with these channels.
 
-    If the channels are r, g and b, in any order, it is the prior of measured cameras. Otherwise it is the smooth prior.
+    If the channels are r, g and b, in any order, the prior of measured cameras is used. Otherwise, the smooth prior is used.
     """
     if sorted(channels) != sorted(ROLES):
         return smooth(len(channels))
