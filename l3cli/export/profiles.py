@@ -241,8 +241,9 @@ def noise_profile(camera: CameraModel) -> tuple[float, float]:
     Returns
     -------
     constant : float
-        Not negative.
+        Standard deviation without signal. It is never negative.
     slope : float
+        Increase of the standard deviation with √signal.
     """
     scale = 2.0 ** (SIGNAL_BITS - camera.bits)
     root = np.linspace(1.0, np.sqrt((camera.white_level - camera.black_level) * scale), NOISE_LEVELS)

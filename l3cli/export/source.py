@@ -89,7 +89,7 @@ def c_files(
     Raises
     ------
     InputFileError
-        If the C source does not support the table, or does not support it with int16.
+        If the C source does not support the table, or supports the table only with float32.
     RecipeError
         If the prefix is invalid.
     """

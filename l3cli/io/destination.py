@@ -198,8 +198,8 @@ def refuse_outputs(
     Raises
     ------
     RecipeError
-        If the destination can store only one of several frames, if two frames have the same file, or if a file would replace
-        an input.
+        If the destination can store only one of several frames, if two frames would be written to the same file, or if a
+        file would replace an input.
     L3Error
         If a file exists and must not be replaced.
     """

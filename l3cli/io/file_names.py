@@ -93,7 +93,7 @@ def find_scenes(pattern: str, folder: Path, folders: bool | None = False) -> lis
     folder : Path
         Folder of the recipe.
     folders : bool or None
-        Whether the scenes are folders instead of files. None if they can be both.
+        Whether the scenes are folders instead of files. None if a scene can be either.
 
     Returns
     -------
@@ -162,7 +162,7 @@ def clips_in(folder: Path, sensor: Callable[[], Sensor], known: RawOverrides, wa
     folder : Path
         The folder.
     sensor : callable
-        Function that returns the table or camera, whose size the headerless files have.
+        Function that returns the table or camera. Headerless files have the size of its sensor.
     known : RawOverrides
         Properties of the raw files that the user set.
     warn : callable

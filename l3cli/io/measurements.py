@@ -182,7 +182,7 @@ def measurements_of(recipe: AnyRecipe, path: Path) -> Measurements:
     recipe : MeasurementRecipe or CorrectionRecipe
         The content of the measurement file, from `parse_measurements`.
     path : Path
-        The path of the measurement file, to whose folder file names are relative. The file itself is not read.
+        The path of the measurement file. File names are relative to its folder. The file itself is not read.
 
     Returns
     -------
@@ -260,9 +260,9 @@ def read_contents(recipe: AnyRecipe, path: Path, at: At = _raised) -> Contents:
     path : Path
         The path of the measurement file. File names are relative to its folder.
     at : callable
-        Function that returns a context manager for a block of code. Its arguments are the keys that errors in the block
-        concern. `l3 check` passes a function whose context manager collects errors, and the result then lacks the entries
-        with errors. [default: errors are raised]
+        Function that returns a context manager for the errors in a block of code. Its arguments are the keys to which the
+        errors refer. The context manager of `l3 check` collects errors instead of raising them. Entries with errors are then
+        missing from the result. [default: errors are raised]
 
     Raises
     ------
@@ -341,7 +341,7 @@ def monitor_at(monitor: MonitorRecipe, nm: float, folder: Path, read: ReadTable 
     nm : float
         Peak wavelength of the capture in nm.
     folder : Path
-        The folder of the measurement file, to which the name of the table is relative.
+        The folder of the measurement file. The name of the table is relative to this folder.
     read : callable
         Function that reads a table.
 

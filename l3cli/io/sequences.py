@@ -131,7 +131,7 @@ def find_frames(
     inputs : tuple of Path
         The inputs. A pattern or glob is one input, and STDIN is a headerless stream.
     table : TransformTable
-        States the CFA and, unless `known` states it, the size of headerless frames.
+        Determines the CFA. Also determines the size of headerless frames if `known` contains no size.
     known : RawOverrides
         Properties of the raw files that the user set. They take precedence over the properties in the files.
     selection : range, optional

@@ -162,7 +162,7 @@ def option(default: Any, help: str, reader: Reader | None = None, **about: Any) 
     help : str
         Help text for the command line and for the docstring.
     reader : Reader, optional
-        Checks and converts the value. [default: determined by the type of the field]
+        Reader that checks and converts the value. [default: determined by the type of the field]
     **about
         Other attributes of Declaration.
     """
@@ -251,7 +251,7 @@ class Options:
         Parameters
         ----------
         *facts
-            JSON types that identify inputs of the run which are not options.
+            Additional inputs of the run, which are not options, as JSON types.
         files : callable, optional
             Function that lists the files to which the path in an option refers. [default: the files of a sequence of
             frames]

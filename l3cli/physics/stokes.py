@@ -102,7 +102,7 @@ def polarisation_sigma(stokes: Array, covariance: Array) -> Array:
     Returns
     -------
     ndarray, (2, …)
-        Standard deviation of DoLP, and of AoLP in degrees, up to 180°/√12 = 52° for light that is not polarised.
+        Standard deviation of DoLP, and of AoLP in degrees, up to 180°/√12 = 52° for unpolarised light.
 
     Notes
     -----
@@ -158,7 +158,7 @@ def fit_stokes(intensities: Array, angles: Sequence[float]) -> tuple[Array, Arra
     stokes : ndarray, (3, …)
         S0, S1 and S2.
     residual : ndarray, (picture, …)
-        Intensities minus the intensities that the fitted parameters have. With three angles, they are zero.
+        Intensities minus the intensities predicted by the fitted parameters. With three angles, all residuals are zero.
     """
     matrix = malus_matrix(angles)
     inverse = np.linalg.pinv(matrix).astype(intensities.dtype)

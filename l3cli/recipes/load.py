@@ -56,7 +56,7 @@ def parse_recipe(text: str, recipe: type[R], name: str) -> R:
     Raises
     ------
     RecipeError
-        If the text has a fault, or if its keys belong to another type of recipe.
+        If the text has a fault, or if its keys belong to a different type of recipe.
     """
     content = parse_toml(text, name)
     given = {kind for kind, keys in KIND_KEYS.items() if any(key in content for key in keys)}

@@ -233,7 +233,7 @@ def reduced(pixels: Array | Pixels, step: int) -> Array | Pixels:
     Returns
     -------
     ndarray, (row, col, channel)
-        Mean of each square. If `step` is 1, or if the picture is smaller than one square, it is the unchanged picture.
+        Mean of each square. A picture smaller than one square is returned unchanged, as is any picture if `step` is 1.
     """
     rows, cols = (max(1, length // step) for length in pixels.shape[:2])
     if step == 1 or min(pixels.shape[:2]) < step:

@@ -41,7 +41,7 @@ def polarisation_maps(target: Array, planes: dict[str, Array], outputs: tuple[st
     dict
         For each map, the 8-bit sRGB picture (row, col, 3) of each pipeline and of the ideal.
     float
-        Degree of polarisation at which the colours of DoLP end, and the brightness of AoLP is full.
+        Degree of polarisation at the end of the colour scale of DoLP. At this degree, the colours of AoLP are brightest.
     """
     stokes = {name: stokes_of(of, outputs).astype(np.float64) for name, of in {**planes, "ideal": target}.items()}
     ideal = stokes["ideal"]

@@ -110,14 +110,14 @@ class PartsFolder:
         resume : bool
             Whether to continue with the parts of an earlier run with the same key. Otherwise, existing parts are removed.
         force : bool
-            Whether to remove the parts if `resume` is set but the parts belong to a run with another key.
+            Whether to remove the parts if `resume` is set but the parts belong to a run with a different key.
         is_whole : callable
             Function that returns whether the file of a part is undamaged. Damaged parts are removed.
 
         Raises
         ------
         RecipeError
-            If `resume` is set, `force` is not set, and the parts belong to a run with another key.
+            If `resume` is set, `force` is not set, and the parts belong to a run with a different key.
         L3Error
             If the folder contains files that l3 did not write.
         """

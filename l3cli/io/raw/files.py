@@ -250,7 +250,7 @@ def read_stack(path: Path, table: Sensor, known: RawOverrides, dataset: str | No
     path : Path
         The file.
     table : TransformTable or CameraModel
-        The table or camera, whose size the frames of a headerless file have by default.
+        The table or camera. By default, the frames of a headerless file have the size of its sensor.
     known : RawOverrides
         Values that the user set.
     dataset : str, optional
@@ -273,8 +273,8 @@ def holds_several(path: Path, sensor: Callable[[], Sensor], known: RawOverrides)
     path : Path
         The file.
     sensor : callable
-        Function that returns the table or camera. It is called only for headerless files, whose frames have this size by
-        default.
+        Function that returns the table or camera. It is called only for headerless files, because their frames have the size
+        of the sensor by default.
     known : RawOverrides
         Values that the user set.
 
