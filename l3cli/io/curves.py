@@ -1,7 +1,7 @@
 """Read and write curves over wavelength: CSV files, tables of wavelength sweeps, and rawtoaces JSON files.
 
-The module also reads the statistics of the measured responsivities of many cameras that are included in l3, and the files of
-a folder from which such statistics are computed (docs/method.md#charts-in-photographs).
+The module also reads the responsivity statistics that are included in l3, and folders of measured responsivities from which
+new statistics can be computed (docs/method.md#charts-in-photographs).
 """
 
 import csv

@@ -1,6 +1,6 @@
 """Linear polarisation: Stokes parameters, degree and angle of polarisation, and Malus's law (docs/polarisation.md).
 
-S0 is the intensity. S1 is the intensity behind an ideal polariser at 0° minus the intensity at 90°. S2 is the intensity at
+S0 is the intensity. S1 is the intensity after an ideal polariser at 0° minus the intensity at 90°. S2 is the intensity at
 45° minus the intensity at 135°. Angles are counter-clockwise from the horizontal axis of the frame.
 """
 

@@ -1,6 +1,6 @@
 """The base class of all recipes, the types of their keys, and functions that read and write TOML.
 
-Every key is declared in a class, and an unknown key is an error. If a value has a unit, the name of its key contains it.
+Every key is declared in a class, and an unknown key is an error. The name of a key contains the unit of its value, if any.
 """
 
 import json

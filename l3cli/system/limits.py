@@ -1,7 +1,7 @@
 """Limits on the size of inputs, and the environment variables that set these limits.
 
-Sizes are checked before memory is allocated. A further environment variable, L3_TRUST, selects whether files are decoded in
-this process or in a process with limited time and memory.
+Sizes are checked before memory is allocated. The additional environment variable L3_TRUST selects whether files are decoded
+in this process or in a process with limited time and memory.
 """
 
 import contextlib

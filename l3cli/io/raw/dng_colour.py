@@ -42,7 +42,7 @@ class Calibration:
     light: int  # value of CalibrationIlluminant; 0 if the file does not state it
     kelvin: float | None  # correlated colour temperature of the illuminant in K; None if unknown
     colour: Array  # (plane, 3) converts XYZ to the signals of the reference camera
-    camera: Array  # (plane, plane) converts these to the signals of this camera: AnalogBalance · CameraCalibration
+    camera: Array  # (plane, plane) converts reference signals to signals of this camera: AnalogBalance · CameraCalibration
 
 
 def calibrations(first: Any, planes: int) -> list[Calibration]:

@@ -1,6 +1,6 @@
 """Read raw frames from HDF5 files: a dataset with a stack (frame, row, col) or with one frame (row, col).
 
-If the file states the names of the axes, their order may be different.
+If the file states the names of the axes, the axes may be in a different order.
 """
 
 import re

@@ -1,6 +1,6 @@
 """Formats from which l3 cannot read raw frames, each with advice for the user.
 
-l3 recognises such a file by its first bytes or its suffix, and therefore never reports an intact file as damaged.
+l3 recognises these formats by the first bytes or the suffix of a file. It therefore never reports an intact file as damaged.
 """
 
 from dataclasses import dataclass
