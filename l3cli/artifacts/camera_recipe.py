@@ -353,7 +353,7 @@ class PhaseRecipe(Recipe):
 
     name: str
     base: str  # path of the base recipe, relative to the folder of this recipe
-    phase: tuple[CountOrNone, CountOrNone]  # row and column, in the array of the base, at which this array begins
+    phase: tuple[CountOrNone, CountOrNone]  # row and column of the base's array at which the shifted array begins
 
 
 def load_camera(path: Path) -> CameraModel:

@@ -6,8 +6,8 @@ polarised at the angle φ according to Malus's law:
     signal = brightness · gain / 2 · [(1 + k) + p (1 − k) cos 2(θ − φ)]
 
 The degree of polarisation p of the light follows from the extinction ratio of the rotating polariser. The brightness may
-change between captures, because lamps drift, and because the light of a lamp can itself be polarised. It is therefore
-estimated for each capture, which is possible because the channels have different angles.
+change between captures, because lamps drift, and because the light of a lamp can itself be polarised. The brightness is
+therefore estimated for each capture, which is possible because the channels have different angles.
 """
 
 import functools

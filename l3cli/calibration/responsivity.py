@@ -52,7 +52,7 @@ class Sweep:
 
 
 def node_grid(lights: list[tuple[Array, Array]]) -> Array:
-    """Return the centres of the hat functions in nm, every NODE_STEP. They cover all spectra.
+    """Return the centres of the hat functions, which cover all spectra, in nm. The spacing is NODE_STEP.
 
     `lights` contains each spectrum as a pair (wavelength in nm, radiance).
     """
@@ -65,7 +65,7 @@ def node_grid(lights: list[tuple[Array, Array]]) -> Array:
 def light_centre(wavelength: Array, radiance: Array) -> float:
     """Return the central wavelength of a narrow spectrum in nm.
 
-    It is the centroid of the part of the spectrum in which the radiance is at least half its peak.
+    This wavelength is the centroid of the part of the spectrum in which the radiance is at least half the peak radiance.
     """
     inside = np.where(radiance >= radiance.max() / 2, radiance * spectra.bin_widths(wavelength), 0.0)
     return float(inside @ wavelength / inside.sum())

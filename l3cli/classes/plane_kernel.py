@@ -110,7 +110,7 @@ def _nodes(rule: TreeRule) -> NDArray[np.uint32]:
 
 
 def _asked(rule: TreeRule, place: int) -> NDArray[np.uint32]:
-    """Return, for each node, the index of its test's numerator, and from bit `place` the index of its denominator."""
+    """Pack the test of each node: the index of the numerator, and from bit `place` upwards the index of the denominator."""
     denominator = np.array([test.denominator for test in tree.EVERY], np.uint32)
     return np.asarray(rule.test | denominator[rule.test] << np.uint32(place), np.uint32)
 

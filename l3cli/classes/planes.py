@@ -103,12 +103,15 @@ def raw_middle(bits: int) -> int:
 
 @dataclass(frozen=True)
 class _Read:
-    """The number format of the input of a layer."""
+    """Number format of the input of a layer.
 
-    step: float  # input for a signal of 1 (full scale or one output unit), multiplied by PLANE_STEP
+    Kernels subtract `raw_middle` from raw values. Coarse planes are read without subtraction.
+    """
+
+    step: float  # increase of the input per signal of 1 (full scale or one output unit), multiplied by PLANE_STEP
     zero: float  # input for a signal of 0
-    largest: float  # largest absolute value of the input in kernels, after subtraction of `raw_middle`
-    farthest: float  # absolute value of the input in kernels for a signal of 0
+    largest: float  # largest absolute value of the input after the subtraction
+    farthest: float  # absolute value of `zero` after the subtraction
 
 
 BETWEEN = _Read(step=2.0**-COARSE, zero=0.0, largest=COARSE_TOP, farthest=0.0)  # coarse planes

@@ -77,10 +77,10 @@ def _divided(numerator: int, count: Integers) -> Integers:
 
 @dataclass(frozen=True)
 class TapOrder:
-    """An order of the taps in the window around a site: by channel, and within a channel with the taps near the centre
-    first.
+    """An order of the taps in the window around a site.
 
-    With this order, the sum of a channel is a sum over adjacent rows of an array (tap, patch), which is fastest in numpy.
+    The taps are sorted by channel. Within a channel, the taps inside the saturation radius are first. With this order, the
+    sum of a channel is a sum over adjacent rows of an array (tap, patch), which is fastest in numpy.
     """
 
     taps: Integers  # (tap,): index in the window of each tap in this order

@@ -127,7 +127,7 @@ class Task:
         return self.problem_of(self.curves)
 
     def problem_of(self, curves: NDArray[np.float64]) -> Problem:
-        """Return the problem for filters with the quantum efficiencies `curves`, (filter, wavelength)."""
+        """Return the search problem for filters with the quantum efficiencies `curves`, (filter, wavelength)."""
         seen = tuple(seen_by(curves, *each) for each in zip(self.lights, self.spectra, strict=True))
         return Problem(seen, self.levels, noise_of(self.pixel))
 

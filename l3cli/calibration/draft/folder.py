@@ -175,8 +175,9 @@ def _period(facts: Sequence[_Fact], camera: CameraModel | None, reading: Reading
 def _summarised(facts: Sequence[_Fact], period: tuple[int, int], notes: list[str], reading: Reading) -> list[Frame]:
     """Summarise every frame, except for drawings and masks, which are left out.
 
-    If the exposure time in the metadata differs from the exposure time in the file name, the metadata are used. Notes are
-    added about such frames, about drawings, and about frames whose values seem to be processed.
+    If the exposure time in the metadata differs from the exposure time in the file name, the exposure time in the metadata
+    is used. Notes are added about frames whose two exposure times differ, about drawings, and about frames whose values seem
+    to be processed.
     """
     usable, refused, changed = [], [], Counter[str]()
     for fact in reading.progress(facts, len(facts), "frames"):
