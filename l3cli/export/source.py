@@ -28,12 +28,12 @@ from l3cli.classes.tree import CHROMA_TOP, DARK, EVERY, TOP
 from l3cli.errors import InputFileError, RecipeError, shortened
 from l3cli.export.c_arrays import TAP_GROUP, TYPES, Array, filled, table_arrays
 from l3cli.export.wordlengths import (
-    OUTPUT_FRACTION,
     OUTPUT_TOP,
     ShortWords,
     Vector,
     make_vector,
     offset_of,
+    output_fraction,
     short_cost,
     short_words,
     split_of,
@@ -55,6 +55,7 @@ Words = Literal["float32", "int16"]  # type of the outputs, and of the weights a
 PREFIX = "l3"  # default prefix of symbols and file names
 MIN_BLOCK = 128  # minimum number of pixels that a loop processes at a time
 CODES = 256  # number of values of an 8-bit picture
+SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 LINEAR_BINS = 4096  # number of bins of linear values; each bin contains at most one threshold between 8-bit sRGB values
 DATA = (
     "/* The arrays of a transform table. l3_table.h declares them. Long arrays are strings of their bytes. */",
@@ -227,7 +228,7 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
         smoothing, (white_x, white_z) = table.chroma_smoothing, table.white_point[::2] / table.white_point[1]
         factors = {"LUMINANCE": smoothing.reach, "X": smoothing.likeness * white_x, "Z": smoothing.likeness * white_z}
         values |= {f"BY_{name}": _float(1 / limit**2) for name, limit in factors.items()}
-        values["DARKEST"] = _float(SMOOTHING_DARKEST * (2**OUTPUT_FRACTION if words == "int16" else 1))
+        values["DARKEST"] = _float(SMOOTHING_DARKEST * (2 ** output_fraction(table) if words == "int16" else 1))
         values |= {
             f"{name.upper()}": _float(at) if isinstance(at, float) else at for name, at in raising_constants(table).items()
         }
@@ -241,10 +242,19 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
             "VALUE_OFFSET": "0.0f" if table.later else _float(table.black_level),
         }
     else:
-        values |= _clipped_white(table, OUTPUT_FRACTION)
-        values |= {"OUTPUT_FRACTION": OUTPUT_FRACTION, "OUTPUT_TOP": OUTPUT_TOP}
-        values |= {"VALUE_OFFSET": offset_of(table), "SPLIT": split_of(table)}
+        values |= _clipped_white(table, output_fraction(table))
+        values |= {"OUTPUT_FRACTION": output_fraction(table), "OUTPUT_TOP": OUTPUT_TOP}
+        values |= {"VALUE_OFFSET": offset_of(table), "SPLIT": split_of(table), "TEST_STEPS": _test_steps(table)}
     return values | (_plane_macros(table) if table.later else {"LAST_TAPS": filled(rule.patch**2)})
+
+
+def _test_steps(table: TransformTable) -> int:
+    """Return the largest difference that the test program allows between a 16-bit output and the reference, in steps.
+
+    The weights of the smoothing of chroma amplify rounding errors.
+    """
+    worst = short_cost(table, short_words(table))[1]
+    return max(4, math.ceil(3 * worst)) if table.chroma_smoothing else max(1, math.ceil(worst))
 
 
 def _corrects(table: TransformTable) -> bool:
@@ -408,12 +418,20 @@ def _readme(table: TransformTable, vector: Vector, arrays: list[Array], short: S
 
 def _words_known(table: TransformTable, short: ShortWords) -> dict[str, str | int]:
     psnr, worst = short_cost(table, short)
-    trees = any(isinstance(layer.rule, TreeRule) for layer in table.later)
-    places = [*(["where trees decide"] if trees else []), *(["in coarse chroma"] if _coarse_chroma(table) else [])]
-    floats = f"l3.c uses floats only {' and '.join(places)}." if places else "l3.c does not use floats."
+    fraction, last = output_fraction(table), table.later[-1] if table.later else None
+    places = {
+        "where trees decide": any(isinstance(layer.rule, TreeRule) for layer in table.later),
+        "in coarse chroma": last is not None and last.coarse_chroma is not None,
+        "in clipped areas": last is not None and last.clipping is not None,
+        "to smooth chroma": table.chroma_smoothing is not None,
+    }
+    uses = [place for place, used in places.items() if used]
+    listed = " and ".join([", ".join(uses[:-1]), uses[-1]] if len(uses) > 1 else uses)
     return {
-        "words": "int16_t", "top": OUTPUT_TOP, "split": short.split, "floats": floats, "psnr": f"{psnr:.1f}",
-        "worst": f"{worst:.2g}",
+        "words": "int16_t", "top": OUTPUT_TOP, "split": short.split, "psnr": f"{psnr:.1f}", "worst": f"{worst:.2g}",
+        "floats": f"l3.c uses floats only {listed}." if uses else "l3.c does not use floats.",
+        "step": f"2⁻{str(fraction).translate(SUPERSCRIPTS)}", "range": 2 ** (15 - fraction),
+        "rounding": f"{20 * math.log10(12**0.5 * 2**fraction):.1f}",
     }  # fmt: skip
 
 

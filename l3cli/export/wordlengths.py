@@ -37,7 +37,7 @@ from l3cli.rendering.reference import (
 # common CFA periods.
 VECTOR_SHAPE = (40, 150)
 VECTOR_SEED = 3
-OUTPUT_FRACTION = 12  # number of fractional bits of a 16-bit output, whose range is therefore ±8
+MOST_OUTPUT_FRACTION = 12  # largest number of fractional bits of a 16-bit output, which gives a range of ±8
 OUTPUT_TOP = 2**15 - 1  # largest 16-bit output
 HIGH_BITS = 12  # number of bits in the high part of a value, including the sign
 # Maximum of a weight before rounding, and maximum of a sum of products. The sum leaves a margin, because the low part of the
@@ -108,8 +108,19 @@ class ShortWords:
 
     def in_floats(self, table: TransformTable) -> NDArray[np.float32]:
         """Convert the words back to float weights (class, output, tap) for the last layer of the table."""
-        shift = -(self.fraction.astype(np.int32) + self.split + OUTPUT_FRACTION)
+        shift = -(self.fraction.astype(np.int32) + self.split + output_fraction(table))
         return np.ldexp(self.whole.astype(np.float64) / _value_step(table), shift[..., None]).astype(np.float32)
+
+
+def output_fraction(table: TransformTable) -> int:
+    """Return the number of fractional bits of the 16-bit outputs of a table, at most 12.
+
+    The clipped white uses at most half of the range, because pixels beside edges can be brighter. It is much brighter than
+    white if some channels clip long after others, for example beside pixels without a filter.
+    """
+    if table.clipped_white is None:
+        return MOST_OUTPUT_FRACTION
+    return min(MOST_OUTPUT_FRACTION, math.floor(math.log2(2**14 / table.clipped_white.max())))
 
 
 def split_of(table: TransformTable) -> int:
@@ -131,8 +142,9 @@ def short_words(table: TransformTable) -> ShortWords:
     split, offset = split_of(table), offset_of(table)
     layer, black = table.layers[-1], 0.0 if table.later else table.black_level - offset
     # The unit of these weights is one step of an output per step of an input value.
-    weights = layer.weights.astype(np.float64) * (_value_step(table) * 2**OUTPUT_FRACTION)
-    intercept = layer.intercept.astype(np.float64) * 2**OUTPUT_FRACTION - black * weights.sum(axis=-1)
+    steps = 2 ** output_fraction(table)
+    weights = layer.weights.astype(np.float64) * (_value_step(table) * steps)
+    intercept = layer.intercept.astype(np.float64) * steps - black * weights.sum(axis=-1)
     values = PLANE_TOP if table.later else max(2**table.bits - 1 - offset, offset)
     size = np.abs(weights)
     windows = weights.shape[-1] - (table.later[-1].ratio_taps if table.later else 0)
@@ -278,7 +290,7 @@ def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
     worst : float
         Largest error of an output before it is rounded, in steps of a rounded output.
     """
-    outputs, step = _outputs(table), 2.0**-OUTPUT_FRACTION
+    outputs, step = _outputs(table), 2.0 ** -output_fraction(table)
     expected, short = outputs(table.layers[-1].weights), outputs(words.in_floats(table))
     rounded = np.clip(np.rint(short / step), -OUTPUT_TOP, OUTPUT_TOP) * step
     whole = np.clip(expected, -OUTPUT_TOP * step, OUTPUT_TOP * step)

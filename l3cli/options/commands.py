@@ -265,7 +265,9 @@ class ExportOptions(ForceOptions):
         None, "Tables only: write C99 source (c), or arrays with a JSON description (folder) [default: c].", flag="to"
     )
     words: Literal["float32", "int16"] | None = option(
-        None, "C source only: type of the outputs: float32, or int16 in steps of 2^-12 [default: float32]."
+        None,
+        "C source only: type of the outputs: float32, or int16 in steps of 2^-12, or of 2^-11 for tables with a wide "
+        "range [default: float32].",
     )
     white: str | None = option(
         None,

@@ -24,7 +24,7 @@ from l3cli.classes import direction
 from l3cli.errors import InputFileError
 from l3cli.export.folder import folder_files
 from l3cli.export.source import Words, c_files
-from l3cli.export.wordlengths import OUTPUT_FRACTION, OUTPUT_TOP, SEED, SHAPE, drawn_mosaic, short_cost, short_words
+from l3cli.export.wordlengths import OUTPUT_TOP, SEED, SHAPE, drawn_mosaic, output_fraction, short_cost, short_words
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.tables import (
@@ -164,7 +164,7 @@ def steps_rounded_off(table: TransformTable) -> float:
     """By how many steps words can differ because weights are rounded, on the worst of all frames."""
     last, words = table.layers[-1], short_words(table)
     off = np.abs(words.in_floats(table).astype(float) - last.weights).sum(axis=-1).max()
-    return float(off * (16 if table.later else 1) * 2**OUTPUT_FRACTION)
+    return float(off * (16 if table.later else 1) * 2 ** output_fraction(table))
 
 
 @needs_compiler
@@ -180,7 +180,7 @@ def test_any_mosaic_gets_the_classes_and_outputs_of_the_reference(built: Built, 
         np.testing.assert_array_equal(labels[layer], reference.labels(frame, layer))
     exact = reference.exact_outputs(frame)
     if built.words == "int16":
-        words = np.clip(np.rint(np.ldexp(exact, OUTPUT_FRACTION)), -OUTPUT_TOP, OUTPUT_TOP)
+        words = np.clip(np.rint(np.ldexp(exact, output_fraction(table))), -OUTPUT_TOP, OUTPUT_TOP)
         most = 4 if table.chroma_smoothing else 1  # weights of the smoothing amplify rounding errors
         if table.chroma_smoothing and table.white_signals is not None:
             most = 32  # ratios of random outputs, by which pixels are raised, are much larger than ratios of real colours
@@ -225,12 +225,20 @@ def test_the_test_program_agrees_under_sanitizers(built: Built) -> None:
 def test_short_words_cost_what_is_stated(built: Built) -> None:
     table = built.table
     frame = RawFrame("drawn", drawn_mosaic(table, SHAPE, SEED), table.black_level, table.white_level)
-    top = OUTPUT_TOP / 2**OUTPUT_FRACTION
+    top = OUTPUT_TOP / 2 ** output_fraction(table)
     exact = np.clip(ReferenceRenderer(table).exact_outputs(frame), -top, top)
-    made = np.ldexp(built.render(frame)[1].astype(float), -OUTPUT_FRACTION)
+    made = np.ldexp(built.render(frame)[1].astype(float), -output_fraction(table))
     stated, _ = short_cost(table, short_words(table))
     assert abs(-10 * np.log10(np.square(made - exact).mean()) - stated) < 0.1
     assert f"{stated:.1f} dB relative to the reference" in (built.folder / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_range_of_short_words_holds_the_clipped_white() -> None:
+    table, brighter = (with_clipped_white(a_table([[0, 1], [1, 2]], 12, 64.0), luminance) for luminance in (1.6, 5.6))
+    assert (output_fraction(table), output_fraction(brighter)) == (12, 11)
+    files = c_files(brighter, "int16")
+    assert b"#define L3_OUTPUT_FRACTION 11\n" in files["l3_table.h"]
+    assert "range is ±16" in files["README.md"].decode()
 
 
 @needs_compiler

@@ -1,6 +1,6 @@
 /* Without arguments, the program renders test_raw.bin and compares the results with test_labels.bin and test_outputs.bin. It exits with 1
- * if a class differs, if a float differs by more than 2e-6 of the largest output, or if a 16-bit output differs by more than 1 from the
- * rounded output. If chroma is smoothed, a float may differ by 1e-5 and a 16-bit output by 4, because the weights of the smoothing amplify
+ * if a class differs, if a float differs by more than 2e-6 of the largest output, or if a 16-bit output differs by more than
+ * L3_TEST_STEPS from the rounded output. If chroma is smoothed, a float may differ by 1e-5, because the weights of the smoothing amplify
  * rounding errors. With the arguments ROWS COLUMNS, it measures the time to render frames of this size, filled with the test mosaic. */
 #include <stdio.h>
 #include <stdlib.h>
@@ -47,15 +47,13 @@ static uint16_t *test_mosaic(void) {
 static double size_of(double value) { return value < 0 ? -value : value; }
 
 #ifdef L3_BY_LUMINANCE /* chroma is smoothed */
-#define MOST_STEPS 4.0
 #define MOST_SHARE 1e-5
 #else
-#define MOST_STEPS 1.0
 #define MOST_SHARE 2e-6
 #endif
 
 #if L3_OUTPUT_FRACTION > 0 /* 16-bit outputs: converts the output of the reference to steps */
-#define TOLERANCE(largest) (MOST_STEPS + 0 * (largest))
+#define TOLERANCE(largest) (L3_TEST_STEPS + 0 * (largest))
 static double in_steps(double output) {
     const double steps = output * (1 << L3_OUTPUT_FRACTION) + (output < 0 ? -0.5 : 0.5);
     return steps > L3_OUTPUT_TOP ? L3_OUTPUT_TOP : steps < -L3_OUTPUT_TOP ? -L3_OUTPUT_TOP : (double)(long)steps;
