@@ -329,7 +329,7 @@ HARMLESS = {  # they change no pixel of the mosaic: hints, colours, looks, previ
     "DNGPrivateData", "MakerNoteSafety", "JXLDistance", "JXLEffort", "JXLDecodeSpeed",
 }  # fmt: skip
 NOTED: dict[str, tuple[Tags, str]] = {
-    "DefaultScale": ({50718: (RATIONAL, [2, 1, 1, 1])}, "its pixels are not square (DefaultScale 2, 1)"),
+    "DefaultScale": ({50718: (RATIONAL, [2, 1, 1, 1])}, "pixels are not square (DefaultScale 2, 1)"),
     "OpcodeList3": ({51022: opcode_list((2, 1, b""))}, "WarpFisheye"),
     "DefaultUserCrop": ({51125: (RATIONAL, [1, 4, 0, 1, 1, 1, 1, 1])}, "(DefaultUserCrop) is not applied"),
 }

@@ -101,7 +101,7 @@ def test_file_names_of_any_bytes(desk: Path, tmp_path: Path, name: bytes, locale
 def test_libraries_open_no_names_of_other_bytes_than_utf8(desk: Path, tmp_path: Path, refused: Refused) -> None:
     write_dng(tmp_path / "a\udcff.dng", np.full((64, 64), 500, np.uint16), np.array([[0, 1], [1, 2]]))
     call = ("render", desk / "table.h5", tmp_path / "a\udcff.dng", "-o", tmp_path / "a.png")
-    assert "rename the file" in refused(3, *call)
+    assert "UTF-8; rename it" in refused(3, *call)
 
 
 def test_other_line_ends_give_the_same_artifact(tmp_path: Path, l3: L3) -> None:

@@ -163,7 +163,7 @@ def test_clipped_pixels_stay_clipped(bayer: CameraModel) -> None:
     [
         ({"values": np.zeros((8, 10), np.uint16)}, "8×8"),
         ({"phase": (1, 0)}, "phase"),
-        ({"exposure": 4.0}, "2 s, but f for 4 s"),
+        ({"exposure": 4.0}, "2 s, but f has 4 s"),
     ],
 )
 def test_a_dark_frame_of_another_kind_is_refused(change: dict, message: str) -> None:

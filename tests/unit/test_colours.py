@@ -68,7 +68,7 @@ def test_pictures_need_xyz() -> None:
     table = random_table(BAYER, outputs=("Y",))
     frame = RawFrame("f", np.zeros((2, 2), np.uint16), table.black_level, table.white_level)
     for backend in BACKENDS:
-        with pytest.raises(RecipeError, match="X, Y, Z"):
+        with pytest.raises(RecipeError, match="X, Y and Z"):
             make_renderer(backend, table).picture(frame, Display(np.eye(3), 8))
 
 

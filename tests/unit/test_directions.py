@@ -217,7 +217,7 @@ def test_a_damaged_direction_is_refused() -> None:
         feature._replace(windows=feature.windows[:2]),
         feature._replace(name="unheard of"),
     ):
-        with pytest.raises(InputFileError, match=r"is damaged|does not support"):
+        with pytest.raises(InputFileError, match=r"\"direction\" is invalid|does not support|is damaged"):
             ReferenceRenderer(with_feature(table, wrong)).labels(frame)
     outside = feature.windows[0]._replace(top=4)
     with pytest.raises(ValueError, match="within the patch"):

@@ -251,7 +251,7 @@ def test_a_table_that_falls_is_read_and_one_out_of_order_refused(tmp_path: Path)
     assert curves.values.tolist() == [[5.0, 3.0, 1.0], [6.0, 4.0, 2.0]]
     for wrong in ("500,1\n400,2\n450,3\n", "500,1\n450,2\n450,3\n", "400,1\n400,2\n"):
         path.write_text(wrong)
-        with pytest.raises(InputFileError, match="do not increase"):
+        with pytest.raises(InputFileError, match="not in order"):
             read_table(path)
 
 
