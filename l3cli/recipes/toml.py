@@ -3,6 +3,7 @@
 Every key is declared in a class, and an unknown key is an error. The name of a key contains the unit of its value, if any.
 """
 
+import gc
 import json
 import re
 import tomllib
@@ -73,6 +74,9 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
 
     `name` is the name of the file, for messages. The function raises a RecipeError if the text is not valid TOML.
     """
+    # No garbage is collected: where nested lists have exhausted the stack, finalizers fail, and Python prints their errors.
+    collecting = gc.isenabled()
+    gc.disable()
     try:
         return tomllib.loads(text)
     except ValueError as error:  # a syntax error, or a number with too many digits
@@ -81,6 +85,9 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
         raise RecipeError(
             f"{name} is not valid TOML: its lists or tables are nested too deeply; use fewer levels"
         ) from error
+    finally:
+        if collecting:
+            gc.enable()
 
 
 def toml_value(value: Any) -> str:

@@ -3,6 +3,8 @@ once; the JSON schemas of recipes."""
 
 import copy
 import functools
+import gc
+import inspect
 import json
 import tomllib
 from pathlib import Path
@@ -450,3 +452,27 @@ def test_structures_of_one_name_are_told_apart_by_their_modules() -> None:
     both = msgspec.defstruct("Both", [("first", one | None, None), ("second", other | None, None)], bases=(Recipe,))
     tables = recipes_schema.schema_of((cast("type[Recipe]", both),), "both")["$defs"]
     assert [list(tables[f"package.{key}.Options"]["properties"]) for key in ("one", "other")] == [["one"], ["other"]]
+
+
+def test_nothing_is_collected_where_nested_lists_exhaust_the_stack() -> None:
+    """Finalizers that run there fail, and Python prints their errors."""
+    depths, thresholds = [], gc.get_threshold()
+
+    def collecting(phase: str, _: dict[str, int]) -> None:
+        frame, depth = inspect.currentframe(), 0
+        while frame is not None:
+            frame, depth = frame.f_back, depth + 1
+        depths.append(depth)
+
+    gc.callbacks.append(collecting)
+    gc.set_threshold(10)
+    try:
+        with pytest.raises(RecipeError, match="too deeply"):
+            parse_toml("a = " + "[" * 5000 + "]" * 5000, "odd.toml")
+        gc.collect()
+    finally:
+        gc.callbacks.remove(collecting)
+        gc.set_threshold(*thresholds)
+    assert gc.isenabled()
+    assert depths
+    assert max(depths) < 300
