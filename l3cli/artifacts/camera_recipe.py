@@ -209,7 +209,7 @@ class SensorRecipe(Recipe):
     pixel_pitch_um: Positive
     bits: Bits
     black_level_dn: float
-    gain_dn_per_e: Positive | None = None  # default: the gain at which a full well has the white level as raw value
+    gain_dn_per_e: Positive | None = None  # default: the gain that maps a full well to the white level
     white_level_dn: float | None = None  # default: the raw value of a full well, but at most the largest value of `bits`
     fixed_pattern_seed: Seed = 0
 

@@ -101,10 +101,14 @@ def measure_sensor(measurements: Measurements, each: statistics.Each = map) -> S
 
 
 def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Body) -> Array:
-    """Return the number of photons that a pixel on the optical axis receives during a capture, per hat function.
+    """Compute the photons that a pixel on the optical axis receives during a capture.
 
-    The hat functions are centred on the wavelengths `nodes`. The result has the shape (…, node), with one row per patch for
-    charts.
+    The spectrum of the photons is integrated with hat functions that are centred on the wavelengths `nodes` in nm.
+
+    Returns
+    -------
+    ndarray, (…, node)
+        Number of photons for each hat function. For charts, the first axis contains the patches.
     """
     photons = responsivity.node_photons(capture.wavelength, capture.radiance, nodes)
     return body.photons_per_radiance * capture.lit * photons
@@ -115,9 +119,9 @@ def measure_sweep(
 ) -> tuple[responsivity.Sweep, tuple[str, ...]]:
     """Set up the linear systems for the spectral responsivities (docs/method.md#responsivity).
 
-    Each monochromatic capture is one equation, whose signal is the mean over the whole frame. Both sides are divided by the
-    number of photons. The fall-off of the lens is the same in all captures. It changes only the scale of the responsivities,
-    which the charts determine later.
+    Each monochromatic capture yields one equation per channel, from the mean signal of the whole frame. Both sides are
+    divided by the number of photons. The fall-off of the lens is the same in all captures. It changes only the scale of the
+    responsivities, which the charts determine later.
 
     Parameters
     ----------
@@ -511,8 +515,8 @@ def measure_series(
 def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body, black_level: float) -> Array:
     """Return the mean raw value in the dark at each exposure time, interpolated between dark captures.
 
-    If there are no dark captures, all values are `black_level`. Beyond the shortest and the longest dark capture, the value
-    of this capture is used.
+    If there are no dark captures, all values are `black_level`. Outside the range of the exposure times of `darks`, the
+    value at the nearest exposure time in `darks` is used.
 
     Returns
     -------

@@ -55,9 +55,12 @@ def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
 
 
 def line_errors(camera: CameraModel) -> dict[str, tuple[float, str]]:
-    """Return the half-width, and its unit, of the 95 % confidence interval of the row noise and of the column noise.
+    """Return the 95 % confidence intervals of the temporal noise of rows and of columns.
 
-    The keys are names for tables. Noise that is zero or was not measured is left out.
+    Returns
+    -------
+    dict
+        Name for tables → half-width of the interval, and its unit. Noise that is zero or was not measured is left out.
     """
     fit, noise = camera.fit.noise if camera.fit else None, camera.noise
     if fit is None:
@@ -141,7 +144,11 @@ def _corners(camera: CameraModel) -> dict[str, float] | None:
 
 
 def _efficiency_columns(camera: CameraModel, chart: ChartFit) -> dict[str, Any]:
-    """Return the peak quantum efficiency of each channel, its 95 % confidence band if known, and the offset of Eq. 2."""
+    """Return the peak quantum efficiency and the offset of each channel.
+
+    If confidence bands are known, the result also contains the half-width of the 95 % band at the peak. The offset is beta
+    in Eq. 2 (docs/method.md#gain-and-offset).
+    """
     peak = camera.responsivity.argmax(axis=1)[:, None]
     height, band = (np.take_along_axis(of, peak, 1)[:, 0] for of in (camera.responsivity, camera.responsivity_band))
     known = {"± 95 % (%)": 100.0 * band} if camera.responsivity_band.any() else {}

@@ -438,7 +438,14 @@ def _declared(fit: Fit) -> tuple[str, ...]:
 def check_gains(measured: Array, error: Array, body: Body) -> None:
     """Raise InputFileError if measured conversion gains contradict the channel gains in the measurement file.
 
-    `measured` contains the conversion gain of each channel in DN/e-, and `error` contains the standard deviations.
+    Parameters
+    ----------
+    measured : ndarray, (channel,)
+        Measured conversion gain of each channel in DN/e-.
+    error : ndarray, (channel,)
+        Standard deviation of each measured gain in DN/e-.
+    body : Body
+        The camera, with the channel gains from the measurement file.
     """
     if body.readout is None:
         return

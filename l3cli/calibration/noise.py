@@ -86,13 +86,14 @@ class PhotonTransfer:
 
 
 def line_weights(exposures: Array) -> tuple[Array, Array]:
-    """Return the weights for a linear fit over exposure time.
+    """Return weights that fit a line to values as a function of exposure time.
 
     Returns
     -------
-    intercept, slope : ndarray, (exposure,)
-        The weighted sum of values with the weights `intercept` is the intercept of the fitted line. With the weights
-        `slope`, it is the slope of this line.
+    intercept : ndarray, (exposure,)
+        Weights. The weighted sum of the values is the intercept of the fitted line.
+    slope : ndarray, (exposure,)
+        Weights. The weighted sum of the values is the slope of the fitted line.
     """
     centred = exposures - exposures.mean()
     slope = centred / (centred @ centred)
@@ -184,7 +185,7 @@ def line_noise(squares: Sequence[tuple[float, float, int]], pixels: int) -> Line
 
 
 def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> PhotonTransfer:
-    """Fit the conversion gain, which is the slope of the temporal variance over the mean signal.
+    """Fit the conversion gain, which is the slope of the temporal variance as a function of the mean signal.
 
     When the well or the converter saturates, the variance falls. Exposures after the maximum of the variance are not used
     (docs/method.md#dark-and-white-frames).
@@ -234,9 +235,9 @@ def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> Pho
 
 
 def _transfer_line(levels: Sequence[Level], mean: Array, channel: int) -> tuple[float, float]:
-    """Fit the slope of the temporal variance over the mean signal of one channel.
+    """Fit a line to the temporal variance of one channel as a function of its mean signal.
 
-    The result consists of the slope and the standard deviation of the slope.
+    The function returns the slope of the line and the standard deviation of the slope.
 
     Each variance is weighted by its uncertainty: the standard deviation of a variance from n samples is √(2/n) times the
     variance.
@@ -264,9 +265,9 @@ def linearity_errors(
 
 
 def linearity_error(lit: Array, signal: Array) -> float:
-    """Return the mean relative deviation of `signal` from a straight line over `lit`, the exposure times.
+    """Return the mean relative deviation of `signal` from a linear function of the exposure times `lit`.
 
-    The line minimises the squared relative deviations.
+    The linear function is fitted by minimising the squared relative deviations.
     """
     line = np.polyval(np.polyfit(lit, signal, 1, w=1.0 / signal), lit)
     return float(np.mean(np.abs(signal / line - 1.0)))
@@ -289,7 +290,7 @@ def saturation(levels: Sequence[Level], variance: Array, top: int) -> tuple[floa
 def prnu(
     captures: Sequence[Capture], levels: Sequence[Level], used: NDArray[np.bool_], body: Body, hot: Defects, each: Each = map
 ) -> tuple[Array, Defects, Array]:
-    """Measure PRNU and dead pixels. Both are computed from the slope of each pixel over exposure time.
+    """Measure the PRNU and find dead pixels, from the slope of each pixel's signal as a function of exposure time.
 
     Parameters
     ----------

@@ -144,10 +144,17 @@ def residuals(sweep: Sweep, responsivity: Array) -> Array:
 
 
 def choose_smoothing(deltas: Array, errors: Array) -> float:
-    """Return the geometric centre of the range of smoothing weights whose error is nearly the smallest (PLATEAU).
+    """Choose a smoothing weight from the validation errors of several weights (docs/method.md#responsivity).
 
-    The errors in this range are so similar that the weight with the smallest error depends on chance
-    (docs/method.md#responsivity). `deltas` contains the smoothing weights in increasing order, and `errors` their errors.
+    Around the weight with the smallest error, other weights have nearly the same error, so the minimum depends on chance.
+    The result is therefore the geometric centre of all adjacent weights with an error of at most PLATEAU times the smallest.
+
+    Parameters
+    ----------
+    deltas : ndarray, (weight,)
+        Smoothing weights in increasing order.
+    errors : ndarray, (weight,)
+        Validation error of each smoothing weight.
     """
     best = int(errors.argmin())
     good = errors <= PLATEAU * errors[best]
@@ -259,8 +266,12 @@ class Curves:
     def widened(self, light_error: float, wavelength_error: float) -> "Curves":
         """Widen the confidence bands by the errors of the light with which the curves were measured.
 
-        `light_error` is the relative standard deviation of the brightness of this light. `wavelength_error` is the standard
-        deviation of its wavelength in nm.
+        Parameters
+        ----------
+        light_error : float
+            Relative standard deviation of the brightness of the light.
+        wavelength_error : float
+            Standard deviation of the wavelength of the light in nm.
         """
         slope = np.gradient(self.relative, self.wavelength, axis=1) if self.wavelength.size > 1 else 0.0
         stated = COVERAGE * np.hypot(light_error * self.relative, wavelength_error * slope)
@@ -423,7 +434,7 @@ def unsaturated_values(capture: ChartCapture, body: Body, limit: float, defects:
 
 
 def patch_illumination(capture: ChartCapture, body: Body, defects: Defects) -> Array:
-    """Return the relative illumination at each patch due to the fall-off of the lens, 1 on the optical axis: (patch, 1)."""
+    """Return the illumination of each patch (patch, 1), relative to the optical axis, after the fall-off of the lens."""
     pixels, label, count = _cores(capture, body, defects)
     channels = len(body.channels)
     light = _per_label(label, body.relative_illumination.ravel()[pixels], channels)
@@ -511,7 +522,20 @@ def gain_error(photons: Array, values: Array, black_level: float, alpha: float, 
 
     The slope is also fitted to each chart separately. The standard error is the standard deviation of these slopes, divided
     by the square root of the number of charts. If the declared lamp drift would cause a larger standard deviation, that
-    standard deviation is used instead. `photons` and `values` have the shape (chart, patch).
+    standard deviation is used instead.
+
+    Parameters
+    ----------
+    photons : ndarray, (chart, patch)
+        Photons from each patch, weighted by the relative responsivity.
+    values : ndarray, (chart, patch)
+        Mean value of each patch in DN.
+    black_level : float
+        Black level in DN.
+    alpha, beta : float
+        Slope in DN/photon and offset in DN, from `fit_gain`.
+    drift : float
+        Declared relative standard deviation of the lamp drift.
     """
     single, _ = chart_factors(photons, values, black_level, beta)
     charts = len(single)

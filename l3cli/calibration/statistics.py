@@ -29,10 +29,12 @@ def no_defects() -> Defects:
 
 
 def outliers(picture: Array, cfa: NDArray[np.uint8], least: float = 0.0) -> Defects:
-    """Find pixels that differ from the median of their CFA site by more than OUTLIER standard deviations and by `least`.
+    """Find defective pixels, rows and columns by their deviation from other pixels at the same CFA site.
 
-    All pixels of a row or column at a CFA site are included if the median of this line differs from the medians of all lines
-    by more than OUTLIER standard deviations of these medians, and by more than the standard deviation of pixels and `least`.
+    A pixel is an outlier if its deviation from the median of the site exceeds both OUTLIER standard deviations and `least`.
+    The rows and columns of a site are also tested. The median of a row is compared with the medians of all rows, and all
+    pixels of the row are outliers if the deviation exceeds three limits: OUTLIER standard deviations of the medians, one
+    standard deviation of the pixels, and `least`. The same applies to columns.
     """
     rows, cols = cfa.shape
     defects = []
@@ -130,7 +132,7 @@ class Level:
 
 @dataclass(frozen=True)
 class LineSquares:
-    """Mean squares from a two-way analysis of variance of the difference between two frames, divided by 2.
+    """Half the mean squares from a two-way analysis of variance of the difference between two frames.
 
     If there is no row noise, `rows` and `pixels` have the same expected value. Row noise increases the expected value of
     `rows` by the variance of the rows, multiplied by the number of pixels in a row. The same applies to columns.
@@ -144,7 +146,7 @@ class LineSquares:
 
 
 def line_squares(difference: NDArray[np.integer], body: Body) -> Array:
-    """Return the sums of squares of rows, columns and pixels in the difference between two frames, divided by 2.
+    """Return half the sums of squares of rows, of columns and of pixels in the difference between two frames.
 
     Before the sums are computed, the difference is divided by the relative gain of each channel, and the mean of each CFA
     site is subtracted.
@@ -157,7 +159,10 @@ def line_squares(difference: NDArray[np.integer], body: Body) -> Array:
 
 
 def mean_squares(sums: Sequence[Array], body: Body) -> LineSquares:
-    """Return the mean squares for the results of `line_squares` from pairs of frames with the same exposure time."""
+    """Return the mean squares of rows, of columns and of pixels for one exposure time.
+
+    `sums` contains the result of `line_squares` for each pair of frames with this exposure time.
+    """
     (down, across), pairs = body.cfa.shape, len(sums)
     rows, columns = body.rows - down, body.cols - across
     means = np.mean(sums, axis=0) / np.maximum([rows, columns, rows * columns], 1)

@@ -48,7 +48,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Mosaic:
-    """A raw frame whose levels have been scaled to the levels of the table, with its CFA."""
+    """A raw frame that has been rescaled to the black and white levels of the table, and its CFA."""
 
     values: NDArray[np.uint16]  # (row, col): DN
     cfa: NDArray[np.uint8]  # (cfa_row, cfa_col): channel of each site, beginning with the site of the first pixel

@@ -39,9 +39,9 @@ class NoiseLeft:
     cell: tuple[int, int]  # rows and columns of pixels in a cell
 
     def below(self, limits: Sequence[float], shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Return an array (row, col) with the number of `limits` that the fraction at each pixel does not exceed.
+        """Count, for each pixel (row, col), the `limits` that its remaining fraction of the noise does not exceed.
 
-        `shape` is the number of rows and columns of the frame.
+        `shape` contains the numbers of rows and columns of the frame.
         """
         cells = np.sum([self.shares <= int(limit * self.whole) for limit in limits], axis=0, dtype=np.uint8)
         return cells.repeat(self.cell[1], 1)[:, : shape[1]].repeat(self.cell[0], 0)[: shape[0]]

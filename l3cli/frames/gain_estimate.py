@@ -8,13 +8,11 @@
    Zheng, 2013) with the selection of weakly textured patches (Liu, Tanaka and Okutomi, 2013). The components are computed
    from one half of the frame and applied to the other half.
 3. The patches whose strong components are smallest are assumed to be uniform. The noise of these patches is measured in
-   their
-   weak components. The selection causes no bias, because the noise in the weak components is independent of the noise in the
-   strong components.
+   their weak components. The selection causes no bias, because the noise in the weak components is independent of the noise
+   in the strong components.
 4. The gain is the maximum-likelihood estimate for all uniform patches, dark and bright, under the noise model. The variance
-   of
-   the remaining texture is proportional to the square of the signal, like the variance of photo-response nonuniformity. It
-   is fitted as a second parameter (`excess`).
+   of the remaining texture is assumed to be proportional to the square of the signal, like the variance of photo-response
+   nonuniformity. The factor of proportionality is fitted as a second parameter (`excess`).
 
 These steps are repeated with the estimated gain until the gain no longer changes.
 """
@@ -141,8 +139,9 @@ def _patches_of(frame: RawFrame, camera: CameraModel) -> _Patches:
 
 @dataclass(frozen=True, eq=False)
 class _Plain:
-    """Uniform patches, and the variance of their weak components relative to the variance that was assumed in their
-    selection.
+    """Uniform patches, and the variance of their weak components.
+
+    The variance is relative to the variance that was assumed when the patches were selected.
     """
 
     level: NDArray[np.intp]  # (patch) index of the signal range
@@ -157,7 +156,7 @@ class _Plain:
         return _Plain(*parts, self.sites)
 
     def predicted(self, camera: CameraModel, gain: float, excess: float) -> Array:
-        """Return the variance of each patch that the noise model predicts at `gain`, relative to the assumed variance."""
+        """Return the variance that the noise model predicts for each patch at `gain`, relative to the assumed variance."""
         return np.asarray((_variance(self.signal, self.sites, camera, gain, excess) * self.weight).sum(axis=1))
 
     def slopes(self, camera: CameraModel, gain: float, excess: float) -> Array:
@@ -213,9 +212,14 @@ def _plain(patches: _Patches, camera: CameraModel, gain: float, excess: float) -
 
 
 def _energies(whitened: Array, patches: _Patches) -> tuple[Array, Array, int]:
-    """Return the mean squares of the weak components and of the strong components of each patch.
+    """Compute the energy in the weak and in the strong components of each patch.
 
-    The third element of the result is the number of weak components.
+    Returns
+    -------
+    weak, strong : ndarray, (patch,)
+        Mean square of the weak components, and mean square of the strong components.
+    count : int
+        Number of weak components.
     """
     pixels, channels = patches.member.shape
     every = np.linalg.qr(np.concatenate([patches.member, np.eye(pixels)], axis=1))[0]

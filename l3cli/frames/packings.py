@@ -40,7 +40,10 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True)
 class Packing:
-    """The layout of the bits of pixels. It repeats in each group, which is a fixed number of pixels and bytes."""
+    """How the bits of pixels are stored in bytes.
+
+    The layout repeats with each group. A group is a fixed number of pixels that occupies a fixed number of bytes.
+    """
 
     name: str
     family: str  # one of FAMILIES
@@ -72,10 +75,10 @@ class Packing:
 
 
 def _stream(bits: int, lower_first: bool) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
-    """Return the number of bytes and the pieces of a group in a stream of bits.
+    """Return the layout of pixels that are packed without gaps: the bytes per group, and the bit fields of each pixel.
 
-    The group is the smallest number of pixels that fills a whole number of bytes. `lower_first` states whether the lower
-    bits of a pixel are first in the stream.
+    A group is the smallest number of pixels that fills a whole number of bytes. `lower_first` states whether the lower
+    bits of a pixel are stored first.
     """
     pixels = next(count for count in (1, 2, 4, 8) if count * bits % 8 == 0)
     groups = []
@@ -94,9 +97,10 @@ def _stream(bits: int, lower_first: bool) -> tuple[int, tuple[tuple[Piece, ...],
 
 
 def _mipi(bits: int) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
-    """Return the number of bytes and the pieces of a MIPI group.
+    """Return the layout of a MIPI packing: the bytes per group, and the bit fields of each pixel.
 
-    The last byte contains the lower bits of all pixels. The bits of the first pixel are the lowest bits of this byte.
+    A group contains the upper 8 bits of each pixel in a separate byte, followed by a byte with the lower bits of all pixels.
+    The lowest bits of this last byte belong to the first pixel.
     """
     low = bits - 8
     pixels = 8 // low
@@ -104,7 +108,11 @@ def _mipi(bits: int) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
 
 
 def _gige(bits: int) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
-    """Return the number of bytes and the pieces of a GigE Vision group."""
+    """Return the layout of a GigE Vision packing: the bytes per group, and the bit fields of each pixel.
+
+    A group contains two pixels in three bytes. The first and the last byte contain the upper 8 bits of a pixel each. The
+    middle byte contains the lower bits of the first pixel from bit 0, and the lower bits of the second pixel from bit 4.
+    """
     low = bits - 8
     return 3, ((Piece(0, 0, 8, low), Piece(1, 0, low, 0)), (Piece(2, 0, 8, low), Piece(1, 4, low, 0)))
 

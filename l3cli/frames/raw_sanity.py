@@ -229,9 +229,10 @@ def _super_pixels(means: NDArray[np.float64], period: tuple[int, ...]) -> NDArra
 
 
 def _factors(blocks: NDArray[np.float64], along: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the mean of each line of pixels, relative to the mean of all lines at the same position in the super-pixel.
+    """Return the mean of each row, relative to the mean of all rows at the same position in the super-pixel.
 
-    `along` contains the axes over which a line is averaged: (2, 3) for rows, and (0, 1) for columns.
+    `along` contains the axes of `blocks` over which a row is averaged, (2, 3). If it is (0, 1), the result describes the
+    columns instead.
     """
     lines = blocks.mean(axis=along, keepdims=True)
     mean = lines.mean(axis=0 if along == (2, 3) else 2, keepdims=True)
@@ -285,10 +286,10 @@ def _has_two_gains(factors: NDArray[np.float64]) -> bool:
 
 
 def _noise_shows_two_gains(frame: RawFrame, tiles: NDArray[np.float64], period: tuple[int, ...]) -> bool:
-    """Whether the noise shows that bright rows have a higher gain than dark rows, with an alternation in pairs of rows.
+    """Whether the noise shows that, of every four rows, the two bright rows have a higher gain than the two dark rows.
 
-    The ratio of variance to signal is the gain in DN/e-. It is the same for bright and dark rows unless the gains differ.
-    The result is also True if the noise is too small to be measured.
+    The ratio of the noise variance to the signal is the gain in DN/e-. If all rows have the same gain, this ratio is equal
+    for bright and dark rows. The result is also True if the noise is too small to be measured.
     """
     cols = (tiles.shape[3] - period[1]) // NOISE_COLUMNS * NOISE_COLUMNS
     near, far = tiles[..., :cols], tiles[..., period[1] :][..., :cols]  # pairs of pixels of the same channel
@@ -312,10 +313,16 @@ def _noise_shows_two_gains(frame: RawFrame, tiles: NDArray[np.float64], period: 
 
 
 def _differences(means: NDArray[np.float64], array: NDArray[np.integer]) -> tuple[float, float]:
-    """Return the differences of sites from the median of all sites that have the same entry in `array`.
+    """Return how much sites deviate from the median of all sites with the same entry in `array`.
 
-    The first number is the difference that 30 % of the sites exceed, and the second number is the mean difference, both as
-    fractions of the signal. Only the entry whose sites have the largest mean difference is used.
+    Only the sites of the entry with the largest mean deviation are used.
+
+    Returns
+    -------
+    exceeded : float
+        Deviation that 30 % of the sites exceed, as a fraction of the signal.
+    mean : float
+        Mean deviation, as a fraction of the signal.
     """
     entries = tiled(array, means.shape)
     off = [
@@ -391,10 +398,10 @@ def _far_from_grey(
 
 
 def share_below_black(frame: RawFrame) -> float:
-    """Return the fraction of pixels that are too dark to be explained by noise, if the black level is correct.
+    """Return the fraction of pixels with values below BELOW times the black level.
 
-    These are the pixels below the fraction BELOW of the black level. The result is 0 if their number is too small to report,
-    or if the black level is below SMALLEST_BLACK.
+    If the black level is correct, noise cannot explain such low values. The result is 0 if the fraction is too small to
+    report, or if the black level is below SMALLEST_BLACK.
     """
     if frame.black_level < SMALLEST_BLACK:
         return 0.0

@@ -144,9 +144,10 @@ def read_finished(
 
 
 def _read_json(path: Path) -> CurveTable:
-    """Read the curves in a rawtoaces JSON file, with the names in its index.
+    """Read the curves in a rawtoaces JSON file.
 
-    Raises InputFileError if the file has a different structure, or if the wavelengths are not in nm.
+    The curves have names if the index of the file contains one name per curve. Raises InputFileError if the file
+    has a different structure, or if the wavelengths are not in nm.
     """
     try:
         content = json.loads(read_bounded(path, "use curves in CSV or rawtoaces JSON"))["spectral_data"]

@@ -386,7 +386,7 @@ def _source_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
 
 
 def _capture_faults(capture: CaptureRecipe, key: KeyPath) -> Iterator[Fault]:
-    """Yield the faults in the exposure and the monitor of a capture, whose path in the recipe is `key`."""
+    """Yield the faults in the exposure and the monitor of a capture. `key` is the path of the capture in the recipe."""
     if isinstance(capture.monitor, MonitorRecipe) and not isinstance(capture, MonoRecipe):
         message = (
             f'"monitor" may be a table only for [[mono]] captures; set "monitor" of this [[{key[0]}]] capture to a number'

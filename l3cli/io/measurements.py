@@ -389,7 +389,10 @@ def monitor_at(monitor: MonitorRecipe, nm: float, folder: Path, read: ReadTable 
 
 
 def _reading(table: CurveTable, column: int | str, nm: float) -> tuple[float, dict[str, int]]:
-    """Return the value of a column at a wavelength, in base units, and the powers of these units (empty without a unit)."""
+    """Return the value of a column at the wavelength `nm` in base units, and the exponent of each base unit.
+
+    If the heading contains no unit, the value is returned as stored, and the mapping of exponents is empty.
+    """
     found = table.column(column)
     unit = None if found.units[0] is None else units.parse(found.units[0])
     value = float(np.interp(nm, found.wavelength, found.values[0]))
@@ -522,9 +525,9 @@ def _corrections(recipe: CorrectionRecipe, camera: CameraModel, folder: Path) ->
 
 
 def _polarisers(recipe: AnyRecipe, frames: Callable[[CaptureRecipe], dict[str, Any]]) -> dict[str, Any]:
-    """Return the arguments of Measurements for the captures behind a rotating polariser.
+    """Return the keyword arguments of Measurements that describe the captures behind a rotating polariser.
 
-    `frames` is a function that returns the arguments of Capture for a capture of any type.
+    `frames` is a function that returns the keyword arguments of Capture for an entry in the measurement file.
     """
     stated = recipe.rotator or RotatorRecipe()
     return {
@@ -576,12 +579,12 @@ def _by_speed(recipes: Sequence[SensorCaptureRecipe], body: Body, folder: Path) 
 
 
 def _frames(capture: CaptureRecipe, body: Body, folder: Path) -> dict[str, Any]:
-    """Return the arguments of Capture for a capture of any type. The frames are read later."""
+    """Return the keyword arguments that create a Capture from its entry in the measurement file. Frames are read later."""
     files = FrameFiles(tuple(folder / name for name in capture.frames), (body.rows, body.cols), body.bits, body)
     return {"name": capture.frames[0], "exposure": capture.seconds, "frames": files, "monitor": capture.monitor}
 
 
 def _chart(chart: ChartRecipe, patches: PatchRadiances, body: Body, folder: Path) -> dict[str, Any]:
-    """Return the arguments of ChartCapture or BandCapture for a capture of a chart."""
+    """Return the keyword arguments that create a ChartCapture or BandCapture from its entry in the measurement file."""
     corners = np.array(chart.corners, dtype=np.float64)
     return {**_frames(chart, body, folder), "illuminant": chart.illuminant, "corners": corners, **patches._asdict()}

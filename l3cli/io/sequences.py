@@ -131,7 +131,7 @@ def find_frames(
     inputs : tuple of Path
         The inputs. A pattern or glob is one input, and STDIN is a headerless stream.
     table : TransformTable
-        Determines the CFA. Also determines the size of headerless frames if `known` contains no size.
+        The table, which determines the CFA and, if `known` contains no size, the size of headerless frames.
     known : RawOverrides
         Properties of the raw files that the user set. They take precedence over the properties in the files.
     selection : range, optional
@@ -221,8 +221,8 @@ def _until_none(frames: Iterable[RawFrame | None]) -> Iterator[RawFrame]:
 def frame_files(path: Path) -> list[Path]:
     """Return the raw files of a folder, a pattern or a glob, in order.
 
-    Any other path is returned in a list, even if it does not exist. Raises InputFileError if a folder or glob contains no
-    files. The list is empty if no file matches a pattern.
+    For any other path, the list contains only the path, even if no such file exists. The list is empty if no file
+    matches a pattern. Raises InputFileError if a folder or glob contains no files.
     """
     if path.is_dir():
         return _in_folder(path)

@@ -151,9 +151,9 @@ SHOT = {  # field of Shot → (name of the tag in tifffile, name in OpenImageIO)
 def believable_shot(stated: Mapping[str, Any]) -> Shot:
     """Return the settings of a shot, without invalid and implausible values.
 
-    `stated` contains values by the name of the field of `Shot`, and other names are ignored. Characters that are not
-    printable are removed from strings, and long strings are cut. A date without the form of Exif, and a number that is not
-    positive or above MAX_BELIEVABLE, are replaced by the defaults of `Shot`.
+    The keys of `stated` are names of fields of `Shot`. Other keys are ignored. Unprintable characters are removed from
+    strings, and long strings are truncated. A date that is not in the format of Exif is replaced by the default of `Shot`,
+    and so is a number that is not positive or exceeds MAX_BELIEVABLE.
     """
     usual, fields = Shot(), dict[str, Any]()
     for name in stated.keys() & SHOT.keys():

@@ -213,10 +213,10 @@ def _period(frame: NDArray[np.uint16]) -> tuple[int, int]:
 
 
 def _explained(values: Array, period: tuple[int, int]) -> float:
-    """Return how much of the variation the mean values of the sites explain, as a number of pixels.
+    """Return a measure of how well a colour filter array with the given period explains the variation of a frame.
 
-    This is the sum of squares that the means explain, divided by the variance of a pixel. The number that is expected for a
-    frame without an array is subtracted.
+    The measure is n · R² − m, where n is the number of pixels, R² is the fraction of the variance that the mean values of
+    the sites explain, and m is the number of sites. It is close to 0 for a frame without an array.
     """
     rows, cols = (length // each for length, each in zip(values.shape, period, strict=True))
     if min(rows, cols) < 4:

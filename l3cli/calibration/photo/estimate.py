@@ -91,7 +91,7 @@ def camera_prior(known: CurveStatistics) -> Prior:
 
 
 def unlike(prior: Prior) -> Prior:
-    """Return the prior of a camera that differs from the measured cameras, whose prior is `prior`.
+    """Return the prior of a camera that differs from the measured cameras. `prior` is the prior of the measured cameras.
 
     The covariance is larger than the covariance of `prior`, and includes smooth deviations that no measured camera has.
     """
@@ -339,7 +339,10 @@ def _first_guess(shots: Sequence[Shot], prior: Prior) -> Array:
 
 
 def _scale(state: Array, prior: Prior) -> Array:
-    """Return, for each channel, the factor by which the mean curve of the prior fits the curve in a state best."""
+    """Return, for each channel, the factor that scales the mean curve of the prior to the curve in `state`.
+
+    The factor is determined by least squares.
+    """
     count, size = prior.mean.shape
     curves = state[: count * size].reshape(count, size)
     return np.maximum((curves * prior.mean).sum(axis=1) / (prior.mean**2).sum(axis=1), 1e-12)

@@ -167,8 +167,8 @@ def gains_of(known: Stated, others: Sequence[Stated]) -> tuple[tuple[float, floa
     known : Stated
         Metadata of the raw file to which the gains are relative.
     others : sequence of Stated
-        Metadata of additional raw files. Files without noise profile or ISO speed, with an ISO speed that is not higher, or
-        with a gain that is too large for a camera recipe are ignored.
+        Metadata of additional raw files. A file is ignored if it has no noise profile or no ISO speed, if its ISO
+        speed is not higher, or if its gain is too large for a camera recipe.
 
     Returns
     -------

@@ -193,10 +193,10 @@ def _over_white(
     grid: tuple[int, int],
     saturation: float,
 ) -> Array:
-    """Return the relative illumination at each patch, from photos of a white target in place of the chart.
+    """Return the illumination of each patch, relative to the mean of all patches: (patch, channel).
 
-    The shape of the result is (patch, channel). Raises InputFileError if the target is clipped, dark or uneven in the area
-    of the chart.
+    The illumination is measured in photos of a white target in place of the chart. Raises InputFileError if
+    the target is clipped, dark or uneven in the area of the chart.
     """
     mosaics = [white.values.astype(np.float64) - black for white in whites]
     values = patch_values(mosaics, cfa, to_pixels, grid, saturation)

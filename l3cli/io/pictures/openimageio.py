@@ -207,7 +207,16 @@ def new_pages(path: Path, count: int | None, finished: Callable[[Path], None] = 
     """Create a TIFF file during the block, and yield an object with which its pages can be written.
 
     The file has a temporary name. If the block succeeds, `finished` is called with the temporary path, and the file is then
-    renamed to `path`. `count` is the number of pages, or None if it is unknown.
+    renamed to `path`.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    count : int or None
+        Number of pages, or None if it is unknown.
+    finished : callable
+        Function that is called with the temporary path when the file is complete.
     """
     with atomic_output(path) as temporary:
         with contextlib.closing(Pages(temporary, count)) as pages:

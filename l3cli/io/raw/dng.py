@@ -180,8 +180,17 @@ def _changed(
 ) -> tuple[NDArray[np.uint16], NDArray[np.float32] | None]:
     """Apply the opcodes of a file: correct the pixels marked in `bad`, and compute the gain of each pixel.
 
-    Return the corrected pixels and the gains. The gains are None if no opcode requests gains. Raises InputFileError if the
-    gains are implausible.
+    Returns
+    -------
+    pixels : ndarray of uint16, (row, col)
+        The pixels after the correction.
+    gains : ndarray, (row, col), or None
+        Gain of each pixel, which is not yet applied to `pixels`. None if no opcode requests gains.
+
+    Raises
+    ------
+    InputFileError
+        If the gains are implausible.
     """
     if bad.any():
         pixels = plan_correction(bad, mosaic.pattern).corrected(pixels)

@@ -55,7 +55,7 @@ class Layout:
 
     @property
     def _lines(self) -> tuple[int, int]:
-        """Number of lines, which begin at a byte boundary, and number of pixels per line.
+        """Number of lines, and number of pixels per line. A line is a sequence of pixels that begins at a byte boundary.
 
         Usually, each stored row is a line. If an unpadded row of a bit stream would end within a byte, the whole frame is
         one line.

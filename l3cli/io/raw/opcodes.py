@@ -149,9 +149,10 @@ def _listed(page: Any) -> list[Opcode]:
 
 
 def _bad_rects(opcode: Opcode) -> NDArray[np.int64]:
-    """Return the rectangles and single points of bad pixels (rectangle, 5): index of the list, top, left, bottom, right.
+    """Return the rectangles of bad pixels that an opcode lists. A single bad pixel becomes a rectangle of one pixel.
 
-    Raises ValueError if the content of the opcode has the wrong length.
+    Each row of the result (rectangle, 5) contains the index of the opcode list, followed by the top, left, bottom and right
+    edges. Raises ValueError if the content of the opcode has the wrong length.
     """
     _, points, rects = struct.unpack_from(">III", opcode.content)
     if len(opcode.content) != 12 + 8 * points + 16 * rects:
@@ -211,8 +212,14 @@ def _warps(opcode: Opcode, planes: Sequence[int], area: tuple[int, int]) -> list
 def bad_pixels(opcodes: Opcodes, stored: NDArray[np.uint16], active: tuple[int, int, int, int]) -> NDArray[np.bool_]:
     """Return a mask (row, col) of the active area that is true for the pixels that the opcodes mark as bad.
 
-    `stored` are the stored values (row, col) of the whole image. `active` are the top, left, bottom and right edges of the
-    active area.
+    Parameters
+    ----------
+    opcodes : Opcodes
+        The opcodes of the file.
+    stored : ndarray, (row, col)
+        Stored values of the whole image.
+    active : tuple of int
+        Top, left, bottom and right edges of the active area.
     """
     top, left, bottom, right = active
     bad = np.isin(stored[top:bottom, left:right], opcodes.constants)

@@ -131,9 +131,10 @@ Lists = dict[tuple[str, str], NDArray[np.float64]]  # (group, name) → list of 
 
 
 def _lists(arrays: dict[str, NDArray], attributes: dict[str, dict[str, Any]], length: int) -> Lists:
-    """Return all lists of `length` numbers in the arrays and attributes of a file. Empty if `length` is 1.
+    """Return all lists of `length` numbers in the arrays and attributes of a file, or no lists if `length` is 1.
 
-    The group in the key of an attribute is the path of the group or array that has the attribute.
+    The key of a list is (group, name). For a list in an attribute, the group is the path of the group or array to which the
+    attribute belongs.
     """
     found: Lists = {}
     for path, values in arrays.items():

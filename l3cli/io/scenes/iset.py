@@ -18,9 +18,10 @@ def read(path: Path, light: Curve | None = None) -> Scene:
     """Read the reflectances of an ISET scene and its illuminant.
 
     ISET stores scenes in three forms, and l3 reads all of them: a struct `scene`, the variables `photons` and `wave`, or
-    coefficients `mcCOEF` of basis functions, to which a mean spectrum `imgMean` is added. Photons are floats, or integers
-    that represent the range from `dmin` to `dmax`. They are divided by the illuminant. Negative reflectances become zero,
-    because they are noise. Reflectances above 1, which are specular highlights, are preserved (docs/method.md#simulation).
+    coefficients `mcCOEF` of basis functions, to which a mean spectrum `imgMean` is added. Photon counts are stored as
+    floating-point numbers, or as integers that are scaled to the range from `dmin` to `dmax`. l3 divides the photon counts
+    by the illuminant to obtain reflectances. Negative reflectances are noise and are set to zero. Reflectances above 1 are
+    specular highlights and are preserved (docs/method.md#simulation).
 
     Parameters
     ----------
@@ -100,9 +101,9 @@ def _photons(content: Content) -> tuple[NDArray[np.float64], NDArray[np.float32]
 
 
 def _illuminant(stored: Any, wavelength: NDArray[np.float64], light: Curve | None) -> NDArray[np.float64]:
-    """Return the photons of the illuminant, which a perfect white reflects, at each wavelength.
+    """Return the photons that a perfect white reflects under the illuminant, at each wavelength.
 
-    New versions of ISET store photons, and old versions store energy, which is converted to photons. If the file contains no
+    New versions of ISET store photons. Old versions store energy, and l3 converts the energy to photons. If the file has no
     illuminant (`stored` is not a struct), `light` is used. Raises KeyError if `light` is None too, or if a variable of the
     struct is missing.
     """
@@ -127,9 +128,10 @@ def _numbers(values: Any) -> NDArray[np.float64]:
 
 
 def _decoded(values: Any, holder: Content, low: str, high: str) -> NDArray[np.float32]:
-    """Convert stored values to float32. Integers are scaled, so that 0 and the maximum of their type become two limits.
+    """Convert stored values to float32. Integers are scaled linearly to the range between two limits.
 
-    `low` and `high` are the names of these limits in the struct `holder`.
+    0 becomes the lower limit, and the maximum of the integer type becomes the upper limit. `low` and `high` are the names of
+    the limits in the struct `holder`.
     """
     array = np.asarray(values)
     decoded = array.astype(np.float32)
