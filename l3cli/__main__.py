@@ -1,4 +1,8 @@
-"""`l3`, and `python -m l3cli`: the command line, ready for signals and for closed streams before it is imported."""
+"""Entry point of `l3` and `python -m l3cli`.
+
+Before the command line is imported, closed standard streams are replaced by the null device, and signal handlers are
+installed. A signal during the import therefore ends the program with a single line.
+"""
 
 import os
 import signal
@@ -15,7 +19,7 @@ def main() -> None:
         os._exit(128 + number)
 
     for each in words:
-        if signal.getsignal(each) is not signal.SIG_IGN:  # as a job in the background ignores Ctrl-C
+        if signal.getsignal(each) is not signal.SIG_IGN:  # a background job may ignore Ctrl-C
             signal.signal(each, end)
     from l3cli import cli
 
@@ -23,13 +27,16 @@ def main() -> None:
 
 
 def _open_streams() -> None:
-    """Open on nothing what is closed of stdin, stdout and stderr, as daemons leave them: a file that is opened later would
-    take its number, and be read, written or closed for the stream."""
+    """Open the null device in place of each standard stream that is closed.
+
+    Daemons may start a program with stdin, stdout or stderr closed. A file that is opened later would get the descriptor of
+    the closed stream, and code that uses this stream would read, write or close the file instead.
+    """
     for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the least number that is free, which is this one
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free descriptor, which is `number`
             os.set_inheritable(number, True)
         if getattr(sys, name) is None:
             setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))  # noqa: SIM115

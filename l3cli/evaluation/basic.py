@@ -89,9 +89,21 @@ def fit_colour(
 
 
 def electrons_of(camera: CameraModel, light: LightSpectrum, radiances: Array) -> Array:
-    """Return the photo-electrons per second that radiance spectra cause in a pixel: (sample, channel).
+    """Return the photo-electrons per second that radiance spectra cause in a pixel of each channel.
 
-    `radiances`, (sample, wavelength), is sampled at the wavelengths of `light`.
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+    light : LightSpectrum
+        Illuminant that determines the wavelengths of `radiances`.
+    radiances : ndarray, (sample, wavelength)
+        Radiance spectra.
+
+    Returns
+    -------
+    ndarray, (sample, channel)
+        Photo-electrons per second.
     """
     return radiances @ (camera.electron_weights @ spectra.sampling_matrix(light.wavelength, camera.wavelength)).T
 
@@ -386,7 +398,7 @@ def _chosen(planes: Array, camera: CameraModel, which: Callable[[Array], np.intp
 
 
 def _groups(camera: CameraModel) -> list[NDArray[np.intp]]:
-    """Return the indices of the channels with each colour filter."""
+    """Group the channels by colour filter, and return the indices of the channels in each group."""
     assert camera.readout is not None
     first = camera.readout.same_filter
     return [np.flatnonzero(first == one) for one in np.unique(first)]

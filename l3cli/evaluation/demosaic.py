@@ -229,8 +229,8 @@ def ppi_difference(mosaic: Array, cfa: CFA) -> Array:
 def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direction, Array]) -> Array:
     """Return the pseudo-panchromatic image (row, col) of a mosaic (equations 23 to 28).
 
-    The mosaic is first averaged over one period around each pixel. The result at a pixel is the sample of the pixel plus a
-    weighted mean, over the neighbours at a distance of one period, of the difference between average and sample.
+    The mosaic is first averaged over one period around each pixel. At each neighbour at a distance of one period, the sample
+    is subtracted from this average. The result at a pixel is its own sample plus the weighted mean of these differences.
     """
     smooth = values
     for axis, length in enumerate(period):

@@ -45,10 +45,22 @@ def frame_pictures(frame: TrainingPair, planes: dict[str, Array]) -> dict[str, P
 
 
 def planes_of(picture: Array, frame: TrainingPair) -> Array:
-    """Convert a rival's picture of a frame to XYZ planes (3, row, col) in the unit of the target.
+    """Convert a rival's picture of a frame to XYZ in the unit of the target.
 
-    `picture`, (row, col, 3), is linear sRGB of any brightness. The picture is scaled such that its luminance agrees best
-    with the luminance of the target (least squares over all pixels that do not clip).
+    The picture is scaled such that its luminance agrees best with the luminance of the target (least squares over all pixels
+    that do not clip).
+
+    Parameters
+    ----------
+    picture : ndarray, (row, col, 3)
+        Linear sRGB of any brightness.
+    frame : TrainingPair
+        Frame with its target.
+
+    Returns
+    -------
+    ndarray, (3, row, col)
+        XYZ planes.
     """
     planes = scene_xyz(picture, frame.white, 1.0)
     shown, wanted = (of[1][picture.max(axis=2) < 1.0] for of in (planes, frame.target))
@@ -124,7 +136,7 @@ def patch_colours(frame: TrainingPair, planes: dict[str, Array], regions: list[R
 
 
 def inner(region: Region) -> Region:
-    """Return the central region of a patch. Its height and width are the fraction INNER of the patch."""
+    """Return the central region of a patch. Its height and width are INNER times the height and width of the patch."""
     rows, cols = (
         slice(each.start + round(cut), each.stop - round(cut))
         for each in region

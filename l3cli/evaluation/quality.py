@@ -427,7 +427,7 @@ def band_figures(
 def _linear_and_shares(
     rendered: Array, target: Array, white: Array, border: int, counted: NDArray[np.bool_] | None
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Return (rendered, target) twice, without the border.
+    """Return two pairs (rendered, target), both without the border.
 
     The first pair is divided by the peak values for `output_psnr` and is not clipped. The second pair contains fractions of
     a perfect white, clipped to 0…1.
@@ -453,7 +453,7 @@ def cropped(planes: NDArray[Any], border: int) -> NDArray[Any]:
 
 
 def of_counted(planes: NDArray[Any], counted: NDArray[np.bool_] | None) -> NDArray[Any]:
-    """Select the pixels in the mask `counted` from planes (…, row, col): (…, pixel). If it is None, return `planes`."""
+    """Select the pixels in the mask `counted` from planes (…, row, col): (…, pixel). Without a mask, return `planes`."""
     return planes if counted is None else planes[..., counted]
 
 
@@ -468,9 +468,15 @@ def psnr(one: Array, other: Array) -> float:
 def ssim(one: Array, other: Array, *, counted: NDArray[np.bool_] | None = None) -> float:
     """Return the mean structural similarity of two pictures (Wang et al. 2004).
 
-    The pictures have the shape (row, col), and their values are from 0 to 1. The window is a Gaussian of 11 × 11 pixels with
-    σ = 1.5. Only windows inside the picture are used, unless no pixel would be left. `counted`, (row, col), is the mask of
-    the pixels to evaluate.
+    The window is a Gaussian of 11 × 11 pixels with σ = 1.5. Only windows inside the picture are used, unless no pixel would
+    be left.
+
+    Parameters
+    ----------
+    one, other : ndarray, (row, col)
+        The pictures, with values from 0 to 1.
+    counted : ndarray of bool, (row, col), optional
+        Mask of the pixels to evaluate. [default: all pixels]
     """
 
     def mean(values: Array) -> Array:
@@ -489,11 +495,18 @@ def ssim(one: Array, other: Array, *, counted: NDArray[np.bool_] | None = None) 
 
 
 def spectral_angle(rendered: Array, target: Array) -> Array:
-    """Return the angle in degrees between the spectra of each pixel (docs/method.md#quality-metrics).
+    """Return the angle between the rendered spectrum and the target spectrum of each pixel (docs/method.md#quality-metrics).
 
-    Both cubes have the shape (band, row, col), and the result has the shape (row, col). The angle is NaN if the target
-    spectrum is zero, or so small compared with the largest target spectrum that it is a float32 rounding error. The angle is
-    90° if only the rendered spectrum is zero.
+    Parameters
+    ----------
+    rendered, target : ndarray, (band, row, col)
+        Spectrum of each pixel.
+
+    Returns
+    -------
+    ndarray, (row, col)
+        Angle in degrees. It is NaN if the target spectrum is zero, or so small compared with the largest target spectrum
+        that it is a float32 rounding error. It is 90° if only the rendered spectrum is zero.
     """
     cubes = [cube.astype(np.float64) for cube in (rendered, target)]
     lengths = [np.sqrt((cube**2).sum(axis=0)) for cube in cubes]

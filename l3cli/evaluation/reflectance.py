@@ -73,7 +73,7 @@ class Estimates:
 
     Let the columns of Y be the target spectra of all pixels, and let the columns of P be their bands without noise and
     without mosaicking. The matrix of the estimator "pinv" is Y P⁺, where P⁺ is the pseudo-inverse. The matrix of the
-    estimator "wiener" is Y Pᵀ (P Pᵀ + E Eᵀ)⁻¹, where E is the error of the demosaicked bands because of noise.
+    estimator "wiener" is Y Pᵀ (P Pᵀ + E Eᵀ)⁻¹, where E is the error that noise causes in the demosaicked bands.
     """
 
     def __init__(self, camera: CameraModel, drawn: Drawn) -> None:
@@ -81,7 +81,7 @@ class Estimates:
         self._fitted: dict[tuple[bytes, float], dict[str, Array]] = {}
 
     def planes(self, frame: TrainingPair) -> dict[str, Array]:
-        """Return the name of each estimator, and its planes (output, row, col) for a frame, in the unit of the target.
+        """Estimate the planes (output, row, col) of a frame, in the unit of the target. The keys are names of estimators.
 
         Raises InputFileError if the camera does not respond to the illuminant of the frame.
         """

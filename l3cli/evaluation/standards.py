@@ -205,8 +205,14 @@ def crossing(lux: Array, snr: Array) -> float | None:
 def known_sharpness(camera: CameraModel, wavelength: Array, weights: Array) -> Sharpness:
     """Compute the MTF across an edge with the slant ANGLE, for a diffraction-limited lens and the pixel aperture.
 
-    The MTF of the lens is the weighted mean over the wavelengths `wavelength` (nm). `weights` contains one weight per
-    wavelength.
+    Parameters
+    ----------
+    camera : CameraModel
+        Camera with the lens and the pixels.
+    wavelength : ndarray, (wavelength,)
+        Wavelengths in nm at which the MTF of the lens is computed.
+    weights : ndarray, (wavelength,)
+        Weight of each wavelength in the mean MTF of the lens.
     """
     lens = diffraction_transfer(FREQUENCIES / camera.pixel_pitch, wavelength, camera.optics.f_number)
     pixel = np.sinc(FREQUENCIES * np.cos(np.radians(ANGLE))) * np.sinc(FREQUENCIES * np.sin(np.radians(ANGLE)))
@@ -309,10 +315,14 @@ def patch_means(planes: Array) -> Array:
 
 
 def colour_differences(xyz: Array, of_camera: Array, white: Array) -> Array:
-    """Return the CIEDE2000 difference between two cameras for each patch.
+    """Return the CIEDE2000 difference between the colours that two cameras record, for each patch.
 
-    `xyz` and `of_camera` (3, patch) are the XYZ values of the two cameras, which are scaled to equal mean luminance. `white`
-    is the XYZ of a perfect white.
+    Parameters
+    ----------
+    xyz, of_camera : ndarray, (3, patch)
+        XYZ of the patches as each camera records them. `xyz` is first scaled to the mean luminance of `of_camera`.
+    white : ndarray, (3,)
+        XYZ of a perfect white.
     """
     same = xyz * (of_camera[1].sum() / xyz[1].sum())
     return delta_e_2000(*(lab(each.T / white[1], white / white[1]) for each in (same, of_camera)))

@@ -152,9 +152,9 @@ def _last_floats(table: TransformTable) -> list[Array]:
 
 
 def _ratio_weights(taps: NDArray) -> list[Array]:
-    """Return the array of the weights of the taps that follow the window taps: colour ratios and bilateral chroma.
+    """Return a list with one array, which contains the weights of the colour ratios and of the bilateral chroma.
 
-    The result is empty if the layer has no such taps.
+    The taps of these weights follow the window taps. If the layer has no such taps, the list is empty.
     """
     return [Array("l3_ratio_weights", taps, "(class, output, tap)", packed=True)] if taps.size else []
 

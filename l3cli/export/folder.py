@@ -323,7 +323,10 @@ def _clipped_white(table: TransformTable) -> dict[str, Any]:
 
 
 def _white_scale(table: TransformTable) -> dict[str, Any]:
-    """Return the luminance of a white per DN for each channel. Empty if the table has no values for white."""
+    """Return the entry of table.json with the factor that converts each channel from DN to the luminance of a white.
+
+    The result is empty if the table has no values for white.
+    """
     return {} if table.white_signals is None else {"white_scale": white_scale(table).tolist()}
 
 

@@ -392,7 +392,7 @@ def _declared(name: str, camera: CameraModel) -> bool:
 
 
 class Exported(NamedTuple):
-    """The files of a camera for other software."""
+    """Files that describe a camera to other software."""
 
     files: dict[str, str]  # file name → contents
     errors: dict[str, dict[str, dict[str, Any]]]  # illuminant → name of a matrix → its colour errors (see `errors`)
@@ -400,10 +400,10 @@ class Exported(NamedTuple):
 
 
 def export(camera: CameraModel) -> Exported:
-    """Return all files of a camera for other software.
+    """Create the files that describe a camera to other software: responsivities, data sheet, DCP profile and tuning files.
 
-    Colour matrices are computed only for cameras that have at least three channels with different responsivities, and tuning
-    files only for Bayer arrays. If these files are left out, the note states the reason.
+    The DCP profile and the tuning files contain colour matrices, which require at least three channels with different
+    responsivities. Tuning files also require a Bayer array. If files are left out, the note of the result states the reason.
     """
     camera = replace(camera, name=printable(camera.name))  # the name may contain unprintable bytes
     files = {**_curves(camera), DATASHEET: _datasheet_csv(camera)}

@@ -251,7 +251,7 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
 def _test_steps(table: TransformTable) -> int:
     """Return the largest difference that the test program allows between a 16-bit output and the reference, in steps.
 
-    The weights of the smoothing of chroma amplify rounding errors.
+    More is allowed if the table smooths chroma, because the weights of the smoothing amplify rounding errors.
     """
     worst = short_cost(table, short_words(table))[1]
     return max(4, math.ceil(3 * worst)) if table.chroma_smoothing else max(1, math.ceil(worst))

@@ -124,12 +124,12 @@ def output_fraction(table: TransformTable) -> int:
 
 
 def split_of(table: TransformTable) -> int:
-    """Return the number of bits in the low part of the input values of the last layer of a table."""
+    """Return how many bits the low part has when the last layer splits its input values into a high and a low part."""
     return PLANE_TOP.bit_length() + 1 - HIGH_BITS if table.later else max(0, table.bits - HIGH_BITS)
 
 
 def offset_of(table: TransformTable) -> int:
-    """Return the offset that is subtracted from the input values of the last layer of a table."""
+    """Return the offset that the last layer subtracts from each input value."""
     return 0 if table.later else raw_middle(table.bits)
 
 
@@ -171,12 +171,12 @@ def short_words(table: TransformTable) -> ShortWords:
 
 
 def _value_step(table: TransformTable) -> float:
-    """Return the value, on the scale of the float weights, of one integer step of the inputs of the last layer."""
+    """Return the size of an integer step of the last layer's inputs, in the unit of the inputs to the float weights."""
     return PLANE_STEP if table.later else 1 / (table.white_level - table.black_level)
 
 
 def _likenesses(table: TransformTable) -> list[tuple[NDArray[np.bool_], NDArray[np.float64]]]:
-    """Return the assumed correlation R (tap, tap) of the window taps, for each group of classes of the last layer.
+    """For each group of classes in the last layer, return the assumed correlation R (tap, tap) between the window taps.
 
     In the first layer, the classes of each CFA site are a group. In a refinement layer, all classes are one group. Each item
     of the result consists of a mask of the classes in the group and the matrix R of the group.
@@ -191,7 +191,7 @@ def _likenesses(table: TransformTable) -> list[tuple[NDArray[np.bool_], NDArray[
 
 
 def _likeness(source: NDArray[np.int64], other: float) -> NDArray[np.float64]:
-    """Return the assumed correlation R (tap, tap) of the taps of square windows.
+    """Return the assumed correlation R (tap, tap) between the taps of square windows.
 
     `source` contains the channel or the plane of each tap. The correlation of taps with different sources is multiplied by
     `other`.

@@ -32,8 +32,8 @@ def one_blas_thread() -> None:
 def without_plots() -> None:
     """Prevent colour-science from importing matplotlib and pandas, which l3 does not use.
 
-    If these packages are installed, they would double the processor time for importing colour-science, from 2.4 s to 4.8 s
-    on a slow core, in each process that simulates or trains.
+    In each process that simulates or trains, these packages would double the processor time for importing colour-science,
+    from 2.4 s to 4.8 s on a slow core.
     """
     for name in ("matplotlib", "pandas"):
         sys.modules.setdefault(name, None)  # type: ignore[arg-type] # with the value None, imports of the module fail

@@ -57,7 +57,7 @@ class Scheduler:
     ca: Path | None = None  # certificate of the authority that both sides trust
     certificate: Path | None = None  # certificate of this machine
     key: Path | None = None  # private key of the certificate
-    warn: Callable[[str], None] = lambda message: None  # is called if other machines can connect without TLS
+    warn: Callable[[str], None] = lambda message: None  # called if other machines can connect without TLS
 
     def __post_init__(self) -> None:
         match = re.fullmatch(r"(tcp|tls)://\S+:(\d{1,5})", self.address, re.ASCII)

@@ -36,7 +36,7 @@ def threaded(count: int) -> Iterator[Callable[[Callable[[T], R], Iterable[T]], I
 def prefetched(items: Iterable[T], depth: int) -> Iterator[T]:
     """Yield the items of an iterable, while a thread computes up to `depth` items in advance.
 
-    An exception of the iterable is raised after the items that precede it.
+    If the iterable raises an exception, all items before the exception are yielded first.
     """
     ready: queue.Queue[Any] = queue.Queue()
     free = threading.Semaphore(depth)  # number of items that the thread may still compute

@@ -426,7 +426,7 @@ class Places:
         return left, top
 
     def _free(self, box: tuple[float, float, float, float]) -> bool:
-        """Return whether a box (left, top, right, bottom) is inside the plot and keeps clear of all covered points."""
+        """Return whether a box (left, top, right, bottom) is inside the plot and far enough from all covered points."""
         left, top, right, bottom = box
         if min(left, top) < 0 or right > self._width or bottom > self._height - 1:
             return False

@@ -35,7 +35,10 @@ class Entry:
 
 
 class Pair(NamedTuple):
-    """A table, and a training set for the same CFA on which the table was not trained. The report evaluates each pair."""
+    """A table and a training set on which the report evaluates the table.
+
+    Both have the same CFA, and the table was not trained on the set.
+    """
 
     table: Entry
     transforms: TransformTable  # the artifact of `table`
@@ -57,7 +60,7 @@ class Given:
 
     @property
     def pairs(self) -> list[Pair]:
-        """All pairs of a table, and a training set for the same CFA on which the table was not trained."""
+        """All pairs of a table and a training set with the same CFA, except the sets on which the table was trained."""
         return [
             Pair(table, transforms, frames, head)
             for table, transforms in self.of(TransformTable)
@@ -73,7 +76,7 @@ class Given:
 
 
 def trained_on(table: TransformTable, frames: Entry) -> bool:
-    """Return whether the table was trained on a training set: its history contains the SHA-256 of the set."""
+    """Return whether a table was trained on a training set, that is, whether its history contains the SHA-256 of the set."""
     return any(frames.sha256 in digests for stage in table.history for digests in stage.inputs.values())
 
 

@@ -130,7 +130,7 @@ class Front:
     comparison: Comparison
     score: str  # value of the main metric of the transform table, as text
     meaning: str  # explanation of the score
-    verdict: str  # sentences which state whether the transform table is better than the other pipelines
+    verdict: str  # sentences that state whether the transform table is better than the other pipelines
     table: Table  # metrics of all pipelines
 
 

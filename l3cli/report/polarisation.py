@@ -25,7 +25,7 @@ Maps = dict[str, dict[str, Pixels]]  # for each map, the picture of each pipelin
 
 
 def polarisation_maps(target: Array, planes: dict[str, Array], outputs: tuple[str, ...]) -> tuple[Maps, float]:
-    """Make maps of DoLP, AoLP and S0 of the results of all pipelines.
+    """Make maps of DoLP, AoLP and S0 from the results of all pipelines.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def polarisation_section(
     document : dict
         Output of `l3 evaluate --json`.
     maps : dict
-        For each index of a frame from `shown_frames`, in the same order, the result of `polarisation_maps`.
+        Index of each frame that `shown_frames` returned, in the same order → result of `polarisation_maps` for the frame.
     title : str
         Title of the section.
     anchor : str
@@ -119,7 +119,10 @@ def _comparison(
 
 
 def _key(kind: str, scale: float) -> tuple[Key, ...]:
-    """Return the colour key of a map. In the key for angles, all colours have the degree at the end of the scale."""
+    """Return the colour key of a map.
+
+    The colours in the key for angles are drawn for the degree of polarisation at the end of the DoLP scale.
+    """
     if kind == "S0":
         return ()
     steps = np.arange(KEY_STEPS + (kind == "DoLP")) / KEY_STEPS

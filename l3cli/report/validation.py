@@ -38,7 +38,7 @@ def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array]
     pair : tuple of ndarray, (patch, 3)
         Colours of the left halves and of the right halves, in linear sRGB.
     errors : dict of str to ndarray, (patch,)
-        Name of a picture → ΔE00 between each patch of this picture and of the picture in the left halves. It must contain
+        Name of a picture → ΔE00 of each patch between this picture and the picture in the left halves. It must contain
         `names[1]`, whose values are drawn. The values of all other pictures appear only in the caption and in the data.
     """
     side = (WIDTH - 2 - PATCH_GAP * (PATCHES_PER_ROW - 1)) / PATCHES_PER_ROW

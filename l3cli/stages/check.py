@@ -188,8 +188,8 @@ def _sizes(recipe: SceneRecipe, run: SimulationRun, files: list[list[Path]]) -> 
 def measurement_meaning(recipe: MeasurementRecipe | CorrectionRecipe, source: RecipeSource) -> Meaning:
     """Return the summary of a measurement file for `l3 check`, and faults in its polariser frames.
 
-    Frames behind a rotating polariser are faults if they contradict each other or the stated angles of the channels. If the
-    file states no angles, the angles of the camera in `source` are used.
+    A fault is reported if the frames behind a rotating polariser contradict each other or the stated angles of the channels.
+    If the file states no angles, the angles of the camera in `source` are used.
     """
     measured = measurements_of(recipe, source.path)
     camera, body = source.camera, measured.body
@@ -212,7 +212,7 @@ class Kind(NamedTuple):
         return self.recipes[0].title
 
     def structure(self, content: Mapping[str, Any]) -> type[Recipe]:
-        """Return the structure that a recipe of this type must have, which depends on the key `base` in its content."""
+        """Return the class that defines the structure of a recipe. The key `base` can change the structure."""
         return self.recipes[-1] if "base" in content else self.recipes[0]
 
 

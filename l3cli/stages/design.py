@@ -114,7 +114,7 @@ PARTS = 8  # number of parts into which the scenes are divided, independent of t
 
 
 def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -> tuple[SceneMoments, FilesUsed]:
-    """Compute the second moments of scenes as recorded by the lens and the bare pixels of a camera, and write the moments.
+    """Compute and write the second moments of scenes that the bare pixels of a camera record through the lens.
 
     The colour filters of the camera have no influence.
 
@@ -251,7 +251,7 @@ def _scene(wanted: WantedScene, run: SimulationRun) -> Scene:
 
 
 def _spectra(run: SimulationRun, chunk: Chunk) -> dict[str, NDArray]:
-    """Return the second moments of the photon spectra of some scenes.
+    """Sum the second moments of the photon spectra over some scenes.
 
     The result is one array "power", with the axes (illuminant, wavelength, wavelength).
     """
@@ -265,7 +265,7 @@ def _spectra(run: SimulationRun, chunk: Chunk) -> dict[str, NDArray]:
 
 
 def _moments(run: SimulationRun, bases: Sequence[NDArray[np.float64]], patches: int, chunk: Chunk) -> dict[str, NDArray]:
-    """Return sums over randomly chosen patches of some scenes.
+    """Sum the second moments of randomly chosen patches over some scenes.
 
     The name of each array ends in the index of the illuminant. The same patches are used under all illuminants.
     """
@@ -491,7 +491,7 @@ class _Run:
                 yield cfa
 
     def judged(self, arrays: Sequence[Cfa]) -> NDArray[np.float64]:
-        """Return the predicted errors of the CFAs as an array (CFA, level, group)."""
+        """Predict the errors of CFAs, and return them as an array (CFA, light level, group of patches)."""
         groups = [arrays[start : start + CFAS_PER_PART] for start in range(0, len(arrays), CFAS_PER_PART)]
         return np.concatenate([part["errors"] for part in self._each("arrays", self.task.judged, groups)])
 

@@ -242,7 +242,8 @@ def _array_sections(given: Given, cameras: list[tuple[str, CameraModel]], called
 def figures_of_camera(camera: CameraModel) -> dict[str, Any]:
     """Return the output of `l3 calibrate --json` for a camera, with the additional entry "shortfall".
 
-    This entry is the reason why the fit of the camera is too poor, or "" if the fit is good or if the camera was not fitted.
+    The entry states why the fitted camera model should not be used. It is "" if there is no such reason, or if the camera
+    was not fitted.
     """
     doubt = shortfall(camera) if camera.fit else None
     return figures(camera) | {"shortfall": (doubt or "").partition(";")[0]}

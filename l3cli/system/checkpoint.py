@@ -192,7 +192,7 @@ def incomplete_folder(folder: Path, key: str, force: bool) -> Iterator[None]:
 
 
 def mark_finished(folder: Path, key: str) -> None:
-    """Write a file into `folder` which records that the run with this key has completed the folder."""
+    """Write a file into `folder` that records that the run with this key has completed the folder."""
     write_whole(folder / FINISHED, key)
 
 

@@ -29,8 +29,8 @@ class FilesUsed:
     Attributes
     ----------
     read : dict of str to dict
-        Role, such as "table" → input file → size in bytes and modification time in ns of the file before it was read, or
-        None if the file did not exist.
+        The input files of each role, such as "table". For each file, the dictionary contains its size in bytes and its
+        modification time in ns before it was read, or None if the file did not exist.
     written : tuple of Path
         Finished output files.
     """
@@ -223,7 +223,7 @@ def _flush(path: Path) -> None:
 
 @contextlib.contextmanager
 def blamed_on(path: Path, numbers: tuple[int, ...] | None = None) -> Iterator[None]:
-    """Convert an OSError in the block to an L3Error with the message that `path` cannot be written.
+    """Convert an OSError in the block to an L3Error whose message says that `path` cannot be written.
 
     If `numbers` is not None, only errors with these error numbers (errno) are converted.
     """
@@ -318,7 +318,7 @@ def refuse_protected(output: Path | int) -> None:
 
 
 def identity(file: Path | int) -> Identity | None:
-    """Return the identity of a regular file, following links, or None if no regular file exists."""
+    """Return the device and the inode of a regular file, following links, or None if no regular file exists."""
     try:
         state = os.stat(file)
     except OSError:

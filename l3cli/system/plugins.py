@@ -37,7 +37,10 @@ def described(entry: EntryPoint) -> str:
 
 @contextlib.contextmanager
 def blamed(entry: EntryPoint) -> Iterator[None]:
-    """Convert an exception in the block, which calls the code of an entry point, to an L3Error with its name."""
+    """Convert an exception in the block to an L3Error that names the entry point.
+
+    The block calls the code of the entry point, and may check its result.
+    """
     try:
         yield
     except Exception as error:

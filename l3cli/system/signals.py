@@ -58,7 +58,7 @@ def leave_to_python() -> None:
 
 
 def end(number: int, frame: FrameType | None) -> None:
-    """Signal handler: raise the exception of the signal, or send the signal again later if code must not be interrupted."""
+    """Handle a signal: raise its exception or, if the current code must not be interrupted, send the signal again later."""
     while frame is not None:
         imports = frame.f_code.co_name == "<module>" and frame.f_globals.get("__name__") == HELD_BACK_IMPORT
         if imports or frame.f_code in _held_back:
@@ -69,7 +69,7 @@ def end(number: int, frame: FrameType | None) -> None:
 
 
 def behind(error: BaseException) -> KeyboardInterrupt | None:
-    """Return the KeyboardInterrupt that caused `error`, or `error` itself if it is one. None if no signal caused `error`.
+    """Return the KeyboardInterrupt that caused `error`, or None. If `error` is a KeyboardInterrupt, return `error`.
 
     Python 3.11 converts an exception in `__set_name__` to a RuntimeError, and some libraries convert exceptions to their own
     error classes.

@@ -78,7 +78,7 @@ class PictureCheckpoint(Checkpoint):
     def list_output(self, file: Path, temporary: Path, origin: str, **counts: int) -> None:
         """Add an output to the list. Call this method just before the temporary file of the output is renamed.
 
-        `counts` are numbers of frames.
+        `counts` are numbers of frames to store with the output, each under the name of its keyword.
         """
         self.add(file.name, {"file": dated(temporary), "origin": origin, **counts})
 
@@ -132,17 +132,18 @@ class FrameOrigins:
         self._inputs, self._before, self._follow = inputs, _digest(settings), follow
 
     def of(self, reference: FrameReference) -> FrameReference:
-        """Return the reference of a frame with its origin. A frame without a file of its own is returned unchanged.
+        """Compute the origin of a picture from the file of its frame, and return the reference with this origin.
 
-        Call this method before the frame is read, because the file could change during reading.
+        Call this method before the frame is read, because the file could change during reading. If the frame has no file of
+        its own, the file of the input is used. If that is not a file, `reference` is returned unchanged.
         """
         source = reference.source or self._inputs
         return self._with_origin(reference, fingerprint(source)) if source.is_file() else reference
 
     def of_read(self, reference: FrameReference, frame: RawFrame) -> FrameReference:
-        """Return the reference of a frame with its origin, after the frame was read.
+        """Return the reference of a frame that has been read, with the origin of the picture.
 
-        If the frame has no file of its own, the origin is computed from the pixels.
+        If `of` has already added the origin, it is kept. Otherwise, the origin is computed from the raw values.
         """
         if reference.origin:
             return reference

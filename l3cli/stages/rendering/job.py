@@ -473,9 +473,9 @@ def _rendition(destination: Destination, white: str | None, table: TransformTabl
 
 
 def warn_of_white(name: str, white: SceneWhite, table: TransformTable, console: Console) -> None:
-    """Warn if a white is far from the training illuminants, or if the spectrum of the white is not known far enough.
+    """Warn if a white is far from the training illuminants, or if its spectrum is not fully known.
 
-    The spectrum must be known at all wavelengths at which the camera is sensitive.
+    The spectrum must cover all wavelengths at which the camera is sensitive.
     """
     if doubt := far_from_training(name, white, table):
         console.warn(doubt)

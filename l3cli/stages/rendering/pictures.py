@@ -180,7 +180,7 @@ def _made_by_worker(job: tuple[RenderSetup, FrameTask]) -> Any:
 
 
 def _is_made(job: tuple[RenderSetup, FrameTask], made: Any) -> bool:
-    """Whether a worker on another machine has returned the result of `_made_by_worker`."""
+    """Whether an answer from another machine has the type and the size of a result of `_made_by_worker`."""
     setup, task = job
     if isinstance(made, L3Error):
         return True
@@ -192,7 +192,11 @@ def _is_made(job: tuple[RenderSetup, FrameTask], made: Any) -> bool:
 
 
 def _read_by_worker(task: FrameTask, setup: RenderSetup, table: TransformTable) -> FrameTask:
-    """Return a frame with the corrections of the camera model, and read its file if the frame itself was not sent."""
+    """Return a task whose frame has the corrections of the camera model.
+
+    If the task contains no frame, the frame is read from its file. Otherwise, the shading of the camera model is added to
+    the frame.
+    """
     correction = None if setup.camera is None else correction_again(setup.camera)
     if task.frame is None:
         assert task.reference.source is not None

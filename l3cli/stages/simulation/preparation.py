@@ -217,7 +217,7 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
     recipe : SceneRecipe
         The scene recipe.
     path : Path
-        File of the recipe, to whose folder file names are relative.
+        File of the recipe. File names in the recipe are relative to the folder of this file.
     camera : CameraModel
         The camera. The returned run contains this camera with the changes in the recipe, such as another lens.
     seed : int

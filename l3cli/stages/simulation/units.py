@@ -54,7 +54,7 @@ class StoredFrames(PartsFolder):
         return map(read_part, self._files())
 
     def append_to(self, writer: TrainingSetWriter) -> Iterator[SceneCoverage]:
-        """Append all frames to a training set. Yield how much of the spectrum the scene of each frame covers."""
+        """Append all frames to a training set. Yield, for each frame, how much of the spectrum its scene covers."""
         return map(writer.append_part, self._files())
 
     def _files(self) -> list[Path]:
@@ -193,7 +193,11 @@ def _sent(unit: WorkUnit) -> list[tuple[int, bytes]]:
 
 
 def _are_frames_of(unit: WorkUnit, sent: list[tuple[int, bytes]]) -> bool:
-    """Whether a worker on another machine has returned the frames of a unit."""
+    """Check the answer of a worker on another machine to `_sent`.
+
+    Return whether the answer contains exactly the frames of the unit, in order, and whether every frame has the expected
+    type and the expected numbers of outputs and channels.
+    """
     frames = [part_in(content) for _, content in sent]
     camera, outputs = unit.run.camera, len(unit.run.target.outputs)
     return [index for index, _ in sent] == [shot.index for shot in unit.shots] and all(

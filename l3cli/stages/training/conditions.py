@@ -1,4 +1,4 @@
-"""Training of additional transforms for other noise and for single illuminants.
+"""Training of additional sets of transforms, each for another noise level or for a single illuminant.
 
 A table can contain several sets of transforms, for example for frames after temporal noise reduction, or for tungsten light.
 Each combination of noise and illuminant is called a condition. All conditions of a table share the classes of the table

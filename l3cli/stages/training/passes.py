@@ -105,7 +105,7 @@ def _pilot(unit: PilotUnit) -> Pilot:
 
 
 def _is_pilot_of(unit: PilotUnit, pilot: Pilot) -> bool:
-    """Whether a worker on another machine has returned the pilot of a unit."""
+    """Whether an answer from another machine is a pilot whose arrays have the types and shapes that the unit requires."""
     channels, frames = len(unit.head.camera.channels), len(unit.frames)
     measured = (pilot.shares, pilot.whites, pilot.lights, pilot.exposures, *pilot.observed.values())
     return (
@@ -121,7 +121,7 @@ def _is_pilot_of(unit: PilotUnit, pilot: Pilot) -> bool:
 
 @dataclass(frozen=True)
 class WorkUnit:
-    """A work unit of a pass: the sums of some sites over some blocks of frames."""
+    """A work unit of a pass, for which a worker sums the normal equations of some sites over some blocks of frames."""
 
     training: tuple[TrainingSource, ...]
     remote: bool  # whether the worker is on another machine and must verify the bytes of its files
@@ -180,7 +180,10 @@ def summed(
 
 
 def _are_results_of(unit: WorkUnit, results: dict[int, ClassSums | Solution]) -> bool:
-    """Whether a worker on another machine has returned the sums or solutions of a work unit."""
+    """Check the answer of a worker on another machine to a work unit.
+
+    Return whether it contains sums or a solution for exactly the sites of the unit, with arrays of the expected shapes.
+    """
     outputs = len(unit.pass_.head.outputs)
     empty = empty_sums(unit.pass_.rule, outputs, unit.pass_.head.camera)
 
@@ -206,7 +209,7 @@ def learn_first(run: TrainingRun, pass_: TrainingPass, execution: Execution) -> 
 
 
 def sum_unit(unit: WorkUnit) -> dict[int, ClassSums]:
-    """Return the sums of a work unit for each site."""
+    """Sum the normal equations of a work unit, and return the sums of each site."""
     training = unit.training
     blocks = ((block[0], sites, frames_of(training, block, unit.remote)) for block, sites in unit.share.blocks)
     return sum_sites(unit.pass_, blocks, unit.weightings)

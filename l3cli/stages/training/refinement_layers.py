@@ -119,7 +119,7 @@ def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: P
 def summed_layer(
     run: TrainingRun, layer: LayerPass, rule: PlaneRule, blocks: list[range], execution: Execution
 ) -> dict[int, LayerSums]:
-    """Return the sums of each canonical site over blocks of frames."""
+    """Sum the normal equations of a refinement layer over blocks of frames, separately for each canonical site."""
     sums = no_sums(layer, rule)
     units = _units(run, layer, rule, blocks, execution)
     for part in execution.console.progress(execution.pool(_sum, units, _are_sums), len(units), f"layer {layer.number}"):
@@ -137,7 +137,7 @@ def _units(
 
 
 def _read(unit: LayerUnit) -> Iterator[tuple[int, Iterator[TrainingPair]]]:
-    """Yield, for each block, the index of its first frame and its frames."""
+    """For each block of the unit, yield the index of the first frame and an iterator over all frames of the block."""
     return ((block.start, frames_of(unit.training, block, unit.remote)) for block in unit.blocks)
 
 
@@ -158,18 +158,18 @@ def _sum(unit: LayerUnit) -> dict[int, LayerSums]:
 
 
 def _is_measured(unit: LayerUnit, measured: list[NDArray[np.float64]]) -> bool:
-    """Whether a worker on another machine has returned the result of `_measure`."""
+    """Whether the arrays in an answer from another machine have the shapes of a result of `_measure`."""
     return all((noise.dtype, noise.shape) == (np.float64, (2, unit.layer.rule.levels)) for noise in measured)
 
 
 def _are_samples(unit: LayerUnit, sampled: list[dict[int, rules.TreeSamples]]) -> bool:
-    """Whether a worker on another machine has returned the result of `_sample`."""
+    """Whether the arrays in an answer from another machine have the shapes of a result of `_sample`."""
     frames = sum(map(len, unit.blocks))
     return len(sampled) == frames and all(rules.are_samples(unit.layer, samples) for samples in sampled)
 
 
 def _are_sums(unit: LayerUnit, sums: dict[int, LayerSums]) -> bool:
-    """Whether a worker on another machine has returned the result of `_sum`."""
+    """Whether the arrays in an answer from another machine have the shapes of a result of `_sum`."""
     assert isinstance(unit.known, PlaneRule)
     empty = no_sums(unit.layer, unit.known)
     return set(sums) == set(empty) and all(same_shapes(sums[site], empty[site]) for site in empty)

@@ -206,7 +206,7 @@ def _write_shard(
 def _sums(
     run: TrainingRun, pass_: TrainingPass, table: TransformTable | None, shard: tuple[int, int], execution: Execution
 ) -> Iterator[ClassSums]:
-    """Yield the sums of each canonical site over the frames of a shard, in the order of the sites.
+    """Yield the normal equations of each canonical site, summed over the frames of a shard, in the order of the sites.
 
     If the shard has no frames, the sums are empty.
     """
