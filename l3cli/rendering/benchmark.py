@@ -58,9 +58,10 @@ CLASSES = {"fast": (10, 1), "single": (20, 8), "default": (10, 9)}  # class reci
 def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
     """Return a table with random transforms that takes as long to render as a trained table.
 
-    The table has as many levels and chromas as the class recipe. It has ten saturation cases, and a table with one layer
-    also has two contrast classes. A table with two layers also has the direction classes, colour ratios, coarse chroma,
-    replacement of clipped areas and smoothed chroma of the class recipe `default`.
+    The table has the numbers of levels and chromas that `CLASSES` lists for the class recipe of the case. It has ten
+    saturation cases, and a table with one layer also has two contrast classes. A table with two layers also has the
+    direction classes, colour ratios, coarse chroma, replacement of clipped areas and smoothed chroma of the class recipe
+    `default`.
 
     The pixels of `synthetic_frame` fall into different chroma classes, because the chroma centres surround the grey of this
     frame. Each transform is the mean of the window plus small random deviations. The pictures are therefore nearly grey, and
@@ -132,7 +133,7 @@ def _directions(case: Case, level_edges: NDArray[np.float64]) -> Feature:
 def _second_layer(
     first: ClassRule, sites: int, white: NDArray[np.float64], level_edges: NDArray[np.float64], rng: np.random.Generator
 ) -> PlaneLayer:
-    """Return a refinement layer with structure classes for the noise of `synthetic_frame`.
+    """Return a refinement layer whose structure classes suit the noise of `synthetic_frame`.
 
     Each transform returns a grey with the mean luminance of the window. Small random deviations are added to its weights.
     """
@@ -191,7 +192,7 @@ def synthetic_frame(case: Case, rng: np.random.Generator) -> RawFrame:
 
 
 def _detail(case: Case, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a factor for each pixel that adds a random texture to the scene.
+    """Return a random texture, as an array of factors by which the pixels of the scene are multiplied.
 
     The texture changes the brightness as often as a busy scene does. Most neighbouring pixels therefore have different
     structure classes, even if they have the same CFA site.

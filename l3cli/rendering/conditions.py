@@ -180,8 +180,8 @@ def known_gains(table: TransformTable) -> tuple[float, float]:
 def gain_of_frames(table: TransformTable, camera: CameraModel) -> float:
     """Return the analog gain of the frames of `camera`, relative to the camera of the table.
 
-    The gain is the ratio of the full scales of the two cameras, because frames are converted to the levels of the table
-    before rendering. Differences below 1 % are ignored. The result is 1 if the table does not contain its camera.
+    The gain is the ratio of the full scales of the two cameras, because raw values are scaled to the table's black and white
+    levels before rendering. Differences below 1 % are ignored. The result is 1 if the table does not contain its camera.
     """
     gain = table.camera.full_scale / camera.full_scale if table.camera else 1.0
     return 1.0 if abs(gain - 1) < SAME_GAIN else gain
@@ -191,13 +191,13 @@ def nearest_step(gain: float) -> float:
     """Round a gain to the nearest gain for which there are transforms.
 
     With `GAINS_PER_DOUBLING` gains per doubling, a varying gain needs only a few renderers, and the noise of a frame differs
-    by at most 3 % from the noise of its transforms.
+    by at most 3 % from the noise for which its transforms are intended.
     """
     return float(2.0 ** (round(GAINS_PER_DOUBLING * np.log2(gain)) / GAINS_PER_DOUBLING))
 
 
 def at_gain(table: TransformTable, gain: float) -> TransformTable:
-    """Convert a table for frames with a different analog gain (docs/method.md#gains).
+    """Convert a table so that it can render frames with a different analog gain (docs/method.md#gains).
 
     Transforms for temporally filtered frames are kept if they apply at this gain. A table without its camera is returned
     unchanged.
@@ -224,7 +224,7 @@ def at_gain(table: TransformTable, gain: float) -> TransformTable:
 
 
 def _at_gain(table: TransformTable, gain: float) -> TransformTable:
-    """Convert a table without transforms for single illuminants for frames with a different analog gain."""
+    """Convert a table for a different analog gain. The table must not have transforms for single illuminants."""
     usual, known = replace(table, conditions=()), [(each.noise, each) for each in table.noises if each.noise]
     less = []
     for at in (1.0, *(gain * left for left in LEFT if gain * left > 1)):
@@ -239,8 +239,8 @@ def _at_gain(table: TransformTable, gain: float) -> TransformTable:
 def _equivalent(table: TransformTable, gain: float) -> TransformTable:
     """Return a copy of a table with a single set of transforms, for the given gain.
 
-    A level at this gain has the same relative noise as another level at the gain of the camera model. Each class gets the
-    transforms of this other level. Classes of clipped pixels keep their own transforms.
+    For each level at the given gain, there is another level that has the same relative noise at the gain of the camera
+    model. Each class gets the transforms of this equivalent level. Classes of clipped pixels keep their own transforms.
     """
     if gain == 1:
         return table
@@ -299,14 +299,15 @@ def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
 
 
 def noise_limits(table: TransformTable) -> dict[NoiseScale, float]:
-    """Return, for each set of transforms for less noise, the noise fraction up to which the set is used.
+    """Return the largest noise fraction at which each set of transforms for reduced noise is used.
 
-    The limit between two sets for the noise fractions a < b is a^¾ · b^¼. The noise fraction of the camera's own noise is 1.
+    These sets were trained for frames in which a temporal filter has reduced the noise. The limit between two sets for the
+    noise fractions a < b is a^¾ · b^¼. The noise fraction of the camera's own noise is 1.
 
     Returns
     -------
     dict of NoiseScale to float
-        Limit for each noise level, in order of decreasing noise.
+        For the noise level of each set, the limit up to which the set is used. The order is from more noise to less noise.
     """
     lower = sorted((each.noise for each in table.noises if each.noise and each.noise.shot < 1), key=lambda each: -each.shot)
     return {each: each.shot**0.75 * above.shot**0.25 for above, each in itertools.pairwise([NoiseScale(), *lower])}
@@ -315,15 +316,16 @@ def noise_limits(table: TransformTable) -> dict[NoiseScale, float]:
 class NoiseSets:
     """All sets of transforms of a table. The remaining noise of a pixel determines the set with which the pixel is rendered.
 
-    The first set is for the noise of the table's camera, and the other sets are for less noise. The classes of all sets are
-    numbered consecutively, as if each set had its own sites, so that all transforms are in one array.
+    The first set is intended for the noise of the table's camera, and the other sets are intended for lower noise. The
+    classes of all sets are numbered consecutively, as if each set had its own sites, so that all transforms are in one
+    array.
 
     Parameters
     ----------
     table : TransformTable
         Table with its sets of transforms.
     by_noise : bool
-        Whether to include the sets for less noise.
+        Whether to include the sets that are intended for lower noise.
 
     Raises
     ------
@@ -347,7 +349,10 @@ class NoiseSets:
         return len(self.tables)
 
     def share(self, frame: RawFrame) -> float:
-        """Return the noise variance of a frame, as a fraction of the noise variance of the camera."""
+        """Return the noise variance of a frame, as a fraction of the noise variance of the camera.
+
+        The result is 1 if there is only one set of transforms.
+        """
         return frame.noise_share if self._limits else 1.0
 
     def chosen(self, frame: RawFrame) -> NDArray[np.uint8]:
@@ -364,7 +369,7 @@ class NoiseSets:
 
     @functools.cached_property
     def later(self) -> tuple[PlaneLayer, ...]:
-        """The refinement layers of the sets. Each refinement layer is joined in the same way as `first`."""
+        """The refinement layers, each of which is joined from the layers of all sets in the same way as `first`."""
         layers = zip(*(table.later for table in self.tables), strict=True)
         return tuple(self._joined(("weights", "intercept", "samples"), parts) for parts in layers)
 
@@ -387,8 +392,8 @@ class NoiseSets:
 def with_edges_for(table: TransformTable, share: float) -> TransformTable:
     """Adapt the class edges of a table to frames with less noise. The transforms do not change.
 
-    The edges of contrast, strength and other features are scaled with the noise. The scaled edges separate texture from
-    uniform areas as well as before.
+    The edges of contrast, strength and other features are scaled with the noise. The scaled edges therefore separate texture
+    from uniform areas as reliably as the original edges do at the full noise of the camera.
 
     Parameters
     ----------

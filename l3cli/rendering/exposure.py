@@ -65,12 +65,12 @@ class SpreadSamples:
         return self._at_levels(self._cut(frame))
 
     def _at_levels(self, cut: RawFrame) -> RawFrame:
-        """Convert patches to the levels of the table."""
+        """Scale patches to the table's black and white levels, and correct their colour shading."""
         table = self._table
         return cut.at_levels(table.black_level, table.white_level, table.bits).shading_corrected()
 
     def _cut(self, frame: RawFrame) -> RawFrame:
-        """Cut the patches out of a frame. The patches have the levels of the frame."""
+        """Cut the patches out of a frame. Their black and white levels are still the levels of the frame."""
         down, across = self._geometry(frame)
         patches = frame.values.reshape(-1).take(_places(down, across))
         shading = None
@@ -177,16 +177,16 @@ def _near(marked: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
 
 @functools.lru_cache(4)  # the result is the same for all frames of a sequence
 def _windows(length: int, period: int, patch: int, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the indices of the taps of at most `most` evenly spaced patches along one axis of a frame.
+    """Choose evenly spaced patches along one axis of a frame, and return the indices of their samples.
 
-    All patches are centred on samples with the CFA phase of the first sample.
+    There are at most `most` patches. All patches are centred on samples with the CFA phase of the first sample.
 
     Returns
     -------
     padded : ndarray, (patch, tap)
-        Indices in the frame with its mirrored margins.
+        Index of each sample in the frame with its mirrored margins.
     source : ndarray, (patch, tap)
-        Indices of the same samples in the frame without margins.
+        Index of each sample in the frame without margins.
     """
     available = -(-length // period)
     spread = np.linspace(0, available - 1, min(most, available)).round().astype(int)
@@ -197,7 +197,7 @@ def _windows(length: int, period: int, patch: int, most: int) -> tuple[np.ndarra
 
 @functools.lru_cache(1)
 def _places(down: tuple[int, int, int, int], across: tuple[int, int, int, int]) -> np.ndarray:
-    """Return the index (patch, tap) of each tap in the flattened frame.
+    """Return the indices (patch, tap) at which the values of all patches are stored in the flattened frame.
 
     One index per tap is twice as fast as a row index and a column index.
     """

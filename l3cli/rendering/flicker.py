@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 
 
 class BrightnessRatio:
-    """Compares the brightness of each frame of a sequence with the previous frame.
+    """Compares the brightness of each frame of a sequence with the brightness of the previous frame.
 
     The result is a median over about 1500 patches of raw values. Motion has no influence as long as moving objects cover
     less than half of the frame.

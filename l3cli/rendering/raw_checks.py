@@ -126,7 +126,7 @@ class FrameWarnings:
 
 
 def other_camera(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning if the file states a different camera from the table, otherwise ""."""
+    """Return a warning if the file and the table name different cameras, otherwise ""."""
     theirs = [_words(name) for name in frame.taken_by]
     ours = _words(table.camera_name)
     if not frame.taken_by or any(ours & words - _words(frame.taken_by[0]) or ours == words for words in theirs):
@@ -224,7 +224,7 @@ def value_warnings(frame: RawFrame, table: TransformTable) -> Iterator[str]:
 def _too_high(frame: RawFrame, bits: int, top: int) -> str:
     """Return a warning about values far above the white level, otherwise "". `top` is the largest value of the frame.
 
-    The warning also says whether the bytes of the values are swapped, or whether all values are multiples of a number.
+    The warning also says whether the bytes of the values are swapped, or whether all values have a common factor.
     """
     every, most = int(np.bitwise_or.reduce(frame.values, axis=None)), 2**bits - 1
     step = every & -every
@@ -249,7 +249,7 @@ def _too_high(frame: RawFrame, bits: int, top: int) -> str:
 def beyond_converter(frame: RawFrame, table: TransformTable) -> str:
     """Return a warning about values that the A/D converter of the camera cannot produce, otherwise "".
 
-    A frame whose levels differ from the levels of the table is not checked.
+    A frame is not checked if its black level or white level differs from the table's.
     """
     most = 2**table.bits - 1
     levels = (frame.black_level, frame.white_level) == (table.black_level, table.white_level)

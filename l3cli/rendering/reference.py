@@ -111,9 +111,10 @@ class ReferenceRenderer:
         return [self._sets.first_fixed_point, *(refined_fixed_point(layer, basis) for layer in self._sets.later[:-1])]
 
     def _labels(self, levelled: RawFrame) -> Integers:
-        """Return the class of every pixel in the first layer. The frame must have the levels of the table.
+        """Return the class of every pixel in the first layer.
 
-        Classes are numbered consecutively over all sets of transforms.
+        The raw values of `levelled` must be scaled to the table's black and white levels. Classes are numbered consecutively
+        over all sets of transforms.
         """
         usual, *others = (
             label_mosaic(levelled.values, table.first.rule, table.cfa, len(table.channels), levelled.phase)
@@ -156,7 +157,10 @@ def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
 
 
 def mosaic_of(levelled: RawFrame, table: TransformTable) -> Mosaic:
-    """Prepare a frame for the replacement of uniform clipped areas. The frame must have the levels of the table."""
+    """Return the raw values and the CFA of a frame, in the form that the replacement of uniform clipped areas needs.
+
+    The raw values of `levelled` must already be scaled to the table's black and white levels.
+    """
     cfa = shifted_cfa(table.cfa, levelled.phase)
     return Mosaic(levelled.values, cfa, levelled.black_level, table.white_level)
 
@@ -167,7 +171,7 @@ def output_planes(frame: RawFrame, labels: Integers, table: TransformTable, firs
     Parameters
     ----------
     frame : RawFrame
-        Frame with the levels of the table.
+        Frame whose raw values are scaled to the table's black and white levels.
     labels : ndarray, (row, col)
         Class of each pixel.
     table : TransformTable
@@ -186,7 +190,20 @@ def output_planes(frame: RawFrame, labels: Integers, table: TransformTable, firs
 def first_planes(frame: RawFrame, labels: Integers, table: TransformTable, fixed: FixedPoint) -> NDArray[np.int32]:
     """Apply the transforms of the first layer in fixed point, and return the planes.
 
-    The frame must have the levels of the table. `labels` contains the class of each pixel.
+    Parameters
+    ----------
+    frame : RawFrame
+        Frame whose raw values are scaled to the table's black and white levels.
+    labels : ndarray, (row, col)
+        Class of each pixel.
+    table : TransformTable
+        Table to which the layer belongs.
+    fixed : FixedPoint
+        Fixed-point transforms of the first layer.
+
+    Returns
+    -------
+    ndarray, (plane, row, col)
     """
     return _fixed_point_planes(_mosaic_windows(frame.values.astype(np.int64), table), labels, fixed)
 
@@ -289,15 +306,19 @@ def _transformed(
 
 
 def white_scale(table: TransformTable) -> NDArray[np.float64]:
-    """Return the factor that converts each channel from DN above black to the luminance of a white, in output units."""
+    """Return a factor for each channel, which converts raw values of a white object to the luminance of this object.
+
+    Raw values are in DN above black, and luminances are in output units.
+    """
     assert table.white_signals is not None
     return np.asarray(1 / (table.white_signals * (table.white_level - table.black_level)))
 
 
 def raising_constants(table: TransformTable) -> dict[str, float | int]:
-    """Return the constants, by name, with which pixels that are too dark are raised.
+    """Return the constants that are needed to raise the luminance of pixels that are too dark.
 
-    The result is empty if the table does not contain the signals of a white.
+    The keys of the result are the names of the constants. The result is empty if the table does not contain the signals of a
+    white.
     """
     if table.white_signals is None:
         return {}
@@ -312,16 +333,20 @@ def raising_constants(table: TransformTable) -> dict[str, float | int]:
 def least_luminance(frame: RawFrame, table: TransformTable) -> NDArray[np.float64]:
     """Return the lowest luminance that each pixel can have according to the raw values around the pixel.
 
-    The lowest luminance is a fraction of the smallest raw value in a window, after each value is divided by the value of its
-    channel for white. The window is just large enough to contain all channels. Values outside the frame are left out. If the
-    table does not contain the signals of a white, the result is −∞.
+    Each raw value in a window around the pixel is divided by the value that a white object has in the same channel. The
+    lowest luminance is a fraction of the smallest of these ratios. The window is just large enough to contain all channels.
+    Values outside the frame are left out. If the table does not contain the signals of a white, the result is −∞.
 
     Parameters
     ----------
     frame : RawFrame
-        Frame with the levels of the table.
+        Frame whose raw values are scaled to the table's black and white levels.
     table : TransformTable
         Table that renders the frame.
+
+    Returns
+    -------
+    ndarray, (row, col)
     """
     if table.white_signals is None:
         return np.full(frame.values.shape, -np.inf)
@@ -386,7 +411,7 @@ def smoothed_chroma(
 
     Smoothing does not change the luminance.
 
-    Let p be a pixel and q one of its neighbours (CHROMA_NEIGHBOURS). X_w and Z_w belong to the white:
+    Let p be a pixel and q one of its neighbours (CHROMA_NEIGHBOURS). X_w and Z_w are the X and Z of `white`:
 
         e_q = X_q Y_p − X_p Y_q
         f_q = Z_q Y_p − Z_p Y_q

@@ -94,7 +94,8 @@ def make_renderer(backend: str, table: TransformTable, by_noise: bool = False, *
     table : TransformTable
         Table that renders the frames.
     by_noise : bool
-        Whether to use the table's transforms for less noise, for pixels in which a temporal filter has left little noise.
+        Whether to choose the set of transforms pixel by pixel. If a temporal filter has reduced the noise of a pixel, the
+        pixel is then rendered with transforms that were trained at a similarly low noise.
     **options
         Options of the backend. "opencl" has the options `device` and `variant` (see `OpenCLRenderer`).
 
@@ -119,8 +120,8 @@ class NoiseRenderer:
     """Renderer for frames with any analog gain and any noise.
 
     Each frame is rendered with the transforms for its analog gain. If a temporal filter has reduced the noise of the frame,
-    each pixel is rendered with the transforms for its remaining noise. If the table has no transforms for less noise, the
-    class edges are adapted to the mean noise of the frame.
+    each pixel is rendered with the transforms for its remaining noise. If the table has no transforms that were trained at
+    lower noise, the class edges are adapted to the mean noise of the frame.
 
     Parameters
     ----------
@@ -149,9 +150,9 @@ class NoiseRenderer:
         return self._renderers[noise]
 
     def _noise(self, frame: RawFrame) -> tuple[float, float | None]:
-        """Return the gain and the noise fraction for which a frame is rendered.
+        """Return the analog gain and the noise fraction that determine the transforms for a frame.
 
-        The fraction is None if the transforms are chosen for each pixel.
+        The noise fraction is None if the transforms are chosen for each pixel.
         """
         gain = nearest_step(frame.gain)
         by_pixel = frame.noise_left is not None and bool(noise_limits(self._table(gain)))

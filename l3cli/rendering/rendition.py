@@ -110,14 +110,14 @@ def shown_as(
     table: TransformTable, exposure: float | None, white: str | None, space: str, bits: int,
     estimated_by: TransformTable | None = None,
 ) -> tuple[Rendition, WhiteSource | None]:  # fmt: skip
-    """Return the settings of pictures, and the method that finds the white of each frame.
+    """Return the settings with which outputs are converted to pictures, and the method that finds the white of each frame.
 
     Parameters
     ----------
     table : TransformTable
         Table that renders the frames.
     exposure : float or None
-        Factor on Y, or None for automatic exposure.
+        Factor by which Y is multiplied, or None for automatic exposure.
     white : str or None
         The white, as in `white_source` and `given_white`.
     space : str
@@ -314,8 +314,14 @@ class FrameMeter:
 class Following:
     """Determines the exposure scale and the white balance of frames one after another, and applies the temporal filter.
 
-    If `rate` is None, all frames have the exposure scale and the white balance of the first frame. The other parameters are
-    the same as for `FrameMeter`. `temporal` is the temporal filter, if any.
+    Parameters
+    ----------
+    table, rendition, source
+        The same as for `FrameMeter`.
+    rate : Fraction or None
+        Frames per second. If None, all frames have the exposure scale and the white balance of the first frame.
+    temporal : Chunks, optional
+        The temporal filter. [default: frames are not filtered]
     """
 
     def __init__(

@@ -272,7 +272,10 @@ def within_polygon(shape: tuple[int, ...], polygon: Sequence[tuple[float, float]
 
 
 def _flags(table: TransformTable) -> list[NDArray[np.uint8]]:
-    """Return the bits CLIPPED and UNTRAINED of each class in the first layer, and of each class in the last layer."""
+    """Return the flags CLIPPED and UNTRAINED of each class, as an array for the first layer and an array for the last layer.
+
+    For a table with a single layer, the list contains one array.
+    """
     rule, samples = table.first.rule, [table.first.samples, *(layer.samples for layer in table.later[-1:])]
     flags = [np.where(each > 0, 0, UNTRAINED).astype(np.uint8) for each in samples]
     flags[0][rule.case(rule.split(np.arange(len(table.first.weights))).kind) > 0] |= CLIPPED
@@ -280,7 +283,7 @@ def _flags(table: TransformTable) -> list[NDArray[np.uint8]]:
 
 
 def _replaced(table: TransformTable, frame: RawFrame) -> NDArray[np.uint8]:
-    """Return a mask (row, col) of the pixels that the replacement of clipped areas changes: CLIPPED or 0."""
+    """Return an array (row, col) with CLIPPED where clipped areas are replaced, and 0 elsewhere."""
     none, clipping = np.zeros(frame.values.shape, np.uint8), table.later[-1].clipping if table.later else None
     if clipping is None:
         return none
@@ -311,10 +314,11 @@ def _sides(planes: NDArray[Any]) -> list[NDArray[Any]]:
 def _raw_sigma(
     table: TransformTable, terms: tuple[Array, Array, float], unit: float, outputs: Array, scale: Array
 ) -> Array:  # fmt: skip
-    """Return the noise s of a raw value that is as bright as the output of each pixel, as a fraction of full scale.
+    """Return, for each pixel, the noise s of a raw value that is as bright as the output of the pixel.
 
-    The noise terms are averaged over the channels. `outputs` are already multiplied by `scale`, the product of
-    `RawFrame.light_share` and the shading gain of each pixel. The returned standard deviation is multiplied by `scale`, too.
+    The noise is a standard deviation, as a fraction of full scale. The noise terms are averaged over the channels. `outputs`
+    are already multiplied by `scale`, the product of `RawFrame.light_share` and the shading gain of each pixel. The returned
+    standard deviation is multiplied by `scale`, too.
     """
     span = table.white_level - table.black_level
     constant, linear, quadratic = (np.mean(term) / span**2 for term in terms)
@@ -332,9 +336,10 @@ def _brightness(table: TransformTable, outputs: Array) -> Array:
 
 
 def _noise_terms(table: TransformTable, frame: RawFrame) -> tuple[Array, Array, float]:
-    """Return the constant, linear and quadratic noise terms of a frame, converted to the levels of the table.
+    """Return the constant, linear and quadratic noise terms of a frame.
 
-    The constant and the linear term have one value per channel.
+    They apply to raw values that are scaled to the table's black and white levels. The constant and the linear term have one
+    value per channel.
     """
     every = np.arange(len(table.channels))
     camera, dark = _camera_and_dark(table, frame)
@@ -343,15 +348,18 @@ def _noise_terms(table: TransformTable, frame: RawFrame) -> tuple[Array, Array, 
 
 
 def _line_variances(table: TransformTable, frame: RawFrame) -> tuple[float, float]:
-    """Return the variance of the offsets of rows and of columns, in DN² at the levels of the table."""
+    """Return the variances of the row offsets and of the column offsets, in DN².
+
+    They apply to raw values that are scaled to the table's black and white levels.
+    """
     camera, dark = _camera_and_dark(table, frame)
     return camera.line_variances(dark)
 
 
 def _camera_and_dark(table: TransformTable, frame: RawFrame) -> tuple[CameraModel, float]:
-    """Return the camera with the noise that a temporal filter left in a frame.
+    """Return the table's camera model with the noise that a temporal filter left in a frame, and the dark signal.
 
-    Also return the dark signal at the table's levels.
+    The dark signal is in DN, scaled to the table's black and white levels.
     """
     assert table.camera is not None
     dark = frame.dark * (table.white_level - table.black_level) / (frame.white_level - frame.black_level)
@@ -454,7 +462,7 @@ def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labe
     table : TransformTable
         Table that rendered the outputs.
     levelled : RawFrame
-        The frame, converted to the levels of the table.
+        The frame, with its raw values scaled to the table's black and white levels.
     sampled : (ndarray, ndarray)
         Indices of the rows and of the columns that `outputs` contains.
     outputs : ndarray, (output, row, col)
@@ -464,7 +472,7 @@ def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labe
     -------
     matrix : ndarray, (channel, output)
     unit : float
-        Mean signal in DN of outputs with a brightness of 1.
+        Mean raw signal, in DN above black, at which the brightness of the outputs is 1.
     """
     sides = block_sides(table.cfa)
     rows, cols = (length // side for length, side in zip(outputs.shape[1:], sides, strict=True))
@@ -502,7 +510,7 @@ def _sampled(length: int, unit: int) -> NDArray[np.int64]:
 
 
 def _counts(indices: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return a mask of the indices from `_sampled` that are not near a seam between pieces or near the ends."""
+    """Return a mask of the indices from `_sampled` that are neither near a seam between pieces nor near the ends."""
     seams = np.concatenate([[-0.5], np.flatnonzero(np.diff(indices) != 1) + 0.5, [indices.size - 0.5]])
     return np.asarray(np.abs(np.arange(indices.size)[:, None] - seams).min(axis=1) > SEAM_PIXELS)
 
@@ -568,7 +576,10 @@ def _summed(part: Labels, values: NDArray[Any], size: int) -> Array:
 
 
 def _areas(deviations: Array) -> Array:
-    """Return `NoiseGains.area` from the deviations (output, draw, row, col) of each rendering from the mean rendering."""
+    """Compute `NoiseGains.area` from several renderings of one scene with different noise.
+
+    `deviations` (output, draw, row, col) contains the differences between each rendering and the mean rendering.
+    """
     areas, means = [], deviations
     for side in TILES:
         if side > 1:

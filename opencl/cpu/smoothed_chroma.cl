@@ -85,8 +85,8 @@ COMPILED_ONCE smooth_chroma_tile(int x0, int y0,
                                  __global CODE *restrict picture         // (row, col, 3), or (output, row, col)
                                  GAIN_PARAMETER, LEAST_PARAMETERS
                                  float by_luminance, float by_x, float by_z,
-                                 int made_rows, int top,                 // number of rows in `made`, and row of the frame where they begin
-                                 int first, int frame_rows,              // row of the frame where the written rows begin, and rows of the frame
+                                 int made_rows, int top,                 // number of rows in `made`, and index of its first row in the frame
+                                 int first, int frame_rows,              // index of the first written row, and number of rows of the frame
                                  int rows, int columns) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const size_t stride = (size_t)made_rows * columns, pixels = (size_t)rows * columns;

@@ -10,8 +10,8 @@ COMPILED_ONCE smooth_tile(int x0, int y0,
                           __global const float *restrict made,  // (output, made row, col)
                           __global float *restrict smoothed,    // (output, row, col)
                           float reach,
-                          int made_rows, int top,               // number of rows in `made`, and row of the frame where they begin
-                          int first, int frame_rows,            // row of the frame where the written rows begin, and rows of the frame
+                          int made_rows, int top,               // number of rows in `made`, and index of its first row in the frame
+                          int first, int frame_rows,            // index of the first written row, and number of rows of the frame
                           int rows, int columns) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const size_t stride = (size_t)made_rows * columns, pixels = (size_t)rows * columns;

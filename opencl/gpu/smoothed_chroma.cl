@@ -10,8 +10,8 @@ void smooth_chroma(__global const float *restrict made,    // (output, made row,
 #endif
                    LEAST_PARAMETERS
                    float by_luminance, float by_x, float by_z,
-                   int made_rows, int top,                 // number of rows in `made`, and row of the frame where they begin
-                   int first, int frame_rows,              // row of the frame where the written rows begin, and rows of the frame
+                   int made_rows, int top,                 // number of rows in `made`, and index of its first row in the frame
+                   int first, int frame_rows,              // index of the first written row, and number of rows of the frame
                    int rows, int columns) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= columns || y >= rows) return;

@@ -12,8 +12,8 @@ __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void smooth_spectra(__global const float *restrict made,   // (output, made row, col)
                     __global float *restrict smoothed,     // (output, row, col)
                     float reach,
-                    int made_rows, int top,                // number of rows in `made`, and row of the frame where they begin
-                    int first, int frame_rows,             // row of the frame where the written rows begin, and rows of the frame
+                    int made_rows, int top,                // number of rows in `made`, and index of its first row in the frame
+                    int first, int frame_rows,             // index of the first written row, and number of rows of the frame
                     int rows, int columns) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= columns || y >= rows) return;

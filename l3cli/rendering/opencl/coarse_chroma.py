@@ -31,8 +31,18 @@ class DeviceCoarseChroma:
     ) -> None:  # fmt: skip
         """Store the arguments. Kernels are compiled when a frame first needs them.
 
-        `kernel` compiles a kernel, given the source, the macros and the name. `run` enqueues a kernel for all pixels of an
-        area. `constant` copies an array to the device.
+        Parameters
+        ----------
+        kernel : callable
+            Function that compiles a kernel, given the source, the macros and the name.
+        run : callable
+            Function that enqueues a kernel for all pixels of an area.
+        constant : callable
+            Function that copies an array to the device, and returns the buffer.
+        chroma : CoarseChroma
+            Settings of the filter.
+        variant : str
+            A key of layout.VARIANTS.
         """
         self._make, self._run, self._constant, self._chroma, self._variant = kernel, run, constant, chroma, variant
         self._kernels: list[Any] = []  # the kernels "average" and "soften"
@@ -104,15 +114,22 @@ class DeviceClipping:
         self._constants: list[Any] = []  # buffers with the CFA, and with the response and the white
 
     def maps(self, track: Track, band: Band, frame: RawFrame) -> tuple[list[Any], Any]:
-        """Enqueue the kernels that compute the replacement values for clipped areas, for each 2 × 2 quad of pixels.
+        """Enqueue the kernels that compute the values by which clipped areas are replaced.
 
-        The frame must have the levels of the table.
+        Parameters
+        ----------
+        track : Track
+            Command queue and device buffers for the band.
+        band : Band
+            Rows of the frame that are rendered together.
+        frame : RawFrame
+            Frame whose raw values are scaled to the table's black and white levels.
 
         Returns
         -------
         events : list
         quads : buffer
-            Values for the replacement, one set per quad.
+            The values for the replacement. Each quad of 2 × 2 pixels has one set of values.
         """
         table = self._table
         clipping = table.later[-1].clipping

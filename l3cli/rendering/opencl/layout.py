@@ -37,8 +37,17 @@ TRANSFORM = ("common/ratios.cl", "cpu/folding.cl", "cpu/floating_point.cl", "cpu
 def curve_macros(curve: Curve, steps: int, degree: int) -> dict[str, int | str]:
     """Return the macros that define a transfer curve in encoding.cl.
 
-    The power function of the curve is approximated by a polynomial of the fourth root. `steps` is the number of Newton steps
-    for the root, and `degree` the degree of the polynomial, which is fitted at Chebyshev nodes.
+    The power function of the curve is approximated by a polynomial in the fourth root of the linear value. The polynomial is
+    fitted at Chebyshev nodes.
+
+    Parameters
+    ----------
+    curve : Curve
+        The transfer curve.
+    steps : int
+        Number of Newton steps with which the kernel computes the fourth root.
+    degree : int
+        Degree of the polynomial.
     """
     lowest = curve.knee**0.25
     root = lowest + (1 - lowest) * (np.cos(np.linspace(0, np.pi, 1001)) + 1) / 2
@@ -197,7 +206,7 @@ def white_macros(table: TransformTable) -> Macros:
 
 
 def least_macros(table: TransformTable) -> Macros:
-    """Return the macros for raising pixels that are too dark.
+    """Return the macros for the code that raises the luminance of pixels that are too dark.
 
     The result is empty if the table does not contain the signals of a white.
     """
@@ -214,7 +223,11 @@ def least_macros(table: TransformTable) -> Macros:
 
 
 def site_scale(table: TransformTable) -> NDArray[np.float64]:
-    """Return `white_scale` for each site of the CFA. Each CFA row is repeated to a length of SCALE_PERIOD."""
+    """Return the factor `white_scale` of each CFA site, as an array (CFA row, column).
+
+    After the last CFA column, the columns start again. The `EXTRA_CFA_COLUMNS` additional columns allow the kernel to load
+    whole vectors that start at any CFA column.
+    """
     columns = np.arange(table.cfa.shape[1] + EXTRA_CFA_COLUMNS) % table.cfa.shape[1]
     return np.asarray(white_scale(table)[table.cfa[:, columns]])
 
@@ -331,7 +344,8 @@ def display_macros(display: Display) -> Macros:
 def class_arrays(table: TransformTable, *others: TransformTable) -> tuple[NDArray, ...]:
     """Return the arrays that the kernel `classes` receives as constant arguments.
 
-    `others` are tables with the transforms for less noise, if the kernel chooses between several sets of transforms.
+    If the kernel chooses between several sets of transforms, `others` are the tables with the sets that were trained at
+    lower noise.
     """
     rule, channels = table.first.rule, len(table.channels)
     neighbours = neighbourhoods(table.cfa, rule.patch, channels)
@@ -397,7 +411,7 @@ def refinement_weights(layer: PlaneLayer) -> Weights:
 
 @dataclass(frozen=True)
 class PlaneStep:
-    """Constant buffers of a refinement layer, for the kernels that compute its input planes and its classes."""
+    """Constant buffers of a refinement layer. The kernels that compute the layer's input planes and classes read them."""
 
     weights: Any  # weights of the previous layer, which computes the planes
     rule: tuple[Any, ...]  # constants of the kernel `structures` (gradient.cl, structure.cl, tree.cl)
@@ -425,9 +439,9 @@ def table_buffers(
     classes : list
         Buffers with the class rule of the first layer.
     weights : buffer
-        Transforms of the last layer.
+        Weights of the last layer, in the format of the variant.
     steps : list of PlaneStep
-        One per refinement layer.
+        Buffers of each refinement layer.
     """
     table, later, steps = sets.tables[0], sets.later, []
     for number in range(len(later)):
@@ -502,8 +516,9 @@ def pack_whole_in_vectors(layer: WholeWeights, lanes: int) -> NDArray[np.int16]:
 def _side_by_side(taps: NDArray, intercept: NDArray, once: int) -> NDArray:
     """Pack the weights of each class for side_by_side.cl.
 
-    Each class begins with a header that contains the four intercepts at a stride of 4. The taps follow in blocks: `once`
-    taps of output 0, the same taps of output 1, and so on up to output 3. Missing outputs and taps are zero.
+    Each class begins with 16 numbers, of which numbers 0, 4, 8 and 12 are the intercepts of the four outputs. The weights of
+    the taps follow in blocks. A block contains the weights of `once` taps for output 0, then the weights of the same taps
+    for output 1, and so on up to output 3. If there are fewer outputs or taps, the remaining numbers are zero.
     """
     classes, outputs, count = taps.shape
     first = np.zeros((classes, 4, 4), intercept.dtype)

@@ -116,18 +116,18 @@ class Programs:
         self.cut = made_for.cut(table, lanes or usual_encoder(compiler, variant))
 
     def transforms(self, ending: layout.Macros, joined: bool = False) -> Any:
-        """Return the kernel for the transforms of the last layer.
+        """Return the kernel that applies the transforms of the last layer.
 
         If `joined` is true, which requires a table with one layer, the kernel also determines the classes.
         """
         return self._transforms(self._last, ending, joined)
 
     def first_outputs(self) -> Any:
-        """Return the kernel for the outputs of the first layer, if the last layer of the table corrects these outputs."""
+        """Return the kernel that computes the outputs of the first layer, if the last layer corrects these outputs."""
         return self._transforms(0, layout.OUTPUTS_AS_THEY_ARE, joined=False)
 
     def planes(self, layer: int, joined: bool = False) -> Any:
-        """Return the kernel for the planes that `layer` outputs and the next layer reads.
+        """Return the kernel that computes the output planes of `layer`, which the next layer reads.
 
         If `joined` is true, which requires the first layer, the kernel also determines the classes.
         """

@@ -56,8 +56,14 @@ class DeviceShading:
     def __init__(self, kernel: Callable[[str, Macros, str], Any], constant: Callable[[NDArray], Any], lanes: int) -> None:
         """Store the arguments. Kernels are compiled when a frame first needs them.
 
-        `kernel` compiles a kernel, given the source, the macros and the name. `constant` copies an array to the device.
-        `lanes` is the length of the vectors.
+        Parameters
+        ----------
+        kernel : callable
+            Function that compiles a kernel, given the source, the macros and the name.
+        constant : callable
+            Function that copies an array to the device, and returns the buffer.
+        lanes : int
+            Length of the vectors.
         """
         self._make, self._constant, self._run = kernel, constant, LONG_RUN if lanes > 1 else 1
         self._kernel: Any = None
@@ -70,7 +76,10 @@ class DeviceShading:
         return {} if shading is None else {"SHADED": 1, "GAIN_STEP": NODE_SPACING_COLUMNS}
 
     def gain(self, shading: Shading | None, rows: slice) -> tuple[Any, ...]:
-        """Return a tuple with the buffer of shading gains for a band, or an empty tuple if the frame has no shading."""
+        """Return a tuple with a buffer that contains the shading gains of the given rows.
+
+        The tuple is empty if the frame has no shading.
+        """
         return () if shading is None else (self._buffer(shading, "gain", rows),)
 
     @staticmethod
@@ -82,7 +91,10 @@ class DeviceShading:
         return frame.shading is not None and frame.shading.colour is not None
 
     def correct(self, frame: RawFrame, track: Track, band: Band) -> Any:
-        """Enqueue the correction of colour shading for a band. The frame must have the levels of the table."""
+        """Enqueue the correction of colour shading for a band.
+
+        The raw values must already be scaled to the table's black and white levels.
+        """
         if self._kernel is None:
             macros: Macros = {"FRACTION": FRACTION, "RUN": self._run}
             self._kernel = self._make(
@@ -115,7 +127,7 @@ class Unread:
     result: Any  # buffer with the outputs
 
     def are_of(self, frame: RawFrame) -> bool:
-        """Return whether the outputs were computed from this frame, and its values have not changed since then."""
+        """Return whether the outputs were computed from this frame, and the frame's values have not changed since then."""
         return self.frame is frame and np.array_equal(self.values, frame.values)
 
 
@@ -383,7 +395,10 @@ class OpenCLRenderer:
         return work
 
     def _bring(self, values: NDArray, frame: RawFrame, track: Track, band: Band, work: Work) -> None:
-        """Enqueue the upload of a band, including the rows above and below the band that its windows contain."""
+        """Enqueue the upload of the raw values of a band.
+
+        The upload includes rows above and below the band, if the windows of pixels in the band extend into these rows.
+        """
         source, (rows, columns) = values[band.raw_rows], band.shape(0)
         track.labels = self._scratch(track.labels, 4 * rows * columns)
         if self._in_place and not self._shading.corrects(frame):
@@ -397,7 +412,10 @@ class OpenCLRenderer:
             work.add("classes", self._shading.correct(frame, track, band))
 
     def _chosen(self, frame: RawFrame, track: Track, band: Band, work: Work) -> tuple[Any, ...]:
-        """Upload the number of the transform set of each pixel in a band. Return a tuple with the buffer."""
+        """Enqueue the upload of an index for each pixel of a band, which selects the set of transforms for the pixel.
+
+        The result is a tuple with the buffer that will contain the indices.
+        """
         rows = band.reads[0]
         pixels = np.zeros((rows.stop - rows.start) * band.columns + READ_AHEAD, np.uint8)
         pixels[:-READ_AHEAD].reshape(-1, band.columns)[...] = self._sets.chosen(frame)[rows]
@@ -415,7 +433,7 @@ class OpenCLRenderer:
         return np.int32((frame.phase[0] + band.reads[0].start) % self.table.cfa.shape[0]), np.int32(frame.phase[1])
 
     def _classify_refinement(self, number: int, track: Track, band: Band, frame: RawFrame, work: Work) -> None:
-        """Enqueue the computation of the planes that refinement layer `number` reads, and of the classes of this layer.
+        """Enqueue the kernels that compute the input planes and the classes of refinement layer `number`.
 
         Refinement layers are counted from 0.
         """
@@ -474,9 +492,9 @@ class OpenCLRenderer:
             work.add(CHROMA, self._chroma.smooth(track, band, encoding, result, frame, gain, {**ending, **shaded}))
 
     def _first_outputs(self, track: Track, band: Band, frame: RawFrame, work: Work) -> tuple[Any, ...]:
-        """Enqueue the computation of the first layer's outputs, which the last layer corrects.
+        """Enqueue the kernel that computes the outputs of the first layer, which the last layer corrects.
 
-        Return a tuple with their buffer.
+        The result is a tuple with the buffer that will contain these outputs.
         """
         (rows, columns), step = band.shape(0), self._layers[0]
         size = 4 * len(self.table.outputs) * rows * columns

@@ -18,7 +18,7 @@ DARKEST: Macros = {"DARKEST": f"{SMOOTHING_DARKEST!r}f"}
 
 
 def room_for(track: Track, band: Band, outputs: int) -> Any:
-    """Return a buffer of the track for the outputs of a band before they are smoothed."""
+    """Return the buffer of a track that holds the outputs of a band before smoothing. Enlarge the buffer if necessary."""
     track.made = scratch(track.queue.context, track.made, 4 * outputs * (band.made.stop - band.made.start) * band.columns)
     return track.made
 
@@ -26,8 +26,8 @@ def room_for(track: Track, band: Band, outputs: int) -> Any:
 def place_of(band: Band, frame_rows: int) -> tuple[np.int32, ...]:
     """Return the last arguments of a smoothing kernel, which describe the rows of a band.
 
-    The arguments are the number of rows before smoothing, the first of these rows, the first smoothed row, and the number of
-    rows of the frame.
+    The first two arguments describe the rows that are read: their number, and the index of the first of them in the frame.
+    The third argument is the index of the first row that is written. The last argument is the height of the frame in rows.
     """
     made, first = band.made, band.rows.start
     return tuple(map(np.int32, (made.stop - made.start, made.start, first, frame_rows)))
@@ -41,8 +41,16 @@ class DeviceSpectra:
     ) -> None:
         """Store the arguments. The kernel is compiled when a frame first needs it.
 
-        `kernel` compiles a kernel, given the source, the macros and the name. `run` enqueues a kernel for all pixels of an
-        area.
+        Parameters
+        ----------
+        kernel : callable
+            Function that compiles a kernel, given the source, the macros and the name.
+        run : callable
+            Function that enqueues a kernel for all pixels of an area.
+        table : TransformTable
+            Table with the settings of the smoothing.
+        variant : str
+            A key of layout.VARIANTS.
         """
         assert table.spectra is not None
         self._make, self._run, self._variant = kernel, run, variant
@@ -54,9 +62,24 @@ class DeviceSpectra:
         return room_for(track, band, self._outputs)
 
     def smooth(self, track: Track, band: Band, result: Any, frame_rows: int) -> Any:
-        """Enqueue the smoothing of the outputs of a band, which are in the buffer from `room`.
+        """Enqueue the kernel that smooths the outputs of a band.
 
-        The smoothed outputs are written to `result`, without the margins above and below the band.
+        The kernel reads the outputs from the buffer that the method `room` returns.
+
+        Parameters
+        ----------
+        track : Track
+            Command queue and device buffers for the band.
+        band : Band
+            Rows of the frame that are rendered together.
+        result : buffer
+            Buffer to which the smoothed outputs are written, without the margins above and below the band.
+        frame_rows : int
+            Number of rows of the frame.
+
+        Returns
+        -------
+        event
         """
         if self._kernel is None:
             macros: Macros = {
@@ -88,8 +111,20 @@ class DeviceChroma:
     ) -> None:
         """Store the arguments. Kernels are compiled when a frame first needs them.
 
-        `run` enqueues a kernel for all pixels of an area. `constant` copies an array to the device. `cut` divides a band
-        into work-groups.
+        Parameters
+        ----------
+        compiler : Compiler
+            The compiler of the device.
+        run : callable
+            Function that enqueues a kernel for all pixels of an area.
+        constant : callable
+            Function that copies an array to the device, and returns the buffer.
+        table : TransformTable
+            Table with the settings of the smoothing.
+        variant : str
+            A key of layout.VARIANTS.
+        cut : layout.Cut
+            Division of a band into tiles, each of which is processed by one work-group.
         """
         assert table.chroma_smoothing is not None
         self._compiler, self._run, self._variant, self._cut = compiler, run, variant, cut
@@ -106,11 +141,30 @@ class DeviceChroma:
     def smooth(
         self, track: Track, band: Band, encoding: Any, result: Any, frame: RawFrame, gain: tuple[Any, ...], ending: Macros
     ) -> Any:
-        """Enqueue the smoothing of the outputs of a band, which are in the buffer from `room`.
+        """Enqueue the kernel that smooths the chroma of a band.
 
-        The smoothed outputs are written to `result`, without the margins above and below the band. Depending on the macros
-        `ending`, `result` contains outputs or an encoded picture. `encoding` is a buffer with the constants of the display.
-        `gain` contains the gains of the shading, if the frame has shading. The frame must have the levels of the table.
+        The kernel reads the outputs from the buffer that the method `room` returns.
+
+        Parameters
+        ----------
+        track : Track
+            Command queue and device buffers for the band.
+        band : Band
+            Rows of the frame that are rendered together.
+        encoding : buffer
+            Constants for encoding pictures (`layout.display_constants`).
+        result : buffer
+            Buffer to which the results are written, without the margins above and below the band.
+        frame : RawFrame
+            Frame whose raw values are scaled to the table's black and white levels.
+        gain : tuple
+            The buffer with the shading gains of the band. The tuple is empty if the frame has no shading.
+        ending : dict
+            Macros that select the type of results: outputs or an encoded picture.
+
+        Returns
+        -------
+        event
         """
         key = tuple(ending.items())
         if key not in self._kernels:

@@ -128,7 +128,7 @@ def noise_of(camera: CameraModel, black_level: float, white_level: float, sites:
     camera : CameraModel
         Camera with the noise model.
     black_level, white_level : float
-        Levels of the frames, in DN.
+        Black and white level of the frames, in DN.
     sites : int
         Number of pixels in a CFA period.
 
@@ -178,9 +178,9 @@ def _mean(values: NDArray[np.uint16], period: int) -> float:
 
 
 def to_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:
-    """Convert DN to the unit u of the temporal filter. Values that are too large for 16 bits are limited.
+    """Convert values in DN to the unit u of the temporal filter.
 
-    All of these values are above the white level.
+    Results that do not fit into 16 bits are clipped. Only values above the white level are affected.
     """
     most = np.uint16((1 << DEEP - noise.protect) - 1)
     return np.minimum(values, most) << np.uint16(noise.protect)

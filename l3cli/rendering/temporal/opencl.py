@@ -239,7 +239,7 @@ class OpenCLFilter:
         self._device.run("planes", 2 * parts, grid.blocks[1], values, made, before, free_bits, *grid.blocks)
 
     def _borders(self, work: Work, values: NDArray[np.uint16], made: NDArray[np.uint16]) -> tuple[Any, Any]:
-        """Return two device buffers: the values of the frame, and the destination of the filtered values."""
+        """Return the device buffer with the values of the frame, and the device buffer for the filtered values."""
         device, buffers = self._device, self._buffers
         if buffers.borders is None:
             return work.in_place(device.queue, values), work.in_place(device.queue, made, written=True)

@@ -147,11 +147,20 @@ def _by_cell(of_block: NDArray, grid: Grid) -> NDArray:
 def _evidence(
     values: NDArray[np.uint16], residual: Cells, left: Cells, vectors: Vectors, grid: Grid, noise: NoiseTerms
 ) -> tuple[Cells, Cells, Cells, Cells]:
-    """Return three measures of motion around each cell, and the value that these measures have without motion.
+    """Return three measures of motion around each cell, and the value that all three are expected to have without motion.
 
-    All measures are sums over a neighbourhood of 3 × 3 cells: the sum of the squared residuals of all pixels, the sum of the
-    squared residuals of the cells, and the squared residual of the whole neighbourhood. The residual of a cell is the sum of
-    its pixels.
+    The residual of a cell or of a neighbourhood is the sum of the residuals of its pixels.
+
+    Returns
+    -------
+    pixels : ndarray, (cell row, cell col)
+        Sum of the squared residuals of all pixels in the 3 × 3 cells around each cell.
+    cells : ndarray, (cell row, cell col)
+        Sum of the squared residuals of these 3 × 3 cells.
+    neighbourhood : ndarray, (cell row, cell col)
+        Square of the residual of the whole neighbourhood.
+    expected : ndarray, (cell row, cell col)
+        Value that noise alone gives each of the three measures on average.
     """
     signal = np.maximum(_sums(values.astype(np.int64), grid) - grid.sites * noise.black, 0)
     variance = np.minimum((signal * noise.linear >> LINEAR_FRACTION) + grid.sites * noise.constant, MOST_VARIANCE)

@@ -224,7 +224,7 @@ def balanced_patches(patches: RawFrame, channel: NDArray[np.integer], gains: Arr
 def _curves(zero: float, white_level: float, gains: tuple[float, ...]) -> NDArray[np.uint16]:
     """Return a look-up table for each channel that applies the white-balance gain to 16-bit values.
 
-    `zero` is the value without light. Values at or above the white level do not change.
+    `zero` is the raw value without light. Values at or above the white level do not change.
     """
     every = np.arange(1 << 16)
     raised = np.rint((every - zero) * np.array(gains)[:, None] + zero)
@@ -368,7 +368,7 @@ class Whites:
 
         The illuminant is assumed to be the nearest black body or daylight, with a green or magenta tint. In three cases the
         white balance has no gains and only adapts the outputs: this illuminant is not plausible, the XYZ equals the white
-        point of the training, or the table does not record its camera.
+        point of the training illuminant, or the table does not record its camera.
         """
         camera = self.table.camera
         if camera is None or np.linalg.norm(uv(white) - uv(self.table.white_point[:3])) < SAME_WHITE:

@@ -45,7 +45,7 @@ class AutoWhite:
     Parameters
     ----------
     whites : Whites
-        The table of `whites` renders the pixels.
+        White balances for the table with which the pixels are rendered.
     balanced_by : Whites, optional
         Object that computes the white balance for the estimated white point. [default: `whites`]
     """
