@@ -143,8 +143,8 @@ def _resampling(length: int, pixels: int, first: float, step: float) -> Any:
     """Return the sparse matrix (pixel, sample) that averages a line of samples over the extent of each pixel.
 
     Pixel n extends from first + n · step to first + (n + 1) · step. The positions of the samples are 0.5, 1.5, … The line is
-    interpolated linearly between the samples and is constant outside the first and the last sample. The integral is exact,
-    so that the total brightness of a small object does not change if the object moves by a fraction of a pixel.
+    interpolated linearly between the samples and is constant outside the first and the last sample. The integral is exact.
+    The total brightness of a small object therefore does not change if the object moves by a fraction of a pixel.
     """
     start = first + step * np.arange(pixels)[:, None]
     knots = np.floor(start - 1.5).astype(int) + np.arange(int(np.ceil(step)) + 4)

@@ -5,7 +5,8 @@ There are two kinds of texture: random fields with natural power spectra, and fi
 Random fields are drawn as periodic pieces, and each leaf shows a random part of a piece. Fields as large as the picture
 would take four times as long, and leaves with other textures would hide seven eighths of each field.
 
-Fences, windows, blinds, cloth and print repeat every few pixels, where a colour filter array confuses luminance with colour.
+Fences, windows, blinds, cloth and print repeat every few pixels. With such fine patterns, a colour filter array confuses
+luminance with colour.
 Dead leaves alone contain almost no such detail, so some leaves carry regular patterns.
 """
 
@@ -99,7 +100,7 @@ def _direction(rng: np.random.Generator, stretch: float) -> Direction:
 
 
 def _amplitudes(shape: tuple[int, int], exponent: float, direction: Direction, longest: float) -> Field:
-    """Return the amplitudes of the coefficients of a real Fourier transform, for a field with mean 0."""
+    """Return the amplitude of each coefficient of a real Fourier transform. Frequency 0 has the amplitude 0."""
     amplitude: Field = np.exp(_log_frequencies(shape, direction, longest) * np.float32(-exponent))
     amplitude[0, 0] = 0.0
     return amplitude

@@ -255,8 +255,8 @@ def _collected(
 def project_stokes(scene: Scene, weights: Array) -> NDArray[np.float32]:
     """Compute weighted sums of S0, S1 and S2 of a polarised scene over its bands.
 
-    The sums are computed with float64, because the sum of large terms with different signs can be small, as behind a
-    polariser that is perpendicular to polarised light.
+    The sums are computed with float64, because large terms with different signs can nearly cancel. This happens if the
+    polariser of a pixel is perpendicular to the polarisation of the light.
 
     Parameters
     ----------
@@ -329,7 +329,10 @@ def spectral_planes(
 def _signalled(
     camera: CameraModel, picture: ChannelPicture, light: Light
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-    """Return the results of `_collected` for a picture of channel signals. The target has the unit of the camera bands."""
+    """Compute the photo-electron rates and the target from a picture of channel signals.
+
+    The returned arrays have the same meaning as the results of `_collected`. The outputs are the bands of the camera.
+    """
     full = (white_rates(camera, light) * camera.channel_gains).max()
     white = full * camera.saturation_exposure / camera.full_scale
     signal = np.moveaxis(picture.signal, -1, 0)
@@ -424,7 +427,10 @@ def _grey_world_scale(values: NDArray[np.uint16], picture: NDArray[np.float32], 
 
 @dataclass(frozen=True)
 class LowRankTransfer:
-    """Optical transfer functions at all wavelengths, as a sum of a few products of a radial and a spectral term."""
+    """Optical transfer functions at all wavelengths, approximated by a sum of a few terms.
+
+    Each term is a function of spatial frequency, multiplied by a function of wavelength.
+    """
 
     frequency: Array  # (sample,), cycles/m
     radial: Array  # (term, sample), values of each radial term at `frequency`

@@ -115,7 +115,10 @@ class LabRecipe(Recipe):
 
 
 def lab_faults(recipe: LabRecipe, camera: CameraModel | None) -> Iterator[Fault]:
-    """Yield the faults of a lab recipe, and the reasons why the lab cannot measure `camera`, unless `camera` is None."""
+    """Yield the faults of a lab recipe.
+
+    If `camera` is not None, the reasons why the lab cannot measure the camera are also faults.
+    """
     mono = recipe.mono
     if mono.bandwidth_nm <= recipe.spectrometer_step_nm:
         message = (
@@ -195,7 +198,7 @@ class _Response:
     per_polarised: Array  # (2, channel, wavelength), additional e-/s for 1 photon/s/sr/m²/nm of S1 or S2
 
     def electrons(self, radiance: Array, polarisation: float = 0.0, angle: float = 0.0) -> Array:
-        """Return the photo-electrons in e-/s for each spectrum (rows) and channel (columns).
+        """Return the photo-electron rates of a pixel, in e-/s, with one row per spectrum and one column per channel.
 
         Parameters
         ----------
@@ -434,7 +437,10 @@ def falloff_at_patches(camera: CameraModel, missing: float) -> Array:
 
 
 def lab_recipe_faults(recipe: LabRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults of a lab recipe, and the reasons why the lab cannot measure the camera of `source`, if any."""
+    """Yield the faults of a lab recipe.
+
+    If `source` has a camera, the reasons why the lab cannot measure this camera are also faults.
+    """
     yield from lab_faults(recipe, source.camera)
     yield from source.attempt(("white", "illuminant"), spectra.require_illuminant, recipe.white.illuminant)
     yield from source.attempt(("polariser", "illuminant"), spectra.require_illuminant, recipe.polariser.illuminant)

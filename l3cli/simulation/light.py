@@ -141,7 +141,7 @@ class Sees(Protocol):
 
     @property
     def electron_weights(self) -> NDArray[np.float64]:
-        """Electrons in each channel (rows) for unit photon radiance at each wavelength (columns), up to a common factor."""
+        """Electrons for unit photon radiance, up to a common factor: one row per channel, one column per wavelength."""
 
 
 class Filters(NamedTuple):
@@ -153,7 +153,7 @@ class Filters(NamedTuple):
 
     @classmethod
     def of(cls, curves: Mapping[str, Array], wavelength: Array) -> "Filters":
-        """Create filters from `curves`, the quantum efficiencies of each named filter at the wavelengths, in nm."""
+        """Create filters. `curves` contains the quantum efficiency of each named filter at each `wavelength`, in nm."""
         return cls(tuple(curves), np.asarray(wavelength), np.array(list(curves.values())) * spectra.bin_widths(wavelength))
 
 
@@ -231,7 +231,7 @@ def beyond_known(light: Light, measured: Mapping[str, Curve], camera: Sees) -> s
 
 
 def lens_beyond_known(name: str, transmittance: Curve, light: Light, camera: CameraModel) -> str:
-    """Return a warning if the transmittance of a lens is not known at all wavelengths at which a channel collects electrons.
+    """Return a warning if a channel collects electrons at wavelengths at which the transmittance of a lens is unknown.
 
     l3 uses a transmittance of zero at wavelengths outside the file. To estimate the fraction of electrons that are missing,
     the warning assumes that the last value of the file continues.
@@ -259,7 +259,7 @@ def lens_beyond_known(name: str, transmittance: Curve, light: Light, camera: Cam
 
 
 def functions_beyond_known(name: str, functions: Curve, names: Sequence[str], light: Light) -> str:
-    """Return a warning if a file of matching functions does not cover all wavelengths that contribute to an output.
+    """Return a warning if wavelengths outside a file of matching functions would contribute to an output.
 
     l3 uses zero at wavelengths outside the file. To estimate the missing fraction of an output for a white surface, the
     warning assumes that the last values of the file continue.
@@ -291,7 +291,7 @@ def functions_beyond_known(name: str, functions: Curve, names: Sequence[str], li
 
 
 def curves_beyond_known(recipe: Path, light: Light, camera: CameraModel) -> str:
-    """Return a warning if the curve file of a camera recipe does not cover all wavelengths at which a channel is sensitive.
+    """Return a warning if a channel is sensitive at wavelengths that the curve file of the camera recipe does not cover.
 
     l3 uses a responsivity of zero at wavelengths outside the file. To estimate the fraction of electrons that are missing,
     the warning assumes that the last values of the file continue.
@@ -323,7 +323,7 @@ def curves_beyond_known(recipe: Path, light: Light, camera: CameraModel) -> str:
 
 
 def camera_unknown(path: Path, camera: CameraModel, lights: Sequence[str]) -> list[str]:
-    """Return warnings about electrons at wavelengths for which the curves of a camera or an illuminant have no data.
+    """Return warnings about wavelengths that the curve file of a camera, or a standard illuminant, does not cover.
 
     Parameters
     ----------
@@ -355,7 +355,23 @@ def _held(curves: Curve, wavelength: Array) -> Array:
 def _file_ends(name: str, grid: Array, there: str, taken: float, wanted: str) -> str:
     """Return a warning about wavelengths that a file of curves does not cover.
 
-    The result is "" if the missing fraction `taken` is at most 1 %.
+    Parameters
+    ----------
+    name : str
+        Name of the file.
+    grid : ndarray
+        Wavelengths in the file, in nm.
+    there : str
+        Clause that says how much is missing, for the message.
+    taken : float
+        Missing fraction.
+    wanted : str
+        Wavelengths that the file should cover, for the message.
+
+    Returns
+    -------
+    str
+        The warning, or "" if the missing fraction is at most 1 %.
     """
     if taken <= NOTICEABLE:
         return ""
@@ -545,9 +561,23 @@ def stokes_weights(camera: CameraModel, light: Light, bands: Array) -> Array:
 
 
 def _of_bands(weights: Array, camera: Sees, light: Light, bands: Array) -> Array:
-    """Return the electrons in each band for a reflectance of 1.
+    """Return the electrons that each band of a scene contributes.
 
-    `weights` (…, wavelength) are the electrons for unit photon radiance. The last axis of the result contains the bands.
+    Parameters
+    ----------
+    weights : ndarray, (…, wavelength)
+        Electrons for unit photon radiance at each wavelength of the camera.
+    camera : CameraModel or Filters
+        The camera.
+    light : Light
+        Illuminant of the scene.
+    bands : ndarray, (band)
+        Wavelengths of the scene, in nm.
+
+    Returns
+    -------
+    ndarray, (…, band)
+        Electrons for a reflectance of 1 in the band.
     """
     seen = weights @ spectra.sampling_matrix(light.wavelength, camera.wavelength)
     return (seen * light.radiance) @ spectra.held_interpolation(bands, light.wavelength)

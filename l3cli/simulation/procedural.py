@@ -35,9 +35,10 @@ FINER = 8  # samples per pixel in each direction for straight edges
 
 
 def grid(wavelength: Array) -> NDArray[np.float64]:
-    """Return the wavelengths, in nm, at which procedural scenes are drawn for a camera with the wavelengths `wavelength`.
+    """Return the wavelengths at which procedural scenes are drawn for a camera. All wavelengths are in nm.
 
-    The grid contains the wavelengths of DRAWN. It is extended in steps of 10 nm to the range of the camera.
+    `wavelength` contains the wavelengths of the camera. The result contains the wavelengths DRAWN, and is extended in steps
+    of 10 nm to the range of the camera.
     """
     first = max(np.floor(min(wavelength[0], DRAWN[0]) / 10.0) * 10.0, 10.0)  # not 0: materials divide by the wavelength
     last = np.ceil(max(wavelength[-1], DRAWN[-1]) / 10.0) * 10.0
@@ -62,7 +63,7 @@ class Coat:
 
 
 def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Array, patterned: float = 0.0) -> Cube:
-    """Return only the reflectance of `drawn_leaves`."""
+    """Draw a dead-leaves scene with `drawn_leaves`, and return only its reflectance."""
     return drawn_leaves(rng, size, wavelength, patterned)[0]
 
 
@@ -146,7 +147,8 @@ def _coats(rng: np.random.Generator, materials: Array, count: int) -> Coat:
 def _light(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float32]:
     """Draw the relative illumination of a scene at each pixel.
 
-    The illumination always varies smoothly. In 30 % of the scenes, shadows with soft, ragged edges can be added.
+    The illumination always varies smoothly. In 30 % of the scenes, a random number of shadows is added, which can be 0. The
+    shadows have soft, ragged edges.
     """
     logarithm = 0.4 * fields.pink(rng, shape, 1.8)
     shadows = rng.poisson(1.0) if rng.random() < 0.3 else 0
@@ -237,8 +239,8 @@ def _shading(
 def _average(cube: Cube, materials: NDArray[np.float32], label: NDArray[np.integer], amount: NDArray[np.float32]) -> None:
     """Fill `cube` with the mean over each block of OVERSAMPLING × OVERSAMPLING samples.
 
-    The value of a sample is the spectrum of its leaf, multiplied by the amount of the sample. Most blocks show a single
-    leaf. In these blocks, the amounts are summed first, so that the spectrum is multiplied only once.
+    The value of a sample is the spectrum of its leaf, multiplied by a factor. Most blocks show a single leaf. In these
+    blocks, the factors are summed first, so that the spectrum is multiplied only once.
 
     Parameters
     ----------
@@ -249,7 +251,7 @@ def _average(cube: Cube, materials: NDArray[np.float32], label: NDArray[np.integ
     label : ndarray, (row, col)
         Index of the leaf at each sample.
     amount : ndarray, (row, col)
-        Amount of each sample.
+        Factor of each sample.
     """
     step = OVERSAMPLING
     samples = [np.s_[row::step, col::step] for row in range(step) for col in range(step)]
@@ -303,7 +305,7 @@ def _blurred(cube: Cube, sigma: float) -> Cube:
 
 
 def composition(rng: np.random.Generator, size: tuple[int, int], wavelength: Array) -> Cube:
-    """Return only the reflectance of `drawn_composition`."""
+    """Draw the demonstration scene with `drawn_composition`, and return only its reflectance."""
     return drawn_composition(rng, size, wavelength)[0]
 
 
@@ -636,7 +638,10 @@ def slanted_bars_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def _centred(shape: tuple[int, int], finer: int = 1) -> tuple[Array, Array]:
-    """Return the coordinates of samples down and across, in pixels from the centre, with `finer` samples per pixel."""
+    """Return the vertical and horizontal positions of samples, in pixels from the centre of a picture.
+
+    The picture has `shape` (rows, columns) pixels, each with `finer` × `finer` samples.
+    """
     down, across = ((np.arange(length * finer) + 0.5) / finer - length / 2 for length in shape)
     return down[:, None], across[None]
 

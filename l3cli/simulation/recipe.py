@@ -61,7 +61,7 @@ class TargetRecipe(Recipe):
 
 
 class Pair(Recipe):
-    """A raw file, and the picture that a table should compute from the raw file. Both are registered pixel by pixel."""
+    """A raw file, and the picture that a table should compute from the raw file. The two are registered pixel by pixel."""
 
     raw: str  # path relative to the recipe
     picture: str  # encoded sRGB, or an EXR file whose channels have the names of the target outputs
@@ -102,7 +102,7 @@ class SceneRecipe(Recipe):
         return self.luminances_cd_m2 or [100.0]
 
     def exposures(self) -> tuple[str, list[float]]:
-        """Return the type of exposure, which is a value of EXPOSURES, and its settings.
+        """Return the type of exposure and the settings in the recipe. The type is one of the values of EXPOSURES.
 
         Raises
         ------
@@ -304,7 +304,7 @@ def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[source
 
 
 def curve_faults(recipe: SceneRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults in the illuminants and in the files of spectra of a recipe."""
+    """Yield the faults of a scene recipe that concern illuminants or files of spectra."""
     lens, target = recipe.lens, recipe.target
     for text, key in _lights(recipe):
         yield from _light_faults(text, key, source)

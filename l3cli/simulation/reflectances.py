@@ -137,7 +137,10 @@ def _dye(rng: np.random.Generator, of: Surfaces, kind: str, saturation: float) -
 
 
 def _painted(rng: np.random.Generator, reflectance: Array, wavelength: Array) -> Array:
-    """Apply the absorption edge of titanium white, which occurs in paints, plastics and papers, to a reflectance."""
+    """Apply the absorption edge of titanium white to a reflectance.
+
+    Titanium white occurs in paints, plastics and papers.
+    """
     edge = np.exp(rng.normal(np.log(0.2), 0.7))
     return with_titanium_white(reflectance, wavelength, edge, rng.uniform(5.0, 11.0))
 

@@ -229,7 +229,10 @@ def noise_plugin(name: str) -> EntryPoint:
 def _noisy_by(
     name: str, electrons: NDArray[np.floating], time: Any, camera: CameraModel, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Return the electrons in each pixel with the noise of a plugin. Raise L3Error if the plugin returns invalid values."""
+    """Return the electrons in each pixel after the plugin `name` has added noise.
+
+    Raises L3Error if the plugin returns invalid values.
+    """
     entry = noise_plugin(name)
     with blamed(entry):
         signal = np.array(entry.load()(electrons.copy(), time, camera, rng), np.float32)

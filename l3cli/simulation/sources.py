@@ -628,7 +628,7 @@ def _require_no_mark(values: NDArray, ignored: NDArray[np.bool_] | None) -> None
 
 
 def _photons(wavelength: np.ndarray, source: Spectral) -> np.ndarray:
-    """Return the number of photons that one unit of the stored values stands for at each wavelength, up to a factor."""
+    """Return how many photons one unit of the stored values represents at each wavelength, up to a common factor."""
     one = np.ones(wavelength.size)
     return spectra.photons_from_energy(wavelength, one) if source.holds == "radiance" else one
 

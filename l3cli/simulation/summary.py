@@ -29,8 +29,9 @@ def camera_summary(camera: CameraModel) -> dict[str, Any]:
     Returns
     -------
     dict
-        JSON data: the CFA, a description of the curve of each channel, the response of each channel to white relative to the
-        brightest channel, and the exposures at which white saturates a pixel.
+        JSON data. For each channel, the entry ``channels`` describes the responsivity curve, and contains the response to
+        white relative to the brightest channel. Other entries contain the CFA, properties of the sensor, and the exposures
+        at which white saturates a pixel.
 
     Raises
     ------

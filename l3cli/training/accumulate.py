@@ -46,7 +46,7 @@ def sum_sites(
     blocks : iterable of (int, tuple of int, iterator of TrainingPair)
         For each block, the index of its first frame, the sites to sum, and its frames.
     weightings : mapping of int to SampleWeighting or None
-        For each site, the weights from the errors of the first pass, or None in the first pass.
+        For each site, the object that derives weights from the errors of the first pass, or None in the first pass.
 
     Returns
     -------
@@ -148,7 +148,8 @@ class _Batch:
     ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
         """Scale patches to several levels, add noise, and determine the classes.
 
-        Yields the classes and the levels of the noisy patches, once for each row of `scale` (draw, patch).
+        Each row of `scale` (draw, patch) contains the factors by which the patches are multiplied in one draw. For each
+        draw, the method yields the classes and the levels of the noisy patches.
         """
         pass_, patches = self.pass_, self.patches
         signal: Floats = np.ascontiguousarray(patches.signal[batch].T)[order.taps]
@@ -168,7 +169,10 @@ class _Batch:
         self, signal: Floats, rng: np.random.Generator, carried: Floats | None, channel: NDArray[np.int64],
         offsets: Offsets | None,
     ) -> NDArray[np.uint32]:  # fmt: skip
-        """Convert signals to DN, and add noise unless the recipe has noise = "none"."""
+        """Convert signals to DN, and add noise unless the recipe has noise = "none".
+
+        The parameters are the same as for `expose_patches`.
+        """
         camera = self.pass_.head.camera
         if self.pass_.recipe.noise != "none":
             return expose_patches(signal, camera, rng, carried, self.pass_.dark, channel, offsets)
@@ -195,10 +199,24 @@ class _Batch:
         patch: NDArray[np.int64],
         rng: np.random.Generator,
     ) -> None:
-        """Add patches to `sums`.
+        """Scale patches, weight them, and add their products to the sums.
 
-        `patch` contains the indices of the patches, sorted by class. `label`, `level` and `scale` contain the class, the
-        noisy level and the scale factor of each patch.
+        Parameters
+        ----------
+        sums : ClassSums
+            Sums of the site, which are changed in place.
+        large : ndarray, (level, pair)
+            The `rounding_number` of the grid steps.
+        label : ndarray, (patch)
+            Class of each patch. The patches are sorted by class.
+        level : ndarray, (patch)
+            Level of each patch with noise, as a fraction of full scale.
+        scale : ndarray, (patch)
+            Scale factor of each patch.
+        patch : ndarray, (patch)
+            Index of each patch in the batch.
+        rng : Generator
+            Source of the random numbers.
         """
         clean = self.patches.signal.take(patch, axis=0)
         clean *= scale[:, None]
@@ -247,7 +265,24 @@ class _Batch:
             sums.count[index] += last - first
 
     def _shared(self, lines: LineNoise, clean: Floats, patch: NDArray[np.int64], scale: Floats) -> SharedNoise:
-        """Return the line noise that scaled patches lack, with the share of each tap."""
+        """Return the line noise that must be added to scaled patches.
+
+        Parameters
+        ----------
+        lines : LineNoise
+            Line noise of the camera.
+        clean : ndarray, (patch, tap)
+            Signals of the scaled patches, as fractions of full scale.
+        patch : ndarray, (patch)
+            Index of each patch in the batch.
+        scale : ndarray, (patch)
+            Scale factor of each patch.
+
+        Returns
+        -------
+        SharedNoise
+            Line noise of the camera, and the share of each tap. A share is lower if a patch already contains noise.
+        """
         pass_, chosen = self.pass_, self.patches
         gain = pass_.head.camera.channel_gains.astype(np.float32)[self.neighbours.channel[self.site]]
         carried = None if chosen.carried is None else chosen.carried[patch]

@@ -223,7 +223,7 @@ def plain_colours(sums: ClassSums, rule: ClassRule, window: NDArray[np.int64]) -
 
 
 def flat_moments(sums: ClassSums, rule: ClassRule, width: int) -> Array:
-    """Add up the moments of all unsaturated classes of the lowest contrast, and return the moment matrix."""
+    """Return the sum of the moments of all unsaturated classes of the lowest contrast, as a matrix with `width` columns."""
     return moment_matrix(rule.by_feature(sums.moments)[0, :, 0, :, rule.kinds_of(0)].sum(axis=(0, 1, 2)), width)
 
 

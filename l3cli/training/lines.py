@@ -21,9 +21,9 @@ Indices = NDArray[np.intp]
 
 
 class Offsets(NamedTuple):
-    """Offsets of lines, drawn for some pixels, and the variance of the offsets. Both can be broadcast to the signals.
+    """Random offsets of lines at some pixels, and the variance of the offsets.
 
-    The offsets are for channels with the gain of the camera.
+    Both arrays can be broadcast against the signals. The offsets apply to channels that have the gain of the camera.
     """
 
     values: Floats  # fractions of full scale
@@ -94,7 +94,7 @@ class LineNoise:
 
 @dataclass(frozen=True)
 class SharedNoise:
-    """Line noise of patches, with the share of each tap (see the head of the module)."""
+    """Line noise of patches, and the share of each tap. The module docstring defines the share."""
 
     noise: LineNoise
     shares: Floats  # (patch, tap) share of each tap
@@ -110,10 +110,10 @@ class SharedNoise:
         return np.asarray((self.shares.T @ self.shares)[pairs.first, pairs.second] * variance)
 
     def propagated(self, weights: Floats, outputs: Sequence[tuple[int, int]]) -> Floats:
-        """Return the additional covariances of outputs that are caused by the correlation of noise between taps.
+        """Return by how much the covariances of the outputs change because taps of the same line have correlated noise.
 
-        These are the covariances due to line noise, minus the covariances that equally strong but independent noise would
-        cause.
+        The change is the covariance that line noise causes, minus the covariance that equally strong but independent noise
+        would cause.
 
         Parameters
         ----------

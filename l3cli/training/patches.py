@@ -445,8 +445,8 @@ def _variance(
 ) -> Floats:
     """Return the variance of the noise to add to each signal, in full scale².
 
-    This is the noise variance of the camera, minus the variance `carried` that the signals already contain, and minus the
-    variance `later` (in DN²) that rounding will add.
+    The result is the noise variance of the camera, minus the variance `carried` that the signals already contain, and minus
+    the variance `later`, in DN², that rounding will add. All other parameters are the same as for `expose_patches`.
     """
     if carried is not None:  # only measured signals can be negative
         signal = np.clip(signal, 0.0, np.inf)

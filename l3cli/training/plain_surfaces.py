@@ -1,10 +1,12 @@
 """Train uniform areas on measured surfaces, in addition to the patches of scenes (docs/method.md#uniform-surfaces).
 
 Most patches of scenes are textured. From such patches, a class learns to infer colour from detail, which gives wrong colours
-in uniform areas. Therefore each class of uniform areas is also trained on uniform areas of measured surfaces of its chroma.
-Each surface is used in several versions: paler, with and without titanium white. White and grey paints, which are common in
-man-made scenes, are added. Some chromas occur only in stripes that have the period of the CFA. Classes of such a chroma are
-trained to be grey (docs/method.md#stripes).
+in uniform areas. Each class of uniform areas is therefore also trained on measured surfaces that have the chroma of the
+class. Each surface is used in several versions: paler, with and without titanium white. White and grey paints, which are
+common in man-made scenes, are added.
+
+Some chromas occur only in stripes that have the period of the CFA. Classes of such a chroma are trained to be grey
+(docs/method.md#stripes).
 
 If the outputs are the channels of the camera, classes of uniform areas are also trained on areas in which each band varies
 independently (docs/method.md#single-bands). The training surfaces have smooth spectra. Without independent bands, a class
@@ -244,7 +246,24 @@ class PlainSurfaces:
 
 
 def _moments(signals: Array, outputs: Array, count: Array, window: NDArray[np.int64]) -> Array:
-    """Return the mean moments of samples, weighted with `count`."""
+    """Return the mean of the moments of uniform patches, one patch per sample. A sample is a surface or a stripe pattern.
+
+    Parameters
+    ----------
+    signals : ndarray, (sample, channel)
+        Signals of each sample.
+    outputs : ndarray, (sample, output)
+        Outputs of each sample.
+    count : ndarray, (sample)
+        Weight of each sample in the mean.
+    window : ndarray, (tap)
+        Channel of each tap.
+
+    Returns
+    -------
+    ndarray, (column, column)
+        The columns are taps, intercept and outputs.
+    """
     weight = count / count.sum() / (signals.mean(axis=1) * outputs[:, 1])
     values = np.concatenate([signals, np.zeros((len(signals), 1)), outputs], axis=1)
     # einsum instead of BLAS, because the results of BLAS depend on the number of threads

@@ -217,8 +217,8 @@ def for_noise(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
 def draft_of(recipe: TrainingRecipe) -> TrainingRecipe:
     """Return the recipe for ``l3 train --draft``.
 
-    A draft uses three tenths of the patches and a third of the draws. The table has a single layer, for which the noise
-    weights of the last layer in `recipe` are used. The table has no transforms for single illuminants or other noise levels.
+    A draft uses three tenths of the patches and a third of the draws. The table has a single layer, which uses the noise
+    weights of the last layer in `recipe`. The table has no transforms for single illuminants or other noise levels.
     """
     learning = recipe.learning
     last = recipe.layer[-1] if recipe.layer else learning

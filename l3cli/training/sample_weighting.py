@@ -150,7 +150,7 @@ def lab_error(error: Floats, target: Floats, level: Floats, white: NDArray[np.fl
     level : ndarray, (…)
         Level of each target, as a fraction of full scale.
     white : ndarray, (3,)
-        Perfect white.
+        X, Y, Z of a perfect white.
 
     Returns
     -------

@@ -124,7 +124,7 @@ CLASSES_AT_ONCE = 64  # number of classes that are solved together
 
 
 class OutputKind(NamedTuple):
-    """Settings of the equations that differ between outputs."""
+    """Settings of the least-squares equations of an output."""
 
     noise_weight: float  # weight of noise relative to bias (docs/method.md#noise-weights)
     # Whether the output is also trained on uniform greys, surfaces and single bands (docs/method.md#clipped-areas).

@@ -114,9 +114,13 @@ def refinement_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, A
     Returns
     -------
     dict
-        Numbers of classes, width of the windows in pixels, numbers of planes, levels and structures, and the noise gain as
-        in `insight`. For classes by structure, the numbers of strengths and directions follow. For classes by a tree, the
-        number of leaves, the depth and the number of nodes per test follow.
+        * ``classes``: numbers of all classes, of trained classes, and of classes without samples (``filled``)
+        * ``side``: width of the windows in pixels
+        * ``planes``, ``levels``, ``structures``: numbers of planes, of levels, and of structures
+        * ``noise_gain``: as in `insight`
+
+        If the classes depend on structure, the dict also contains the numbers of strengths and directions. If the classes
+        are the leaves of a tree, it contains the number of leaves, the depth and the number of nodes per test.
     """
     trained, rule = layer.samples > 0, layer.rule
     gain = np.sqrt((layer.weights.astype(np.float64) ** 2).sum(axis=2))

@@ -322,7 +322,7 @@ def _chroma_smoothing(head: TrainingSet, recipe: LearningRecipe) -> ChromaSmooth
 def _components(
     head: TrainingSet, solutions: dict[int, Solution], copies: list[int], white: NDArray[np.float64]
 ) -> LeadingComponents | None:
-    """Return the leading components of spectral outputs. Return None for any other outputs, and for three or fewer values.
+    """Return the leading components of a spectrum, or None if the outputs are not a spectrum of more than three values.
 
     The second component is the mean of the outputs, relative to white. The first and the third component are the two
     directions in which the targets vary most after their mean is removed. The components are rounded, because eigenvectors

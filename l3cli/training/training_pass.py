@@ -212,7 +212,7 @@ def work_shares(pass_: TrainingPass, divisors: Mapping[int, int], blocks: list[r
     Returns
     -------
     list of WorkShare
-        A multiple of `jobs` shares, each of which contains few sites so that their sums fit into memory.
+        The number of shares is a multiple of `jobs`. Each share contains few sites, so that the sums fit into memory.
     """
     one = empty_sums(pass_.rule, len(pass_.head.outputs), pass_.head.camera)
     most = max(2, SUM_BYTES // one.moments.nbytes)  # largest number of sites per share

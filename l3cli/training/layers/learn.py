@@ -115,10 +115,23 @@ def solve_layer(
 def _solution(moments: Array, noise: Array, noise_weight: float, ridge: float, of: list[int], member: Array) -> Array:
     """Return the Wiener solutions for some outputs, and the compliance of these solutions.
 
-    The compliance describes how the optimal taps change if the response to uniform areas is constrained. The columns of
-    `moments` are the taps, the intercept and the outputs. The columns of `noise` are the taps and, if the layer corrects
-    outputs, the outputs. `of` contains the indices of the outputs to solve. The solutions have no intercept, because black
-    must stay black.
+    The compliance describes how the optimal taps change if the response to uniform areas is constrained. The solutions have
+    no intercept, because black must stay black.
+
+    Parameters
+    ----------
+    moments : ndarray, (column, column)
+        Moments of the taps, the intercept and the outputs.
+    noise : ndarray, (column, column)
+        Noise covariance of the taps and, if the layer corrects outputs, of the outputs.
+    noise_weight : float
+        Factor by which the noise covariance is multiplied.
+    ridge : float
+        Ridge relative to the mean power of a tap.
+    of : list of int
+        Indices of the outputs to solve.
+    member : ndarray, (tap, plane)
+        1 if a tap belongs to a plane, otherwise 0.
 
     Returns
     -------
@@ -137,10 +150,29 @@ def _solution(moments: Array, noise: Array, noise_weight: float, ridge: float, o
 def _constrained(
     estimates: list[Array], member: Array, copies: list[int], goal: LayerGoal, of: list[int], keeps: bool
 ) -> list[Array]:
-    """Constrain the taps of each site to a common response to uniform areas, and return the taps (tap, output).
+    """Constrain the taps of all sites so that every site has the same response to uniform areas.
 
-    The common response minimises the squared error and preserves white. If `keeps` is true and the common response would
-    fade a chroma plane, this chroma plane is preserved in uniform areas instead.
+    The common response minimises the squared error and preserves white.
+
+    Parameters
+    ----------
+    estimates : list of ndarray, (tap, output + plane)
+        Result of `_solution` for each canonical site.
+    member : ndarray, (tap, plane)
+        1 if a tap belongs to a plane, otherwise 0.
+    copies : list of int
+        Number of CFA sites that each canonical site represents.
+    goal : LayerGoal
+        What the transforms are trained for.
+    of : list of int
+        Indices of the solved outputs.
+    keeps : bool
+        Whether a chroma plane that the common response would fade is instead preserved in uniform areas.
+
+    Returns
+    -------
+    list of ndarray, (tap, output)
+        Constrained taps of each canonical site.
     """
     white, count = goal.white, len(of)
     wanted = np.zeros(count) if goal.corrects else white[of]
@@ -293,7 +325,7 @@ class LayerPass:
         return see
 
     def reading(self, side: int) -> Reading:
-        """Return how to read windows of `side` × `side` pixels so that each has the orientation of its canonical site."""
+        """Return the settings for reading windows of `side` × `side` pixels in the orientation of the canonical site."""
         maps = self._site_maps()
         order = np.array([orientations(side)[one.orientation] for one in maps])
         ratios = self.recipe.ratio_taps

@@ -194,7 +194,7 @@ Turn = tuple[int, bool, slice, slice]  # number of quarter turns, whether mirror
 def _drawn_turn(
     frame: tuple[int, ...], shape: tuple[int, int], place: list[float], allowed: Allowed, rng: np.random.Generator
 ) -> tuple[Turn, Turn]:
-    """Draw a random orientation, and return the position of a mosaic and of a larger area around it in the turned frame.
+    """Draw a random orientation of a frame, and find a mosaic and its surroundings in the turned frame.
 
     Parameters
     ----------

@@ -71,17 +71,32 @@ class TreeSamples:
         return replace(self, columns=np.rint(self.columns / step) * step.astype(np.float64))
 
     def compared(self, test: int, chosen: Indices) -> tuple[Floats, Floats]:
-        """Return the numerator and the denominator of a test for each chosen sample."""
+        """Return the numerator and the denominator of the quotient that a test computes for each chosen sample."""
         return self.numerators[test].take(chosen), self.denominators[EVERY[test].denominator].take(chosen)
 
     def passed(self, test: int, cuts: Floats, chosen: Indices) -> NDArray[np.int8]:
-        """Count, for each chosen sample, how many of the thresholds `cuts` are exceeded by the quotient of a test."""
+        """Return, for each chosen sample, how many of the thresholds `cuts` the quotient of a test exceeds."""
         numerator, denominator = self.compared(test, chosen)
         return np.asarray(np.add.reduce([(numerator > cut * denominator).view(np.int8) for cut in cuts]))
 
 
 def turned_evidence(seen: Evidence, turn: int, pixels: Indices) -> tuple[Floats, Floats]:
-    """Return the numerators and denominators of all tests at the given pixels, for windows read in orientation `turn`."""
+    """Return the numerators and denominators of the quotients that the tests compare with thresholds.
+
+    Parameters
+    ----------
+    seen : Evidence
+        Numerators and denominators at all pixels, for windows in the original orientation.
+    turn : int
+        Number of the orientation in which the windows are read.
+    pixels : ndarray, (pixel)
+        Indices of the pixels.
+
+    Returns
+    -------
+    numerators : ndarray, (test, pixel)
+    denominators : ndarray, (denominator, pixel)
+    """
     test, sign = turned_tests(turn)
     numerators = seen.numerators.reshape(TESTS, -1)[:, pixels][test] * np.array(sign)[:, None]
     return numerators, seen.denominators.reshape(len(seen.denominators), -1)[:, pixels]
@@ -148,7 +163,7 @@ def grow(sites: Sequence[TreeSamples], leaves: int, mapped: Mapped = map) -> Tre
 
 
 def _best_split(sites: Sequence[TreeSamples], samples: list[Indices], mapped: Mapped) -> _Split | None:
-    """Return the split of a leaf with the largest gain, or None if the leaf should not be split.
+    """Find the split of a leaf that has the largest gain. Return None if the leaf should not be split.
 
     A leaf should not be split if the gain could be a coincidence, or if the leaf has too few samples for two leaves.
     """
@@ -263,9 +278,10 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
     Returns
     -------
     list of ndarray, (2, level)
-        One array per measured frame. The second row contains the number of pixels of each level. The first row contains the
-        sum, over these pixels, of the mean of two squared differences of the noise: right minus left neighbour, and lower
-        minus upper neighbour.
+        One array per measured frame. Row 0 contains, for each level, the sum of (dx² + dy²) / 2 over the pixels of the
+        level. For each pixel, dx is the noise of its right neighbour minus the noise of its left neighbour, and dy is the
+        noise of its lower neighbour minus the noise of its upper neighbour. Row 1 contains the number of pixels of each
+        level.
     """
     see, noisy, measured = layer.seer(), replace(layer.exposed, noisy=True, inner=PILOT_SIDE), []
     brightest = MAX_MEASURED_LEVEL * layer.camera.sensitivity.mean() / layer.camera.sensitivity.min()

@@ -65,10 +65,15 @@ class Reading:
         return PLANES * self.order.shape[1] + self.ratio_taps
 
     def offsets(self, cols: int) -> Integers:
-        """Return the index differences between the taps of a window and the central pixel, for each site.
+        """Return the offset of each tap from the central pixel, in elements of a flattened plane.
 
-        The indices refer to flattened planes with `cols` columns. If a sample has more other columns (ratio taps, constant
-        and outputs) than taps per plane, the differences are padded with zeros to the number of these columns.
+        The fourth value that is read at each tap stores a ratio tap, the constant 1 or an ideal output (see `columns`). If
+        there are more of these columns than taps per plane, offsets of 0 are appended until every column has a place.
+
+        Parameters
+        ----------
+        cols : int
+            Number of columns of the planes.
 
         Returns
         -------
@@ -80,10 +85,11 @@ class Reading:
 
     @property
     def columns(self) -> Integers:
-        """Positions of the columns of a sample in its stored form.
+        """Position of each column in the array that `_weighted` returns for a sample.
 
-        The stored form contains four numbers for each position in the window. The first three numbers are the values of the
-        three planes. The fourth numbers contain, one after another, the ratio taps, the constant 1 and the ideal outputs.
+        The array contains four values per tap of the window: the values of the three planes, and a fourth value that is
+        free for another column. The fourth value of the first tap stores the first ratio tap, the fourth value of the next
+        tap stores the next ratio tap, and so on. The constant 1 and the ideal outputs follow in the same way.
         """
         window, behind = np.arange(self.order.shape[1]), np.arange(self.ratio_taps + 1 + self.outputs)
         return np.concatenate([4 * window, 4 * window + 1, 4 * window + 2, 4 * behind + 3])
@@ -160,10 +166,10 @@ def sample_weights(
 
 
 def _of_mosaics(seen: Seen, basis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a relative squared error for each mosaic: the mean squared error plus `MEAN_FLOOR`, divided by `MEAN_ERROR`.
+    """Return (mean squared error + `MEAN_FLOOR`) / `MEAN_ERROR` for each mosaic.
 
-    Outputs other than X, Y and Z are evaluated by the PSNR, which is also computed from the mean squared error of a whole
-    picture.
+    The error is averaged over the mosaic because outputs other than X, Y and Z are evaluated by the PSNR, which is computed
+    from the mean squared error of a whole picture.
     """
     if seen.missing is not None:
         error = seen.missing if seen.spread is None else seen.missing - seen.spread
@@ -220,10 +226,21 @@ class GatheredSamples:
         self._cols = 0  # width, in pixels, of all sheets gathered so far
 
     def add(self, seen: Seen, label: Integers, pixels: Integers, weight: Floats) -> None:
-        """Collect the samples at the indices `pixels`. `label` and `weight` have one value for every pixel.
+        """Collect samples from mosaics.
 
-        All collected mosaics must have the same width. If the width changes, the collected samples are first added to the
-        sums.
+        Only mosaics of equal width can be collected together. If the width changes, the samples collected so far are first
+        added to the sums.
+
+        Parameters
+        ----------
+        seen : Seen
+            Mosaics after all previous layers.
+        label : ndarray, (row, col)
+            Class of each pixel.
+        pixels : ndarray, (sample)
+            Index of the central pixel of each sample.
+        weight : ndarray, (row, col)
+            Sample weight of each pixel.
         """
         if seen.label.shape[1] != self._cols:  # mosaics of different widths cannot be joined
             self.add_up()
@@ -281,16 +298,28 @@ class GatheredSamples:
 
 
 def _in_fours(planes: NDArray) -> Floats:
-    """Convert three planes to four numbers per pixel: the three planes in output units, and a zero."""
+    """Return an array (pixel, 4) with the values of the three planes, in output units, and a zero for each pixel."""
     fours = np.zeros((planes[0].size, 4), np.float32)
     np.multiply(planes.reshape(3, -1).T, np.float32(PLANE_STEP), out=fours[:, :3])
     return fours
 
 
 def _weighted(windows: Floats, behind: Floats, weight: Floats) -> Floats:
-    """Return weighted samples in the stored form that `Reading.columns` describes, with the axes (sample, 4 · tap).
+    """Return all columns of the samples, multiplied by the weights of the samples.
 
-    `windows` (sample · tap, 4) is overwritten. The columns `behind` (sample, column) are stored in the fourth numbers.
+    Parameters
+    ----------
+    windows : ndarray, (sample · tap, 4)
+        Values of the three planes at each tap, and a fourth value, which is free. The array is overwritten.
+    behind : ndarray, (sample, column)
+        Columns to store in the fourth values of the first taps, one column per tap.
+    weight : ndarray, (sample)
+        Weight of each sample.
+
+    Returns
+    -------
+    ndarray, (sample, 4 · tap)
+        `Reading.columns` contains the position of each column.
     """
     values = windows.reshape(len(weight), -1)
     values[:, 3 : 3 + 4 * behind.shape[1] : 4] = behind
