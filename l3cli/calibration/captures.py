@@ -497,7 +497,24 @@ def measure_series(
 ) -> Series:
     """Measure the patches in every capture behind narrow-band filters, and subtract the dark signal.
 
-    Patches that reach `limit`, in DN, are marked as invalid. The filters are sorted by central wavelength.
+    Parameters
+    ----------
+    captures : sequence of BandCapture
+        Captures of the chart behind each filter.
+    darks : sequence of Capture
+        Dark captures. The sequence may be empty.
+    body : Body
+        Geometry of the camera.
+    black_level : float
+        Black level in DN, which is subtracted if there are no dark captures.
+    limit : float
+        Value in DN at or above which a pixel counts as saturated. Patches with too many saturated pixels are marked as
+        invalid.
+
+    Returns
+    -------
+    Series
+        Values of the patches. The filters are sorted by central wavelength.
     """
     names = list(dict.fromkeys(capture.illuminant for capture in captures))
     names.sort(key=lambda name: next(band_centre(capture) for capture in captures if capture.illuminant == name))

@@ -97,10 +97,19 @@ def corner_cells(rows: int, cols: int) -> Array:
 
 
 def through(matrix: Array, points: Array) -> Array:
-    """Transform points (…, 2) by one homography (3, 3), or points (point, 2) by several homographies (grid, 3, 3).
+    """Transform points by one or several homographies.
 
-    Each of several homographies transforms all points, and the result has the shape (grid, point, 2). If a point is mapped
-    to infinity, its coordinates are infinite or NaN.
+    Parameters
+    ----------
+    matrix : ndarray, (3, 3) or (grid, 3, 3)
+        One homography, or several homographies that each transform all points.
+    points : ndarray, (…, 2) or (point, 2)
+        x and y of the points. For several homographies, the shape must be (point, 2).
+
+    Returns
+    -------
+    ndarray, (…, 2) or (grid, point, 2)
+        Transformed points. If a point is mapped to infinity, its coordinates are infinite or NaN.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         moved = points @ matrix[..., :2].swapaxes(-1, -2) + matrix[..., None, :, 2]

@@ -149,7 +149,7 @@ def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
     evidence of a different CFA:
 
     1. differences at single pixels, such as autofocus pixels
-    2. differences that are equally large for a period that no CFA has
+    2. differences that are not much larger than the differences for a period that no CFA has
     3. stripes and checkerboards in the scene, which change all channels by the same factor
 
     Returns

@@ -103,8 +103,14 @@ def unlike(prior: Prior) -> Prior:
 def placed(prior: Prior, places: Sequence[int], channels: int) -> Prior:
     """Extend a prior to a camera with more channels, or with the channels in a different order.
 
-    Channel `places[i]` of the result has the distribution of channel i of `prior`. The remaining of the `channels` channels
-    have the smooth prior.
+    Parameters
+    ----------
+    prior : Prior
+        Prior of some of the channels.
+    places : sequence of int
+        Index in the result of each channel of `prior`. All other channels of the result have the smooth prior.
+    channels : int
+        Number of channels of the result.
     """
     whole, size = smooth(channels), WAVELENGTH.size
     at = np.array(places)
@@ -140,9 +146,11 @@ def smooth(channels: int) -> Prior:
 
 
 def _covariance(modes: Array) -> Array:
-    """Compute the covariance of curves from their principal components. A part of it is replaced by smooth deviations.
+    """Compute the covariance of curves from their principal components.
 
-    `modes` has the shape (mode, channel, wavelength). The result has the shape (channel, wavelength, channel, wavelength).
+    The result is a weighted mean of this covariance and of the covariance of smooth deviations, in which the channels are
+    independent. `modes` has the shape (mode, channel, wavelength). The result has the shape (channel, wavelength, channel,
+    wavelength).
     """
     _, count, size = modes.shape
     flat = modes.reshape(len(modes), -1)
@@ -205,7 +213,7 @@ class Posterior:
 
 
 def estimate(shots: Sequence[Shot], prior: Prior) -> Posterior:
-    """Estimate the responsivities from all shots. Of the model errors in ERRORS, the most probable is used."""
+    """Estimate the responsivities from all shots, assuming the model error in ERRORS that is most probable."""
     candidates = [_solve(shots, prior, error) for error in ERRORS]
     best = max(candidates, key=lambda solution: solution.evidence)
     return best.posterior()
