@@ -132,7 +132,12 @@ def noise(folder: Path, data: Path, jobs: int) -> Comparison:
 def polarisation(folder: Path, data: Path, jobs: int) -> Comparison:
     sets, table = making.polarisation(folder, data, jobs)
     lmmse = polarisation_rivals.trained_on_other_scenes(sets.values())
-    methods = {"bilinear": bilinear, "Newton": polarisation_rivals.newton, "IGRI": polarisation_rivals.igri, "LMMSE": lmmse}
+    methods: dict[str, Demosaic] = {
+        "bilinear": bilinear,
+        "Newton": polarisation_rivals.newton,
+        "IGRI": polarisation_rivals.igri,
+        "LMMSE": lmmse,
+    }
     rivals = [Rival(name, OUR_METHODS, {PLAIN: demosaic}) for name, demosaic in methods.items()]
     return Comparison(sets, {"polarised": table}, rivals, stokes_protocol())
 

@@ -16,6 +16,7 @@ lmmse     One linear transform per site, trained on another picture: A. Spote, P
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ from l3cli.frames.frame import pad_mosaic
 from l3cli.physics.mosaic import tiled
 from l3cli.physics.stokes import STOKES, stokes_of
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
 CFA = NDArray[np.uint8]
 MARGIN = 16  # width of the mirrored margin in pixels; wider than the support of all methods and a multiple of all periods
 # Newton's polynomials
@@ -209,8 +210,10 @@ def trained_on_other_scenes(sets: Iterable[Path]) -> Callable[[Array, CFA], Arra
     for path in sets:
         with open_training_set(path) as reader:
             frames, camera = list(reader), reader.head.camera
-        seen = [balanced_bands(each, camera, white_electrons(each, camera), lambda mosaic, _: mosaic) for each in frames]
-        scenes = [
+        seen: list[Any] = [
+            balanced_bands(each, camera, white_electrons(each, camera), lambda mosaic, _: mosaic) for each in frames
+        ]
+        scenes: list[Any] = [
             np.tensordot(stokes_response(each, camera), stokes_of(each.target, STOKES) / each.white[1], 1) for each in frames
         ]
         others |= {seen[own].tobytes(): (scenes[1 - own], seen[1 - own]) for own in (0, 1)}

@@ -163,7 +163,7 @@ class TransformTable(Artifact):
         check_sensor(self.rows, self.cols, self.bits, self.black_level, self.white_level)
         check_cfa(self.cfa, self.channels)
         if self.camera and not (self.camera.channels == self.channels and np.array_equal(self.camera.cfa, self.cfa)):
-            raise ValueError("channels or cfa of the table differ from channels or cfa of its camera")
+            raise ValueError("the table and its camera model have different channels or CFAs")
         if not self.outputs or not self.output_unit > 0:
             raise ValueError("outputs must not be empty, and output_unit must be positive")
         if not self.exposure >= 0:

@@ -368,8 +368,9 @@ def monitor_at(monitor: MonitorRecipe, nm: float, folder: Path, read: ReadTable 
         if unit or not 1 / MOST_UNREFERENCED <= reading <= MOST_UNREFERENCED:
             with_unit = " (with a unit)" if unit else ""
             raise InputFileError(
-                f"{table.path}: the reading {reading:.4g}{with_unit} at {nm:g} nm is not a ratio near 1 of two lamp "
-                'readings; set "reference" to the column with the readings during the measurement of the spectra'
+                f"{table.path}: {reading:.4g}{with_unit} at {nm:g} nm cannot be a relative lamp brightness, which is near "
+                '1; if the column contains lamp readings, set "reference" to the column with the readings taken when the '
+                "spectra were measured"
             )
         return reading
     before, other = _reading(table, monitor.reference, nm)

@@ -455,7 +455,7 @@ def _require_room(motion: Motion, size: tuple[int, int], scale: float) -> None:
     rows, cols = (math.ceil(min(length / scale - 1e-6, 1e9)) for length in room(motion))
     if rows > size[0] or cols > size[1]:
         raise ValueError(
-            f"the {motion.frames} frames of the clip may show an area of {rows}×{cols} samples, but the scene has only "
+            f"the {motion.frames} frames of the clip need an area of up to {rows}×{cols} samples, but the scene has only "
             f"{size[0]}×{size[1]}; use a larger scene, or reduce motion.size or the motion"
         )
 

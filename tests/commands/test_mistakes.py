@@ -596,7 +596,7 @@ def test_a_table_that_does_not_hold_its_camera_knows_its_sensitivity(
     table = load(TransformTable, pipeline / "table.h5")
     assert table.camera is not None
     assert table.camera.fit is None
-    with pytest.raises(ValueError, match="differ from channels or cfa"):
+    with pytest.raises(ValueError, match="different channels or CFAs"):
         dataclasses.replace(table, camera=dataclasses.replace(table.camera, cfa=table.cfa[::-1]))
     save(dataclasses.replace(table, camera=None), tmp_path / "old.h5")
     assert l3("evaluate", tmp_path / "old.h5", pipeline / "unseen.h5", "--json")[2] == ""

@@ -335,8 +335,8 @@ def part_of(sequence: FrameSequence, shard: tuple[int, int], temporal: bool) -> 
     number, shards = shard
     if sequence.count is None:
         raise RecipeError(
-            f"{sequence.what} does not state its number of frames, which ‹shard› needs; set ‹frames› to the frames of all "
-            "shards together"
+            f"{sequence.what} does not state its number of frames, which ‹shard› needs; set ‹frames› to the total "
+            "number of frames in all shards"
         )
     count = sequence.count - sequence.lost
     if count < shards:
