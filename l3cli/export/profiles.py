@@ -362,10 +362,10 @@ def datasheet(camera: CameraModel) -> list[Row]:
 
 
 def _polariser_rows(camera: CameraModel, peaks: NDArray[np.integer], given: str) -> list[Row]:
-    """Return the rows about the polarisers: angles and finite extinction ratios, with 95 % bands if they were measured.
+    """Return the rows of the data sheet with the angles and the finite extinction ratios of the polarisers.
 
     `peaks` contains the index of the peak wavelength of each channel. `given` is the source of values that were not
-    measured. The result is empty for a camera without polarisers.
+    measured. Measured values have 95 % bands. The result is empty for a camera without polarisers.
     """
     polarisers, fit = camera.polarisers, camera.fit.polarisers if camera.fit else None
     rows: list[Row] = []

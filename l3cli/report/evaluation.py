@@ -305,9 +305,18 @@ def _texts(values: dict[str, float], figures: tuple[str, ...]) -> tuple[str, ...
 def _grouped(
     document: dict[str, Any], caption: str, heading: str, counts: str, entries: list[tuple[str, dict[str, Any]]]
 ) -> Table:
-    """Make a table of the main metric, with one row per group and one column per pipeline.
+    """Make a table of the main metric, with one row per group of frames or pixels, and one column per pipeline.
 
-    `counts` is the key of the size of a group, "frames" or "pixels". `entries` are the name and the metrics of each group.
+    Parameters
+    ----------
+    document : dict
+        Output of `l3 evaluate --json`.
+    caption, heading : str
+        Caption of the table, and heading of the column with the names of the groups.
+    counts : str
+        Key of the size of a group in its metrics, "frames" or "pixels".
+    entries : list of (str, dict)
+        Name and metrics of each group.
     """
     figure, owners = main_of(document), document["pipelines"]
     rows = tuple(

@@ -147,9 +147,21 @@ def _crop(
 ) -> Crop:
     """Cut a crop out of a frame, and add classes that do not occur in the crop.
 
-    `others` selects the additional classes: "none", "frame" (the other classes of the frame) or "all" (all other classes of
-    the table). The additional classes are sorted by their frequency in the frame. The weights of the most frequent
-    additional classes are included, as far as they fit into `letters` characters per layer.
+    Parameters
+    ----------
+    table : TransformTable
+        The table.
+    words : list of callable
+        For each layer, the function that `_words` returns.
+    labels : list of ndarray, (row, col)
+        Class of every pixel of the frame, one array per layer.
+    area : tuple of slice
+        Rows and columns of the crop.
+    others : {"none", "frame", "all"}
+        Additional classes: none, the other classes of the frame, or all other classes of the table. They are sorted by their
+        frequency in the frame.
+    letters : int
+        Maximum number of characters per layer for the weights of additional classes. The most frequent classes come first.
     """
     layers = []
     for layer, worded, of in zip(table.layers, words, labels, strict=True):

@@ -63,22 +63,35 @@ class Side:
 
 
 def shared_places(sides: list[Side]) -> list[Place]:
-    """Return the places at which every side has a frame, and at which these frames show the same scene.
+    """Find the frames that all tables have in common.
 
-    Fingerprints of the frames determine whether they show the same scene. A frame without a fingerprint matches every scene.
-    The result is in the order of the frames of the first side.
+    Frames match if they have the same scene name, illuminant name and luminance, and if their fingerprints belong to the
+    same scene and illuminant. A frame without a fingerprint matches every frame.
+
+    Parameters
+    ----------
+    sides : list of Side
+        The evaluated tables.
+
+    Returns
+    -------
+    list of Place
+        Names of scene and illuminant, and luminance, of each common frame, in the order of the frames of the first table.
     """
     return [place for place in _alike(sides) if _one_scene(_shown(sides, place))]
 
 
 def _alike(sides: list[Side]) -> list[Place]:
-    """Return the places (scene name, illuminant name, luminance) at which every side has a frame."""
+    """Return the combinations of scene name, illuminant name and luminance for which every table has a frame."""
     others = [side.places for side in sides[1:]]
     return [place for place in sides[0].places if all(place in other for other in others)]
 
 
 def _shown(sides: list[Side], place: Place) -> list[Any]:
-    """Return, for each side, the fingerprint of the frame at a place, or None if the frame has no fingerprint."""
+    """For each table, return the fingerprint of the frame with the given scene, illuminant and luminance.
+
+    The fingerprint is None if it is unknown.
+    """
     return [side.document["frames"][side.places[place]]["shown"] for side in sides]
 
 
@@ -101,8 +114,8 @@ def shared_frame(sides: list[Side], at: float | None = None) -> list[int]:
     Returns
     -------
     list of int
-        Index of the frame on each side. Empty if no frame exists on all sides, or if ΔE00 is not the main metric of every
-        table, because the outputs of a table are not colours.
+        Index of the frame in the evaluation of each table. Empty if the tables have no frame in common, or if ΔE00 is not
+        the main metric of every table, which is the case if the outputs of a table are not colours.
     """
     figures, first = {main_of(side.document) for side in sides}, sides[0]
     places = [
@@ -125,9 +138,9 @@ def side_by_side_section(
     sides : list of Side
         The evaluated tables.
     index : list of int
-        Index of the frame to show on each side, from `shared_frame`.
+        Result of `shared_frame`: index of the frame to show, for each table.
     pictures : list of dict
-        For each side, the pictures of this frame by name. Empty if `index` is empty.
+        For each table, the pictures of this frame by name. Empty if `index` is empty.
     limit : int
         Maximum total size of all pictures in bytes.
     jpeg : callable
@@ -149,13 +162,13 @@ def side_by_side_section(
 
 
 def _frames(side: Side, places: list[Place]) -> list[dict[str, Any]]:
-    """Return the metrics of the frames in `places`, or of all frames if `places` is empty."""
+    """Return the metrics of the frames that `places` identifies, or of all frames if `places` is empty."""
     frames = side.document["frames"]
     return [frames[side.places[place]] for place in places] if places else list(frames)
 
 
 def _mean(side: Side, places: list[Place], pipeline: str, figure: str) -> float | None:
-    """Return the mean of a metric over the frames in `places`, or over all frames if `places` is empty.
+    """Average a metric over the frames that `places` identifies, or over all frames if `places` is empty.
 
     The result is None if no frame has the metric.
     """

@@ -326,8 +326,12 @@ def trained(trial: Trial) -> dict[str, NDArray]:
     Returns
     -------
     dict of str to ndarray
-        "figures", (level, scene, metric): the metrics in FIGURES. "crops" and "ideals", (level, row, col, 3): a crop of the
-        first scene, rendered and ideal, as sRGB codes. "digest": SHA-256 of the content of all evaluated scenes, as bytes.
+        The keys are:
+
+        * "figures", (level, scene, metric): the metrics in FIGURES.
+        * "crops", (level, row, col, 3): a crop of the rendered first scene, as sRGB codes.
+        * "ideals", (level, row, col, 3): the same crop of the ideal picture.
+        * "digest", (byte,): the SHA-256 of the content of all evaluated scenes.
     """
     with tempfile.TemporaryDirectory(prefix="l3-") as name:
         folder, shown, ends = Path(name), hashlib.sha256(), []
