@@ -65,7 +65,11 @@ class Checkpoint:
         return True
 
     def begin(self) -> None:
-        """Create the file with the units that are known now. After this call, `add` may append units."""
+        """Create the file with the units that are known now. After this call, `add` may append units.
+
+        Temporary files of this file that a killed run left are removed.
+        """
+        sweep(self.path.parent, self.path)
         write_whole(self.path, "\n".join([self.key, *map(json.dumps, self.items.items())]))
 
     def add(self, name: str, facts: Any) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from l3cli.cli import run
+from l3cli.system.checkpoint import Checkpoint
 from l3cli.system.files import FINISHED
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import bayer_camera
@@ -164,3 +165,12 @@ def test_frames_of_another_run_are_given_up_by_force(folder: Path, l3: L3) -> No
     assert "leave --resume out or add --force" in l3(*line.split(), "--resume")[2]
     assert l3(*line.split(), "--resume", "--force") == (0, "", "")
     assert contents() == whole
+
+
+def test_what_a_killed_run_left_of_its_checkpoint_is_removed(tmp_path: Path) -> None:
+    remnant = tmp_path / "..clip.mkv.01234567.l3tmp.l3-unfinished"
+    remnant.write_text("key")
+    checkpoint = Checkpoint(tmp_path / ".clip.mkv.l3-unfinished", "key")
+    checkpoint.begin()
+    assert not remnant.exists()
+    assert checkpoint.path.read_text() == "key"
