@@ -7,6 +7,7 @@ import functools
 import gc
 import os
 import shutil
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -49,7 +50,10 @@ def environment_of_processes() -> None:
 
     pytest-xdist states a terminal of 80 columns, which is removed. A module that cannot be imported hides matplotlib from
     colour-science, so that a process starts as fast as where matplotlib is not installed.
+    SIGINT is not ignored, because tests send it to processes.
     """
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in jobs that a shell runs in the background
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     for name in ("COLUMNS", "LINES"):
         os.environ.pop(name, None)
     os.environ["PYTHONPATH"] = PYTHONPATH

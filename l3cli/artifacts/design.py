@@ -76,7 +76,7 @@ class LightMoments:
 
 @dataclass(frozen=True, repr=False)
 class SceneMoments(Artifact):
-    """Second moments of the light from scenes on pixels behind a lens, without any filter (docs/arrays.md#which-array)."""
+    """Second moments of the spectra that scenes produce on unfiltered pixels behind a lens (docs/arrays.md#which-array)."""
 
     kind: ClassVar[str] = "scene moments"
     made_by: ClassVar[str] = '"l3 design moments"'

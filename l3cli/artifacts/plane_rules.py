@@ -51,11 +51,11 @@ class GradientScale:
 
     @property
     def scale(self) -> "GradientScale":
-        """A GradientScale with only the scale, without the further fields of a class rule."""
+        """The factor and the shift, without the other fields of a class rule."""
         return GradientScale(self.gradient_factor, self.gradient_shift)
 
     def scaled_as(self, scale: "GradientScale") -> Self:
-        """Return a copy of this object, which may be a class rule, with the values of `scale`."""
+        """Return a copy of this object with the factor and the shift of `scale`. The object may be a class rule."""
         return replace(self, gradient_factor=scale.gradient_factor, gradient_shift=scale.gradient_shift)
 
 

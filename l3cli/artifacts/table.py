@@ -308,8 +308,8 @@ class TransformTable(Artifact):
     def clipped_white(self) -> NDArray[np.float64] | None:
         """XYZ, in output units, of the darkest white that clips every channel (docs/method.md#clipped-white).
 
-        Pixels are never rendered brighter than this. None if the illuminant or the camera is unknown, or if the outputs are
-        neither GREY nor begin with X, Y, Z.
+        Pixels are never rendered brighter than this. None if the illuminant or the camera is unknown. Also None if the
+        outputs are not GREY and do not begin with X, Y, Z.
         """
         if self.outputs[:3] not in (("X", "Y", "Z"), GREY) or (white := self.white_signals) is None:
             return None

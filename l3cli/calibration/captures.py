@@ -31,7 +31,7 @@ from l3cli.frames.measurement import (
 from l3cli.physics import spectra
 
 OVEREXPOSED = 1e-3  # a channel with this fraction of saturated pixels in a monochromatic capture is not used
-CUT_OFF = 0.05  # largest radiance at the ends of the spectrum of a monochromatic light, as a fraction of its peak
+CUT_OFF = 0.05  # a monochromatic spectrum whose ends exceed this fraction of its peak is cut off
 Array = NDArray[np.float64]
 DEGREE = 4  # degree of the polynomial from which the flat field is computed
 # The frame is divided into at most this number of rows and columns of cells. The polynomial is fitted to the means of the

@@ -191,7 +191,7 @@ def _polariser_columns(fit: PolariserFit) -> dict[str, Any]:
 
 
 def _lights(camera: CameraModel, chart: ChartFit) -> dict[str, dict[str, float]]:
-    """Return R² and the relative RMSE of each chart and channel."""
+    """Return R² and the relative RMSE of each channel for each chart and its illuminant."""
     rows = {}
     for index, light in enumerate(chart.illuminants):
         measured, predicted = chart.measured[index][None], chart.predicted[index][None]

@@ -81,7 +81,7 @@ def label_patches(
 
 
 def label_sums(seen: PatchSums, rule: ClassRule, neighbours: Neighbourhoods, site: int) -> Integers:
-    """Return the class of each patch from its sums, as an index among the classes of the CFA site `site`."""
+    """Return the class of each patch, given its sums. Classes are numbered from 0 within the CFA site `site`."""
     return labels(rule, _statistics(seen, neighbours, site))
 
 

@@ -79,7 +79,7 @@ def fixed_point(table: TransformTable) -> FixedPoint:
 
 
 def refined_fixed_point(layer: PlaneLayer, basis: NDArray[np.float64]) -> FixedPoint:
-    """Convert a refinement layer that is not the last layer to fixed-point numbers.
+    """Convert the transforms of a refinement layer between other layers to fixed-point numbers.
 
     `basis` is the matrix (output, plane) that converts outputs to planes. Raises InputFileError if the transforms are too
     large.

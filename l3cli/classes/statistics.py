@@ -133,7 +133,7 @@ def _mosaic_windows(padded: Integers, rule: ClassRule, rows: int, cols: int) -> 
 
 
 def _inner(padded: NDArray, rule: ClassRule) -> NDArray:
-    """Crop an array whose margin is the radius of the patch, so that its margin is the saturation radius."""
+    """Crop the margin of an array from the radius of the patch to the saturation radius."""
     cut = rule.radius - rule.saturation_radius
     return padded[cut : padded.shape[0] - cut, cut : padded.shape[1] - cut]
 

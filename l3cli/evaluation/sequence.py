@@ -194,8 +194,8 @@ class SequenceFigures(msgspec.Struct, forbid_unknown_fields=True, tag_field="kin
     motion: Literal["known", "estimated"] | None  # source of the motion for `warped_error`; None without ideal sequence
     frames: list[FrameFigures]
     still_share: float  # number of still patches, as a fraction of all patches
-    temporal_sigma: float | None  # L*; RMS, over the still patches, of the standard deviation of a pixel over time
-    patch_sigma: float | None  # L*; RMS, over the still patches, of the standard deviation of the patch mean over time
+    temporal_sigma: float | None  # L*; temporal standard deviation of a pixel; RMS over the still patches
+    patch_sigma: float | None  # L*; temporal standard deviation of the mean of a patch; RMS over the still patches
     largest_jump: float | None  # L*; `jump` with the largest absolute value
     largest_jump_frame: int | None  # index of the frame with the largest jump, starting at 0
     warped_error: float | None  # L*; RMS over the frames

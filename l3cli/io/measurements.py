@@ -509,7 +509,10 @@ def _assembled(
 
 
 def _corrections(recipe: CorrectionRecipe, camera: CameraModel, folder: Path) -> Measurements:
-    """Return the measurements of a file with the key `base`: the dark, white and polariser captures of a known camera."""
+    """Return the dark, white and polariser captures of a measurement file that contains the key `base`.
+
+    `camera` is the camera model that `base` names.
+    """
     geometry = camera.name, camera.rows, camera.cols, camera.pixel_pitch, camera.bits, camera.channels, camera.cfa
 
     def frames(capture: CaptureRecipe) -> dict[str, Any]:

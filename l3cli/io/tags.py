@@ -152,8 +152,8 @@ def believable_shot(stated: Mapping[str, Any]) -> Shot:
     """Return the settings of a shot, without invalid and implausible values.
 
     The keys of `stated` are names of fields of `Shot`. Other keys are ignored. Unprintable characters are removed from
-    strings, and long strings are truncated. A date that is not in the format of Exif is replaced by the default of `Shot`,
-    and so is a number that is not positive or exceeds MAX_BELIEVABLE.
+    strings, and long strings are truncated. A date that does not have the Exif format is replaced by the default of
+    `Shot`. The same applies to a number that is not positive or exceeds MAX_BELIEVABLE.
     """
     usual, fields = Shot(), dict[str, Any]()
     for name in stated.keys() & SHOT.keys():

@@ -106,7 +106,10 @@ def _round_steps(low: float, high: float) -> list[float]:
 
 
 def tick_text(value: float) -> str:
-    """Format the number at a tick. Nonzero numbers below 0.001 and numbers from 100 000 are written as powers of ten."""
+    """Format the number next to a tick.
+
+    Nonzero numbers with a magnitude below 0.001 or of at least 100 000 are written as multiples of a power of ten.
+    """
     if value and not 1e-3 <= abs(value) < 1e5:
         power = int(np.floor(np.log10(abs(value)) + 1e-9))
         factor = value / 10.0**power

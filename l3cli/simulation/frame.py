@@ -253,9 +253,9 @@ def _collected(
 
 
 def project_stokes(scene: Scene, weights: Array) -> NDArray[np.float32]:
-    """Compute weighted sums of S0, S1 and S2 of a polarised scene over its bands.
+    """Compute weighted sums of the Stokes parameters S0, S1 and S2 of a scene over all bands.
 
-    The sums are computed with float64, because large terms with different signs can nearly cancel. This happens if the
+    The sums are computed in float64, because large terms with different signs can nearly cancel. This happens if the
     polariser of a pixel is perpendicular to the polarisation of the light.
 
     Parameters

@@ -406,7 +406,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SpectrumFormat:
-    """A file format of spectra. docs/own-lab.md lists all formats."""
+    """A file format for spectra. docs/own-lab.md lists all formats."""
 
     name: str
     suffixes: tuple[str, ...]  # in lower case; the letter case of file names is ignored

@@ -416,7 +416,7 @@ def _places(folder: Path, names: Sequence[str]) -> dict[str, Path]:
     return places
 
 
-# ----------------------------------------------------------------------------------- the camera of some raw files
+# ----------------------------------------------------------------------------------- cameras from raw files
 
 
 def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:

@@ -47,7 +47,8 @@ def grey_patches(
 ) -> dict[int, Array]:
     """Return the moments of uniform greys for the saturated classes of the lowest contrast.
 
-    The moments of a class are the mean over all greys that belong to the class, multiplied by the number of greys per patch.
+    The moments of a class are the mean over all greys that belong to the class, multiplied by the weight of the greys
+    relative to one training patch.
     Each grey also belongs to the same class at the next darker and the next brighter level. For the saturation case in which
     every channel clips, only greys that are fully clipped in every channel are used.
 

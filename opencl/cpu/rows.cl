@@ -7,7 +7,7 @@
 
 #define LANE(i) (float)(i)
 
-// Gains of LANES pixels, starting at column x. `gain` contains the gains of a row at grid nodes with a distance of GAIN_STEP columns. Between
+// Gains of LANES pixels, starting at column x. `gain` contains the gains of a row at grid nodes that are GAIN_STEP columns apart. Between
 // the nodes, gains are interpolated linearly.
 INLINE floats gains_at(__global const float *gain, int x) {
     const int node = x / GAIN_STEP;

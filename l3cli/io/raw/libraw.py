@@ -26,7 +26,7 @@ from l3cli.system.limits import require_picture
 
 @isolated("rawpy", "tifffile")
 def read(path: Path) -> RawContent:
-    """Read the visible area of the frame in a camera raw.
+    """Read the visible area of the frame in a camera raw file.
 
     Raises InputFileError if LibRaw cannot read the file, or if the file contains no mosaic.
     """

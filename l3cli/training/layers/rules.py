@@ -33,7 +33,7 @@ from l3cli.training.symmetry import orientations
 THRESHOLDS_PER_TEST = 5  # number of thresholds that are tried per test; the thresholds are quantiles of the test's quotient
 QUOTIENT_SAMPLES = 1 << 13  # approximate number of samples per site for these quantiles
 TREE_SIDE_PIXELS = 64  # largest side of the mosaics, in pixels; small, because a tree needs only a few samples per mosaic
-SPLIT_SIDE_PIXELS = 3  # largest side, in pixels, of the windows that evaluate splits if the frames have no noise
+SPLIT_SIDE_PIXELS = 3  # largest side, in pixels, of the windows on which splits are evaluated for frames without noise
 SAMPLES_PER_TAP = 4  # smallest number of samples per tap in a leaf, at every site
 COLUMN_STEPS = 2.0**16  # grid steps up to the largest value; sums of products over a million samples then stay below 2^53
 TAP_RIDGE = 1e-6  # ridge of the least-squares fit, relative to the mean power of the taps
