@@ -58,7 +58,7 @@ class GainEstimate:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Lower and upper limit of the gain, two standard errors from the estimate on a logarithmic scale."""
+        """Interval of ±2 standard errors around the estimated gain. The interval is symmetric on a logarithmic scale."""
         return self.gain * float(np.exp(-2 * self.error)), self.gain * float(np.exp(2 * self.error))
 
 
@@ -212,12 +212,15 @@ def _plain(patches: _Patches, camera: CameraModel, gain: float, excess: float) -
 
 
 def _energies(whitened: Array, patches: _Patches) -> tuple[Array, Array, int]:
-    """Compute the energy in the weak and in the strong components of each patch.
+    """Split the variation within each patch into weak components (noise) and strong components (texture).
+
+    The components are the eigenvectors of the covariance of the pixels, without the channel means. They are estimated from
+    one half of the patches and applied to the other half, so that a patch does not influence its own components.
 
     Returns
     -------
     weak, strong : ndarray, (patch,)
-        Mean square of the weak components, and mean square of the strong components.
+        Mean squares of the half of the components with the smallest eigenvalues, and of the other components.
     count : int
         Number of weak components.
     """
@@ -235,11 +238,12 @@ def _energies(whitened: Array, patches: _Patches) -> tuple[Array, Array, int]:
 
 
 def _consistent(plain: _Plain, camera: CameraModel, gain: float) -> _Plain:
-    """Return the patches in the signal ranges that are consistent with the same gain.
+    """Keep only the patches of signal ranges in which the weak components contain noise and no texture.
 
-    Candidates are the estimates from single ranges. The lowest candidate that is consistent with at least a quarter of the
-    ranges is used. In the other ranges, the weak components contain texture, for example a grating with a period of two
-    pixels. Raises ValueError if no candidate is consistent with enough ranges.
+    Texture in the weak components, for example a grating with a period of two pixels, makes the gain that is estimated from
+    a range too high. The function therefore estimates the gain from each range alone, and tries these gains in ascending
+    order. It takes the first gain that predicts the noise of at least a quarter of the ranges, and keeps these ranges. It
+    raises ValueError if no gain does.
     """
     count = int(plain.level.max()) + 1
     alone = [_most_likely(plain.chosen(plain.level == each), camera, gain, None)[0] for each in range(count)]
