@@ -12,14 +12,15 @@ renderer and metrics.
 
 The functions `calibrate`, `simulate`, `train`, `render` and `evaluate` do the same as the commands with these names. Their
 arguments are paths or artifacts, and the files that they write are identical to the files of the commands. `calibrate`,
-`simulate` and `train` return the artifact that was written. `render` returns the number of frames that were left out.
+`simulate` and `train` return the artifact that was written. `render` returns the number of frames that could not be read.
 `evaluate` returns a dictionary of metrics.
 
 These functions do not print anything. Warnings of the command become Python warnings (UserWarning). If you pass a `console`
 (`l3cli.system.console.Console`), the console receives all messages instead.
 
 All errors of l3 are subclasses of `L3Error` in `l3cli.errors`: RecipeError for a wrong argument or recipe, InputFileError
-for an unusable file, and DeviceError if OpenCL fails. Messages write the names of parameters as ‹force›.
+for an unusable file, and DeviceError if OpenCL fails. Messages show the names of parameters in angle quotes, such as
+‹force›.
 """
 
 from l3cli.api.figures import delta_e_2000, psnr, scielab, ssim

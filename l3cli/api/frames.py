@@ -1,7 +1,7 @@
-"""Raw frames in memory, a renderer for raw frames, and a class for the plugins for video programs.
+"""Raw frames in memory, a renderer for raw frames, and a class for the video plugins.
 
 `read_raw` reads a raw frame from a file, and `raw_frame` converts an array to a raw frame. `Renderer` renders raw frames.
-`Mosaics` prepares the frames of a video program for rendering (l3cli/video_hosts).
+`Mosaics` converts the frames of a video program to raw frames (l3cli/video_hosts).
 """
 
 import functools
@@ -266,8 +266,8 @@ class Renderer:
         self._pictured = self.table.pictured()  # the table with only the outputs that pictures need
         shows_all = self._pictured.outputs == self.table.outputs
         self._pictures = self._renderer if shows_all else NoiseRenderer(backend, self._pictured, **chosen)
-        # Renderers by the mixture of training illuminants for which their transforms were computed. The renderer for the key
-        # None uses the transforms that all illuminants share.
+        # One renderer per mixture of training illuminants. The renderer with the key None uses the transforms that all
+        # illuminants share.
         self._renderers: dict[Mix | None, NoiseRenderer] = {None: self._pictures}
         self._alone = ThreadLock()
 
@@ -307,7 +307,7 @@ class Renderer:
         Raises
         ------
         RecipeError
-            If an argument is invalid, or if the outputs of the table are neither Y alone nor begin with X, Y, Z.
+            If an argument is invalid, or if the table has neither Y as its only output nor X, Y, Z as its first outputs.
         InputFileError
             If the frame does not fit the table, or if the white cannot be measured in the frame.
 
@@ -413,15 +413,15 @@ class Renderer:
         return self._pixels(self._renderer, self._frame(frame), OUTPUTS, 0.0, None)
 
     def uncertainty(self, frame: RawFrame | NDArray[np.uint16], *, like: Uncertainty | None = None) -> Uncertainty:
-        """Estimate the uncertainty of `outputs` that the noise of the camera causes (docs/measurement.md#uncertainty).
+        """Estimate the uncertainty of the outputs due to the noise of the camera (docs/measurement.md#uncertainty).
 
         Parameters
         ----------
         frame : RawFrame or ndarray, (row, col)
             Raw frame with at least 32 × 32 pixels.
         like : Uncertainty, optional
-            Uncertainty of a previous frame of the same scene. l3 reuses its noise gains, which takes a tenth of the
-            time.
+            Uncertainty of a previous frame of the same scene. l3 reuses the noise gains of that frame, which
+            reduces the computing time to a tenth.
 
         Returns
         -------
@@ -501,8 +501,8 @@ PIXELS = Quantity(0, 1_000_000, "pixels", whole=True)
 class Mosaics:
     """Prepares the frames of a video program for rendering. All frames must have the same size.
 
-    The plugins for video programs (l3cli/video_hosts) convert their frames with this class and render them with its
-    attribute `renderer`.
+    The plugins for video programs (l3cli/video_hosts) convert their frames with this class, and render the converted frames
+    with the attribute `renderer`.
 
     Parameters
     ----------

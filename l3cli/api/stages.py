@@ -185,14 +185,14 @@ def save(artifact: CameraModel | TransformTable, path: Name) -> None:
 
 @contextlib.contextmanager
 def file_of(given: Name | Artifact, kind: str | None = None) -> Iterator[Path]:
-    """Context manager that returns the path of a file. An artifact in memory is first saved to a temporary file.
+    """Context manager that returns the path of an artifact's file. An artifact in memory is saved to a temporary file.
 
     The temporary file is deleted at the end of the `with` block.
 
     Parameters
     ----------
     given : str, path or Artifact
-        A file or an artifact in memory. If `kind` is set, it may also be the name of a recipe that comes with l3.
+        A file or an artifact in memory. If `kind` is set, `given` may also be the name of a recipe that comes with l3.
     kind : str, optional
         Folder in configs/ that contains the recipes, such as "cameras".
 
@@ -240,7 +240,7 @@ class by_keyword(Generic[P, O]):
 
         @functools.wraps(function)
         def called(*given: Any, **named: Any) -> Any:
-            import scipy.linalg  # noqa: F401 # loads the BLAS of scipy, whose threads can be limited only after it is loaded
+            import scipy.linalg  # noqa: F401 # load scipy's BLAS, whose threads can be limited only after loading
             from threadpoolctl import threadpool_limits
 
             given += tuple(named.pop(each.name) for each in paths[len(given) :] if each.name in named)
@@ -415,7 +415,7 @@ def render(table: Name | TransformTable, inputs: Name | Sequence[Name], output: 
     Returns
     -------
     int
-        Number of frames that were left out because they could not be read. It is 0 unless `skip_bad` is set.
+        Number of frames that could not be read and were skipped. It is 0 unless `skip_bad` is set.
 
     Raises
     ------

@@ -26,10 +26,15 @@ from l3cli.classes.windows import Integers, Neighbourhoods
 
 CHROMA_FRACTION = 4  # number of fractional bits of a channel mean in the chroma scores
 MAX_CHROMA_INPUT = 2**16 - 1  # channel means are clamped to this value, so that the scores fit into 32 bits
-STARTS = 4  # number of k-means runs, of which the best is used; one run in ten would increase the S-CIELAB error by 10 %
+# number of k-means runs, of which the best is used; one run in ten is so poor that the S-CIELAB error would rise by 10
+# %
+STARTS = 4
 WIDTH_FRACTION = 8  # number of fractional bits of the dither widths
-DITHERED = 0.6  # dither width, relative to the squared distance to the nearest centre; a width of 1 tints the palest paints
-TWINS = 2e-3  # no dither between centres whose squared distance, times the squared number of channels, is smaller
+# dither width divided by the squared distance to the nearest different centre; a width of 1 would tint the palest
+# paints
+DITHERED = 0.6
+# no dither between two centres if their squared distance, times the squared number of channels, is below this value
+TWINS = 2e-3
 TURN = 159  # 256 × the golden ratio conjugate; the dither thresholds of consecutive sites are then evenly distributed
 SNIPPET = "features/chroma.cl"
 
@@ -42,7 +47,7 @@ def channel_shares(signal: NDArray[np.float32], neighbours: Neighbourhoods, site
     signal : ndarray, (patch, tap)
         Signal above black.
     neighbours : Neighbourhoods
-        Channel of each tap in the patch around each site.
+        Result of `neighbourhoods` for the CFA.
     site : int
         CFA site at the centre of the patches.
 

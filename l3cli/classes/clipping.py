@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 SMALLEST_BLOCK = 4  # pixels; shortest permitted side of a block
-QUAD = 2  # pixels; side of a quad
+QUAD = 2  # side of a quad in pixels; all pixels of a quad have the same interpolated values
 # The degree to which a channel clips increases from 0 at the channel mean BEGINS to 1 at CLIPS (fractions of full scale).
 BEGINS, CLIPS = 0.6, 0.985
-# The fraction of the outputs that is replaced increases from 0, if the brightest channel has the mean KEPT, to 1 at REPLACED
-# (fractions of full scale).
+# The fraction of the outputs that is replaced depends on the mean of the brightest channel. The fraction increases from
+# 0 at KEPT to 1 at REPLACED (fractions of full scale).
 KEPT, REPLACED = 0.85, 0.975
 # A block is uniform if the values of each channel in 3 × 3 blocks differ by at most PLAIN. It is textured if they differ by
 # TEXTURED or more (fractions of full scale).
@@ -35,8 +35,8 @@ HUE_STEPS = 2  # a clipped block is compared with this number of blocks in each 
 HUE_REACH = 24  # pixels; distance between a clipped block and the farthest block with which it is compared
 MAX_DIFFERENCE = 0.05  # two blocks show different surfaces if their squared relative difference reaches this value
 MIN_SIGNAL = 0.02  # fraction of full scale; signals that are used as divisors are at least this large
-# The weight of the surrounding hue is one half if the likeness of the surroundings, as a fraction of its maximum, equals
-# HUE_DOUBT plus GREY_DOUBT times the squared likeness of the clipped block to a white.
+# The weight of the surrounding hue is L / (L + D). L is the likeness of the surroundings, as a fraction of its maximum.
+# D is HUE_DOUBT plus GREY_DOUBT times the squared likeness of the clipped block to white.
 HUE_DOUBT, GREY_DOUBT = 0.05, 3.0
 SPREADS = 4  # number of steps in which the estimates of clipped blocks spread over uniform areas
 SPREAD_REACH = 32  # pixels; distance over which one step spreads the estimates
@@ -48,7 +48,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Mosaic:
-    """A raw frame that has been rescaled to the black and white levels of the table, and its CFA."""
+    """A raw frame, rescaled to the black and white levels of the table, and its CFA."""
 
     values: NDArray[np.uint16]  # (row, col): DN
     cfa: NDArray[np.uint8]  # (cfa_row, cfa_col): channel of each site, beginning with the site of the first pixel
@@ -136,7 +136,7 @@ def clipping_maps(mosaic: Mosaic, response: Array, white: Array) -> Array:
 
 
 def block_means(mosaic: Mosaic, channels: int) -> tuple[Array, Array]:
-    """Return the mean of each channel in every block of a mosaic, and the largest range of the values of a channel.
+    """Return the mean of each channel in every block of a mosaic, and the largest range of values within a channel.
 
     If the mosaic does not consist of whole blocks, the last blocks overlap the blocks before them, so that every block is
     within the mosaic.
@@ -245,7 +245,7 @@ def reach(cfa: NDArray[np.uint8]) -> int:
 
 @dataclass(frozen=True)
 class ClippedBlocks:
-    """The blocks in which some channels clip, but not all. Its methods compare these blocks with other signals."""
+    """The blocks in which some channels clip, but not all. The methods compare these blocks with other signals."""
 
     numbers: NDArray[np.intp]  # (block,): indices of the blocks, counted row by row
     own: Array  # (channel, block): channel means, at least MIN_SIGNAL
@@ -253,9 +253,9 @@ class ClippedBlocks:
     shape: tuple[int, int]  # number of block rows and block columns of the frame
 
     def neighbour(self, down: int, right: int) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-        """Return the index of the neighbour of each block at an offset, and whether the neighbour is inside the frame.
+        """Return the index of each block's neighbour at an offset, and whether the neighbour is inside the frame.
 
-        `down` and `right` are the offset in blocks. Outside the frame, the index is 0.
+        The offset is `down` rows and `right` columns of blocks. Outside the frame, the index is 0.
         """
         row, col = np.divmod(self.numbers, self.shape[1])
         row, col = row + down, col + right
@@ -304,9 +304,9 @@ def hue_maps(means: Array, spread: Array, response: Array, white: Array, sides: 
     """Estimate the hue of clipped blocks from unclipped blocks nearby.
 
     A block nearby may show the same surface under more or less light. To test this, its signals are scaled to the brightness
-    of the clipped block. They must then agree in the channels that do not clip, and reach full scale in the channels that
-    clip. Afterwards, the estimated signals of clipped blocks spread in several steps over uniform areas, for example over a
-    sky.
+    of the clipped block. The scaled signals must then agree with the clipped block in the channels that do not clip, and
+    reach full scale in the channels that clip. Afterwards, the estimated signals of clipped blocks spread in several steps
+    over uniform areas, for example over a sky.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from l3cli.classes.planes import CHROMA, LUMINANCE
 
 BLOCK = 4  # pixels; side of a block
 SPACINGS = (1, 2, 4, 8)  # spacing of each step, in blocks
-REACH = BLOCK * (sum(SPACINGS) + 2)  # pixels; pixels at a larger distance do not influence the result
+REACH = BLOCK * (sum(SPACINGS) + 2)  # distance in pixels; pixels farther away do not influence the result
 ALIKE = np.array([3.0, 4.0, 5.0, 6.0])  # width of the similarity function in each step, in standard deviations of the noise
 POWER = 8  # exponent in (1 − u / POWER)^POWER, an approximation of exp(−u) that reaches zero
 STEP_WEIGHTS = np.array([1.0, 2.0, 1.0]) / 4
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 def scales_of(chroma: CoarseChroma, noise_ratio: float = 1.0) -> Array:
-    """Return the scales of the similarity function. Squared differences between blocks are divided by these scales.
+    """Return the scales by which the similarity function divides squared differences between blocks.
 
     Parameters
     ----------
@@ -33,8 +33,8 @@ def scales_of(chroma: CoarseChroma, noise_ratio: float = 1.0) -> Array:
     Returns
     -------
     ndarray, (step, plane, power of luminance)
-        Coefficients of the scale of each step and plane, which is a polynomial in the luminance. The unit of the planes is
-        PLANE_STEP.
+            Polynomial coefficients. The scale of each step and plane is a polynomial in the luminance. The unit of the
+            planes is PLANE_STEP.
     """
     steps = chroma.variance * (noise_ratio / PLANE_STEP**2) * PLANE_STEP ** np.arange(chroma.variance.shape[-1])
     return steps * (4 * POWER * ALIKE**2)[:, None, None]

@@ -21,7 +21,8 @@ from l3cli.classes.statistics import Statistics
 from l3cli.classes.windows import VARIANCE_FRACTION, Integers, window_channels
 from l3cli.errors import RecipeError
 
-MEAN_TRUNCATED = 1 / 3  # DN²; mean increase of V because M is rounded down; it matters if the noise is below 1 DN
+# DN²; rounding M down increases V by this amount on average, which matters if the noise is below 1 DN
+MEAN_TRUNCATED = 1 / 3
 SNIPPET = "features/contrast.cl"
 
 
@@ -63,7 +64,7 @@ def stored_edges(
 
 
 def noise_of_grey(levels: NDArray[np.float64], camera: CameraModel, dark: float) -> NDArray[np.floating]:
-    """Return the noise variance of greys in DN², averaged over the channels. Clipped channels have no noise.
+    """Return the noise variance of greys in DN², averaged over the channels. Clipped channels count as free of noise.
 
     Parameters
     ----------
@@ -109,7 +110,7 @@ def contrasts(rule: ClassRule, statistics: Statistics, level: Integers) -> Integ
 
 
 def entry(table: TransformTable, contrast: int) -> dict[str, Any]:
-    """Describe a contrast for reports and JSON. The only entry is its number."""
+    """Describe a contrast for reports and JSON. The description contains only the number of the contrast."""
     return {"contrast": contrast}
 
 

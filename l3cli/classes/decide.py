@@ -14,7 +14,7 @@ from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, neighbourh
 
 
 def labels(rule: ClassRule, statistics: Statistics) -> Integers:
-    """Return the class of every pixel, as an index among the classes of its CFA site."""
+    """Return the class index of every pixel. Classes are numbered from 0 within each CFA site."""
     levels = level.levels(rule, statistics)
     contrasts = contrast.contrasts(rule, statistics, levels)
     kinds = rule.kind(chroma.chromas(rule, statistics), saturation.cases(rule, statistics.code))
@@ -48,7 +48,7 @@ def label_mosaic(
     Returns
     -------
     ndarray, (row, col)
-        Class of each pixel, as an index among the classes of all sites.
+        Class index of each pixel. The index counts the classes of all sites.
     """
     statistics = mosaic_statistics(values, rule, neighbourhoods(cfa, rule.patch, channels), cfa, phase)
     return rule.on_site(labels(rule, statistics), statistics.site)
@@ -61,7 +61,7 @@ def label_patches(
     site: int,
     order: TapOrder | None = None,
 ) -> Integers:
-    """Return the class of each patch, as an index among the classes of one CFA site.
+    """Return the class index of each patch. Classes are numbered from 0 within the CFA site.
 
     Parameters
     ----------
@@ -74,14 +74,14 @@ def label_patches(
     site : int
         CFA site at the centre of the patches.
     order : TapOrder, optional
-        Result of `tap_order` for the site, to save time. [default: computed]
+        Result of `tap_order` for the site, if the caller has already computed it.
     """
     order = order or tap_order(rule, neighbours, site)
     return label_sums(patch_statistics(patches.T[order.taps].astype(np.uint32), rule, order), rule, neighbours, site)
 
 
 def label_sums(seen: PatchSums, rule: ClassRule, neighbours: Neighbourhoods, site: int) -> Integers:
-    """Return the class of each patch, given its sums. Classes are numbered from 0 within the CFA site `site`."""
+    """Compute the class index of each patch from the sums of the patch. Classes are numbered from 0 within the CFA site."""
     return labels(rule, _statistics(seen, neighbours, site))
 
 
@@ -104,7 +104,7 @@ def observe_patches(
     Returns
     -------
     dict of str to ndarray, (patch, …)
-        Name of each additional feature, and its statistics. Empty without additional features.
+        Statistics of each additional feature, by name. Empty if the class rule has no additional features.
     """
     if not rule.feature_list:
         return {}

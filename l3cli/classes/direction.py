@@ -26,7 +26,7 @@ from l3cli.errors import RecipeError
 from l3cli.recipes.toml import Recipe, Share
 
 SNIPPET = "features/direction.cl"
-SCALE = 64  # value of the larger of the two multipliers that make differences along straight and diagonal axes comparable
+SCALE = 64  # the larger of the two multipliers, which make differences along straight and diagonal axes comparable
 SHARES = 16  # coherence is stored in units of 1/SHARES
 # Number of constants before the strength edges. These constants are the multiplier of axes 0 and 2, the multiplier of axes 1
 # and 3, the number of orientations, the number of strengths, and the coherence.
@@ -36,7 +36,7 @@ HEAD = 5
 class DirectionKeys(Recipe):
     """The section [classes.direction] of a class recipe."""
 
-    orientations: Literal[4, 8] = 4  # number of orientations that are distinguished
+    orientations: Literal[4, 8] = 4  # number of distinguished orientations
     strengths: tuple[float, ...] = (4.0,)  # edges between strengths, in standard deviations of the noise of a difference
     # A change is coherent if the difference across the axis is at most this fraction of the difference along the axis.
     # Default: coherence is not used
@@ -109,9 +109,9 @@ def _strength_edges(
 ) -> Integers:
     """Return the edges between strengths as integers: (strength edge, level).
 
-    They are multiples of the RMS difference that noise alone causes at each level. Row noise and column noise affect some of
-    the four differences more than others. For a camera with such noise, the edges are multiples of the noisiest difference,
-    so that noise is not mistaken for structure.
+    The edges are multiples of the RMS difference that noise alone causes at each level. Row noise and column noise affect
+    some of the four differences more than others. For a camera with such noise, the edges are multiples of the noisiest
+    difference, so that noise is not mistaken for structure.
     """
     counts = np.zeros((4, rule.patch, rule.patch))
     for window in windows:
@@ -192,7 +192,7 @@ def with_less_noise(feature: Feature, noise_fraction: float | NDArray[np.float64
 
 
 def turned(feature: Feature, transposed: bool, turns: int) -> Integers:
-    """Return, for each direction of a patch, the direction of rot90(patch.T if transposed else patch, turns)."""
+    """Map each direction of a patch to the direction of the turned patch, rot90(patch.T if transposed else patch, turns)."""
     orientations = int(feature.constants[2])
     quarter = orientations // 2
     orientation = np.arange(orientations)
@@ -221,7 +221,10 @@ def _feature_of(table: TransformTable) -> Feature:
 
 
 def entry(table: TransformTable, index: int) -> dict[str, Any]:
-    """Describe a direction for reports and JSON: its number, and its axis in degrees clockwise from the horizontal."""
+    """Describe a direction for reports and JSON: its number, and a text such as "along 90°".
+
+    The angle of the axis along which the values change is measured clockwise from the horizontal.
+    """
     return {"direction": index, "varies": _described(_feature_of(table), index)}
 
 

@@ -4,9 +4,9 @@ Every class rule has the basic features level, contrast, saturation and chroma. 
 for these four. For example, a level with few patches also uses the patches of neighbouring levels, and classes with clipped
 channels are trained on greys.
 
-A class recipe can enable additional features. To enable a feature, it contains a table with the name of the feature
-(`ClassRecipe`). The feature is implemented in a module with the functions of `FeatureModule`. Its windows and constants are
-stored as a `class_rule.Feature`, which these functions receive as `feature`.
+A class recipe enables an additional feature with a table that has the name of the feature (`ClassRecipe`). The module of the
+feature contains the functions of `FeatureModule`. The windows and constants of the feature are stored as a
+`class_rule.Feature`, which these functions receive as the parameter `feature`.
 """
 
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ from l3cli.errors import InputFileError
 
 
 class DescribedFeature(Protocol):
-    """Interface that the modules of all features share."""
+    """The functions that the module of every feature contains."""
 
     SNIPPET: str  # OpenCL file with the formula of the feature, relative to opencl/
 
@@ -34,14 +34,14 @@ class DescribedFeature(Protocol):
         """Describe the value `index` of the feature for reports and JSON."""
 
     def heading(self, entry: dict[str, Any]) -> str:
-        """Return the label of a value for the first column of a report. `entry` is a result of the function `entry`."""
+        """Return the label of a value for the first column of a report. `entry` is the result of the function `entry`."""
 
     def name(self, table: TransformTable, index: int) -> str:
         """Return the name of the value `index` of the feature."""
 
 
 class BasicFeatureModule(DescribedFeature, Protocol):
-    """Interface of the modules level, contrast, saturation and chroma."""
+    """Additional functions of the modules level, contrast, saturation and chroma."""
 
     def macros(self, rule: ClassRule) -> dict[str, int]:
         """Return the macros with which the OpenCL snippet of the feature is compiled."""
@@ -51,11 +51,11 @@ class BasicFeatureModule(DescribedFeature, Protocol):
 
 
 class FeatureModule(DescribedFeature, Protocol):
-    """Interface of the module of an additional feature, which a class recipe can enable.
+    """The functions in the module of an additional feature, which a class recipe can enable.
 
-    The value of the feature is computed from integer sums over windows of the patch, the level, and constants. The constants
-    are computed together with the class rule. Window sums are sums of DN >> shift, and their absolute values are below 2²⁰.
-    The OpenCL snippet defines the function
+    The value of the feature is computed from three inputs: integer sums over windows of the patch, the level of the pixel,
+    and constants. The constants are computed together with the class rule. Window sums are sums of DN >> shift, and their
+    absolute values are below 2²⁰. The OpenCL snippet defines the function
 
         INLINE uints NAME_of(const ints *sum, uints level, __global const int *constants)
 
@@ -63,10 +63,9 @@ class FeatureModule(DescribedFeature, Protocol):
     """
 
     def fits(self, camera: CameraModel, patch: int) -> bool:
-        """Return whether patches with the side `patch`, in pixels, are large enough for the feature on the CFA of the
-        camera.
+        """Return whether patches of `patch` × `patch` pixels are large enough for the feature on the camera's CFA.
 
-        If they are too small, the class rule does not contain the feature, although the recipe enables it.
+        If the patches are too small, the class rule does not contain the feature, although the recipe enables it.
         """
 
     def make_feature(
@@ -85,7 +84,7 @@ class FeatureModule(DescribedFeature, Protocol):
         dark : float
             Dark signal, in DN, that was subtracted from the frames.
         observed : ndarray, (patch, …), or None
-            Statistics of the pilot patches from `observe`, or None if there are no pilot patches yet.
+            Result of `observe` for the pilot patches, or None if there are no pilot patches yet.
 
         Raises
         ------
@@ -97,7 +96,7 @@ class FeatureModule(DescribedFeature, Protocol):
         """Raise ValueError if the number of stored constants is wrong, or if a constant is out of range."""
 
     def observe(self, feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:
-        """Return the statistics of pilot patches from which `make_feature` computes the constants, with one row per patch.
+        """Return statistics of pilot patches, one row per patch, from which `make_feature` computes the constants.
 
         The parameters are the same as in `values`. If the feature needs no statistics, the result has no columns.
         """
@@ -124,15 +123,16 @@ class FeatureModule(DescribedFeature, Protocol):
         """
 
     def turned(self, feature: Feature, transposed: bool, turns: int) -> Integers:
-        """Return, for each value of a patch, the value of rot90(patch.T if transposed else patch, turns)."""
+        """Map each feature value of a patch to the value of the turned patch, rot90(patch.T if transposed else patch,
+        turns)."""
 
     def macros(self, feature: Feature, rule: ClassRule) -> dict[str, int]:
         """Return the macros with which the OpenCL snippet of the feature is compiled."""
 
 
-# Kernels include the snippets, and receive the arrays, in this order.
+# Kernels include the snippets in this order, and receive the arrays in this order.
 BASIC: tuple[BasicFeatureModule, ...] = (level, contrast, saturation, chroma)
-# Name of the recipe table that enables each additional feature, and the module of the feature.
+# module of each additional feature, by the name of the recipe table that enables the feature
 FEATURES: Mapping[str, FeatureModule] = {
     "direction": direction,
 }
@@ -167,5 +167,8 @@ def module_of(feature: Feature, rule: ClassRule) -> FeatureModule:
 
 
 def features_of(rule: ClassRule) -> tuple[tuple[FeatureModule, Feature], ...]:
-    """Return the module and the stored definition of each additional feature. Raises InputFileError as `module_of`."""
+    """Return the module and the stored definition of each additional feature.
+
+    Raises InputFileError under the same conditions as `module_of`.
+    """
     return tuple((module_of(feature, rule), feature) for feature in rule.feature_list)

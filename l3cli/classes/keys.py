@@ -1,4 +1,4 @@
-"""Keys of the section [classes] in a class recipe that define the patch and the four basic features.
+"""Keys in the section [classes] of a class recipe for the patch and the four basic features.
 
 The modules level, contrast, saturation and chroma describe these features.
 """
@@ -12,9 +12,9 @@ from l3cli.recipes.toml import Count, CountOrNone, Recipe
 
 
 class BasicKeys(Recipe):
-    """Keys that define the patch and the features level, contrast, saturation and chroma."""
+    """Recipe keys for the patch and for the features level, contrast, saturation and chroma."""
 
-    patch: Count = 9  # pixels; side of the patch
+    patch: Count = 9  # side of the patch in pixels
 
     levels: Count = 20
     spacing: Literal["logarithmic", "linear"] = "logarithmic"  # spacing of the level edges
@@ -23,15 +23,16 @@ class BasicKeys(Recipe):
     # level edges as fractions of full scale; if this key is set, the four keys above have no effect
     level_edges: tuple[float, ...] | None = None
 
-    contrasts: tuple[float, ...] = (1.4,)  # edges between contrasts, as √(variance of the values / variance of the noise)
+    contrasts: tuple[float, ...] = (1.4,)  # edges between contrasts, as √(variance of the values / noise variance)
 
     saturation: float = 0.985  # pixels at or above this fraction of full scale are saturated
-    saturation_radius: CountOrNone = 2  # pixels; a channel clips if one of its pixels within this distance is saturated
+    # distance in pixels; a channel clips if it has a saturated pixel within this distance
+    saturation_radius: CountOrNone = 2
     max_cases: Count = 12  # largest number of saturation cases, including the case in which no channel clips
 
-    # number of chromas, including white, that are distinguished if no channel clips; 0 or 1: colours are not distinguished
-    # (docs/method.md#chroma)
+    # number of chromas, including white, to which patches are assigned if no channel clips; with 0 or 1, all colours
+    # share a class (docs/method.md#chroma)
     chromas: Annotated[int, msgspec.Meta(ge=0, le=MAX_CHROMAS)] = 9
-    # whether pixels whose colour is between two chromas are assigned to both alternately, which avoids seams in tables with
-    # several layers
+    # whether the sites alternate between the two nearest chromas where a colour lies between them; this avoids seams in
+    # tables with several layers
     chroma_dither: bool = False

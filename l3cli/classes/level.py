@@ -30,7 +30,7 @@ def edge_shares(recipe: BasicKeys, reach: float = 1.0) -> NDArray[np.float64]:
     recipe : BasicKeys
         The class recipe.
     reach : float
-        Signal of the darkest grey that clips all channels, as a fraction of the full scale of the most sensitive channel.
+        Signal of the most sensitive channel, before clipping, at which a grey clips all channels. A fraction of full scale.
 
     Returns
     -------
@@ -59,7 +59,7 @@ def edge_shares(recipe: BasicKeys, reach: float = 1.0) -> NDArray[np.float64]:
 def centres(shares: NDArray[np.float64], reach: float = 1.0) -> NDArray[np.float64]:
     """Return the signal in the middle of each level, as a fraction of the full scale of the most sensitive channel.
 
-    `shares` is the result of `edge_shares`, and `reach` is its parameter.
+    `shares` is the result of `edge_shares` for the same `reach`.
     """
     return np.concatenate([[shares[0] / 2], np.sqrt(shares[1:] * shares[:-1]), [(reach + shares[-1]) / 2]])
 
@@ -82,7 +82,7 @@ def clipped_mean(share: NDArray[np.floating], sensitivity: NDArray[np.float64]) 
 def unclipped_level(mean: NDArray[np.floating], sensitivity: NDArray[np.float64]) -> NDArray[np.floating]:
     """Return the mean signal that a grey would have over all channels if no channel clipped.
 
-    It is the inverse of `clipped_mean`, multiplied by the mean sensitivity. If all channels are equally sensitive, the
+    This is the inverse of `clipped_mean`, multiplied by the mean sensitivity. If all channels are equally sensitive, the
     result equals `mean`.
 
     Parameters
@@ -94,7 +94,8 @@ def unclipped_level(mean: NDArray[np.floating], sensitivity: NDArray[np.float64]
     """
     if (sensitivity == 1).all():
         return mean
-    knots = np.append(0.0, np.unique(1 / sensitivity))  # signals at which a channel begins to clip; linear in between
+    # signals at which a channel begins to clip; between them, the mean is linear
+    knots = np.append(0.0, np.unique(1 / sensitivity))
     shares = np.interp(mean, clipped_mean(knots, sensitivity), knots)
     return np.where(mean < 0, mean, shares * sensitivity.mean())
 
@@ -119,7 +120,10 @@ def level_of_mean(rule: ClassRule, total: float) -> int:
 
 
 def inner_bounds(rule: ClassRule, black_level: float, white_level: float) -> NDArray[np.float64]:
-    """Return the lower bound of every level except the darkest, as a fraction of full scale. The levels are in DN."""
+    """Return the lower bound of every level except the darkest, as a fraction of full scale.
+
+    `black_level` and `white_level` are in DN.
+    """
     in_dn = rule.level_edges * 2.0**rule.shift / (2**LEVEL_FRACTION * rule.channels)
     return (in_dn - black_level) / (white_level - black_level)
 
@@ -158,7 +162,7 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.int32]:
-    """Return, for each level edge, the largest integer below the edge, which level.cl reads.
+    """Return the array that level.cl reads: the largest integer below each level edge.
 
     The integers are limited to 2³¹ − 1, because no sum reaches 2³¹.
     """

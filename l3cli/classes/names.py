@@ -8,7 +8,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes import chroma, contrast, level, saturation, structure
 from l3cli.classes.features import FEATURES, DescribedFeature, features_of
 
-# name of each feature in reports and JSON, and the module of the feature
+# module of each feature, by the name of the feature in reports and JSON
 EVERY_FEATURE: dict[str, DescribedFeature] = {
     "level": level,
     "contrast": contrast,
@@ -21,7 +21,8 @@ EVERY_FEATURE: dict[str, DescribedFeature] = {
 def heading(feature: str, entry: dict[str, Any]) -> str:
     """Return the label of a feature value for the first column of a report.
 
-    `feature` is the name of the feature. `entry` describes the value, as the function `entry` of its module.
+    `feature` is the name of the feature. `entry` is the description of the value, from the function `entry` of the feature's
+    module.
     """
     return EVERY_FEATURE[feature].heading(entry)
 
@@ -83,7 +84,7 @@ def plane_class_words(table: TransformTable, layer: PlaneLayer, index: int) -> d
 
 
 def _of(index: int, count: int, ends: tuple[str, str]) -> str:
-    """Return a text such as "2 of 0…9". For the first or last number, the first or last text in `ends` is appended."""
+    """Return a text such as "2 of 0…9". The two texts in `ends` are appended for the first and the last index."""
     if count == 1:
         return "not distinguished"
     words = {0: f", the {ends[0]}", count - 1: f", the {ends[1]}"}.get(index, "")
@@ -91,7 +92,7 @@ def _of(index: int, count: int, ends: tuple[str, str]) -> str:
 
 
 def feature_names(table: TransformTable, combination: int) -> list[str]:
-    """Return the name of the value of each additional feature. `combination` is the index of their combination."""
+    """Return the name of each additional feature's value. `combination` is the combined index of these values."""
     values = table.first.rule.split_features(combination)
     return [module.name(table, value) for (module, _), value in zip(features_of(table.first.rule), values, strict=True)]
 

@@ -12,12 +12,12 @@ from l3cli.classes import contrast, tree
 from l3cli.classes.features import BASIC, features_of
 from l3cli.classes.structure import NOISE_TRACE
 
-PART_LEAVES = 16  # largest number of leaves in a part of a tree, a subtree whose tests are all evaluated together
-UNREACHABLE_THRESHOLD = np.finfo(np.float32).max  # threshold that no value exceeds, for the leaves in the node array
+PART_LEAVES = 16  # largest number of leaves in a part; a part is a subtree whose tests are all evaluated together
+UNREACHABLE_THRESHOLD = np.finfo(np.float32).max  # threshold of the leaves in the node array; no value exceeds it
 
 
 def rule_snippets(rule: PlaneRule) -> tuple[str, dict[str, str]]:
-    """Return the OpenCL files for the class rule of a refinement layer.
+    """Return the OpenCL files that implement the class rule of a refinement layer.
 
     Returns
     -------
@@ -94,7 +94,7 @@ def _parts(rule: TreeRule) -> list[int]:
 
 
 def _leaf_ends(rule: TreeRule) -> NDArray[np.int64]:
-    """Return, for each node, 1 + the number of the last leaf below the node."""
+    """Return the number of the last leaf below each node, plus 1."""
     end = rule.leaf + 1
     for node in np.flatnonzero(rule.branch)[::-1].tolist():  # the branches of a node have higher numbers than the node
         end[node] = end[rule.branch[node] + 1]
@@ -110,7 +110,10 @@ def _nodes(rule: TreeRule) -> NDArray[np.uint32]:
 
 
 def _asked(rule: TreeRule, place: int) -> NDArray[np.uint32]:
-    """Pack the test of each node: the index of the numerator, and from bit `place` upwards the index of the denominator."""
+    """Pack the test of each node into one integer.
+
+    The low bits contain the index of the numerator. The bits from `place` upwards contain the index of the denominator.
+    """
     denominator = np.array([test.denominator for test in tree.EVERY], np.uint32)
     return np.asarray(rule.test | denominator[rule.test] << np.uint32(place), np.uint32)
 

@@ -1,5 +1,4 @@
-"""Conversion of layers to fixed-point arithmetic, so that their output planes are equal on every device
-(docs/method.md#planes).
+"""Fixed-point layers, whose output planes are equal on every device (docs/method.md#planes).
 
 The weights of each channel are rounded up or down such that their sum is rounded to the nearest integer. If each weight were
 rounded to the nearest integer, uniform areas would have a different tint at every CFA site. Weights have 16 bits, because
@@ -23,7 +22,7 @@ MAX_FRACTION = 16
 MAX_WEIGHT, MAX_SUM = 2.0**15 - 2, 2.0**31 - 2**MAX_FRACTION  # limits before rounding, which adds less than 1 to a weight
 # The input planes of intermediate layers are shifted right by COARSE bits and clamped to ±COARSE_TOP.
 COARSE, COARSE_TOP = 5, 2**15 - 1
-CLASSES_AT_ONCE = 256  # number of classes that are converted together; their weights fit into the processor cache
+CLASSES_AT_ONCE = 256  # number of classes that are converted together, so that their weights fit into the processor cache
 LUMINANCE, CHROMA = 1, [0, 2]  # index of the luminance plane Y, and indices of the chroma planes
 
 
@@ -79,7 +78,7 @@ def fixed_point(table: TransformTable) -> FixedPoint:
 
 
 def refined_fixed_point(layer: PlaneLayer, basis: NDArray[np.float64]) -> FixedPoint:
-    """Convert the transforms of a refinement layer between other layers to fixed-point numbers.
+    """Convert the transforms of an intermediate refinement layer to fixed-point numbers.
 
     `basis` is the matrix (output, plane) that converts outputs to planes. Raises InputFileError if the transforms are too
     large.
@@ -108,7 +107,7 @@ class _Read:
     Kernels subtract `raw_middle` from raw values. Coarse planes are read without subtraction.
     """
 
-    step: float  # increase of the input per signal of 1 (full scale or one output unit), multiplied by PLANE_STEP
+    step: float  # input per unit of signal (full scale or output unit), multiplied by PLANE_STEP
     zero: float  # input for a signal of 0
     largest: float  # largest absolute value of the input after the subtraction
     farthest: float  # absolute value of `zero` after the subtraction
@@ -153,7 +152,7 @@ def room_for(
 
 
 def room_between(weights: NDArray[np.float64], intercept: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the same factors as `room_for`, for the transforms of a refinement layer that is not the last layer."""
+    """Return the same factors as `room_for` for the transforms of an intermediate refinement layer."""
     return _room(weights.transpose(2, 1, 0) / BETWEEN.step, intercept.T / PLANE_STEP, BETWEEN)
 
 

@@ -17,7 +17,7 @@ from l3cli.classes.windows import Integers
 from l3cli.frames.frame import mirrored_indices
 
 RATIO_DARKEST = 2**9  # smallest mean luminance by which chroma is divided, in units of PLANE_STEP
-ROWS_AT_ONCE = 64  # number of rows that are processed together; their values fit into the processor cache
+ROWS_AT_ONCE = 64  # number of rows that are processed together, so that their values fit into the processor cache
 
 
 def label_planes(
@@ -43,7 +43,7 @@ def label_planes(
     Returns
     -------
     ndarray, (row, col)
-        Class of each pixel, as an index among the classes of all sites.
+        Class index of each pixel. The index counts the classes of all sites.
     """
     place = first_rule.split(first)
     scale = place.level + first_rule.levels * (place.site // len(rule.turns)) if others else place.level
@@ -52,14 +52,14 @@ def label_planes(
 
 
 def _of_all_sets(rule: PlaneRule, others: tuple[PlaneRule, ...]) -> PlaneRule:
-    """Return a class rule with the site orientations and the scales of gradients of `rule` and `others`, concatenated."""
+    """Concatenate the site orientations and the gradient scales of `rule` and `others` in one class rule."""
     names = ("turns", "gradient_factor", "gradient_shift") if others else ()
     arrays: dict[str, Any] = {name: np.concatenate([getattr(each, name) for each in (rule, *others)]) for name in names}
     return replace(rule, **arrays)
 
 
 def _structure(planes: NDArray[np.int32], level: Integers, site: Integers, rule: PlaneRule) -> Integers:
-    """Return the structure of each pixel or, for a tree, its leaf. Saturation is ignored."""
+    """Return the structure of each pixel, or the leaf of each pixel if the rule is a tree. Saturation is ignored."""
     if isinstance(rule, StructureRule):
         luminance = mirrored(planes[LUMINANCE].astype(np.int32), BORDER_PIXELS)
         return structures(luminance, mirrored(level, BORDER_PIXELS - 1), site, rule)
@@ -107,9 +107,9 @@ def first_label_words(rule: PlaneRule, first: ClassRule, *others: PlaneRule) -> 
     """Return a 64-bit word for each class of the first layer, in the layout of opencl/common/gradient.cl.
 
     The lower half contains the factor of the gradients, their shift (from bit 8) and the orientation of the site (from bit
-    14). The upper half contains the first class of the site and level in the refinement layer. If a filter is lost because
-    of saturation, the upper half instead contains the class of the saturation case, and its highest bit is set. The
-    parameters are the same as in `label_planes`.
+    14). The upper half contains the first class of the site and level in the refinement layer. If all channels of a colour
+    filter clip, the upper half instead contains the class of the saturation case, and its highest bit is set. The parameters
+    are the same as in `label_planes`.
     """
     every = _of_all_sets(rule, others)
     place = first.split(np.arange(len(every.turns) * first.classes_per_site))
@@ -128,7 +128,7 @@ def first_label_words(rule: PlaneRule, first: ClassRule, *others: PlaneRule) -> 
 
 
 def shaded_chroma(planes: NDArray, side: int) -> NDArray[np.float64]:
-    """Return the deviation of each pixel's chroma from the mean chroma of its window that shading alone would cause.
+    """Estimate how far shading alone would move the chroma of each pixel away from the mean chroma of its window.
 
     If a side × side window contains a surface of one colour, the chroma planes are proportional to the luminance Y. A chroma
     plane C of the central pixel then differs from its mean in the window by
@@ -168,7 +168,7 @@ def bilateral_change(planes: NDArray, side: int) -> NDArray[np.floating]:
 
 
 def taps_behind(planes: NDArray, side: int, count: int) -> NDArray[np.floating]:
-    """Return the values of the additional taps of a last layer, for colour ratios and bilateral chroma.
+    """Return the additional taps of the last layer: the results of `shaded_chroma` and `bilateral_change`.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ def switched_on(recipe: ClassRecipe) -> dict[str, Any]:
 
 
 def left_out(recipe: ClassRecipe, camera: CameraModel) -> list[str]:
-    """Return the names of the enabled features that are left out, because they need larger patches on this camera's CFA."""
+    """Return the names of enabled features that this camera cannot use, because its CFA would require larger patches."""
     return [name for name in switched_on(recipe) if not FEATURES[name].fits(camera, recipe.patch)]
 
 
@@ -49,9 +49,9 @@ def make_rule(
     dark : float
         Dark signal, in DN, that was subtracted from the frames.
     observed : mapping of str to ndarray, optional
-        Statistics of the pilot patches from `decide.observe_patches`. None if there are no pilot patches yet.
+        Statistics of the pilot patches, as returned by `decide.observe_patches`. None if there are no pilot patches yet.
     spared_cases : int
-        Number of cases after case 0 in which every colour filter has a channel that does not clip.
+        Number of saturation cases, not counting case 0, in which every colour filter has a channel that does not clip.
 
     Raises
     ------

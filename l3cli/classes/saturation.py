@@ -18,7 +18,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes.keys import BasicKeys
 from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, tap_order
 
-MIN_FRACTION = 2e-4  # saturation codes that occur in a smaller fraction of the training patches have no case of their own
+MIN_FRACTION = 2e-4  # saturation codes that occur in a smaller fraction of the training patches do not become cases
 SNIPPET = "features/saturation.cl"
 
 
@@ -65,7 +65,7 @@ def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[in
 
 
 def spared_cases(case_of_code: NDArray[np.uint16], filters: Sequence[int]) -> int:
-    """Count the cases, without case 0, in which every colour filter still has a channel that does not clip.
+    """Count the cases, not counting case 0, in which every colour filter still has a channel that does not clip.
 
     `choose_cases` assigns the numbers 1, 2, 3… to these cases. `filters` contains the index of the colour filter of each
     channel.
@@ -121,7 +121,10 @@ def codes(values: NDArray[np.unsignedinteger], rule: ClassRule, order: TapOrder)
 
 
 def code_of(saturated: NDArray[np.bool_]) -> Integers:
-    """Convert booleans (…, channel), which state whether each channel clips, to saturation codes (…)."""
+    """Convert flags that state whether each channel clips to saturation codes.
+
+    The last axis of `saturated` is the channel. The result has the remaining axes.
+    """
     return (saturated.astype(np.int64) << np.arange(saturated.shape[-1])).sum(axis=-1)
 
 
@@ -160,15 +163,15 @@ def _channels(table: TransformTable, code: int) -> list[str]:
 
 
 def _distances(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
-    """Return, for each saturation code, the sum of its distances to all given codes. Distances are as in `choose_cases`.
+    """Return the sum of the distances from each saturation code in `codes` to all codes in `codes`.
 
-    The distance is the number of channels that differ. If the second code contains a clipped channel that the first code
-    does not contain, the distance is larger by one half. The sums are computed without comparing pairs, because there may be
-    2¹⁶ codes.
+    As in `choose_cases`, the distance is the number of channels that differ. If the second code contains a clipped channel
+    that the first code does not contain, the distance is larger by one half. The sums are computed without comparing pairs,
+    because there may be 2¹⁶ codes.
     """
     clips = codes[:, None] >> np.arange(channels) & 1
     frequency = clips.sum(axis=0)
-    subsets = np.zeros(2**channels)  # number of the given codes that are subsets of each bit pattern
+    subsets = np.zeros(2**channels)  # number of codes in `codes` that are subsets of each bit pattern
     subsets[codes] = 1
     for channel in range(channels):
         halves = subsets.reshape(-1, 2, 2**channel)
@@ -177,10 +180,10 @@ def _distances(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
 
 
 def macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros with which saturation.cl and the kernel of the window statistics are compiled."""
+    """Return the macros with which saturation.cl and the kernel for the patch statistics are compiled."""
     return {"SATURATION": min(rule.saturation, 1 << 16), "SATURATION_RADIUS": rule.saturation_radius}
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.uint16]:
-    """Return the saturation case of each saturation code: (code,). The OpenCL file saturation.cl reads this array."""
+    """Return the saturation case of each saturation code: (code,). The snippet saturation.cl reads this array."""
     return rule.case_of_code

@@ -19,7 +19,7 @@ class Statistics:
     """Statistics of the patches around pixels. In the shapes below, … stands for the axes of the array of pixels."""
 
     neighbours: Neighbourhoods
-    site: Integers  # (…), or (1,) if all pixels have the same site: CFA site
+    site: Integers  # (…), or (1,) if all pixels have one site: index of the CFA site
     sums: Integers  # (…, channel): sums of v = DN >> shift
     squares: Integers | None  # (…, channel): sums of v²; None if the rule has only one contrast
     code: Integers  # (…): saturation code; bit c is set if a pixel of channel c near the centre is saturated
@@ -27,7 +27,10 @@ class Statistics:
 
     @cached_property
     def scaled(self) -> Integers:
-        """Channel means × 65536: (…, channel). They are computed as S · round(65536 / n), which is below 2³²."""
+        """Channel means, multiplied by 65536: (…, channel).
+
+        A mean is computed as S · round(65536 / n), which is below 2³².
+        """
         return self.sums * self.neighbours.mean_reciprocal[self.site]
 
 
@@ -50,12 +53,12 @@ def window_sums(rule: ClassRule, statistics: Statistics) -> tuple[Integers, ...]
 
 
 def truncation(shift: int) -> float:
-    """Return the mean loss, in DN, when integers are shifted right by `shift` bits."""
+    """Return the mean loss, in DN, that is caused by shifting integers right by `shift` bits."""
     return (2**shift - 1) / 2
 
 
 def patch_statistics(values: NDArray[np.uint32], rule: ClassRule, order: TapOrder) -> PatchSums:
-    """Compute the sums of each patch. This overwrites the array `values`.
+    """Compute the sums of each patch. The array `values` is overwritten.
 
     Parameters
     ----------
@@ -133,7 +136,7 @@ def _mosaic_windows(padded: Integers, rule: ClassRule, rows: int, cols: int) -> 
 
 
 def _inner(padded: NDArray, rule: ClassRule) -> NDArray:
-    """Crop the margin of an array from the radius of the patch to the saturation radius."""
+    """Reduce the margin of a padded array from the patch radius to the saturation radius."""
     cut = rule.radius - rule.saturation_radius
     return padded[cut : padded.shape[0] - cut, cut : padded.shape[1] - cut]
 

@@ -1,7 +1,8 @@
 """Structure: strength and direction of the edge at a pixel, computed from the luminance of the previous layer's output.
 
-docs/method.md#structure contains the formulas. The angle of the vector (a, b) is twice the angle of the gradient. All
-integers are below 2³¹, so the results are the same on every device.
+docs/method.md#structure contains the formulas. For the structure tensor with the elements xx, yy and xy, let a = xx − yy
+and b = 2 xy. The angle of the vector (a, b) is twice the angle of the gradient. All integers are below 2³¹, so the results
+are the same on every device.
 """
 
 import functools
@@ -15,7 +16,7 @@ from l3cli.classes.windows import Integers
 WIDE, NEAR = 3, 2  # lengths for `triangle_sums`, with the weights 1 2 3 2 1 and 1 2 1
 SIGMA = 16  # standard deviation of the noise of a scaled gradient
 NOISE_TRACE = 2 * 81 * SIGMA**2  # mean trace of the structure tensor of pure noise
-BORDER_PIXELS = 3  # width of the margin that is needed around a frame for the structure of its outermost pixels
+BORDER_PIXELS = 3  # margin in pixels that the outermost pixels of a frame need
 
 
 def structures(luminance: Integers, level: Integers, site: Integers, rule: StructureRule) -> Integers:
@@ -26,7 +27,7 @@ def structures(luminance: Integers, level: Integers, site: Integers, rule: Struc
     luminance : ndarray, (row + 6, col + 6)
         Luminance plane with a margin of 3 mirrored pixels.
     level : ndarray, (row + 4, col + 4)
-        Levels of the first layer with a margin of 2 mirrored pixels.
+        Level of each pixel in the first layer, with a margin of 2 mirrored pixels.
     site : ndarray, (row, col)
         CFA sites.
     rule : StructureRule
@@ -92,10 +93,10 @@ def directions(a: Integers, b: Integers) -> tuple[Integers, Integers]:
 
 
 def turn_signs(turn: NDArray[np.int64]) -> tuple[int, int]:
-    """Return the signs by which a = xx − yy and b = 2 xy of the structure tensor change when a 3 × 3 window is turned.
+    """Return how turning a 3 × 3 window changes the signs of a = xx − yy and b = 2 xy of the structure tensor.
 
-    `turn` contains the old index of each tap of the turned window. A rotation by 90° changes both signs. Mirroring changes
-    the sign of b, and transposition changes the sign of a.
+    For each tap of the turned window, `turn` contains the index of the tap before turning. A rotation by 90° changes both
+    signs. Mirroring changes the sign of b, and transposition changes the sign of a.
     """
     row, col = np.divmod(turn.reshape(3, 3), 3)
     down, right = (row[2, 1] - row[1, 1], col[2, 1] - col[1, 1]), (row[1, 2] - row[1, 1], col[1, 2] - col[1, 1])

@@ -17,12 +17,13 @@ from l3cli.classes.structure import NEAR, NOISE_TRACE, WIDE
 from l3cli.classes.structure import triangle_sums as sums
 from l3cli.classes.windows import Integers
 
-# Gradients of luminance (TOP) and of chroma are clipped to these values, so that sums of 81 squares fit into 31 bits.
+# Gradients of luminance are clipped to ±TOP and gradients of chroma to ±CHROMA_TOP, so that sums of 81 squares fit into
+# 31 bits.
 TOP, CHROMA_TOP = 2895, 2047
-# Smallest denominator for chroma. The denominator is a weighted sum of the luminance, with a total weight of 16, in units of
-# PLANE_STEP.
+# Smallest value of the denominator LUMA, which is a weighted sum of luminances. The sum of the weights is 16, and the
+# luminances are in units of PLANE_STEP.
 DARK = 512
-BORDER_PIXELS = 3  # width of the margin that is needed around a frame for the tests at its outermost pixels
+BORDER_PIXELS = 3  # margin in pixels that the outermost pixels of a frame need
 
 ONE, TRACE, CHROMA, LUMA = range(4)  # indices of the denominators
 
@@ -64,10 +65,8 @@ assert len(EVERY) == TESTS
 
 @dataclass(frozen=True)
 class Evidence:
-    """The numerators and denominators of all tests at every pixel.
-
-    In the arrays, the first axis is followed by the axes of the array of pixels.
-    """
+    """The numerators and denominators of all tests at every pixel. In the shapes, … stands for the axes of the array of
+    pixels."""
 
     numerators: NDArray[np.float32]  # (test, …)
     denominators: NDArray[np.float32]  # (denominator, …)
@@ -147,10 +146,10 @@ def leaves(seen: Evidence, site: Integers, rule: TreeRule) -> Integers:
 
 
 def turned_tests(turn: int) -> tuple[list[int], list[np.float32]]:
-    """Return, for each test, the index of a numerator and a sign.
+    """Map each test in a turned window to a numerator of the unturned window.
 
-    In a window that is turned to the orientation `turn`, the test has this numerator of the unturned window, multiplied by
-    the sign.
+    If a window is turned to the orientation `turn`, the numerators only exchange places and change signs. The result
+    contains the index of the numerator and the sign for each test.
     """
     transposed, across, down = turned_axes(turn)
     straight, diagonal = (-1 if transposed else 1), across * down
@@ -185,7 +184,7 @@ def turned_axes(turn: int) -> tuple[bool, int, int]:
 
 
 def _local(values: Integers) -> NDArray[np.integer]:
-    """Return the weighted sums over 3 × 3 values. `values` has a margin that is one pixel wider than needed."""
+    """Return the weighted sums over 3 × 3 values. The margin of `values` must be one pixel wider than these sums need."""
     return sums(_inner(values, 1), NEAR)
 
 
