@@ -1,6 +1,6 @@
-"""Measures how long frames take to render, in total and for each stage of rendering.
+"""Measures the rendering time of a frame, in total and for each stage.
 
-The frames and tables are synthetic and have realistic sizes. The time of a frame includes all transfers: the uint16 values
+The frames and tables are synthetic, with realistic sizes. The time of a frame includes all transfers: the uint16 values
 are in host memory at the beginning, and the result is in host memory at the end.
 """
 
@@ -28,24 +28,24 @@ from l3cli.rendering.display import Display, make_display
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 
-WINDOW_SIDE_PIXELS = 5  # side of the windows of the second layer
+WINDOW_SIDE_PIXELS = 5  # window side of the second layer
 TWO_LAYERS = ("default",)  # class recipes with a second layer
-STRENGTHS, COHERENCE, DIRECTED = (1.7, 8.0, 40.0), 31, 2.0  # as in configs/classes/default.toml
+STRENGTHS, COHERENCE, DIRECTED = (1.7, 8.0, 40.0), 31, 2.0  # class thresholds, as in configs/classes/default.toml
 BITS, BLACK_LEVEL, WHITE_LEVEL, CASE_COUNT = 12, 109, 4095, 10
-FRAMES = 40  # number of frames that are timed
-WARM_UP = 3  # number of frames that are rendered before the timing starts
+FRAMES = 40  # number of timed frames
+WARM_UP = 3  # number of frames rendered before the timing starts
 
 
 @dataclass(frozen=True)
 class Case:
-    """Parameters of one benchmark case. Each case is one line of the result."""
+    """One benchmark case, which is one line of the result."""
 
     width: int
     height: int
     patch: int  # side of the windows of the first layer, in pixels
     cfa: str  # key of CFAS
     classes: str  # key of CLASSES
-    outputs: int = 3  # number of outputs; 3 outputs are encoded as 8-bit sRGB, any other number is returned as float32
+    outputs: int = 3  # number of outputs: 3 outputs are encoded as 8-bit sRGB, other numbers are returned as float32
 
 
 CFAS = {
@@ -56,12 +56,11 @@ CLASSES = {"fast": (10, 1), "single": (20, 8), "default": (10, 9)}  # class reci
 
 
 def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
-    """Return a table with random transforms that takes as long to render as a trained table.
+    """Return a table with random transforms. Rendering with this table takes as long as with a trained table.
 
-    The table has the numbers of levels and chromas that `CLASSES` lists for the class recipe of the case. It has ten
-    saturation cases, and a table with one layer also has two contrast classes. A table with two layers also has the
-    direction classes, colour ratios, coarse chroma, replacement of clipped areas and smoothed chroma of the class recipe
-    `default`.
+    The table has the numbers of levels and chromas that `CLASSES` lists for the class recipe of the case, and ten saturation
+    cases. A table with one layer also has two contrast classes. A table with two layers also has the direction classes,
+    colour ratios, coarse chroma, replacement of clipped areas and smoothed chroma of the class recipe `default`.
 
     The pixels of `synthetic_frame` fall into different chroma classes, because the chroma centres surround the grey of this
     frame. Each transform is the mean of the window plus small random deviations. The pictures are therefore nearly grey, and
@@ -124,7 +123,7 @@ def _directions(case: Case, level_edges: NDArray[np.float64]) -> Feature:
     span = case.patch - period
     noise = np.sqrt(
         2 * period**2 * _variance(np.append(level_edges, WHITE_LEVEL))
-    )  # noise of the difference of two boxes, in DN
+    )  # standard deviation of the difference between two box sums, in DN
     constants = [direction.SCALE, direction.SCALE, 4, 1, 0, *np.rint(DIRECTED * direction.SCALE * noise).tolist()]
     windows = direction.boxes(case.patch, period, direction.inner_span(span))
     return Feature("direction", 5, windows, np.array(constants, np.int32))
@@ -135,11 +134,11 @@ def _second_layer(
 ) -> PlaneLayer:
     """Return a refinement layer whose structure classes suit the noise of `synthetic_frame`.
 
-    Each transform returns a grey with the mean luminance of the window. Small random deviations are added to its weights.
+    Each transform returns a grey with the mean luminance of the window. The weights also have small random deviations.
     """
     noise = np.sqrt(
         2 * _variance(np.append(level_edges, WHITE_LEVEL)) / first.patch**3
-    )  # noise of a difference of luminances, in DN
+    )  # standard deviation of a luminance difference, in DN
     scale = SIGMA * (WHITE_LEVEL - BLACK_LEVEL) * PLANE_STEP / noise
     mantissa, exponent = np.frexp(scale)
     rule = StructureRule(
@@ -157,7 +156,7 @@ def _second_layer(
     ratios = 0.02 * rng.standard_normal((classes, white.size, RATIO_TAPS[1])) / WINDOW_SIDE_PIXELS
     channels = int(first.case_of_code.size).bit_length() - 1
     response = np.zeros((channels + 1, channels + 1, white.size))
-    response[0, :-1] = white / channels  # the mean of all channels, as a grey
+    response[0, :-1] = white / channels  # a grey with the mean of all channels
     return PlaneLayer(
         WINDOW_SIDE_PIXELS,
         np.concatenate([weights.reshape(classes, white.size, -1), ratios], axis=2).astype(np.float32),
@@ -192,10 +191,9 @@ def synthetic_frame(case: Case, rng: np.random.Generator) -> RawFrame:
 
 
 def _detail(case: Case, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a random texture, as an array of factors by which the pixels of the scene are multiplied.
+    """Return a random texture as one brightness factor per pixel.
 
-    The texture changes the brightness as often as a busy scene does. Most neighbouring pixels therefore have different
-    structure classes, even if they have the same CFA site.
+    As in a busy scene, most neighbouring pixels have different structure classes, even at the same CFA site.
     """
     blocks = np.zeros((case.height, case.width))
     for side in (3, 7, 15):
@@ -221,9 +219,9 @@ SMALL_CASES = (Case(64, 48, 9, "five-band", "fast"),)
 
 
 def jobs(device: str | None, variant: str | None) -> list[Callable[[], dict[str, Any]]]:
-    """Return functions without parameters, each of which runs one benchmark case.
+    """Return one function per benchmark case. Each function takes no arguments, runs the case and returns the result.
 
-    If `variant` is None, the default kernel variant and the reference renderer are measured.
+    If `variant` is None, the cases measure the default kernel variant and the reference renderer.
     """
     planned: list[Callable[[], dict[str, Any]]] = [functools.partial(measure, case, device, variant) for case in FULL]
     return planned + [functools.partial(measure_reference, case) for case in SMALL_CASES if variant is None]
@@ -237,9 +235,9 @@ def measure(case: Case, device: str | None = None, variant: str | None = None) -
     dict
         Parameters of the benchmark case, and medians over `FRAMES` frames in ms:
 
-        * "frame_ms": time that the caller waits for a frame
+        * "frame_ms": time from the call until the result is in host memory
         * "stages_ms": time of each stage as measured by the device (see `OpenCLRenderer.stage_times`)
-        * "stages_sum_ms": sum of the stages
+        * "stages_sum_ms": sum of the stage times
     """
     table, frame, display = _synthetic(case)
     renderer = OpenCLRenderer(table, device, variant)
@@ -256,7 +254,7 @@ def measure(case: Case, device: str | None = None, variant: str | None = None) -
 
 
 def measure_reference(case: Case) -> dict[str, Any]:
-    """Measure how long the reference renderer takes to render a frame. The result has the same entries as `measure`."""
+    """Measure how long the reference renderer takes to render a frame. The result has the same keys as that of `measure`."""
     table, frame, display = _synthetic(case)
     renderer = ReferenceRenderer(table)
     classes = _times(lambda: renderer.labels(frame))

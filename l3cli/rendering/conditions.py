@@ -29,12 +29,12 @@ from l3cli.frames.frame import RawFrame
 from l3cli.physics.correlated_lights import mired_of
 
 MIN_VARIANCE = 1e-30  # assumed noise variance if all channels clip, in DN²
-# Smallest signal-to-noise ratio of a level whose transforms are used in refinement layers. Transforms of darker levels
+# Smallest signal-to-noise ratio at which refinement layers use the transforms of a level. The transforms of darker levels
 # would leave more noise.
 DARKEST_REFINED = 2.0
-# If a temporal filter leaves one of these fractions of the noise, the transforms of a lower gain are used.
+# Fractions of the noise, left by a temporal filter, for which transforms of a lower gain are prepared.
 LEFT = (1 / 16, 1 / 4)
-GAINS_PER_DOUBLING = 12  # transforms are computed for this number of gains per doubling
+GAINS_PER_DOUBLING = 12  # number of gains per doubling for which transforms are computed
 SAME_GAIN = 0.01  # largest relative difference between gains that are treated as equal
 FAR_GAIN = 1.5  # l3 warns if a gain is outside the range of known analog gains by more than this factor
 CLEARLY_LESS = 0.75  # transforms of a lower gain are used only if this gain is below 0.75 times the gain of the frame
@@ -56,10 +56,11 @@ class Mix:
 
 
 def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
-    """Return the mixture of a table's illuminants that is closest to the white of a scene.
+    """Return the mixture of a table's illuminants that best matches the white of a scene.
 
-    The two illuminants with the nearest colour temperatures are mixed in proportion to the reciprocal colour temperature. If
-    the scene is warmer or cooler than all illuminants of the table, the mixture consists only of the nearest illuminant.
+    The mixture consists of the two illuminants with the nearest colour temperatures. Their weights are linear in the
+    reciprocal colour temperature. If the scene is warmer or cooler than all illuminants of the table, the mixture contains
+    only the nearest illuminant.
 
     Parameters
     ----------
@@ -85,18 +86,18 @@ def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
 
 
 def nearest_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
-    """Return the illuminant of a table that is closest to the white of a scene.
+    """Return a mixture that contains only one illuminant: the illuminant of the table that is closest to a scene's white.
 
-    This is the illuminant with the larger weight in `mix_for`. Pictures are rendered with the transforms for this
-    illuminant. The white balance corrects the remaining difference from the illuminant of the scene. The result is None if
-    the table has no transforms for single illuminants.
+    This illuminant has the larger weight in the mixture from `mix_for`. l3 renders pictures with the transforms for this
+    illuminant, and the white balance corrects the remaining difference. The result is None if the table has no transforms
+    for single illuminants.
     """
     mix = mix_for(table, white)
     return None if mix is None else replace(mix, share=float(mix.share >= 0.5))
 
 
 def mixed(table: TransformTable, mix: Mix | None) -> TransformTable:
-    """Return a table for a mixture of two illuminants, with transforms interpolated between the two illuminants.
+    """Interpolate the transforms of a table between two illuminants.
 
     Parameters
     ----------
@@ -138,7 +139,7 @@ def described(table: TransformTable, mix: Mix) -> str:
 def _mixed_layers(common: Layers, warm: Layers, cool: Layers, shares: Sequence[NDArray[np.float64] | float]) -> Layers:
     """Return the layers of `common` with transforms interpolated between `warm` and `cool`.
 
-    `shares` contains the weight of `cool` in each layer, as one number for the layer or one number per class.
+    `shares` contains the weight of `cool` in each layer, either as one number or as one number per class.
     """
 
     def layer(of: Any, one: Any, other: Any, share: NDArray[np.float64] | float) -> Any:
@@ -157,8 +158,8 @@ def _mixed_layers(common: Layers, warm: Layers, cool: Layers, shares: Sequence[N
 def _between(warm: NDArray[Float], cool: NDArray[Float], share: NDArray[np.float64] | float) -> NDArray[Float]:
     """Return the weighted mean of two arrays, in which `share` is the weight of `cool`.
 
-    `share` is one number, or one number for each element of the first axis. Values that are equal in both arrays stay
-    unchanged to the last bit.
+    `share` is one number, or one number for each element of the first axis. A value that is equal in both arrays is
+    returned unchanged.
     """
     one, other = warm.astype(np.float64), cool.astype(np.float64)
     share = np.asarray(share).reshape(-1, *[1] * (one.ndim - 1))
@@ -190,14 +191,14 @@ def gain_of_frames(table: TransformTable, camera: CameraModel) -> float:
 def nearest_step(gain: float) -> float:
     """Round a gain to the nearest gain for which there are transforms.
 
-    With `GAINS_PER_DOUBLING` gains per doubling, a varying gain needs only a few renderers, and the noise of a frame differs
-    by at most 3 % from the noise for which its transforms are intended.
+    A sequence with a varying gain therefore needs only a few renderers. The noise of a frame differs by at most 3 % from the
+    noise for which its transforms are intended.
     """
     return float(2.0 ** (round(GAINS_PER_DOUBLING * np.log2(gain)) / GAINS_PER_DOUBLING))
 
 
 def at_gain(table: TransformTable, gain: float) -> TransformTable:
-    """Convert a table so that it can render frames with a different analog gain (docs/method.md#gains).
+    """Convert a table for frames with a different analog gain (docs/method.md#gains).
 
     Transforms for temporally filtered frames are kept if they apply at this gain. A table without its camera is returned
     unchanged.
@@ -239,8 +240,8 @@ def _at_gain(table: TransformTable, gain: float) -> TransformTable:
 def _equivalent(table: TransformTable, gain: float) -> TransformTable:
     """Return a copy of a table with a single set of transforms, for the given gain.
 
-    For each level at the given gain, there is another level that has the same relative noise at the gain of the camera
-    model. Each class gets the transforms of this equivalent level. Classes of clipped pixels keep their own transforms.
+    At the gain of the camera model, another level has the same relative noise as a level at the given gain. Each class uses
+    the transforms of this other level. Classes of clipped pixels keep their own transforms.
     """
     if gain == 1:
         return table
@@ -301,31 +302,31 @@ def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
 def noise_limits(table: TransformTable) -> dict[NoiseScale, float]:
     """Return the largest noise fraction at which each set of transforms for reduced noise is used.
 
-    These sets were trained for frames in which a temporal filter has reduced the noise. The limit between two sets for the
-    noise fractions a < b is a^¾ · b^¼. The noise fraction of the camera's own noise is 1.
+    These sets were trained for frames in which a temporal filter has reduced the noise. A noise fraction is a noise
+    variance, divided by the noise variance of the camera. The limit between two sets for the noise fractions a < b is
+    a^¾ · b^¼.
 
     Returns
     -------
     dict of NoiseScale to float
-        For the noise level of each set, the limit up to which the set is used. The order is from more noise to less noise.
+        For each set, the largest noise fraction at which the set is used, in order of decreasing noise.
     """
     lower = sorted((each.noise for each in table.noises if each.noise and each.noise.shot < 1), key=lambda each: -each.shot)
     return {each: each.shot**0.75 * above.shot**0.25 for above, each in itertools.pairwise([NoiseScale(), *lower])}
 
 
 class NoiseSets:
-    """All sets of transforms of a table. The remaining noise of a pixel determines the set with which the pixel is rendered.
+    """All sets of transforms of a table. Each pixel is rendered with the set that matches the remaining noise of the pixel.
 
-    The first set is intended for the noise of the table's camera, and the other sets are intended for lower noise. The
-    classes of all sets are numbered consecutively, as if each set had its own sites, so that all transforms are in one
-    array.
+    The first set is for the full noise of the camera, and the other sets are for lower noise. One array contains the
+    transforms of all sets. The classes of all sets are numbered consecutively, as if each set had its own CFA sites.
 
     Parameters
     ----------
     table : TransformTable
-        Table with its sets of transforms.
+        Table with one or more sets of transforms.
     by_noise : bool
-        Whether to include the sets that are intended for lower noise.
+        Whether to include the sets for lower noise.
 
     Raises
     ------
@@ -363,23 +364,23 @@ class NoiseSets:
 
     @functools.cached_property
     def first(self) -> MosaicLayer:
-        """The first layers of all sets, joined into one layer, with the class rule of the first set."""
+        """The first layers of all sets, joined into one layer. The class rule is the rule of the first set."""
         names = ("weights", "intercept", "samples", "condition")
         return self._joined(names, [table.first for table in self.tables])
 
     @functools.cached_property
     def later(self) -> tuple[PlaneLayer, ...]:
-        """The refinement layers, each of which is joined from the layers of all sets in the same way as `first`."""
+        """The refinement layers of all sets, joined in the same way as `first`."""
         layers = zip(*(table.later for table in self.tables), strict=True)
         return tuple(self._joined(("weights", "intercept", "samples"), parts) for parts in layers)
 
     @functools.cached_property
     def first_fixed_point(self) -> FixedPoint:
-        """The first layers of all sets, converted to fixed point and joined in the same way as `first`."""
+        """The first layers of all sets in fixed point, joined in the same way as `first`."""
         return self._joined(("weights", "intercept", "fraction"), [fixed_point(table) for table in self.tables])
 
     def refinement_rules(self, number: int) -> tuple[PlaneRule, ...]:
-        """Return the class rule of refinement layer `number` in each set. Refinement layers count from 0."""
+        """Return the class rules of refinement layer `number` in all sets. Refinement layers count from 0."""
         return tuple(table.later[number].rule for table in self.tables)
 
     @staticmethod
@@ -431,6 +432,6 @@ def _with_edges(rule: ClassRule, share: float | NDArray[np.float64]) -> ClassRul
 
 
 def _scaled(edges: NDArray[np.uint32], share: float | NDArray[np.float64]) -> NDArray[np.uint32]:
-    """Multiply class edges by a fraction of the noise variance. Edges remain distinct and in increasing order."""
+    """Multiply class edges by `share`, and keep the edges distinct and in increasing order."""
     least = np.arange(len(edges)).reshape(-1, *[1] * (edges.ndim - 1))
     return np.clip(np.rint(edges * share), least, 2**32 - 1).astype(np.uint32)

@@ -148,8 +148,8 @@ def shown_adaptation(table: TransformTable, adaptation: NDArray[np.float64]) -> 
     Returns
     -------
     ndarray, (3, 3)
-        The matrix `adaptation`. For a table of grey pictures, the matrix instead converts Y (or S0) to a grey of this
-        luminance, so that R, G and B are exactly equal.
+        `adaptation` for a table with the outputs X, Y, Z. For a table of grey pictures, a matrix that converts Y (or S0) to
+        a grey of this luminance, with exactly equal R, G and B.
     """
     return np.outer(display_white(), [0.0, 1.0, 0.0]) if table.shows_grey else adaptation
 

@@ -1,6 +1,6 @@
-"""Measures the automatic exposure of frames, and finds pixels for which the table was not trained (docs/method.md#display).
+"""Computes the automatic exposure of frames, and counts pixels for which the table was not trained (docs/method.md#display).
 
-The measurements use a sample of about 1500 pixels per frame.
+Sequences are measured on a sample of about 1500 pixels per frame.
 """
 
 import functools
@@ -20,7 +20,7 @@ from l3cli.physics.display import white_percentile
 from l3cli.rendering.white.scene_white import WhiteBalance, balanced_patches, followed_share
 
 GRID = (32, 48)  # largest number of rows and of columns in the grid of sampled pixels
-# Relative difference in luminance that noise can cause if some channels clip, so that fewer channels measure the luminance.
+# Relative luminance error that noise can cause near clipped pixels, where fewer channels measure the luminance.
 NOISE_WHERE_CLIPPED = 0.05
 
 
@@ -45,7 +45,7 @@ class SpreadSamples:
         Returns
         -------
         patches : RawFrame
-            Values (patch, tap), with the shading of each patch.
+            Frame whose values have the axes (patch, tap), with the shading of each patch.
         site : int
             CFA site of all patches, which is the site of the first pixel of the frame.
         labels : ndarray, (patch,)
@@ -70,7 +70,7 @@ class SpreadSamples:
         return cut.at_levels(table.black_level, table.white_level, table.bits).shading_corrected()
 
     def _cut(self, frame: RawFrame) -> RawFrame:
-        """Cut the patches out of a frame. Their black and white levels are still the levels of the frame."""
+        """Extract the patches of a frame, with the black and white levels of the frame."""
         down, across = self._geometry(frame)
         patches = frame.values.reshape(-1).take(_places(down, across))
         shading = None
@@ -86,7 +86,7 @@ class SpreadSamples:
         return len(_windows(*down)[0]), len(_windows(*across)[0])
 
     def _geometry(self, frame: RawFrame) -> list[tuple[int, int, int, int]]:
-        """Return two tuples with the arguments of `_windows`, one for the rows and one for the columns."""
+        """Return the arguments of `_windows` for the rows and for the columns."""
         table = self._table
         return [(frame.values.shape[axis], table.cfa.shape[axis], table.first.rule.patch, GRID[axis]) for axis in (0, 1)]
 
@@ -100,8 +100,8 @@ class LightMeter:
     """Measures the 99th percentile of the luminance in a frame, from about 1500 pixels that are rendered on the CPU.
 
     The effect of noise near clipped pixels is removed, as in `still_scale`. The result is limited to the luminance of a
-    white that clips every channel, because such a white is always displayed as white. One CFA site is sufficient, because
-    all sites respond equally to uniform areas. The result depends only on the frame and not on the device.
+    white that clips every channel, because l3 always displays such a white as white. All sampled pixels have the same CFA
+    site, which is sufficient because all sites respond equally to uniform areas. The result does not depend on the device.
     """
 
     def __init__(self, table: TransformTable) -> None:
@@ -111,7 +111,7 @@ class LightMeter:
         self._limit = np.inf if table.clipped_white is None else table.clipped_white[1]
 
     def brightness(self, frame: RawFrame, balance: WhiteBalance | None = None) -> float:
-        """Return the luminance Y to be displayed as white, with the gains of `balance` applied."""
+        """Return the luminance Y that is displayed as white, after the white balance gains of `balance`."""
         patches, site, labels = self._samples.of(frame, None if balance is None else balance.gains)
         classes = self.table.first.rule.on_site(labels, site)
         luminance = np.einsum("nt,nt->n", self._weights[classes], self._samples.signal(patches)) + self._intercept[classes]
@@ -123,14 +123,14 @@ class LightMeter:
 
 
 def still_scale(luminance: NDArray[np.floating], frame: RawFrame, table: TransformTable) -> float:
-    """Return the automatic exposure scale of a still: the factor that maps white to 1.
+    """Return the automatic exposure scale of a still image, which is the factor that maps white to 1.
 
     Parameters
     ----------
     luminance : ndarray, (row, col)
         Rendered Y of the frame.
     frame : RawFrame
-        The frame, after the gains of a white balance.
+        The frame, with white balance gains applied.
     table : TransformTable
         The table that rendered the frame.
 
@@ -151,10 +151,10 @@ def still_scale(luminance: NDArray[np.floating], frame: RawFrame, table: Transfo
 def _white(luminance: NDArray[np.floating], clipped: NDArray[np.bool_]) -> float:
     """Return the luminance that should be displayed as white: the 99th percentile, corrected for the noise of clipped areas.
 
-    Noise raises a percentile, so a uniform white would be displayed as grey. The effect is visible in areas in which some
-    channels clip, because fewer channels measure the luminance there. The result is therefore a mean over the pixels whose
-    luminance differs from the percentile by less than `NOISE_WHERE_CLIPPED`. In this mean, the percentile replaces the
-    luminance of all pixels outside clipped areas.
+    Noise raises the percentile, so that a uniform white would be displayed as grey. The effect is visible in areas where
+    some channels clip, because fewer channels measure the luminance there. The result is therefore the mean luminance of the
+    pixels that differ from the percentile by at most `NOISE_WHERE_CLIPPED`. For pixels outside clipped areas, this mean uses
+    the percentile instead of the luminance.
     """
     white = white_percentile(luminance)
     alike = np.abs(luminance - white) <= NOISE_WHERE_CLIPPED * white
@@ -164,7 +164,7 @@ def _white(luminance: NDArray[np.floating], clipped: NDArray[np.bool_]) -> float
 
 
 def _near(marked: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
-    """Return a mask of the pixels that are at most `radius` rows and `radius` columns away from a marked pixel."""
+    """Return a mask of the pixels within `radius` rows and `radius` columns of a marked pixel."""
     for turned in (False, True):
         marked = marked.T if turned else marked
         near = marked.copy()
@@ -184,7 +184,7 @@ def _windows(length: int, period: int, patch: int, most: int) -> tuple[np.ndarra
     Returns
     -------
     padded : ndarray, (patch, tap)
-        Index of each sample in the frame with its mirrored margins.
+        Index of each sample in the frame including its mirrored margins.
     source : ndarray, (patch, tap)
         Index of each sample in the frame without margins.
     """
@@ -197,9 +197,9 @@ def _windows(length: int, period: int, patch: int, most: int) -> tuple[np.ndarra
 
 @functools.lru_cache(1)
 def _places(down: tuple[int, int, int, int], across: tuple[int, int, int, int]) -> np.ndarray:
-    """Return the indices (patch, tap) at which the values of all patches are stored in the flattened frame.
+    """Return the index of each patch value in the flattened frame, with the axes (patch, tap).
 
-    One index per tap is twice as fast as a row index and a column index.
+    Indexing the flattened frame is twice as fast as indexing by row and column.
     """
     (_, row), (_, col) = _windows(*down), _windows(*across)
     places = row[:, None, :, None].astype(np.intp) * across[0] + col[None, :, None, :]
@@ -210,9 +210,9 @@ def _places(down: tuple[int, int, int, int], across: tuple[int, int, int, int]) 
 class SteadyExposure:
     """Computes the exposure scale of the frames of a sequence, one after another.
 
-    The first frame has exactly the scale that its brightness requires. After the first frame, the logarithm of the scale
-    approaches the required value exponentially. This smooths measurement noise, and follows changes of the light without
-    overshoot. Changes of the analog gain are followed immediately. The scale does not depend on later frames.
+    The scale of the first frame is computed from its brightness alone. For later frames, the logarithm of the scale
+    approaches the required value exponentially, which smooths measurement noise and follows changes of the light without
+    overshoot. Changes of the analog gain are compensated immediately. The scale does not depend on later frames.
     """
 
     def __init__(self, rate: Fraction) -> None:
@@ -232,15 +232,15 @@ class SteadyExposure:
 
 @dataclass(frozen=True)
 class OutOfRange:
-    """Fractions of the pixels of a frame for which the table was not trained.
+    """Fractions of a frame's pixels that are outside the training range of the table, or saturated.
 
-    No pixel is counted in more than one of `darker`, `brighter` and `untrained`.
+    `darker`, `brighter` and `untrained` count different pixels.
     """
 
-    darker: float  # pixels that are darker than all levels with training patches
-    brighter: float  # pixels that are brighter than all levels with training patches
+    darker: float  # pixels darker than all trained levels
+    brighter: float  # pixels brighter than all trained levels
     untrained: float  # pixels at trained levels whose classes have no training patches
-    saturated: float  # pixels in saturated classes, which are clipped or near clipped pixels
+    saturated: float  # pixels that are clipped or near a clipped pixel
 
 
 class RangeMeter:

@@ -1,8 +1,8 @@
 """Estimates how much the flicker of mains lamps brightens or darkens each frame of a sequence (docs/method.md#flicker).
 
 Lamps on mains of 50 or 60 Hz flicker at 100 or 120 Hz. In a sequence with r frames per second, this frequency and its second
-harmonic are aliased to the distance from the nearest multiple of r. For example, 100 Hz appears as 10 Hz at 30 frames per
-second.
+harmonic are aliased: each appears at its distance from the nearest multiple of r. For example, 100 Hz appears as 10 Hz at 30
+frames per second.
 
 The logarithm of the brightness is modelled as the sum of a slow trend, of jumps at changes of the scene, and of sines at
 these known frequencies. The model is fitted to the differences between consecutive frames. A jump is then a single outlier,
@@ -20,16 +20,16 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.exposure import SpreadSamples
 
-LOOKAHEAD = 16  # the flicker of a frame is estimated from this number of frames before and after the frame
+LOOKAHEAD = 16  # number of frames before and after a frame from which its flicker is estimated
 MIN_STEPS = 8  # smallest number of frame differences for a fit
 MIN_CYCLES = 2.0  # smallest number of cycles among the frames of a fit; slower changes are treated as changes of the scene
 MAINS_HZ = (50, 60)
-HARMONICS = (2, 4)  # flicker frequencies as multiples of the mains frequency, because power has twice its frequency
-MIN_SIGNAL = 0.005  # darker patches are not used; fraction of full scale
+HARMONICS = (2, 4)  # flicker frequencies as multiples of the mains frequency; lamp power oscillates at twice this frequency
+MIN_SIGNAL = 0.005  # smallest signal of a usable patch, as a fraction of full scale
 MIN_PATCHES = 50  # smallest number of usable patches for a brightness ratio
 L1_ROUNDS = 10  # iterations of the fit for least absolute deviations
-BIWEIGHT_ROUNDS = 5  # further iterations, with Tukey's biweight
-EXACT = 5e-4  # smaller residuals are never treated as outliers; logarithm of a brightness ratio
+BIWEIGHT_ROUNDS = 5  # additional iterations with Tukey's biweight
+EXACT = 5e-4  # lower limit of the residuals' standard deviation in the robust fit; logarithm of a brightness ratio
 OUTLIER = 4.685  # cut-off of Tukey's biweight, in standard deviations
 Array = NDArray[np.float64]
 
@@ -66,8 +66,8 @@ class BrightnessRatio:
 def seen_frequencies(mains: int, rate: Fraction, frames: int) -> list[float]:
     """Return the frequencies of the flicker in a sequence after aliasing, in cycles per frame.
 
-    A frequency is left out if it has fewer than `MIN_CYCLES` cycles in the sequence, or if it differs by less than one cycle
-    from another frequency.
+    A frequency is omitted if it has fewer than `MIN_CYCLES` cycles in the sequence, or if its number of cycles differs by
+    less than one from that of a frequency already in the list.
 
     Parameters
     ----------
@@ -105,12 +105,12 @@ def flicker_at(time: float, times: Sequence[float], ratios: Sequence[float], rat
     Parameters
     ----------
     time : float
-        Time of the frame, in units of the time between frames.
+        Time of the frame, in frame intervals.
     times : sequence of float
-        Times of the surrounding frames in the same unit, in increasing order.
+        Times of the surrounding frames in frame intervals, in increasing order.
     ratios : sequence of float
-        For each surrounding frame, the logarithm of its brightness divided by the brightness of the frame before. The first
-        value is not used.
+        For each surrounding frame, the logarithm of the brightness ratio between this frame and the previous frame. The
+        first value is not used.
     rate : Fraction
         Frames per second.
 
@@ -131,7 +131,7 @@ def flicker_at(time: float, times: Sequence[float], ratios: Sequence[float], rat
             continue
         phase = np.outer(at - time, angles)
         sines = np.hstack([np.cos(phase), np.sin(phase)])
-        # The frequencies of the mains and of the camera are not exact, so the first sine may drift in amplitude and phase.
+        # The mains frequency and the frame rate are inexact, so the amplitude and phase of the first sine may drift.
         changing = sines[:, [0, angles.size]] * ((at - time) / LOOKAHEAD)[:, None]
         trend = np.diff(at)[:, None]
         basis = np.hstack([np.diff(sines, axis=0), np.diff(changing, axis=0), trend])
@@ -146,8 +146,7 @@ def flicker_at(time: float, times: Sequence[float], ratios: Sequence[float], rat
 def _robust(basis: Array, values: Array) -> tuple[Array, float]:
     """Return a robust solution x of basis · x = values, and the standard deviation of the residuals.
 
-    The solution is refined by reweighted least squares: first for the least absolute deviations, then with outliers left
-    out.
+    Iteratively reweighted least squares first minimise the absolute deviations, and then exclude outliers.
     """
     weights = np.ones(values.size)
     for number in range(L1_ROUNDS + BIWEIGHT_ROUNDS):

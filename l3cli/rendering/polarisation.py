@@ -10,9 +10,9 @@ from l3cli.physics.stokes import DARKEST, FEATURES, IN_ORDER, STOKES, aolp, dolp
 
 Floats = NDArray[np.floating]
 
-SHOWN = ("dolp", "aolp", "stokes")  # pictures that l3 can make of Stokes parameters
-BAR_FRACTION, MIN_BAR_PIXELS = 0.03, 6  # width of the colour bar and of the gap beside it, relative to the picture's width
-TICKS = 4  # number of intervals into which ticks divide a colour bar
+SHOWN = ("dolp", "aolp", "stokes")  # types of pictures that show polarisation
+BAR_FRACTION, MIN_BAR_PIXELS = 0.03, 6  # width of the colour bar and of the gap: fraction of the picture width, and minimum
+TICKS = 4  # number of intervals between the ends and ticks of a colour bar
 
 
 def in_upright_frame(planes: Floats, outputs: tuple[str, ...], orientation: int) -> Floats:
@@ -64,8 +64,8 @@ def picture_of(planes: Floats, outputs: tuple[str, ...], shown: str, bits: int) 
         Names of the outputs.
     shown : str
         "dolp": the degree of polarisation from 0 to 1, in the colours of viridis. "aolp": the angle as the hue, from 0°
-        (red) to 180°, and the degree as the brightness. "stokes": S0 in greys, and beside it S1/S0 and S2/S0 from −1 (blue)
-        to 1 (red).
+        (red) to 180°, and the degree as the brightness. "stokes": three pictures side by side, with S0 in greys, and S1/S0
+        and S2/S0 in colours from −1 (blue) to 1 (red).
     bits : int
         Bits per value, 8 or 16.
 

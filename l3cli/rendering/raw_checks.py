@@ -25,12 +25,12 @@ CLIPPED = 1e-3  # the sensor is assumed to clip if at least this fraction of the
 NEAR_BLACK = 0.75  # a value is near the black level if their ratio is between this number and its reciprocal
 BLACK_PERCENTILE = 0.1  # percentile of the values that is near the black level in most pictures
 SAME_DEPTH = 0.02  # largest relative difference between white levels that belong to the same bit depth
-SHEARED = 1.5  # the size is probably wrong if rows differ more than with rows and columns swapped, by this factor
+SHEARED = 1.5  # the size is probably wrong if swapping rows and columns makes neighbouring rows more similar by this factor
 ROW_PAIRS = 64  # number of pairs of rows that are compared
 
 NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # smallest fractions that are reported
-LONG = 60.0  # an exposure time that exceeds this number of seconds is probably in another unit
-MANY_TIMES = 100.0  # an exposure time that exceeds the training's mean by this factor is probably in another unit
+LONG = 60.0  # a longer exposure time, in seconds, was probably stated in another unit
+MANY_TIMES = 100.0  # an exposure time was probably stated in another unit if it exceeds the training's mean by this factor
 
 
 @dataclass
@@ -45,7 +45,7 @@ class FrameWarnings:
     _first_is_beyond: bool = False  # whether the first frame has values that the A/D converter cannot produce
     _untimed: list[str] = field(default_factory=list)  # names of frames without exposure time and dark frame
     _others: dict[str, tuple[str, int]] = field(default_factory=dict)  # warning → name of the first frame, number of frames
-    _notes: dict[str, str] = field(default_factory=dict)  # remark about a file from its reader → name of the first frame
+    _notes: dict[str, str] = field(default_factory=dict)  # remark of a file reader → name of the first frame
     # field of OutOfRange → fraction and name of the worst frame, number of frames
     _worst: dict[str, tuple[float, str, int]] = field(default_factory=dict)
 
@@ -55,7 +55,7 @@ class FrameWarnings:
     def measure(self, frame: RawFrame) -> None:
         """Check the metadata and the values of a frame, and store the warnings.
 
-        The fractions of pixels that are outside the trained range are also measured, and the worst frame is stored.
+        The method also measures the fractions of pixels outside the trained range, and stores those of the worst frame.
         """
         self._seen += 1
         if self.table.dark_signal(1.0) and frame.exposure is None and not frame.dark_measured:
@@ -94,7 +94,7 @@ class FrameWarnings:
 
     @property
     def assumption(self) -> str:
-        """A line about the exposure time that l3 assumes for frames without exposure time, or "" without such frames."""
+        """A line about the exposure time that l3 assumes for frames without exposure time, or "" if l3 assumes no time."""
         if not self._untimed:
             return ""
         exposure, dark = self.table.exposure, self.table.dark_signal(None)

@@ -19,13 +19,14 @@ from l3cli.physics.mosaic import channel_reach, shifted_cfa
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
 
-# Neighbours that are averaged in chroma smoothing, as (row, column) offsets in pixels. Only eight are used, for speed. The
+# Neighbours used for chroma smoothing, as (row, column) offsets in pixels. Only eight neighbours are used, for speed. The
 # mixture of near and far neighbours averages out the residual patterns of noise and aliasing.
 CHROMA_NEIGHBOURS = ((-1, -1), (-1, 1), (1, -1), (1, 1), (-4, 0), (4, 0), (0, -4), (0, 4))
-CHROMA_REACH = 4  # pixels; largest offset
+CHROMA_REACH = 4  # largest offset in pixels
 
-# A pixel is at least as bright as the smallest raw value nearby, relative to white, times the first factor. The second
-# factor is for values below the black level. It is large, because cutting off noise in the dark would change the mean.
+# Lower limit of a pixel's luminance, as a multiple of the smallest nearby raw value relative to white. The first factor is
+# for values above the black level, and the second factor is for values below. The second factor is large, because cutting
+# off noise in the dark would change the mean.
 LEAST_OF_POSITIVE, LEAST_OF_NEGATIVE = 0.5, 2.0
 RAISED_CHROMA = 2.0  # largest change of X and Z when the luminance is raised, as a multiple of the change of Y
 
@@ -306,7 +307,7 @@ def _transformed(
 
 
 def white_scale(table: TransformTable) -> NDArray[np.float64]:
-    """Return a factor for each channel, which converts raw values of a white object to the luminance of this object.
+    """Return one factor per channel that converts raw values of a white object to the luminance of the object.
 
     Raw values are in DN above black, and luminances are in output units.
     """
@@ -315,7 +316,7 @@ def white_scale(table: TransformTable) -> NDArray[np.float64]:
 
 
 def raising_constants(table: TransformTable) -> dict[str, float | int]:
-    """Return the constants that are needed to raise the luminance of pixels that are too dark.
+    """Return the constants for raising the luminance of pixels that are too dark.
 
     The keys of the result are the names of the constants. The result is empty if the table does not contain the signals of a
     white.
@@ -335,7 +336,7 @@ def least_luminance(frame: RawFrame, table: TransformTable) -> NDArray[np.float6
 
     Each raw value in a window around the pixel is divided by the value that a white object has in the same channel. The
     lowest luminance is a fraction of the smallest of these ratios. The window is just large enough to contain all channels.
-    Values outside the frame are left out. If the table does not contain the signals of a white, the result is −∞.
+    Values outside the frame are ignored. If the table does not contain the signals of a white, the result is −∞.
 
     Parameters
     ----------
@@ -434,7 +435,7 @@ def smoothed_chroma(
     white : ndarray, (3,)
         XYZ of white, with Y = 1.
     least : ndarray, (row, col), or float
-        Least luminance of each pixel (`least_luminance`).
+        Lower limit of the luminance of each pixel (`least_luminance`).
 
     Returns
     -------

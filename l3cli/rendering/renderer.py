@@ -22,7 +22,7 @@ BACKENDS = {
     "reference": "l3cli.rendering.reference:ReferenceRenderer",
 }
 
-MAX_HELD = 16  # largest number of renderers that are kept; each renderer keeps its transforms on the device
+MAX_HELD = 16  # largest number of cached renderers; each renderer stores its transforms on the device
 
 
 class Renderer(Protocol):

@@ -29,8 +29,8 @@ from l3cli.rendering.white.source import WhiteSource, given_white, usual_balance
 from l3cli.system.locks import ThreadLock
 
 DEPTHS = (8, 16, FLOAT_BITS)
-MIN_EXPOSURE, MAX_EXPOSURE = 1e-9, 1e9  # range of the exposure, which multiplies Y
-ANY_RATE = Fraction(30)  # frame rate to use if it has no effect, because only the first frame is measured
+MIN_EXPOSURE, MAX_EXPOSURE = 1e-9, 1e9  # range of the exposure, by which Y is multiplied
+ANY_RATE = Fraction(30)  # arbitrary frame rate for sequences in which only the first frame is measured
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class Rendition:
     exposure: float | None  # factor by which Y is multiplied, or None for automatic exposure
     bits: int  # bits per value: 8, 16 or FLOAT_BITS
     space: Space | None = SRGB  # colour space, or None if the outputs are not colours
-    raw: bool = False  # whether the picture is for a raw converter; its exposure is then recorded but not applied
+    raw: bool = False  # whether the picture is for a raw converter; the exposure is then recorded but not applied
     mosaic: str | None = None  # name of the CFA in the file format, if `raw` is true and the picture is a mosaic
     stops: float = 0.0  # additional exposure in EV
-    stated_exposure: bool = False  # whether to multiply by the exposure that the file of each frame states
+    stated_exposure: bool = False  # whether to apply the exposure that each raw file states
     tone: Tone | None = None  # tone curve, if any
     polarisation: str | None = None  # one of `polarisation.SHOWN`, or None if the picture does not show Stokes parameters
 
@@ -110,7 +110,7 @@ def shown_as(
     table: TransformTable, exposure: float | None, white: str | None, space: str, bits: int,
     estimated_by: TransformTable | None = None,
 ) -> tuple[Rendition, WhiteSource | None]:  # fmt: skip
-    """Return the settings with which outputs are converted to pictures, and the method that finds the white of each frame.
+    """Return the settings that convert outputs to pictures, and the method that finds the white of each frame.
 
     Parameters
     ----------
@@ -130,8 +130,9 @@ def shown_as(
     Returns
     -------
     rendition : Rendition
+        Settings of the pictures.
     source : WhiteSource or None
-        None if all frames have the white balance of the rendition.
+        Method that finds the white of each frame, or None if all frames have the white balance of the rendition.
 
     Raises
     ------
@@ -209,8 +210,8 @@ def frame_and_display(
     A `scale` of 0 means automatic exposure.
     """
     frame = balanced(frame, renderer.table, balance.gains)
-    # Automatic exposure of a single frame needs the luminance of all pixels before encoding. If the frame is a single band,
-    # its outputs stay on the device, and the picture is encoded from them. Larger frames are rendered twice.
+    # Automatic exposure of a single frame needs the luminance of all pixels before encoding. If the frame has a single band,
+    # the outputs stay on the device and are then encoded. Larger frames are rendered twice.
     scale = scale * balance.luminance or still_scale(renderer.outputs(frame)[1], frame, renderer.table)
     scale *= 2**rendition.stops
     adaptation = shown_adaptation(renderer.table, balance.adaptation)
@@ -275,8 +276,7 @@ class FrameMeter:
         -------
         brightness : float
             Luminance that should be displayed as white, or 0 if the brightness is not measured.
-        balance : WhiteBalance or None
-        white : SceneWhite or None
+        balance, white
             The same as in `measured`.
         """
         white = self._measured_white(frame) if self._source else None

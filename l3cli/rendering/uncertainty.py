@@ -6,10 +6,10 @@ The standard deviation of an output at pixel p is modelled as
 
 s is the standard deviation of a raw value that is as bright as the output. G is a gain for each class of the last layer. K
 is a factor for each kind (chroma or saturation case) of the first layer. E is a factor for the outermost rows and columns,
-where windows are mirrored. A mirrored window contains some raw values twice, so its outputs have more noise.
+where outputs have more noise, because mirrored windows contain some raw values twice.
 
 G, K and E are determined by a parametric bootstrap. The rendered picture is treated as the true scene. Frames of this scene
-are simulated several times with new noise and are rendered. The factors are fitted so that the mean σ of each class, kind
+are simulated several times with new noise and are rendered. G, K and E are fitted so that the mean σ of each class, kind
 and border equals the standard deviation over these renderings. The result therefore includes the effect of noise on the
 choice of classes.
 """
@@ -38,23 +38,23 @@ Array = NDArray[np.floating]
 Labels = NDArray[np.integer]
 CLIPPED = 1  # bit of the mask: clipped values affect the class or the result
 UNTRAINED = 2  # bit of the mask: the class has no training patches
-# Large frames are not simulated as a whole, but only some square pieces of them.
+# Large frames are not simulated as a whole. Only some square pieces are simulated.
 PIECE_PIXELS = 96  # approximate side of a piece
 PIECES_PER_SIDE = 4  # number of pieces along each side of the frame
-SEAM_PIXELS = 8  # width of the border of a piece that is ignored
+SEAM_PIXELS = 8  # width of the border that is ignored in each piece
 BUDGET = 1 << 18  # approximate number of pixels in all renderings together
 DRAWS = (5, 40)  # smallest and largest number of renderings
-SMOOTHED = 0.5  # σ, in pixels, of a Gaussian that removes noise from the picture; otherwise this noise would count twice
+SMOOTHED = 0.5  # σ of a Gaussian that removes noise from the picture, in pixels; otherwise this noise would count twice
 FITS = 3  # number of iterations of the robust fit from outputs to signals
 ROUNDS = 4  # number of iterations of the fit of the gains and factors, which is enough for convergence
 PRIOR = 50  # weight, in pixels, of the assumption that a class has the gain of a coarser class
-# number of rows and columns at each border with factors of their own; farther in, σ changes by less than 2 %
+# Number of rows and columns at each border that have their own factors. Farther inside, σ changes by less than 2 %.
 EDGE_PIXELS = 4
-TILES = (1, 2, 4, 8, 16)  # sides, in pixels, of the tiles whose means are evaluated
-MIN_TILES = 9  # smallest number of tiles for which the noise of a tile size is evaluated
+TILES = (1, 2, 4, 8, 16)  # sides of the tiles whose means are evaluated, in pixels
+MIN_TILES = 9  # smallest number of tiles for which the noise of the tile means is evaluated
 MIN_VARIANCE = 1e-30  # avoids a division by zero if noise does not change any raw value, as in a black frame
 MIN_SIDE = 32  # smallest side of a frame, in pixels
-SUMS = ((0, 1), (0, 2), (1, 2))  # pairs of Stokes parameters whose sums are evaluated to obtain their covariances
+SUMS = ((0, 1), (0, 2), (1, 2))  # pairs of Stokes parameters; the variances of their sums yield the covariances
 STRIP = 1 << 16  # number of pixels that are processed together, so that their values fit into the processor cache
 SEED = 20
 
@@ -67,7 +67,7 @@ class NoiseGains:
     by_class: NDArray[np.float32]  # (class of the last layer, output) gain G
     by_kind: NDArray[np.float32]  # (class of the first layer, output) factor K
     by_edge: NDArray[np.float32]  # (side, distance, output) factor E; the sides are top, bottom, left and right
-    area: Array  # (tile size, output) variance of a tile's mean times its pixel count, relative to the variance of a pixel
+    area: Array  # (tile size, output) variance of the tile mean times the number of pixels, relative to the pixel variance
     unit: float  # raw value above black, in DN, at which the brightness of the outputs is 1
 
 
@@ -120,7 +120,7 @@ def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = 
     frame : RawFrame
         The raw frame.
     like : Uncertainty, optional
-        Uncertainty of another frame of the same scene. Its factors are used instead of a new bootstrap.
+        Uncertainty of another frame of the same scene. If given, its factors are used instead of a new bootstrap.
 
     Returns
     -------
@@ -317,8 +317,8 @@ def _raw_sigma(
     """Return, for each pixel, the noise s of a raw value that is as bright as the output of the pixel.
 
     The noise is a standard deviation, as a fraction of full scale. The noise terms are averaged over the channels. `outputs`
-    are already multiplied by `scale`, the product of `RawFrame.light_share` and the shading gain of each pixel. The returned
-    standard deviation is multiplied by `scale`, too.
+    are already multiplied by `scale`, which is the product of `RawFrame.light_share` and the shading gain of each pixel. The
+    result is also multiplied by `scale`.
     """
     span = table.white_level - table.black_level
     constant, linear, quadratic = (np.mean(term) / span**2 for term in terms)
@@ -338,8 +338,8 @@ def _brightness(table: TransformTable, outputs: Array) -> Array:
 def _noise_terms(table: TransformTable, frame: RawFrame) -> tuple[Array, Array, float]:
     """Return the constant, linear and quadratic noise terms of a frame.
 
-    They apply to raw values that are scaled to the table's black and white levels. The constant and the linear term have one
-    value per channel.
+    The terms apply to raw values that are scaled to the table's black and white levels. The constant and the linear term
+    have one value per channel.
     """
     every = np.arange(len(table.channels))
     camera, dark = _camera_and_dark(table, frame)
@@ -350,14 +350,14 @@ def _noise_terms(table: TransformTable, frame: RawFrame) -> tuple[Array, Array, 
 def _line_variances(table: TransformTable, frame: RawFrame) -> tuple[float, float]:
     """Return the variances of the row offsets and of the column offsets, in DN².
 
-    They apply to raw values that are scaled to the table's black and white levels.
+    The variances apply to raw values that are scaled to the table's black and white levels.
     """
     camera, dark = _camera_and_dark(table, frame)
     return camera.line_variances(dark)
 
 
 def _camera_and_dark(table: TransformTable, frame: RawFrame) -> tuple[CameraModel, float]:
-    """Return the table's camera model with the noise that a temporal filter left in a frame, and the dark signal.
+    """Return the table's camera model with the noise remaining in a frame after a temporal filter, and the dark signal.
 
     The dark signal is in DN, scaled to the table's black and white levels.
     """
@@ -377,7 +377,7 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Arr
     from scipy.ndimage import gaussian_filter
 
     table = renderer.table
-    # Each piece begins with a CFA period and with a block. The outermost pieces include the borders of the frame.
+    # Each piece begins at a multiple of the CFA period and the block size. The outermost pieces include the frame borders.
     units = [math.lcm(side, BLOCK) for side in block_sides(table.cfa)]
     if min(frame.values.shape) < (least := max(MIN_SIDE, *units)):
         tall, wide = frame.values.shape
@@ -434,7 +434,7 @@ def _edge_factors(measured: Array, expected: Array, inner: tuple[Labels, Labels]
     """Return the factors E (side, distance, output) of the outermost rows and columns.
 
     Each factor is the ratio of the measured to the expected standard deviation. Corners and the seams between simulated
-    pieces are left out.
+    pieces are ignored.
     """
     rows, cols = inner
     pairs = zip((cols, cols, rows, rows), _sides(measured), _sides(expected), strict=True)
@@ -455,7 +455,7 @@ def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labe
     """Fit the inverse of rendering: a matrix (channel, output) that converts outputs to raw signals in DN.
 
     The fit compares means of blocks, because the outputs cannot reproduce fine patterns. Robust least squares weights the
-    errors of each block relative to its brightness.
+    error of each block relative to the brightness of the block.
 
     Parameters
     ----------
@@ -471,6 +471,7 @@ def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labe
     Returns
     -------
     matrix : ndarray, (channel, output)
+        The matrix.
     unit : float
         Mean raw signal, in DN above black, at which the brightness of the outputs is 1.
     """
@@ -497,7 +498,7 @@ def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labe
 
 
 def _sampled(length: int, unit: int) -> NDArray[np.int64]:
-    """Return the indices of the rows or columns to simulate: all indices, or the indices of a few evenly spaced pieces.
+    """Return the indices of the rows or columns to simulate: either all indices, or those of a few evenly spaced pieces.
 
     Pieces begin at multiples of `unit`. The first piece contains the first index, and the last piece the last index.
     """
@@ -510,7 +511,7 @@ def _sampled(length: int, unit: int) -> NDArray[np.int64]:
 
 
 def _counts(indices: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return a mask of the indices from `_sampled` that are neither near a seam between pieces nor near the ends."""
+    """Return a mask of the indices from `_sampled` that are neither near a seam between pieces nor near an end."""
     seams = np.concatenate([[-0.5], np.flatnonzero(np.diff(indices) != 1) + 0.5, [indices.size - 0.5]])
     return np.asarray(np.abs(np.arange(indices.size)[:, None] - seams).min(axis=1) > SEAM_PIXELS)
 
@@ -519,8 +520,8 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
     """Fit the gains G and the factors K by iterative proportional fitting.
 
     Pixels are grouped in four ways: by level, by the class of the last layer without its site, by the class of the last
-    layer with its site, and by the kind of the first layer. In each group, the mean of the predicted standard deviations is
-    made equal to the mean of the measured standard deviations.
+    layer with its site, and by the kind of the first layer. The fit makes the mean of the predicted standard deviations in
+    each group equal to the mean of the measured standard deviations.
 
     Parameters
     ----------
@@ -536,7 +537,9 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
     Returns
     -------
     by_class : ndarray, (class of the last layer, output)
+        The gains G.
     by_kind : ndarray, (class of the first layer, output)
+        The factors K.
     """
     from scipy.sparse import coo_array
 
@@ -558,7 +561,7 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
     prior = PRIOR * len(last) * measured.mean(axis=(1, 2))
     wanted = _summed(cell.ravel(), np.tile(measured.reshape(len(measured), -1), len(cell)).T, used.size)
     seen = [_summed(part, wanted, len(factor)) for part, factor in zip(parts, factors, strict=True)]
-    # The mean over the draws consists of the draw itself, and of one other draw that represents all other draws.
+    # The mean over the draws is the weighted mean of the draw itself and one other draw, which represents all other draws.
     alone, others = _summed(cell.ravel(), spread.reshape(-1, 1) / len(cell), used.size), 1 - 1 / len(cell)
     by_others = coo_array((np.roll(spread * others, 1, 0).ravel(), (cell.ravel(), np.roll(cell, 1, 0).ravel()))).tocsr()
     for _ in range(ROUNDS):

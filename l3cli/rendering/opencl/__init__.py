@@ -1,1 +1,1 @@
-"""The renderer that uses OpenCL kernels."""
+"""The OpenCL renderer."""

@@ -1,6 +1,6 @@
 """Coarse chroma and the replacement of clipped areas on an OpenCL device.
 
-The reference for these kernels is in l3cli/classes/coarse_chroma.py and l3cli/classes/clipping.py.
+The reference implementations are in l3cli/classes/coarse_chroma.py and l3cli/classes/clipping.py.
 """
 
 from collections.abc import Callable
@@ -18,8 +18,8 @@ from l3cli.rendering.opencl.devices import pyopencl
 from l3cli.rendering.opencl.layout import COARSE_MACROS, COARSE_MARGIN, UNLIKE_ANY, clipping_macros, paired_source
 from l3cli.rendering.opencl.work import Band, Track, scratch
 
-BLOCK_MAPS = 8  # values that are stored per block, as one OpenCL float8; the last value is the uniformity
-READ_AHEAD = 16  # number of elements after the end of the data that vector loads may read
+BLOCK_MAPS = 8  # values per block, stored as an OpenCL float8; the last value is the uniformity
+READ_AHEAD = 16  # number of elements that vector loads may read beyond the end of the data
 
 
 class DeviceCoarseChroma:
@@ -29,7 +29,7 @@ class DeviceCoarseChroma:
         self, kernel: Callable[..., Any], run: Callable[..., Any], constant: Callable[..., Any], chroma: CoarseChroma,
         variant: str,
     ) -> None:  # fmt: skip
-        """Store the arguments. Kernels are compiled when a frame first needs them.
+        """Store the arguments, without compiling the kernels.
 
         Parameters
         ----------
@@ -63,6 +63,7 @@ class DeviceCoarseChroma:
         Returns
         -------
         events : list
+            Events of the enqueued kernels.
         blocks : tuple
             Buffers with the block means before and after the filter.
         """
@@ -83,7 +84,7 @@ class DeviceCoarseChroma:
         return events, (before, last)
 
     def _room(self, track: Track, shape: tuple[int, int]) -> list[Any]:
-        """Return the three block buffers of a track for planes of size `shape`, and create the buffers if necessary.
+        """Return the three block buffers of a track, and allocate the buffers for planes of size `shape` if necessary.
 
         Margins around the blocks are filled with `UNLIKE_ANY`, so that the filter never averages over the edge of the frame.
         """
@@ -105,9 +106,9 @@ class DeviceClipping:
         self, kernel: Callable[..., Any], run: Callable[..., Any], constant: Callable[..., Any], table: TransformTable,
         variant: str,
     ) -> None:  # fmt: skip
-        """Store the arguments, which are the same as for `DeviceCoarseChroma`.
+        """Store the arguments, without compiling the kernels.
 
-        Kernels are compiled when a frame first needs them.
+        `table` contains the settings of the replacement. The other arguments are the same as for `DeviceCoarseChroma`.
         """
         self._make, self._run, self._constant, self._table, self._variant = kernel, run, constant, table, variant
         self._kernels: list[Any] = []  # the kernels "measure_blocks", "map_blocks", "spread_estimates" and "read_maps"
@@ -128,8 +129,9 @@ class DeviceClipping:
         Returns
         -------
         events : list
+            Events of the enqueued kernels.
         quads : buffer
-            The values for the replacement. Each quad of 2 × 2 pixels has one set of values.
+            Replacement values, one set per quad of 2 × 2 pixels.
         """
         table = self._table
         clipping = table.later[-1].clipping

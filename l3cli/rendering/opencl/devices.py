@@ -23,8 +23,8 @@ from typing import Any
 from l3cli.errors import DeviceError, shortened
 from l3cli.rendering.opencl.processor import compiled_for
 
-MIN_FREE_BYTES = 16 << 20  # free space that is required, several times the space for the kernels of a table
-MAX_EMPTY_FILE_SECONDS = 86400  # older empty files are removed; every process with PoCL 3.0 leaves an empty file
+MIN_FREE_BYTES = 16 << 20  # required free space, several times the size of the kernels of a table
+MAX_EMPTY_FILE_SECONDS = 86400  # older empty cache files are removed; every process with PoCL 3.0 leaves an empty file
 INSTALL = 'install a driver with: pip install "pyopencl[pocl]"'
 LINKER = "ld"  # linker that PoCL calls; without it, or without the libraries of a C compiler, PoCL aborts the process
 REFUSES_PROCESSOR = "unknown target CPU"  # part of the message of PoCL's compiler for a processor that is too new
@@ -133,7 +133,7 @@ def _remove(folder: str, owner: int) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-LINKS_BY_PROGRAM = re.compile(r"OpenCL \d+\.\d+ PoCL [1-3]\.")  # versions that need the linker; wheels contain 3.0
+LINKS_BY_PROGRAM = re.compile(r"OpenCL \d+\.\d+ PoCL [1-3]\.")  # PoCL versions that need the linker; wheels contain 3.0
 
 
 _owner: int | None = None  # id of the process that first used OpenCL

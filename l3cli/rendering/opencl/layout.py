@@ -111,7 +111,7 @@ class Cut:
     tile: int  # number of columns of a tile
     band: int  # number of rows of a tile
     group: tuple[int, int]  # size of a work-group
-    lanes: int  # number of pixels or taps that a work-item processes in parallel; with 0, lanes.cl decides
+    lanes: int  # number of pixels or taps that a work-item processes in parallel; 0 lets lanes.cl decide
 
     @property
     def macros(self) -> Macros:
@@ -154,7 +154,7 @@ def encoding_source(variant: str, name: str, *shared: str) -> str:
     """Return the source of a kernel that processes outputs and then encodes the result as a picture.
 
     `name` is the name of two source files: one in opencl/common/, and one in the folder of the variant. The encoder and the
-    files `shared` are placed before these two files.
+    files `shared` precede these two files.
     """
     encoding = [each for each in VARIANTS[variant].encoder_sources if not each.endswith("encode.cl")]
     return joined_files(
@@ -172,8 +172,8 @@ def joined_files(*names: str) -> str:
 def paired_source(variant: str, name: str, *shared: str) -> str:
     """Return the source of a kernel that is divided between two files called `name`.
 
-    One file is in opencl/common/, and the other file is in the folder of the variant. The files `shared` are placed before
-    these two files.
+    One file is in opencl/common/, and the other file is in the folder of the variant. The files `shared` precede these two
+    files.
     """
     return joined_files("common/vectors.cl", *shared, f"common/{name}", f"{FOLDERS[variant]}/{name}")
 
@@ -225,8 +225,8 @@ def least_macros(table: TransformTable) -> Macros:
 def site_scale(table: TransformTable) -> NDArray[np.float64]:
     """Return the factor `white_scale` of each CFA site, as an array (CFA row, column).
 
-    After the last CFA column, the columns start again. The `EXTRA_CFA_COLUMNS` additional columns allow the kernel to load
-    whole vectors that start at any CFA column.
+    The CFA columns repeat for `EXTRA_CFA_COLUMNS` additional columns, so that the kernel can load whole vectors that start
+    at any CFA column.
     """
     columns = np.arange(table.cfa.shape[1] + EXTRA_CFA_COLUMNS) % table.cfa.shape[1]
     return np.asarray(white_scale(table)[table.cfa[:, columns]])
@@ -253,7 +253,7 @@ def display_constants(table: TransformTable, matrix: NDArray | None) -> NDArray[
 
 
 COARSE_MARGIN = max(SPACINGS)  # width of the margin around the blocks of a band, in blocks
-UNLIKE_ANY = 1e12  # value of the blocks in the margin, which is so large that no block is similar to them
+UNLIKE_ANY = 1e12  # value of the blocks in the margin, so large that no block of the frame is similar
 COARSE_MACROS: Macros = {"MARGIN": COARSE_MARGIN}
 
 
@@ -325,7 +325,7 @@ def refinement_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
 
 
 OUTPUTS_AS_THEY_ARE: Macros = {"PLANES": 1, "CODE": "float"}  # the kernel writes the outputs without encoding
-NOT_ENCODED: Macros = {"NOT_ENCODED": 1, "CODE": "float"}  # the kernel writes one number per pixel, which is used for timing
+NOT_ENCODED: Macros = {"NOT_ENCODED": 1, "CODE": "float"}  # for timing, the kernel writes one number per pixel
 
 
 def display_macros(display: Display) -> Macros:
@@ -411,11 +411,11 @@ def refinement_weights(layer: PlaneLayer) -> Weights:
 
 @dataclass(frozen=True)
 class PlaneStep:
-    """Constant buffers of a refinement layer. The kernels that compute the layer's input planes and classes read them."""
+    """Constant buffers for the kernels that compute the input planes and the classes of a refinement layer."""
 
     weights: Any  # weights of the previous layer, which computes the planes
     rule: tuple[Any, ...]  # constants of the kernel `structures` (gradient.cl, structure.cl, tree.cl)
-    nothing: Any  # buffer of zeros, passed as display constants to kernels that do not use display constants
+    nothing: Any  # buffer of zeros, used in place of unneeded display constants
 
 
 def table_buffers(
@@ -478,7 +478,7 @@ def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
     2. the last tap of each output,
     3. the intercept of each output,
     4. the ratio taps, one after another, each for all outputs,
-    5. zeros up to a multiple of 16 numbers.
+    5. zeros that pad the group to a multiple of 16 numbers.
     """
     classes, outputs, taps = layer.taps.shape
     taps, ratios = taps - layer.ratio_taps, layer.ratio_taps
@@ -567,9 +567,9 @@ class Variant:
     encoder_sources: tuple[str, ...]  # files for the encoder, which converts outputs to pictures
     encoder_cut: Cut  # division of a band for the encoder
     joins: bool  # whether one kernel can both determine the classes and apply the transforms of the first layer
-    cut: Callable[[TransformTable, int], Cut]  # function that returns the division of a band for a length of the vectors
-    pack: Callable[[Weights, int], NDArray]  # function that packs floating-point weights for a length of the vectors
-    pack_whole: Callable[[WholeWeights, int], NDArray]  # function that packs fixed-point weights
+    cut: Callable[[TransformTable, int], Cut]  # returns the division of a band for a table and a vector length
+    pack: Callable[[Weights, int], NDArray]  # packs floating-point weights for a vector length
+    pack_whole: Callable[[WholeWeights, int], NDArray]  # packs fixed-point weights for a vector length
 
 
 VARIANTS = {

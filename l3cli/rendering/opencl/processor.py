@@ -29,7 +29,7 @@ _names = {name: ctypes.create_string_buffer(name) for name in PROCESSORS}
 
 
 def compiled_for(device: Any) -> str:
-    """Select the target processor if PoCL's compiler does not know the actual processor, and return its name.
+    """Select the target processor if PoCL's compiler does not know the actual processor, and return the target's name.
 
     The result is "" if PoCL chooses the target itself. Repeated calls return the same name.
     """
@@ -45,7 +45,7 @@ def compiled_for(device: Any) -> str:
 
 
 def _read(place: int, size: int) -> bytes:
-    """Return the bytes at an address, or b"" if the address is invalid, in which case a direct access would crash."""
+    """Return the bytes at an address, or b"" if the address is invalid. Direct access to an invalid address would crash."""
     with open("/proc/self/mem", "rb", buffering=0) as memory:
         try:
             return os.pread(memory.fileno(), size, place)
@@ -54,6 +54,6 @@ def _read(place: int, size: int) -> bytes:
 
 
 def _abilities() -> frozenset[str]:
-    """Return the CPU flags of the processor, with their names in Linux."""
+    """Return the CPU flags of the processor, as named by Linux."""
     flags = re.search(r"^flags\s*: (.*)$", Path("/proc/cpuinfo").read_text("utf-8", "replace"), re.MULTILINE)
     return frozenset(flags[1].split() if flags else ())

@@ -71,8 +71,8 @@ def make_ready(device: str | None = None, variant: str | None = None) -> None:
 def usual_encoder(compiler: Compiler, variant: str) -> int:
     """Compile the encoder for 8-bit sRGB pictures, and return the length of the device's vectors.
 
-    The vector length is part of the kernel's name. PoCL compiles a kernel when it first runs, so the kernel is run on one
-    pixel.
+    The vector length is part of the kernel's name. PoCL compiles a kernel when the kernel first runs, so this function runs
+    the kernel on one pixel.
     """
     cl, context = pyopencl(), compiler.context
     cut = layout.VARIANTS[variant].encoder_cut
@@ -86,7 +86,7 @@ def usual_encoder(compiler: Compiler, variant: str) -> int:
 
 
 class Programs:
-    """The kernels for the layers of a table, which are counted from 0, and for the encoder.
+    """The kernels for the layers of a table and for the encoder. Layers are counted from 0.
 
     The parameter `ending` of the methods contains the macros that select the type of results: planes, outputs or encoded
     pictures (layout.py).
@@ -107,7 +107,7 @@ class Programs:
 
     def __init__(self, compiler: Compiler, table: TransformTable, variant: str, lanes: int | None, sets: int = 1) -> None:
         self._compiler, self._table, self._variant, self._sets = compiler, table, variant, sets
-        self._programs: dict[Key, Any] = {}  # layer (−1 for the encoder), and macros for the form of the results → program
+        self._programs: dict[Key, Any] = {}  # layer (−1 for the encoder), and macros for the type of results → program
         self._kernels: dict[Key, Any] = {}  # key of the program and name of the kernel → kernel
         self._last = len(table.later)
         made_for = layout.VARIANTS[variant]
@@ -118,18 +118,18 @@ class Programs:
     def transforms(self, ending: layout.Macros, joined: bool = False) -> Any:
         """Return the kernel that applies the transforms of the last layer.
 
-        If `joined` is true, which requires a table with one layer, the kernel also determines the classes.
+        If `joined` is true, the kernel also determines the classes. The table must then have a single layer.
         """
         return self._transforms(self._last, ending, joined)
 
     def first_outputs(self) -> Any:
-        """Return the kernel that computes the outputs of the first layer, if the last layer corrects these outputs."""
+        """Return the kernel that computes the first layer's outputs, for tables whose last layer corrects these outputs."""
         return self._transforms(0, layout.OUTPUTS_AS_THEY_ARE, joined=False)
 
     def planes(self, layer: int, joined: bool = False) -> Any:
         """Return the kernel that computes the output planes of `layer`, which the next layer reads.
 
-        If `joined` is true, which requires the first layer, the kernel also determines the classes.
+        If `joined` is true, the kernel also determines the classes. `layer` must then be the first layer.
         """
         return self._transforms(layer, layout.TO_PLANES, joined)
 
@@ -141,7 +141,7 @@ class Programs:
     def classes(self, layer: int) -> Any:
         """Return the kernel that determines the classes of a layer.
 
-        If a program that is already compiled contains the kernel, no other program is compiled.
+        A program that is already compiled is reused if it contains the kernel.
         """
         usual = layout.TO_PLANES if layer < self._last else layout.OUTPUTS_AS_THEY_ARE
         if self.joins and not layer:

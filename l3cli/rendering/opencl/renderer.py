@@ -1,7 +1,7 @@
 """Rendering on an OpenCL device (docs/method.md#rendering).
 
-For each frame, the raw values are uploaded, one or two kernels per layer are run (opencl/*.cl), and the result is
-downloaded.
+For each frame, the renderer uploads the raw values, runs one or two kernels per layer (opencl/*.cl), and downloads the
+result.
 
 A frame is divided into horizontal bands, so that the memory on the device does not grow with the size of the frame. A frame
 of usual size has a single band. Successive bands alternate between two tracks, each of which has its own queue and buffers.
@@ -54,7 +54,7 @@ class DeviceShading:
     """
 
     def __init__(self, kernel: Callable[[str, Macros, str], Any], constant: Callable[[NDArray], Any], lanes: int) -> None:
-        """Store the arguments. Kernels are compiled when a frame first needs them.
+        """Store the arguments, without compiling the kernel.
 
         Parameters
         ----------
@@ -76,7 +76,7 @@ class DeviceShading:
         return {} if shading is None else {"SHADED": 1, "GAIN_STEP": NODE_SPACING_COLUMNS}
 
     def gain(self, shading: Shading | None, rows: slice) -> tuple[Any, ...]:
-        """Return a tuple with a buffer that contains the shading gains of the given rows.
+        """Return a tuple that contains one buffer with the shading gains of the given rows.
 
         The tuple is empty if the frame has no shading.
         """
@@ -132,10 +132,10 @@ class Unread:
 
 
 TRACKS = 2
-ENCODED_PIXELS = 1 << 22  # pixels that `encoded` copies to the device at once
+ENCODED_PIXELS = 1 << 22  # number of pixels that `encoded` copies to the device per transfer
 Labels = Mapping[int, NDArray]  # layer → array (row, col) to which the classes are written
 NO_LABELS: Labels = {}
-READ_AHEAD = 16  # number of elements after the last pixel that vector loads may read
+READ_AHEAD = 16  # number of elements that vector loads may read beyond the last pixel
 
 
 class OpenCLRenderer:
@@ -293,6 +293,7 @@ class OpenCLRenderer:
         Returns
         -------
         dict of str to float
+            Time of each stage in ms.
         """
         self._unread = None
         joined, self._joined = self._joined, False
@@ -412,7 +413,7 @@ class OpenCLRenderer:
             work.add("classes", self._shading.correct(frame, track, band))
 
     def _chosen(self, frame: RawFrame, track: Track, band: Band, work: Work) -> tuple[Any, ...]:
-        """Enqueue the upload of an index for each pixel of a band, which selects the set of transforms for the pixel.
+        """Enqueue the upload of a band's transform set indices, one per pixel.
 
         The result is a tuple with the buffer that will contain the indices.
         """
@@ -467,7 +468,7 @@ class OpenCLRenderer:
         """Enqueue all steps of the last layer for a band, and write the results to `result`.
 
         The steps are coarse chroma, the replacement of clipped areas, the transforms with the encoding, and the smoothing of
-        spectra or chroma. Steps that the table does not use are left out.
+        spectra or chroma. Steps that the table does not use are skipped.
         """
         number = len(self._layers)
         smooths = self._spectra or self._chroma
@@ -492,7 +493,7 @@ class OpenCLRenderer:
             work.add(CHROMA, self._chroma.smooth(track, band, encoding, result, frame, gain, {**ending, **shaded}))
 
     def _first_outputs(self, track: Track, band: Band, frame: RawFrame, work: Work) -> tuple[Any, ...]:
-        """Enqueue the kernel that computes the outputs of the first layer, which the last layer corrects.
+        """Enqueue the kernel that computes the first layer's outputs, which the last layer corrects.
 
         The result is a tuple with the buffer that will contain these outputs.
         """

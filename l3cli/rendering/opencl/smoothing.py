@@ -1,4 +1,4 @@
-"""Smoothing of spectra and of chroma on an OpenCL device. l3cli/rendering/reference.py is the reference."""
+"""Smoothing of spectra and of chroma on an OpenCL device. The reference is in l3cli/rendering/reference.py."""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,7 +18,7 @@ DARKEST: Macros = {"DARKEST": f"{SMOOTHING_DARKEST!r}f"}
 
 
 def room_for(track: Track, band: Band, outputs: int) -> Any:
-    """Return the buffer of a track that holds the outputs of a band before smoothing. Enlarge the buffer if necessary."""
+    """Return the track's buffer for the outputs of a band before smoothing. A buffer that is too small is replaced."""
     track.made = scratch(track.queue.context, track.made, 4 * outputs * (band.made.stop - band.made.start) * band.columns)
     return track.made
 
@@ -26,20 +26,20 @@ def room_for(track: Track, band: Band, outputs: int) -> Any:
 def place_of(band: Band, frame_rows: int) -> tuple[np.int32, ...]:
     """Return the last arguments of a smoothing kernel, which describe the rows of a band.
 
-    The first two arguments describe the rows that are read: their number, and the index of the first of them in the frame.
-    The third argument is the index of the first row that is written. The last argument is the height of the frame in rows.
+    The arguments are: the number of rows that the kernel reads, the index of the first of these rows in the frame, the index
+    of the first row that the kernel writes, and the number of rows of the frame.
     """
     made, first = band.made, band.rows.start
     return tuple(map(np.int32, (made.stop - made.start, made.start, first, frame_rows)))
 
 
 class DeviceSpectra:
-    """The kernel that smooths spectra. The kernel is compiled for the first frame."""
+    """Kernel that smooths spectra. The kernel is compiled for the first frame."""
 
     def __init__(
         self, kernel: Callable[[str, Macros, str], Any], run: Callable[..., Any], table: TransformTable, variant: str
     ) -> None:
-        """Store the arguments. The kernel is compiled when a frame first needs it.
+        """Store the arguments, without compiling the kernel.
 
         Parameters
         ----------
@@ -80,6 +80,7 @@ class DeviceSpectra:
         Returns
         -------
         event
+            Event of the kernel.
         """
         if self._kernel is None:
             macros: Macros = {
@@ -109,7 +110,7 @@ class DeviceChroma:
         variant: str,
         cut: layout.Cut,
     ) -> None:
-        """Store the arguments. Kernels are compiled when a frame first needs them.
+        """Store the arguments, without compiling the kernels.
 
         Parameters
         ----------
@@ -130,7 +131,7 @@ class DeviceChroma:
         self._compiler, self._run, self._variant, self._cut = compiler, run, variant, cut
         smoothing, white = table.chroma_smoothing, table.white_point / table.white_point[1]
         self._factors = tuple(map(np.float32, (1 / smoothing.reach, *1 / (smoothing.likeness * white[::2]))))
-        self._kernels: dict[tuple[Any, ...], Any] = {}  # macros for the form of the results → kernel
+        self._kernels: dict[tuple[Any, ...], Any] = {}  # macros for the type of results → kernel
         self._macros = layout.least_macros(table)
         self._scale = constant(layout.site_scale(table), np.float32) if self._macros else None
 
@@ -165,6 +166,7 @@ class DeviceChroma:
         Returns
         -------
         event
+            Event of the kernel.
         """
         key = tuple(ending.items())
         if key not in self._kernels:

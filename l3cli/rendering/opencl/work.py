@@ -1,8 +1,8 @@
 """Command queues and buffers of an OpenCL device, the commands for a frame, and the division of a frame into bands.
 
-A band is a range of rows that is rendered as a whole. `Band` contains the rows that each layer needs for a band. `Band` also
-contains index buffers for padding. The index buffers map rows and columns beyond the edges of the frame to mirrored rows
-and columns inside the frame.
+A band is a range of rows that is rendered as a whole. `Band` lists the rows that each layer needs for a band, and contains
+index buffers for padding. These buffers map rows and columns beyond the edges of the frame to mirrored rows and columns
+inside the frame.
 """
 
 import os
@@ -67,7 +67,7 @@ class Track:
         self.raw: Any = None  # raw values for the kernels: `uploaded`, or a buffer in host memory
         self.uploaded: Any = None  # copy of the raw values; only used if the device has its own memory
         self.labels: Any = None  # class of each pixel in the first layer
-        self.sets: Any = None  # copy of the number of each pixel's transform set; only used if the device has its own memory
+        self.sets: Any = None  # transform set index of each pixel; only used if the device has its own memory
         self.chosen: tuple[Any, ...] = ()  # `sets`, or a buffer in host memory; empty if the table has one transform set
         self.planes: list[Any] = [None] * layers  # input planes of each refinement layer
         self.refined_labels: list[Any] = [None] * layers  # class of each pixel in each refinement layer

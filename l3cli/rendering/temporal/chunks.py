@@ -42,7 +42,7 @@ class Chunks:
     def filtered(self, place: int, frame: RawFrame) -> RawFrame:
         """Return the filtered frame. `place` is the index of the frame in the sequence.
 
-        The indices of successive calls must increase. Frames for which `needed` yields false may be left out.
+        The indices of successive calls must increase. Frames for which `needed` yields false may be omitted.
         """
         chunks = chunks_of(place)
         self._filters = {chunk: self._filters.get(chunk) or self._make() for chunk in chunks}
@@ -83,9 +83,9 @@ def needed(wanted: Iterable[tuple[int, bool]]) -> Iterator[bool]:
 class AnyOrder:
     """Applies the filters of a sequence whose frames are requested in any order, for example by a video editor.
 
-    The filtered frames are the same as in sequential order. If a requested frame does not follow the previous frame,
-    filtering starts again with the lead-in of its chunk. Several threads may share an instance, but only one thread at a
-    time can filter.
+    The filtered frames are the same as in sequential order. If a requested frame does not follow the previous frame, the
+    filter restarts at the lead-in of the requested frame's chunk. Several threads may share an instance, but only one thread
+    at a time can filter.
 
     Parameters
     ----------

@@ -3,8 +3,8 @@
 All computations use integers. Both frames are averaged over CFA periods, which removes the mosaic. The resolution of the
 resulting planes is halved repeatedly until a sample is about as large as a block. The search starts in the coarsest plane
 and ends in the finest plane. All displacements are whole CFA periods, so that every pixel is compared with a pixel of the
-same channel. A block is not searched if it does not move, or if noise can explain the differences that remain after a
-displacement by the vector from the coarser plane.
+same channel. The search skips a block that does not move. The search also skips a block if noise can explain the differences
+that remain after a displacement by the vector from the coarser plane.
 """
 
 import itertools
@@ -19,9 +19,9 @@ Plane = NDArray[np.int32]
 Vectors = NDArray[np.int32]  # (block row, block col, 2) displacement in rows and columns
 
 MAX_COARSE_DISPLACEMENT = 2  # largest displacement in the coarsest plane, in samples of this plane
-CLIPPED = (1 << 12) - 1  # limit of differences in units u, so that column sums fit into 16 bits in kernels
+CLIPPED = (1 << 12) - 1  # limit of differences in units u (module `noise`), so that kernels can sum columns in 16 bits
 SETTLED = 5  # a block is not searched if its mean difference is at most 5/8 of the standard deviation of noise
-RELUCTANCE = 2  # a vector must fit better than the starting vector by this number of standard deviations of noise
+RELUCTANCE = 2  # a new vector must fit better than the starting vector by this number of standard deviations of noise
 NEIGHBOURS = ((-1, 0), (1, 0), (0, -1), (0, 1))  # positions of the neighbouring blocks whose vectors are also tried
 
 
@@ -83,7 +83,7 @@ def vectors_of(now: list[Plane], before: list[Plane], grid: Grid, noise: NoiseTe
 
 
 class _Search:
-    """Compares the windows of all blocks between two frames, in planes of one resolution."""
+    """Compares blocks between two frames in planes of one resolution."""
 
     def __init__(self, now: Plane, before: Plane, grid: Grid, noise: NoiseTerms, level: int) -> None:
         self._before, self._grid, self._level = before, grid, level
@@ -93,10 +93,10 @@ class _Search:
         self._now = self._windows(now, np.zeros((*grid.blocks, 2), np.int32))
         mean = self._now.sum(axis=(2, 3)) // (tall * wide)
         spread = noise.spread[mean >> (DEEP - 8)]
-        # If a difference has the standard deviation σ, the sum of n absolute differences has 0.6 √n σ. This is approximated
-        # by 5/8 √n σ.
+        # If a difference has the standard deviation σ, the sum of n absolute differences has the standard deviation
+        # 0.6 √n σ. This is approximated by 5/8 √n σ.
         self._reluctance = (spread * (RELUCTANCE * 5 * root_of((tall, wide)))) >> (7 + level)
-        # The mean of this sum is 0.8 n σ for two unfiltered frames, and 0.58 n σ if the previous frame is filtered.
+        # The mean of this sum is 0.8 n σ for two unfiltered frames, or 0.58 n σ if the previous frame is filtered.
         self._settled = (spread * (SETTLED * tall * wide)) >> (3 + level)
 
     def _first(self, axis: int) -> NDArray[np.intp]:

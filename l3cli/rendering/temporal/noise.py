@@ -1,7 +1,7 @@
-"""The cells and blocks into which the temporal filter divides a frame, and the noise of the camera in integers.
+"""The division of a frame into cells and blocks for the temporal filter, and the noise of the camera in integers.
 
-The filter computes with integers in the unit u = 2^−`protect` DN, where `protect` is the number of bits that raw values
-leave unused in 16 bits. The recursive filter therefore preserves fractions of a DN, and the values of every camera use all
+The filter computes with integers in the unit u = 2^−`protect` DN, where `protect` is the number of the 16 bits that raw
+values leave unused. The recursive filter therefore preserves fractions of a DN, and the values of every camera use all
 16 bits.
 """
 
@@ -14,14 +14,14 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import RecipeError
 from l3cli.frames.frame import RawFrame
 
-MIN_CELL, MIN_BLOCK = 4, 16  # shortest side of a cell and of a block, in pixels
+MIN_CELL, MIN_BLOCK = 4, 16  # smallest side of a cell and of a block, in pixels
 LANES = 8  # number of pixels that kernels process in parallel; the width of a block is a multiple of this number
 DEEP = 16  # bits per value
 LINEAR_FRACTION = 8  # number of fractional bits of the linear noise term
 UNEVEN_FRACTION = 24  # number of fractional bits of the quadratic noise term
 NOISE_FRACTIONS = (1.0, 0.5, 0.25)  # fractions of the camera's noise variance to which class edges can be adapted
-MAX_UNEVEN = 1 << 20  # limit of the quadratic term, at which the fixed pattern is a quarter of the signal
-MAX_FIXED = 1 << 28  # limit of the constant fixed-pattern term, at which the fixed pattern is a quarter of the range
+MAX_UNEVEN = 1 << 20  # limit of the quadratic term; the fixed pattern is then a quarter of the signal
+MAX_FIXED = 1 << 28  # limit of the constant fixed-pattern term; the fixed pattern is then a quarter of the range
 ROW_PERIODS_PER_READ = 8  # the mean level of a frame is computed from every eighth CFA period along the columns
 TABULATED_LEVELS = 256  # number of levels for which the noise of a difference is tabulated
 
@@ -36,7 +36,7 @@ class Grid:
     period: tuple[int, int]  # size of the CFA period
     cell: tuple[int, int]  # size of a cell, a multiple of the CFA period
     block: tuple[int, int]  # size of a block, a multiple of the size of a cell
-    blocks: tuple[int, int]  # numbers of rows and columns of blocks
+    blocks: tuple[int, int]  # number of rows of blocks, and number of columns of blocks
     planes: int  # number of planes in the search for motion vectors, each with half the resolution of the previous plane
 
     @staticmethod
@@ -67,8 +67,8 @@ class Grid:
     def window(self, level: int) -> tuple[int, int]:
         """Return the size (rows, columns) of the windows that the motion search compares in one plane.
 
-        The window of a block is the block itself. If a block has at most four rows or columns in the plane, the window is
-        larger by two rows or columns on each side.
+        The window of a block is usually the block itself. If a block has at most four rows (columns) in the plane, the
+        window has two additional rows (columns) on each side.
         """
         units = (side // (period << level) for side, period in zip(self.block, self.period, strict=True))
         rows, cols = (count + 4 if count <= 4 else count for count in units)
@@ -102,10 +102,10 @@ def _repeated(there: int, wanted: int, period: int) -> NDArray[np.intp]:
 
 @dataclass(frozen=True, eq=False)
 class NoiseTerms:
-    """Noise of a pixel with the signal S above black, in units u.
+    """Noise of a pixel, in units u. S is the signal of the pixel above black.
 
     The temporal variance is (linear · S >> LINEAR_FRACTION) + constant. The variance of the fixed pattern is fixed +
-    (uneven · S² >> UNEVEN_FRACTION). The fixed pattern has an effect only if a block moves, so that different pixels are
+    (uneven · S² >> UNEVEN_FRACTION). The fixed pattern matters only if a block moves, because different pixels are then
     compared.
     """
 
@@ -116,7 +116,7 @@ class NoiseTerms:
     constant: int
     fixed: int
     uneven: int
-    # (level) standard deviation, in u, of the difference between two frames after averaging over a CFA period
+    # (level) standard deviation of the difference between two frames after averaging over a CFA period, in u
     spread: NDArray[np.int32]
 
 
@@ -158,7 +158,7 @@ def noise_of(camera: CameraModel, black_level: float, white_level: float, sites:
 def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
     """Return the fraction of the noise variance that remains in a filtered frame, at the mean level of the frame.
 
-    The filter reduces the temporal noise to the fraction `left` of its variance, but does not reduce the fixed pattern. The
+    The filter reduces the variance of the temporal noise to the fraction `left`, but does not reduce the fixed pattern. The
     result is rounded up to one of `NOISE_FRACTIONS`.
     """
     stretch = (camera.white_level - camera.black_level) / (frame.white_level - frame.black_level)
@@ -193,7 +193,7 @@ def of_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16
 
 
 def kind_of(frame: RawFrame) -> tuple[object, ...]:
-    """Return the properties that must be equal in two frames so that the frames can be blended."""
+    """Return the properties that must be equal in two frames so that the filter can blend the frames."""
     return frame.values.shape, frame.phase, frame.black_level, frame.white_level
 
 
@@ -205,7 +205,7 @@ def settings_of(frame: RawFrame) -> tuple[float, float | None]:
 def times_brighter(now: tuple[float, float | None], before: tuple[float, float | None]) -> float:
     """Return how many times brighter a scene is with the settings `now` than with the settings `before`.
 
-    The settings are results of `settings_of`. If one of the exposure times is unknown, only the gains are compared.
+    `now` and `before` are results of `settings_of`. If one of the exposure times is unknown, only the gains are compared.
     """
     times = now[1] / before[1] if now[1] and before[1] else 1.0
     return times * now[0] / before[0]
@@ -214,8 +214,8 @@ def times_brighter(now: tuple[float, float | None], before: tuple[float, float |
 def require_noise(camera: CameraModel | None) -> CameraModel:
     """Return `camera`. Raise a RecipeError if the temporal filter cannot be used with this camera.
 
-    The camera is None if the table does not contain its camera. Cameras with row or column noise are refused, because the
-    filter compares sums over cells, in which the offset of a row or column does not average out.
+    `camera` is None if the table does not contain its camera. Cameras with row or column noise cause an error, because the
+    filter compares sums over cells, and the offset of a row or column does not average out in these sums.
     """
     if camera is None:
         raise RecipeError(

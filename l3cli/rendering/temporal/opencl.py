@@ -32,7 +32,7 @@ from l3cli.rendering.temporal.noise import (
 STRIPS = {"processor": 32, "graphics": 1}  # variant → number of blocks, cells or periods that a work-item processes
 MARGIN_PIXELS = 4  # width of the margin around a plane
 PADDING_COLUMNS = 8  # number of additional columns after the margin
-TILE_ROWS = 4  # number of rows of a window that are read together
+TILE_ROWS = 4  # number of window rows that are read together
 STAGES = ("upload", "download")
 KERNELS = ("planes", "search", "evidence", "weigh", "blend")
 
@@ -132,7 +132,7 @@ class _Buffers:
     def __init__(self, device: Device, grid: Grid, noise: NoiseTerms) -> None:
         pixels, blocks = (int(np.prod(sides)) for sides in (grid.shape, grid.blocks))
         flags = pyopencl().mem_flags
-        self.history = [device.buffer(2 * pixels) for _ in range(2)]  # state after the previous frame, and after this frame
+        self.history = [device.buffer(2 * pixels) for _ in range(2)]  # filter state before and after this frame
         self.now, self.before = (device.buffer(2 * _units(grid)) for _ in range(2))
         self.vectors = [device.buffer(8 * blocks) for _ in range(2)]
         # Remaining noise of the cells, with a margin.
@@ -144,7 +144,7 @@ class _Buffers:
         self.cuts = device.buffer(4 * self.strips)
         read_only = flags.READ_ONLY | flags.COPY_HOST_PTR
         self.spread = pyopencl().Buffer(device.context, read_only, hostbuf=noise.spread)
-        # A device that shares the memory of the host uses the arrays of a frame as buffers, so that nothing is copied.
+        # A device that uses host memory reads and writes the arrays of a frame directly.
         self.borders = None if device.in_place else (device.buffer(2 * pixels), device.buffer(2 * pixels))
 
 
@@ -154,11 +154,11 @@ class OpenCLFilter:
     Parameters
     ----------
     device : Device
-        Device with the kernels. Several filters may use it.
+        Device with the kernels, which several filters may share.
     period : tuple of int
         Rows and columns of the CFA period.
     camera : CameraModel
-        Camera whose noise the filter uses.
+        Camera with the noise model.
     """
 
     def __init__(self, device: Device, period: tuple[int, ...], camera: CameraModel) -> None:
@@ -169,9 +169,9 @@ class OpenCLFilter:
     def filtered(self, frame: RawFrame) -> RawFrame:
         """Blend the next frame with the previous frames, and return the result.
 
-        The result also states the fraction of the noise that remains. If the frame differs from the previous frame in size,
-        phase or levels, filtering starts again. If the gain or the exposure time differs, the previous frames are converted
-        first.
+        The result also states the remaining fraction of the noise. The filter restarts if the frame differs from the
+        previous frame in size, phase or levels. If the gain or the exposure time differs, the filter first converts its
+        state.
         """
         with refusals(self._device.device):
             first = kind_of(frame) != self._kind
@@ -206,7 +206,7 @@ class OpenCLFilter:
     def history(self) -> NDArray[np.uint16]:
         """Return the filtered values after the latest frame as an array (row, col).
 
-        The unit is u, as in the module `noise`.
+        Values are in the unit u, which the module `noise` defines.
         """
         values = np.empty(self._grid.shape, np.uint16)
         pyopencl().enqueue_copy(self._device.queue, values, self._buffers.history[0])
@@ -217,7 +217,7 @@ class OpenCLFilter:
         return noise_of(self._camera.at_gain(frame.gain), frame.black_level, frame.white_level, sites)
 
     def _rescale(self, frame: RawFrame) -> None:
-        """Convert the values of the filter to a new gain and exposure time, on the host because this is rarely necessary."""
+        """Convert the state of the filter to a new gain and exposure time, on the host because this is rarely necessary."""
         device, buffers, grid, noises = self._device, self._buffers, self._grid, (self._noise, self._noise_of(frame))
         left = buffers.host_left[1:-1, PADDING_COLUMNS:-PADDING_COLUMNS]
         before = reference.Blend(self.history(), left.astype(np.int64))
@@ -231,15 +231,15 @@ class OpenCLFilter:
     def _planes(self, values: Any, made: Any, before: Any, free_bits: int) -> None:
         """Compute all planes of the new frame `values`, and the coarser planes of the previous frame.
 
-        The planes of the new frame are written to `made`. The finest plane of the previous frame is already in `before`, to
-        which its coarser planes are added.
+        The planes of the new frame are written to `made`. `before` already contains the finest plane of the previous frame,
+        and receives the coarser planes.
         """
         grid = self._grid
         parts = -(-grid.shape[0] // (grid.period[0] << grid.planes - 1))
         self._device.run("planes", 2 * parts, grid.blocks[1], values, made, before, free_bits, *grid.blocks)
 
     def _borders(self, work: Work, values: NDArray[np.uint16], made: NDArray[np.uint16]) -> tuple[Any, Any]:
-        """Return the device buffer with the values of the frame, and the device buffer for the filtered values."""
+        """Return the device buffers for the values of the frame and for the filtered values."""
         device, buffers = self._device, self._buffers
         if buffers.borders is None:
             return work.in_place(device.queue, values), work.in_place(device.queue, made, written=True)
@@ -274,7 +274,7 @@ class OpenCLFilter:
 
 
 def _units(grid: Grid) -> int:
-    """Return the number of samples of all planes of a frame, including margins into which windows may extend."""
+    """Return the number of samples in all planes of a frame, including margins for windows that extend beyond the frame."""
     rows, cols = (side // period for side, period in zip(grid.shape, grid.period, strict=True))
     planes = ((rows >> level, cols >> level) for level in range(grid.planes))
     return sum(

@@ -24,13 +24,13 @@ from l3cli.rendering.temporal.noise import (
     to_units,
 )
 
-# Values are in units u, which the module `noise` defines. A residual is the difference between a frame and the filter state.
-ONE = 1 << 10  # the number 1 in fixed point, for weights and for fractions of noise
+# Values are in units u, which the module `noise` defines. A residual is a value of a frame minus the filter state.
+ONE = 1 << 10  # fixed-point representation of 1, for weights and for fractions of noise
 # Only the residual power over 3 × 3 cells above 5/4 of the expected noise counts as motion. The excess is multiplied by 4.
 POWER_FACTOR, POWER_FREE = 4, 5
-MEAN_FREE = 2  # the squared sum over a cell counts as motion only above this multiple of the expected noise
-WIDE_FREE = 6  # the squared sum over 3 × 3 cells counts as motion only above this multiple of the expected noise
-CUT = 8  # a cell shows a different scene if its residual power exceeds the expected noise by this factor
+MEAN_FREE = 2  # the squared sum over a cell counts as motion only above this multiple of the variance expected from noise
+WIDE_FREE = 6  # the squared sum over 3 × 3 cells counts as motion only above this multiple of the expected variance
+CUT = 8  # a cell shows a different scene if its residual power exceeds the expected variance by this factor
 CLIPPED = (1 << 14) - 1  # limit of residuals in u, so that sums of squares fit into 32 bits in kernels
 MOST_POWER = (1 << 32) - 1  # limit of the residual power of a cell in u², so that kernels need only 32 bits
 MOST_VARIANCE = (1 << 29) - 1  # limit of the noise variance of a cell in u², so that kernels need only 32 bits
@@ -48,7 +48,7 @@ class Blend:
     """State of the temporal filter after a frame."""
 
     values: NDArray[np.uint16]  # (row, col) filtered values in u, extended to whole blocks
-    left: Cells  # (cell row, cell col) remaining noise variance, as a fraction of one frame's variance, in units of 1/ONE
+    left: Cells  # (cell row, cell col) remaining noise variance, as a fraction of the variance of one frame, times ONE
 
 
 def first_blend(values: NDArray[np.uint16], grid: Grid) -> Blend:
@@ -66,7 +66,7 @@ def rescaled(before: Blend, times: float, grid: Grid, noises: tuple[NoiseTerms, 
     ----------
     before : Blend
         State with the old gain and exposure time.
-    times : float
+        Factor by which the change multiplies signals.
         Factor by which signals become larger.
     grid : Grid
         Division of the frame into cells and blocks.
@@ -91,7 +91,7 @@ def rescaled(before: Blend, times: float, grid: Grid, noises: tuple[NoiseTerms, 
 
 
 def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: Grid, noise: NoiseTerms) -> Blend:
-    """Blend a frame with the previous state of the filter, in which blocks are displaced by the motion vectors.
+    """Blend a frame with the previous state of the filter, whose blocks are displaced by the motion vectors.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def _by_cell(of_block: NDArray, grid: Grid) -> NDArray:
 def _evidence(
     values: NDArray[np.uint16], residual: Cells, left: Cells, vectors: Vectors, grid: Grid, noise: NoiseTerms
 ) -> tuple[Cells, Cells, Cells, Cells]:
-    """Return three measures of motion around each cell, and the value that all three are expected to have without motion.
+    """Return three measures of motion around each cell, and the common value that noise alone gives these measures.
 
     The residual of a cell or of a neighbourhood is the sum of the residuals of its pixels.
 
@@ -160,7 +160,7 @@ def _evidence(
     neighbourhood : ndarray, (cell row, cell col)
         Square of the residual of the whole neighbourhood.
     expected : ndarray, (cell row, cell col)
-        Value that noise alone gives each of the three measures on average.
+        Mean value of each of the three measures without motion.
     """
     signal = np.maximum(_sums(values.astype(np.int64), grid) - grid.sites * noise.black, 0)
     variance = np.minimum((signal * noise.linear >> LINEAR_FRACTION) + grid.sites * noise.constant, MOST_VARIANCE)
@@ -195,7 +195,7 @@ class ReferenceFilter:
     period : tuple of int
         Rows and columns of the CFA period.
     camera : CameraModel
-        Camera whose noise the filter uses.
+        Camera with the noise model.
     """
 
     def __init__(self, period: tuple[int, ...], camera: CameraModel) -> None:
@@ -208,9 +208,9 @@ class ReferenceFilter:
     def filtered(self, frame: RawFrame) -> RawFrame:
         """Blend the next frame with the previous frames, and return the result.
 
-        The result also states the fraction of the noise that remains. If the frame differs from the previous frame in size,
-        phase or levels, filtering starts again. If the gain or the exposure time differs, the previous frames are converted
-        first.
+        The result also states the remaining fraction of the noise. The filter restarts if the frame differs from the
+        previous frame in size, phase or levels. If the gain or the exposure time differs, the filter first converts its
+        state.
         """
         kind = kind_of(frame)
         grid = Grid.of(frame.values.shape, self._period)

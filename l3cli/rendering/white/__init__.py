@@ -1,1 +1,1 @@
-"""The white point of a scene, methods for finding the white point, and the white balance that follows."""
+"""White points of scenes, methods for finding the white point, and white balance."""

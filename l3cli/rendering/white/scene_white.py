@@ -25,8 +25,8 @@ from l3cli.physics.mosaic import shifted_cfa, tiled
 from l3cli.rendering.reference import ReferenceRenderer
 
 Array = NDArray[np.floating]
-MAX_CLIPPED = 0.01  # largest fraction of clipped pixels in a grey area that can be measured
-FLAT = 0.5  # a channel counts as clipped if more than this fraction of its pixels has the largest value of the frame
+MAX_CLIPPED = 0.01  # largest fraction of clipped pixels in a measurable grey area
+FLAT = 0.5  # a channel counts as clipped if more than this fraction of its pixels have the largest value of the frame
 # A grey area with an uncertain mean is "too dark" if its mean is below this fraction of full scale, otherwise "not uniform".
 DARK_FRACTION = 0.01
 MIN_CERTAINTY = 50.0  # smallest ratio of the mean signal of a channel in a grey area to the standard error of the mean
@@ -120,7 +120,7 @@ class GreyRenderer:
         return means
 
     def usable(self, frame: RawFrame, grey: Grey) -> bool:
-        """Return whether the grey area is neither clipped, too dark, too small nor textured."""
+        """Return whether the signals of a grey area can be measured (see `signals`)."""
         return not _measured(frame, self.table, grey.where)[1]
 
     def of_part(self, frame: RawFrame, where: tuple[slice, slice]) -> NDArray[np.float64]:
@@ -150,9 +150,9 @@ def _shading_corrected(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
 
 
 def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]) -> tuple[NDArray[np.float64], str]:
-    """Return the mean signal of each channel in an area, in DN. Also return the reason why the area cannot be used, or "".
+    """Return the mean signal of each channel in an area, in DN, and the reason why the area cannot be used, or "".
 
-    The reason is the end of a sentence whose subject is the area, such as "is clipped in 12% of its pixels".
+    The reason completes a sentence whose subject is the area, for example "is clipped in 12% of its pixels".
     """
     values, means = _shading_corrected(frame, where).values, np.zeros(len(table.channels))
     clipped = float((values >= frame.white_level).mean())
@@ -160,7 +160,7 @@ def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]
         return means, f"is clipped in {clipped:.0%} of its pixels; choose a darker grey"
     cfa = shifted_cfa(table.cfa, (frame.phase[0] + where[0].start, frame.phase[1] + where[1].start))
     channel = tiled(cfa, values.shape)
-    top, reached = int(frame.values.max()), 0  # largest value in the frame; number of channels clipped at this value
+    top, reached = int(frame.values.max()), 0  # largest value in the frame, and number of channels that clip at this value
     for index, letter in enumerate(table.channels):
         seen = values[channel == index] - (frame.black_level + frame.dark)
         if seen.size < 2:
@@ -177,7 +177,7 @@ def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]
     return means, ""
 
 
-TIME_CONSTANT = 1.0  # time constant, in s, with which exposure and white balance follow changes of the light
+TIME_CONSTANT = 1.0  # time constant of exposure and white balance after a change of the light, in s
 
 
 @dataclass(frozen=True)
@@ -186,16 +186,16 @@ class WhiteBalance:
 
     gains: NDArray[np.float64]  # (channel) gains of at least 1, so that clipped pixels stay at the white level
     adaptation: NDArray[np.float64]  # (3, 3) adapts the outputs X, Y, Z to D65, and preserves the Y of white
-    luminance: float  # Y of a grey area rendered without the gains, divided by the Y of this area with the gains
+    luminance: float  # Y of a grey area rendered without the gains, divided by Y of the same area rendered with the gains
 
 
 def adaptation(white: Array) -> NDArray[np.float64]:
-    """Return the Bradford matrix that adapts from the white point `white` (XYZ) to D65."""
+    """Return the Bradford matrix that adapts XYZ from the white point `white` to D65."""
     return np.asarray(adaptation_matrix(white, display_white()), np.float64)
 
 
 def plain_balance(white: Array, channels: int) -> WhiteBalance:
-    """Return a white balance without gains. After rendering, the outputs are adapted from the white point `white` to D65."""
+    """Return a white balance without gains. The output matrix adapts from the white point `white` to D65."""
     return WhiteBalance(np.ones(channels), adaptation(white), 1.0)
 
 
@@ -222,7 +222,7 @@ def balanced_patches(patches: RawFrame, channel: NDArray[np.integer], gains: Arr
 
 @functools.lru_cache(maxsize=8)
 def _curves(zero: float, white_level: float, gains: tuple[float, ...]) -> NDArray[np.uint16]:
-    """Return a look-up table for each channel that applies the white-balance gain to 16-bit values.
+    """Return a look-up table for each channel, which multiplies 16-bit values by the white-balance gain.
 
     `zero` is the raw value without light. Values at or above the white level do not change.
     """
@@ -234,9 +234,9 @@ def _curves(zero: float, white_level: float, gains: tuple[float, ...]) -> NDArra
 class SteadyWhite:
     """Smooths the white balance of a sequence over time.
 
-    The first frame uses the white balance measured in this frame. After the first frame, the white balance approaches the
-    measured white balance exponentially, with the time constant of the automatic exposure. Later frames have no influence on
-    earlier frames.
+    The first frame uses the white balance measured in this frame. For later frames, the white balance approaches the
+    measured white balance exponentially, with the time constant of the automatic exposure. The white balance of a frame does
+    not depend on later frames.
     """
 
     def __init__(self, rate: Fraction) -> None:
@@ -246,8 +246,8 @@ class SteadyWhite:
     def balance(self, wanted: WhiteBalance | None) -> WhiteBalance | None:
         """Return the smoothed white balance of the next frame, or None if no frame has been measured so far.
 
-        `wanted` is the white balance measured in the next frame. If the white point could not be measured, `wanted` is
-        None, and the white balance of the previous frame is returned.
+        `wanted` is the white balance measured in the next frame. If `wanted` is None because the white point could not be
+        measured, the white balance of the previous frame is returned.
         """
         if wanted is not None:
             self._now = wanted if self._now is None else _between(self._now, wanted, self._share)
@@ -255,7 +255,7 @@ class SteadyWhite:
 
 
 def followed_share(rate: Fraction) -> float:
-    """Return the fraction of a change by which exposure and white balance adapt per frame, at `rate` frames per second."""
+    """Return the fraction of a change that exposure and white balance follow per frame, at `rate` frames per second."""
     return 1 - math.exp(-1 / (float(rate) * TIME_CONSTANT))
 
 
@@ -269,7 +269,7 @@ GREY_LEVEL = 0.4  # brightest channel of rendered grey areas, as a fraction of f
 MAX_GAIN = 8.0  # largest gain of a channel; a channel that needs a higher gain contains mostly noise
 SURFACES = 64  # number of measured reflectances used to fit the colour correction for an illuminant
 UNSURE = 1e-3  # expected error of rendered colours; its square is the ridge penalty in the fit of the colour correction
-MIN_WEIGHT_LUMINANCE = 0.05  # relative luminance; darker surfaces are weighted as if they had this luminance
+MIN_WEIGHT_LUMINANCE = 0.05  # darker surfaces have the same weight as a surface with this relative luminance
 MAX_DUV = 0.03  # largest plausible distance of an illuminant from the black-body locus in CIE 1960 uv
 SAME_WHITE = 5e-4  # distance in CIE 1960 uv below which two white points count as equal; users enter rounded values
 MAX_MISFIT = 0.12  # largest plausible RMS misfit of the logarithms of the signals; the misfit of real lamps is at most half
@@ -282,7 +282,7 @@ class SceneWhite:
     """The white point of a scene: the probable illuminant, and the white balance that makes grey objects neutral."""
 
     balance: WhiteBalance
-    light: CorrelatedLight  # illuminant that probably has this white point
+    light: CorrelatedLight  # most probable illuminant with this white point
     modelled: bool  # whether the white balance was computed from the responsivities of the table's camera
 
     @property
@@ -300,10 +300,9 @@ class SceneWhite:
 class Whites:
     """Computes the white balance of frames that are rendered with a table.
 
-    If the table records its camera and its training illuminant, gains give grey objects the channel ratios that they have
-    under the training illuminant. Without these gains, highlights and the edges of grey objects would be coloured. If the
-    table records its camera and the scene illuminant is plausible, the output matrix also corrects the colours of
-    surfaces.
+    If the table records its camera and its training illuminant, channel gains give grey objects the channel ratios of the
+    training illuminant. Without these gains, highlights and the edges of grey objects would be coloured. If the table
+    records its camera and the scene illuminant is plausible, the output matrix also corrects the colours of surfaces.
     """
 
     def __init__(self, table: TransformTable) -> None:
@@ -401,7 +400,7 @@ class Whites:
         weights = share ** (2 / 3) / share  # for a given colour cast, C*ab is proportional to the cube root of luminance
         made = self.of_neutral(weights @ signals)
         even = balanced(frame, self.table, made.balance.gains)
-        # grey areas that remain unclipped after the gains
+        # Grey areas that remain unclipped after the gains.
         whole = [number for number, grey in enumerate(greys) if self.grey.usable(even, grey)]
         if not whole:
             return made

@@ -28,7 +28,7 @@ from l3cli.system.text import NoSuchNumber, Quantity
 
 Array = NDArray[np.floating]
 EDGE_NORM = 6  # order of the Minkowski norm over the edges; a high order emphasises strong edges
-PATCH_PERCENTILE = 99  # percentile of each cone response; this value is taken as the response to white
+PATCH_PERCENTILE = 99  # percentile of each cone response that is taken as the response to white
 MIN_SAMPLES = 24  # smallest number of usable samples (neither clipped nor dark) for an estimate
 MIREDS = np.arange(80.0, 521.0, 20.0)  # reciprocal colour temperatures in 10^6/K, from 12 500 K to 1920 K
 GREENS = np.linspace(-0.2, 0.4, 7)  # green (positive) or magenta (negative) tints, in the unit of correlated_lights.GREENS
@@ -45,9 +45,9 @@ class AutoWhite:
     Parameters
     ----------
     whites : Whites
-        White balances for the table with which the pixels are rendered.
+        Computes the white points for the table that renders the pixels.
     balanced_by : Whites, optional
-        Object that computes the white balance for the estimated white point. [default: `whites`]
+        Computes the white balance from the estimated white point. [default: `whites`]
     """
 
     about, held = "estimated from the frame", False
@@ -169,9 +169,9 @@ def _between(values: Array, rows: Array, cols: Array) -> Array:
 
 
 NEUTRALS = range(18, 24)  # indices of the neutral patches, from white to black
-CORE = 0.25  # half the side of the measured square, relative to the side of a patch, to avoid the borders of the patch
+CORE = 0.25  # half the side of the measured square, relative to the side of a patch, so that the patch borders are avoided
 WAVELENGTH = np.arange(400.0, 701.0, 10.0)  # in nm
-# Smallest R² with which a chart counts as found. R² is at most 0.83 for 48 pictures without a chart, and 0.998 for two
+# Smallest R² for which l3 accepts a chart. In tests, R² was at most 0.83 for 48 pictures without a chart, and 0.998 for two
 # pictures with a chart.
 MIN_R_SQUARED = 0.95
 
@@ -317,7 +317,7 @@ class SquareWhite:
 def white_source(
     text: str | None, table: TransformTable, photos: bool = False, estimated_by: TransformTable | None = None
 ) -> WhiteSource | None:
-    """Return the method that finds the white point of each frame, or None if all frames have one white point.
+    """Return the method that finds the white point of each frame, or None if all frames have the same white point.
 
     Parameters
     ----------
