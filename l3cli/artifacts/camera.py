@@ -223,10 +223,8 @@ class Noise:
 
     @property
     def temporal(self) -> float:
-        """Variance of the temporal noise in the dark, in (e-)².
-
-        It consists of the read noise and the temporal noise of rows and columns.
-        """
+        """Variance of the temporal noise in the dark, in (e-)²: the read noise, and the temporal noise of rows and
+        columns."""
         return self.read_noise**2 + self.lines
 
     @property
@@ -590,8 +588,7 @@ class CameraModel(Artifact):
 
     @functools.cached_property
     def saturation_exposure(self) -> float:
-        """Luminance × exposure time, in cd s/m², at which a perfect white under D65 just saturates the most sensitive
-        channel.
+        """Luminance × exposure time (cd s/m²) of a perfect D65 white that just saturates the most sensitive channel.
 
         Raises
         ------
@@ -662,8 +659,8 @@ class CameraModel(Artifact):
         Returns
         -------
         constant, linear, quadratic
-            Coefficients in DN², DN and 1. If the channels differ and `channel` is set, the first two are arrays with the
-            shape of `channel`. Otherwise they are numbers.
+            Coefficients in DN², DN and 1. If the channels differ and `channel` is set, `constant` and `linear` are arrays
+            with the shape of `channel`. Otherwise all coefficients are numbers.
 
         Raises
         ------

@@ -17,9 +17,9 @@ from l3cli.spectra.file import read_table
 from l3cli.spectra.table import CurveTable, gaps, known_as, without_noise
 
 WIDEST_GAP = 20.0  # nm; largest distance between neighbouring samples of measured curves
-CUT_OFF = 0.05  # curves that end between the limits of VISIBLE must have fallen to this fraction of their peak
+CUT_OFF = 0.05  # a curve that ends inside the VISIBLE range must have fallen to this fraction of its peak
 VISIBLE = 420.0, 680.0  # nm
-RELATIVE_PEAK = 1e-3  # curves whose peak differs from 1 by less than this are assumed to be relative
+RELATIVE_PEAK = 1e-3  # curves are assumed to be relative if their peak differs from 1 by less than this
 MIN_PEAK = 1e-3  # lowest plausible peak quantum efficiency of a camera
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ class Gaussian(Recipe):
 
 
 class ResponsivityRecipe(Recipe):
-    # First wavelength, last wavelength and step. If a file is used and this key is missing, the wavelengths of the file.
+    # First wavelength, last wavelength and step. If a file is used, the default is the wavelengths of the file.
     wavelength_nm: tuple[float, float, float] | None = None
     # Peak quantum efficiency of the most sensitive channel in e-/photon, including lens and filters. If a file is used and
     # this key is missing, the curves in the file are quantum efficiencies.
@@ -47,14 +47,15 @@ class ResponsivityRecipe(Recipe):
     # CSV file with the wavelength in nm and one column per channel. Columns are found by name or are in the order of
     # cfa.channels.
     file: str | None = None
-    columns: dict[str, str] = msgspec.field(default_factory=dict)  # name of the column of each channel, if it differs
+    # column of each channel whose column name differs from the channel name
+    columns: dict[str, str] = msgspec.field(default_factory=dict)
     per_energy: bool = False  # whether the curves are per watt instead of per photon
 
 
 def curve_faults(declared: ResponsivityRecipe, channels: Sequence[str]) -> Iterator[Fault]:
     """Yield the faults of the section [responsivity].
 
-    Numbers that are out of range and the content of files are checked elsewhere.
+    The value of the peak efficiency and the content of files are checked elsewhere.
     """
     if (declared.gaussians is None) == (declared.file is None):
         yield fault(
@@ -98,7 +99,7 @@ def column_faults(columns: Mapping[str, str], channels: Sequence[str], key: str)
 
 
 def differences(names: Iterable[str], channels: Sequence[str]) -> str:
-    """Describe, for an error message, how `names` differ from the channel names. The names must not be equal."""
+    """Describe, for an error message, how `names` differ from the channel names. At least one name must differ."""
     odd = sorted(set(names) - set(channels))
     if odd:
         return f'"{odd[0]}" is not a channel; {suggestion(odd[0], channels)}'

@@ -35,7 +35,7 @@ from l3cli.recipes.toml import Count, CountOrNone, NotNegative, Positive, Recipe
 from l3cli.spectra.file import read_table
 from l3cli.spectra.table import CurveTable
 
-UNIT_SUFFIXES = {"1": "", "e-": "_e", "e-/s": "_e_per_s"}  # suffix of a recipe key for each unit
+UNIT_SUFFIXES = {"1": "", "e-": "_e", "e-/s": "_e_per_s"}  # suffix of a recipe key that states the unit, by unit
 MAX_READ_NOISE_E = 1e4
 MAX_ISO = 1e7
 PITCHES_UM, MIN_F_NUMBER, MIN_FOCAL_MM = (0.1, 1000.0), 0.5, 0.05  # values outside these limits probably have a wrong unit
@@ -46,14 +46,16 @@ ReadNoise = Annotated[float, msgspec.Meta(ge=0, le=MAX_READ_NOISE_E)]
 
 
 class ChannelRecipe(Recipe):
-    """Section [channel.NAME]. Only needed for a channel that has a polariser, an exposure or gain other than 1, its own
-    read noise, or the filter of a different channel.
+    """Section [channel.NAME], for a channel with special properties.
+
+    The section is needed only for a channel that has a polariser, an exposure or gain other than 1, its own read noise, or
+    the filter of a different channel.
     """
 
     like: str | None = None  # name of a channel with the same filter and therefore the same responsivity
     # exposure time, as a fraction of the exposure time of the frame, which is the longest of all channels
     exposure: Annotated[float, msgspec.Meta(ge=MIN_EXPOSURE, le=1)] = 1.0
-    # conversion gain, relative to sensor.gain_dn_per_e, which is the lowest of all channels
+    # conversion gain, relative to sensor.gain_dn_per_e, which is the lowest conversion gain of all channels
     gain: Annotated[float, msgspec.Meta(ge=1, le=MAX_GAIN)] = 1.0
     read_noise_e: ReadNoise | None = None  # read noise at the gain of the channel; default: noise.read_noise_e
     # angle of the transmission axis of the polariser, counter-clockwise from the horizontal axis of the frame. If the angle
@@ -240,9 +242,9 @@ def noise_of(recipe: NoiseRecipe) -> Noise:
 
 
 def noise_entries(noise: Noise) -> dict[str, float]:
-    """Return the keys and values of the recipe section that declares this noise. It is the inverse of `noise_of`.
+    """Return the keys and values of the recipe section that declares this noise. This is the inverse of `noise_of`.
 
-    Optional keys whose values are zero are left out.
+    Optional keys whose values are zero are omitted.
     """
     fields = dict(declared(Noise))
     return {
@@ -323,7 +325,7 @@ def optics_of(recipe: OpticsRecipe) -> Optics:
 
 
 def optics_recipe(optics: Optics) -> OpticsRecipe:
-    """Return the section [optics] that declares these optics. It is the inverse of `optics_of`."""
+    """Return the section [optics] that declares these optics. This is the inverse of `optics_of`."""
     return OpticsRecipe(
         focal_length_mm=round(optics.focal_length * 1e3, 9),
         f_number=optics.f_number,
@@ -364,7 +366,7 @@ def load_camera(path: Path) -> CameraModel:
 
 
 def camera_files(path: Path) -> list[Path]:
-    """Return the files that `load_camera` reads, each once.
+    """Return the files that `load_camera` reads, without duplicates.
 
     For a recipe, these are the recipe, its base, the file with its responsivities, and the files with its extinction ratios.
     """
@@ -390,16 +392,16 @@ def curves_in_file(path: Path) -> CurveTable | None:
 
 
 def columns_left_out(path: Path) -> str | None:
-    """Return a note about the columns that match no channel, in the file with the responsivities of a camera recipe.
+    """Return a note about the columns of a recipe's responsivity file that match no channel.
 
-    The result is None if all columns match a channel, or if no such file is used.
+    The result is None if all columns match a channel, or if the recipe uses no responsivity file.
     """
     curves = curves_in_file(path)
     return None if curves is None else curves.note
 
 
 def _filters(recipe: CameraRecipe) -> list[str]:
-    """Return the names of the channels that have their own responsivity, each once."""
+    """Return the names of the channels that have their own responsivity, without duplicates."""
     return list(dict.fromkeys(filters_of(recipe.channel, recipe.cfa.channels)))
 
 
@@ -613,7 +615,8 @@ def known_arrays() -> dict[str, CfaRecipe]:
 
 
 def recipe_text(path: Path) -> str:
-    """Return the text of a recipe, followed by the text of its base if it has one. Artifacts store it in their history.
+    """Return the text of a recipe, followed by the text of its base if it has one. Artifacts store this text in their
+    history.
 
     If `path` is not a recipe (.toml), the text is empty.
     """

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.schema import check, data, group
 
-MAX_COMBINATIONS = 4096  # largest number of combinations of the values of all additional features
-MAX_WINDOW_TAPS = 4096  # largest number of taps in all windows together; sums of 12-bit values are then exact in float32
+MAX_COMBINATIONS = 4096  # largest number of combinations of values of the additional features
+MAX_WINDOW_TAPS = 4096  # largest total number of taps in all windows; sums of 12-bit values are then exact in float32
 CLASS_BITS = 12  # classes depend only on the upper 12 bits of a value, so that sums are exact in 32 bits
 CHROMA_SCALE = 1 << 10  # integer that represents a chroma weight of 1; sums over 16 channels then fit into 32 bits
 MAX_CHROMAS = 64
@@ -294,7 +294,7 @@ class ClassRule:
     def join(self, level: Any, contrast: Any, kind: Any, site: Any = 0, combination: Any = 0) -> Any:
         """Return the class index for the given feature values, which are integers or integer arrays.
 
-        Without `site`, the result is the index among the classes of a single site.
+        Without `site`, the result is the class index within a site.
         """
         stem = (site * self.levels + level) * self.contrasts + contrast
         return (stem * self.combinations + combination) * self.kinds + kind
@@ -326,11 +326,11 @@ class ClassRule:
         return tuple(reversed(values))
 
     def on_site(self, index: Any, site: Any) -> Any:
-        """Convert indices among the classes of a site to indices among all classes of the table."""
+        """Convert class indices within a site to class indices of the whole table."""
         return site * self.classes_per_site + index
 
     def within_site(self, index: Any) -> Any:
-        """Convert indices among all classes of the table to indices among the classes of their site."""
+        """Convert class indices of the whole table to class indices within their site."""
         return index % self.classes_per_site
 
     def of_site(self, site: int) -> slice:
@@ -356,7 +356,7 @@ class ClassRule:
         return np.maximum(kind, self.chromas - 1) - (self.chromas - 1)  # no negative values, because kinds may be unsigned
 
     def lost(self, kind: Any) -> Any:
-        """Return the saturation case of each kind, counted without the first `spared_cases` cases.
+        """Return the saturation case of each kind, minus `spared_cases` but at least 0.
 
         The result is 0 if every filter has a channel that does not clip.
         """
@@ -367,5 +367,5 @@ class ClassRule:
         return self.chromas - 1 + case if case else slice(0, self.chromas)
 
     def join_cases(self, level: Any, contrast: Any, case: Any) -> Any:
-        """Return indices, within a site, of coarse classes that distinguish saturation cases but not chromas."""
+        """Return class indices within a site for coarse classes, which distinguish saturation cases but not chromas."""
         return (level * self.contrasts + contrast) * self.cases + case

@@ -34,7 +34,8 @@ class SceneLight:
 
 @dataclass(frozen=True)
 class NoiseEdges:
-    """The values in the class rules that depend on the noise: class edges, scales of gradients, noise in coarse chroma."""
+    """The values of the class rules that depend on the noise: class edges, gradient scales, and the noise model of
+    coarse chroma."""
 
     contrast_edges: NDArray[np.uint32] = data(
         "uint32", "contrast_edge", "level", doc="contrast edges for this noise, as in first/rule"
@@ -45,7 +46,7 @@ class NoiseEdges:
         doc="constants of the features for this noise, as in first/rule/features; empty without features",
     )
     gradients: tuple[GradientScale, ...] = group(default=())  # one scale per refinement layer
-    coarse_chroma: CoarseChroma | None = group(default=None)  # noise in the last layer; None: the value in the table
+    coarse_chroma: CoarseChroma | None = group(default=None)  # noise model of the last layer; None: as in the table
 
     @classmethod
     def of(cls, first: MosaicLayer, later: Sequence[PlaneLayer]) -> "NoiseEdges":
@@ -81,7 +82,7 @@ class PlaneTransforms:
     samples: NDArray[np.float64] = data(
         "float64", "plane_class", doc="number of training patches; 0: the class uses the transform of a similar class"
     )
-    clipping: Clipping | None = group(default=None)  # as in the group later/ of the table
+    clipping: Clipping | None = group(default=None)  # response of clipped areas for this condition, as in PlaneLayer
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ class Condition:
         light : SceneLight or None
             The illuminant, or None for all illuminants of the training set.
         noise : NoiseScale or None
-            The noise, or None for the noise of the camera. If it is not None, the condition also contains the
+            The noise of a noise set, or None for the noise of the camera. For a noise set, the condition also contains the
             noise-dependent class edges of the layers.
         """
         return cls(

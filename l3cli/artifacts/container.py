@@ -112,7 +112,7 @@ def seal(path: Path) -> None:
 
 
 def check(path: Path, made_by: str) -> None:
-    """Check that the bytes of a file agree with the digest in its user block.
+    """Check that the bytes of a file match the digest in its user block.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def open_file(path: Path) -> h5py.File:
 def open_content(content: bytes) -> h5py.File:
     """Open an HDF5 file whose bytes are in memory, for reading.
 
-    Raises ValueError if the bytes do not agree with the digest in the user block.
+    Raises ValueError if the bytes do not match the digest in the user block.
     """
     if content[:BLOCK] != _user_block(hashlib.sha256(memoryview(content)[BLOCK:]).hexdigest()):
         raise ValueError("the bytes do not agree with the digest in the user block")

@@ -18,7 +18,7 @@ from l3cli.physics.mosaic import array_rows
 
 SHARP, SOFT = slice(0, 3), slice(3, 6)  # targets: X, Y, Z; and X, Y, Z whose chroma is blurred as in human vision
 WEIGHTINGS = ("seen", "linear")  # patches are weighted as the eye perceives errors, or equally
-SIDE = 7  # pixels; side of the neighbourhood for which errors are predicted
+SIDE = 7  # side, in pixels, of the neighbourhood for which errors are predicted
 KINDS = (("plain", "edge"), ("dark", "middle", "bright"), ("neutral", "orange", "green", "blue", "magenta"))
 # names of the groups of patches: contrast of the patch, then brightness and hue of its centre
 GROUPS = tuple(map(" ".join, itertools.product(*KINDS)))
@@ -379,5 +379,5 @@ def shown(cfa: NDArray[np.integer], names: Sequence[str]) -> str:
 
 
 def sites(pattern: str, names: Sequence[str]) -> NDArray[np.intp]:
-    """Convert text such as "g r / b g" to an array of filter indices. It is the inverse of `shown`."""
+    """Convert text such as "g r / b g" to an array of filter indices. This is the inverse of `shown`."""
     return np.array([[names.index(name) for name in row.split()] for row in pattern.split("/")])

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.schema import data, group
 
-# Messages list the most probable illuminants until their probabilities sum to GUESSED_PROBABILITY, but at most MAX_GUESSES.
+# Messages list the most probable illuminants until their probabilities sum to GUESSED_PROBABILITY, but not more than
+# MAX_GUESSES illuminants.
 GUESSED_PROBABILITY, MAX_GUESSES = 0.9, 4
 
 
@@ -101,8 +102,9 @@ class SweepFit:
 
 @dataclass(frozen=True)
 class ChartFit:
-    """Fit of the chart captures (Eq. 2 in docs/method.md#gain-and-offset), with measured and predicted values of all
-    patches.
+    """Fit of the chart captures (Eq. 2 in docs/method.md#gain-and-offset).
+
+    The fit contains the measured and the predicted values of all patches.
     """
 
     alpha: NDArray[np.float64] = data(
@@ -125,7 +127,7 @@ class ChartFit:
 
 @dataclass(frozen=True)
 class DriftFit:
-    """Drift of the lamps, estimated from the charts. It is stored only if it is larger than the declared drift."""
+    """Drift of the lamps, estimated from the charts. l3 stores this estimate only if it exceeds the declared drift."""
 
     deviation: float = data("float64", doc="estimated relative standard deviation of the lamps from their measured spectra")
     declared: float = data("float64", doc="relative standard deviation that the measurement file states")
@@ -174,7 +176,8 @@ class SeriesFit:
 
 @dataclass(frozen=True)
 class LightGuess:
-    """Probability that a photo was taken under each common illuminant, assuming that its illuminant is one of these."""
+    """Probability of each common illuminant for each photo, assuming that the photo was taken under one of these
+    illuminants."""
 
     names: tuple[str, ...] = data("str", "usual_light", doc="names of the common illuminants")
     probability: NDArray[np.float64] = data("float64", "photo", "usual_light", doc="probability of each common illuminant")
@@ -201,7 +204,7 @@ def guessed_light(probable: Mapping[str, float]) -> str:
 
 @dataclass(frozen=True)
 class PhotoWindow:
-    """The area of the sensor that each photo covers. It is stored only if a photo does not cover the whole sensor."""
+    """The area of the sensor that each photo covers. l3 stores the areas only if a photo does not cover the whole sensor."""
 
     first_site: NDArray[np.int64] = data(
         "int64", "photo", "coordinate", doc="row and column of the CFA site of the first pixel"
@@ -273,7 +276,7 @@ class PhotoFit:
     def misfit(self) -> NDArray[np.float64]:
         """RMS error of the predicted values, relative to the brightest patch, with the shape (photo, channel).
 
-        Only patches that were used count.
+        Only patches that were used are included.
         """
         left = np.where(self.used, self.measured - self.predicted, 0.0)
         count = np.maximum(self.used.sum(axis=1), 1)

@@ -1,4 +1,4 @@
-"""Functions for `l3 info`: the content of an artifact, its integrity, and the files from which it was made."""
+"""Functions for `l3 info`: the content of an artifact, its integrity, and the input files from which it was computed."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping
@@ -70,7 +70,7 @@ class Intact:
 
     kind: str
     version: int
-    datasets: int  # number of datasets with correct checksums, without dimension scales
+    datasets: int  # number of datasets with correct checksums, excluding dimension scales
     history: tuple[Stage, ...]
 
 
@@ -105,7 +105,7 @@ def verify(path: Path) -> Intact:
 
 
 def _slabs(dataset: h5py.Dataset) -> Iterator[Any]:
-    """Yield a dataset in parts of at most SLAB_BYTES, but at least one row each."""
+    """Yield a dataset in parts of at most SLAB_BYTES bytes. Each part contains at least one row."""
     if not dataset.ndim or not dataset.size:
         yield dataset[()]
         return
@@ -125,10 +125,10 @@ class Link:
 
 
 def chain(history: tuple[Stage, ...], inputs: Mapping[Path, str]) -> tuple[tuple[Link, ...], tuple[Path, ...]]:
-    """Compare files with the input files that a history lists, by their SHA-256.
+    """Find the files that a history lists as inputs. Files are compared by their SHA-256.
 
-    The histories of files that match are compared too, because an artifact from several training sets contains only the
-    history of the first training set.
+    The search continues in the histories of the files that match, because an artifact from several training sets contains
+    only the history of the first training set.
 
     Parameters
     ----------

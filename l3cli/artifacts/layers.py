@@ -17,11 +17,10 @@ from l3cli.artifacts.schema import check, data, group
 PlaneRule = StructureRule | TreeRule
 PLANES = 3  # number of input planes of a refinement layer: X − aY, Y and Z − bY
 PLANE_STEP = 2.0**-18  # quantisation step of planes in output units; it is far below the noise of any sensor
-# Largest quantised value of a plane, which is 16 times full scale. The difference of two such values times a 7-bit factor
-# fits into 32 bits.
+# Largest quantised value of a plane, which is 16 times full scale. A difference between two values, multiplied by a
+# 7-bit factor, then fits into 32 bits.
 PLANE_TOP = 2**22 - 1
-# Possible numbers of additional taps of the last layer: none, two for colour ratios, or four for colour ratios and bilateral
-# chroma.
+# Allowed numbers of additional taps of the last layer: 0, 2 (colour ratios) or 4 (colour ratios and bilateral chroma).
 RATIO_TAPS = (0, 2, 4)
 COMPARED = (4, 3, 3)  # shape of `CoarseChroma.variance`: smoothing steps, planes, powers of luminance
 
@@ -93,7 +92,7 @@ class CoarseChroma:
 
 @dataclass(frozen=True)
 class Clipping:
-    """Linear response with which uniform areas with clipped channels are rendered (docs/method.md#uniform-clipped-areas)."""
+    """Linear response that renders uniform areas with clipped channels (docs/method.md#uniform-clipped-areas)."""
 
     response: NDArray[np.float64] = data(
         "float64",
@@ -143,8 +142,8 @@ class PlaneLayer:
     samples: NDArray[np.float64] = data(
         "float64", "plane_class", doc="number of training patches; 0: the class uses the transform of a similar class"
     )
-    structure: StructureRule | None = group(default=None)  # class rule by structure; None if the class rule is a tree
-    tree: TreeRule | None = group(default=None)  # class rule by the leaves of a tree; None if classes are structures
+    structure: StructureRule | None = group(default=None)  # class rule with structures; None if the class rule is a tree
+    tree: TreeRule | None = group(default=None)  # class rule with a decision tree; None if classes are structures
     coarse_chroma: CoarseChroma | None = group(default=None)  # None: chroma is computed only from the windows
     clipping: Clipping | None = group(default=None)  # requires coarse chroma; None: clipped areas are not smoothed
 
@@ -174,7 +173,7 @@ class PlaneLayer:
         return self.weights.shape[2] - self.window_taps
 
     def with_noise(self, share: float) -> "PlaneLayer":
-        """Return the layer for frames whose noise variance is multiplied by `share`. Only coarse chroma depends on it."""
+        """Return the layer for frames whose noise variance is multiplied by `share`. Only coarse chroma changes."""
         return replace(self, coarse_chroma=self.coarse_chroma.with_noise(share)) if self.coarse_chroma else self
 
     def scaled_as(self, scale: GradientScale) -> "PlaneLayer":

@@ -1,4 +1,4 @@
-"""HTML summaries of artifacts for notebooks. They list each field with its axes, unit and meaning."""
+"""HTML summaries of artifacts for notebooks. A summary lists each field with its axes, unit and meaning."""
 
 from collections.abc import Iterator
 from html import escape
@@ -13,7 +13,7 @@ MAX_LETTERS = 60  # longer texts are truncated
 
 
 def html(title: str, content: Any) -> str:
-    """Return an HTML summary of an artifact, or of any dataclass whose fields `data` and `group` declare.
+    """Return an HTML summary of an artifact or of a different dataclass whose fields are declared with `data` and `group`.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def _shape(spec: Spec, value: Any) -> str:
 
 
 def _preview(value: Any) -> str:
-    """Return a short value as text. For a long array, return its range instead."""
+    """Return a value as text. A long array is represented by its smallest and its largest value."""
     array = np.asarray(value)
     if array.dtype.kind == "U":
         text = ", ".join(array.ravel()[:MAX_VALUES].tolist())

@@ -30,7 +30,7 @@ USUAL, OTHERS = "sums", "condition_sums"  # HDF5 groups with the sums for the no
 
 @dataclass(frozen=True)
 class ClassSums:
-    """Sums for the first layer over the weighted patches of one canonical site.
+    """Sums over the weighted training patches of one canonical site, for the first layer.
 
     The columns of the normal equations are the taps, the intercept and the outputs.
     """
@@ -116,7 +116,7 @@ class PartialSums(Artifact):
 
 @dataclass(frozen=True)
 class LayerSums:
-    """Sums for a refinement layer over the training samples of one canonical site.
+    """Sums over the training samples of one canonical site, for a refinement layer.
 
     The columns of the normal equations are the taps, the intercept, and the outputs as opponent planes.
     """
@@ -251,7 +251,7 @@ class PartialSumsReader:
         Raises
         ------
         InputFileError
-            If the shapes of the sums do not agree with the class rule.
+            If the shapes of the sums do not match the class rule.
         """
         where = store.hard_group(self._sums[condition], f"{index:05d}", self._path)
         sums: Any = store.read_fields(where, SUMS[type(self.head)], self._path)

@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.schema import check, data
 
-GRADIENT = 4095  # largest gradient, in units of noise σ / SIGMA; the sum of 81 squares is then below 2³¹
-FACTORS, MAX_SHIFT = (64, 127), 24  # range of the factors of gradients, and their largest shift in bits
+# limit of scaled gradients, whose noise has the standard deviation SIGMA = 16; sums of 81 squares then stay below 2³¹
+GRADIENT = 4095
+# range of the factors by which gradients are multiplied; largest shift of the products in bits
+FACTORS, MAX_SHIFT = (64, 127), 24
 DIRECTIONS = 8  # number of edge directions within 180°
 MAX_LEAVES = 2048
 MAX_DEPTH = 24  # largest number of tests from the root to a leaf; it limits the run time of the kernels
 TESTS = 23  # number of different tests in a tree
 ORIENTATIONS = 8  # number of orientations of a square: four rotations, with and without reflection
-# Smallest and largest absolute value of a non-zero threshold. Some devices replace smaller numbers by zero.
+# Smallest and largest absolute value of a threshold, unless it is zero. Some devices replace smaller numbers by zero.
 SMALLEST, LARGEST = 1e-30, 2.0**31
 
 
@@ -55,15 +57,12 @@ class GradientScale:
         return GradientScale(self.gradient_factor, self.gradient_shift)
 
     def scaled_as(self, scale: "GradientScale") -> Self:
-        """Return a copy of this object with the factor and the shift of `scale`. The object may be a class rule."""
+        """Return a copy with the factor and the shift of `scale`. The other fields of a class rule stay unchanged."""
         return replace(self, gradient_factor=scale.gradient_factor, gradient_shift=scale.gradient_shift)
 
 
 class PlanePlace(NamedTuple):
-    """The feature values of a class of a refinement layer.
-
-    For several classes, each is an integer array of the same shape.
-    """
+    """The feature values of a class of a refinement layer. For several classes, each value is an integer array."""
 
     site: Any  # CFA row · (number of CFA columns) + CFA column
     level: Any
@@ -125,14 +124,13 @@ class PlaneClasses(GradientScale):
         return PlanePlace(site, level, kind)
 
     def within_site(self, index: Any) -> tuple[Any, Any]:
-        """Convert indices among all classes to (site, index among the classes of this site)."""
+        """Convert class indices of all sites to sites and class indices within these sites."""
         site, within = divmod(index, self.classes_per_site)
         return site, within
 
     def kind(self, structure: Any, case: Any) -> Any:
-        """Return the kind of each pixel from its structure and its saturation case. The structure matters only if the case
-        is 0.
-        """
+        """Return the kind of each pixel from its structure and its saturation case. If the case is not 0, the structure
+        is ignored."""
         return np.where(np.greater(case, 0), self.structures - 1 + case, structure)
 
     def case(self, kind: Any) -> Any:
@@ -187,7 +185,8 @@ class StructureRule(PlaneClasses):
     def next_strengths(self, structure: int) -> list[int]:
         """Return the structures with the next lower and the next higher strength, and with the same direction.
 
-        Flat areas and the lowest strength have no such structures, and are never part of the result.
+        For flat areas and the lowest strength, the result is empty. The result never contains structures of the lowest
+        strength.
         """
         step, least = 1 + DIRECTIONS, 2 + DIRECTIONS
         others = (structure - step, structure + step)

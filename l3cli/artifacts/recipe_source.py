@@ -12,8 +12,8 @@ from l3cli.errors import L3Error, shortened
 from l3cli.recipes.faults import Fault
 from l3cli.recipes.toml import KeyPath
 
-UNIT_SUFFIX = re.compile("_(dn|e|s|nm|um|mm|m)$")  # end of a key that states the unit of its value
-MIN_LETTERS = 4  # a value with fewer letters may be part of a message by chance, so it does not identify its key
+UNIT_SUFFIX = re.compile("_(dn|e|s|nm|um|mm|m)$")  # suffix of a key that states the unit of the value
+MIN_LETTERS = 4  # a shorter value may occur in a message by chance, so it does not identify its key
 Meaning = tuple[dict[str, Any], list[Fault]]  # how l3 interprets a recipe, ready for JSON, and the faults in the recipe
 
 

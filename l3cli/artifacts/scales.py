@@ -1,4 +1,4 @@
-"""Writes HDF5 dimension scales, so that xarray, netCDF tools and the attribute `dims` of h5py know the axes of an artifact.
+"""Writes HDF5 dimension scales, from which xarray, netCDF tools and h5py learn the names of the axes of an artifact.
 
 In each group, every axis of the datasets has one dimension scale with the name of the axis. The scale is one of:
 
@@ -22,11 +22,11 @@ from l3cli.artifacts.schema import Group, Spec, declared, instances
 # netCDF-4 requires this text in the attribute NAME of an axis without values.
 LENGTH_ALONE = "This is a netCDF dimension but not a netCDF variable.%10d"
 REFERENCES = np.dtype([("dataset", h5py.ref_dtype), ("dimension", "<i4")])
-Coordinates = Mapping[str, tuple[Any, Spec]]  # name of each axis: the values along the axis, and their declaration
+Coordinates = Mapping[str, tuple[Any, Spec]]  # for each axis name: the values along the axis, and their declaration
 
 
 def coordinates_of(content: Any) -> Coordinates:
-    """Return the name of each axis for which the fields of an instance contain coordinates, with these coordinates."""
+    """Return the coordinates that the fields of an instance contain, by the name of their axis."""
     kind: type = type(content)
     fields = {name: spec for name, spec in _layout(kind)[0].items() if spec.coordinate}
     return {spec.axes[0]: (getattr(content, name), spec) for name, spec in fields.items()}
@@ -44,7 +44,7 @@ def name_axes(group: h5py.Group, kind: type, above: Coordinates, content: Any = 
     above : mapping
         Coordinates from the parent groups.
     content : dataclass, optional
-        The instance that was written. Without it, the coordinates in this group and the groups below are not used.
+        The instance that was written. If it is None, coordinates in this group and in its subgroups are not used.
     """
     known = above if content is None else {**above, **coordinates_of(content)}
     _write_scales(group, kind, known)
@@ -60,7 +60,7 @@ def name_axes(group: h5py.Group, kind: type, above: Coordinates, content: Any = 
 
 @functools.cache
 def _layout(kind: type) -> tuple[dict[str, Spec], dict[str, Group]]:
-    """Return the datasets with at least one axis, and the groups, that a dataclass declares."""
+    """Return the declared datasets of a dataclass that have at least one axis, and its declared groups."""
     members = declared(kind)
     return (
         {name: member for name, member in members if isinstance(member, Spec) and member.axes},
@@ -95,7 +95,7 @@ def _write_scales(group: h5py.Group, kind: type, known: Coordinates) -> None:
 
 
 def _new_scale(group: h5py.Group, axis: str, length: int, known: tuple[Any, Spec] | None) -> h5py.Dataset:
-    """Create a dimension scale for an axis without a declared dataset of its name.
+    """Create a dimension scale for an axis if no declared dataset has the name of the axis.
 
     The scale contains the coordinates in `known` if their number is `length`. Otherwise, the scale only states the length.
     """

@@ -56,8 +56,8 @@ def data(
         Default of a field that is stored only if its value differs from the default. Use this for every field that you
         add to an existing format, so that files that do not need the field stay identical. For arrays, use None.
     coordinate : bool
-        Whether the dataset contains the coordinates of its axis, although its name differs from the name of the axis.
-        Text with one axis always does.
+        Whether the dataset contains the coordinates of its axis, although dataset and axis have different names. A text
+        dataset with one axis always contains coordinates.
     """
     is_optional = optional is not dataclasses.MISSING
     spec = Spec(dtype, axes, unit, doc, coordinate or (dtype == "str" and len(axes) == 1), is_optional)
@@ -93,13 +93,13 @@ def group(default: Any = dataclasses.MISSING, kw_only: bool = False) -> Any:
 class Stage:
     """One stage in the history of an artifact: the command, its options, its recipe and the digests of its inputs.
 
-    It contains no time, host name or path. Equal inputs therefore produce artifacts with equal bytes.
+    The record contains no time, host name or path. Equal inputs therefore produce artifacts with equal bytes.
     """
 
     command: str
     options: dict[str, Any]
     recipe: str = ""
-    inputs: dict[str, list[str]] = field(default_factory=dict)  # role, such as "camera": SHA-256 of each input file
+    inputs: dict[str, list[str]] = field(default_factory=dict)  # SHA-256 of each input file, by role, such as "camera"
     version: str = __version__
 
 
@@ -168,7 +168,7 @@ def instances(name: str, value: Any) -> dict[str, Any]:
 
 
 def check(instance: Any) -> None:
-    """Check that the fields of an instance agree with their declarations.
+    """Check that the fields of an instance match their declarations.
 
     Each field must have the declared dtype and number of axes. Numbers must not exceed LARGEST_VALUE. Axes with the same
     name must have the same length, with two exceptions:
@@ -180,7 +180,7 @@ def check(instance: Any) -> None:
     Raises
     ------
     ValueError
-        If a field does not agree with its declaration. The message contains the name of the field.
+        If a field does not match its declaration. The message contains the name of the field.
     """
     _check(instance, {}, {}, "")
 

@@ -1,5 +1,4 @@
-"""Reads and writes artifacts: HDF5 files with the structure that the dataclasses of the artifacts declare
-(docs/artifacts.md).
+"""Reads and writes artifacts as HDF5 files, whose structure the dataclasses declare (docs/artifacts.md).
 
 Each file contains the history of the stages that produced it. If an error occurs during writing, no incomplete file remains.
 """
@@ -81,7 +80,7 @@ def _write_dataset(group: h5py.Group, name: str, spec: Spec, value: Any, compres
 def _chunk(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
     """Return the shape of a chunk of about 1 MiB.
 
-    The first axes are shortened until the chunk fits, the last axes are whole.
+    The first axes are shortened until the chunk fits. The other axes have their full length.
     """
     chunk = list(shape)
     for axis in range(len(shape)):
@@ -211,7 +210,7 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
     Raises
     ------
     InputFileError
-        If a required dataset or group is missing, or if a dataset does not agree with its declaration.
+        If a required dataset or group is missing, or if a dataset does not match its declaration.
     """
     values = dict(extra)
     held = members(group, path)
@@ -252,7 +251,8 @@ def _inside(group: h5py.Group, name: str) -> str:
 
 @contextlib.contextmanager
 def reading(path: Path, what: str) -> Iterator[None]:
-    """Context manager that converts the errors of h5py for damaged files to InputFileError. `what` is the damaged part."""
+    """Context manager that converts errors of h5py for damaged files to InputFileError. `what` names the part that is
+    read."""
     try:
         yield
     except (*HDF5_ERRORS, UnicodeDecodeError) as error:
@@ -268,16 +268,16 @@ def members(group: h5py.Group, path: Path) -> list[str]:
 def hard_group(group: h5py.Group, name: str, path: Path) -> h5py.Group:
     """Return the group `name` below `group`.
 
-    Raises InputFileError if it is missing or is only a link to a different place.
+    Raises InputFileError if the group is missing or is a link to a different place.
     """
     with reading(path, f"the group {_inside(group, name)}"):
         return _member(group, name, h5py.Group, "group", path)
 
 
 def _member(group: h5py.Group, name: str, kind: type, what: str, path: Path) -> Any:
-    """Return a member of a group, which must be a `kind`.
+    """Return a member of a group.
 
-    Raises InputFileError otherwise, and for soft or external links.
+    Raises InputFileError if the member is missing, is not an instance of `kind`, or is a soft or external link.
     """
     link = group.get(name, getlink=True)
     if not isinstance(link, h5py.HardLink):
@@ -290,9 +290,9 @@ def _member(group: h5py.Group, name: str, kind: type, what: str, path: Path) -> 
 
 
 def require_plain(dataset: h5py.h5d.DatasetID, path: Path) -> Stored:
-    """Check that a dataset can be read and uses only filters of l3, and return how the dataset is stored.
+    """Check a dataset, and return how it is stored.
 
-    Raises InputFileError otherwise.
+    Raises InputFileError if the dataset cannot be read, or if it uses an HDF5 filter that l3 does not use.
     """
     stored = require_readable(path, dataset)
     if not stored.filters <= KNOWN_FILTERS:

@@ -16,7 +16,7 @@ from l3cli.physics.stokes import STOKES
 
 LUMINANCE = ("Y",)  # outputs of a table that renders only luminance
 GREY = ("Y", "Y", "Y")  # outputs of a luminance table after `TransformTable.pictured` has converted it
-WINDOWS = (3, 5, 7, 9)  # pixels; allowed sides of the window in which spectra are averaged
+WINDOWS = (3, 5, 7, 9)  # allowed sides, in pixels, of the window in which spectra are averaged
 
 
 @dataclass(frozen=True)
@@ -295,7 +295,7 @@ class TransformTable(Artifact):
         )
 
     def _with_edges(self, edges: NoiseEdges) -> "TransformTable":
-        """Return the table with the noise-dependent values of its class rules replaced, and without conditions."""
+        """Return the table without conditions, with the noise-dependent values of its class rules replaced by `edges`."""
         usual = self.first.rule
         features = usual.features and replace(usual.features, constants=edges.constants)
         rule = replace(usual, contrast_edges=edges.contrast_edges, features=features)
@@ -308,8 +308,8 @@ class TransformTable(Artifact):
     def clipped_white(self) -> NDArray[np.float64] | None:
         """XYZ, in output units, of the darkest white that clips every channel (docs/method.md#clipped-white).
 
-        Pixels are never rendered brighter than this. None if the illuminant or the camera is unknown. Also None if the
-        outputs are not GREY and do not begin with X, Y, Z.
+        No pixel is rendered brighter than this white. The value is None if the illuminant or the camera is unknown, or if
+        the first three outputs are neither X, Y, Z nor GREY.
         """
         if self.outputs[:3] not in (("X", "Y", "Z"), GREY) or (white := self.white_signals) is None:
             return None

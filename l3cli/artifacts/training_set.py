@@ -19,7 +19,7 @@ from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.errors import InputFileError
 from l3cli.physics import spectra
 
-LARGEST = 1e12  # largest number of electrons, cd/m² or seconds; the squares of such numbers fit into 32-bit floats
+LARGEST = 1e12  # largest allowed number of electrons, cd/m² or seconds; its square fits into a 32-bit float
 
 
 @dataclass(frozen=True)
@@ -283,7 +283,7 @@ class TrainingSetReader:
     def pair(self, index: int) -> TrainingPair:
         """Read a frame as a TrainingPair.
 
-        Of a simulated frame, the electrons and the fingerprints are not read. The electrons are most of its data.
+        The electrons of a simulated frame, which are most of its data, and its fingerprints are not read.
         """
         return self._read(index, TrainingPair)
 
@@ -396,15 +396,15 @@ def write_part(path: Path, frame: TrainingPair, uncovered: float) -> None:
 
 
 def read_part(path: Path) -> TrainingPair:
-    """Read the frame in a file that `write_part` has written. The digest of the file is not verified."""
+    """Read the frame in a file from `write_part`. The digest of the file is not verified."""
     with container.open_file(path) as part:
         return _frame_of(part, path)
 
 
 def part_in(content: bytes) -> TrainingPair:
-    """Read the frame from the bytes of a file that `write_part` has written.
+    """Read the frame from the bytes of a file from `write_part`.
 
-    Raises ValueError if the bytes do not agree with their digest.
+    Raises ValueError if the bytes do not match their digest.
     """
     with container.open_content(content) as part:
         return _frame_of(part, Path("frame.h5"))
@@ -417,7 +417,7 @@ def _frame_of(part: h5py.File, path: Path) -> TrainingPair:
 
 
 def whole_part(path: Path) -> bool:
-    """Return whether a file that `write_part` has written exists and agrees with its digest."""
+    """Return whether a file from `write_part` exists and matches its digest."""
     try:
         container.check(path, "l3 simulate")
     except InputFileError:
