@@ -154,7 +154,6 @@ def _packings() -> dict[str, Packing]:
 
 PACKINGS = _packings()
 WORDS = "u16"
-BYTE_ORDERS = ("little", "big")
 
 
 def packing_named(name: str) -> Packing | None:

@@ -64,11 +64,6 @@ class TextTable:
     faults: tuple[str, ...] = ()  # faults in the digitised curves
 
 
-def read_text_table(path: Path) -> TextTable:
-    """Read the table in a text file. Raises InputFileError if the file contains no table or an invalid row."""
-    return _text_table(_text(path), path)
-
-
 def _text_table(text: str, path: Path) -> TextTable:
     """Parse a text table: find the separator, the rows of numbers, the heading and the units.
 
