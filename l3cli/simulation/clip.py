@@ -21,12 +21,12 @@ from l3cli.simulation.sources import framed_size, resampled, scale_of, turned
 
 Array = NDArray[np.float64]
 Cube = NDArray[np.float32]  # (row, col, band)
-FINEST_STEP = 0.25  # smallest distance, in pixels, between the samples of a leaf
+FINEST_STEP = 0.25  # smallest distance between samples of a leaf, in pixels
 MAX_RADIUS_SAMPLES = 256  # largest radius of a leaf in samples, which limits its memory
 TEXTURE_CONTRAST = 0.3  # standard deviation of the natural logarithm of the brightness within a leaf
 COVERED = 0.5  # a pixel shows a leaf if the leaf covers more than this fraction of the pixel
 ROUNDING_PIXELS = 1e-6  # tolerance for rounding errors at the border of the frame
-EDGE_MARGIN = 2  # pixels; lens blur and demosaicking mix both sides of an edge within this distance
+EDGE_MARGIN = 2  # distance in pixels within which lens blur and demosaicking mix both sides of an edge
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def sprites(course: Course, colours: NDArray[np.floating], seed: tuple[int, ...]
 
 
 def frame(canvas: Cube, scale: float, course: Course, things: list[Sprite], number: int) -> Cube:
-    """Render one frame of a clip, averaged over the time during which the shutter is open.
+    """Render one frame of a clip, averaged over the exposure time.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def frame(canvas: Cube, scale: float, course: Course, things: list[Sprite], numb
     course : Course
         Motion of the camera and of the leaves.
     things : list of Sprite
-        The leaves. The first leaf covers all others.
+        The leaves from front to back.
     number : int
         Frame number.
 
@@ -107,7 +107,7 @@ def sampled(
     cube: Cube, view: View, size: tuple[int, int], place: tuple[float, float], scale: float, top: tuple[int, int] = (0, 0),
     window: tuple[int, int] | None = None,
 ) -> Cube:  # fmt: skip
-    """Resample a cube to the pixels of a frame. Each pixel is the mean of the cube over the area of the pixel.
+    """Resample a cube to the pixels of a frame. Each pixel value is the mean of the cube over the pixel area.
 
     Parameters
     ----------
@@ -125,6 +125,11 @@ def sampled(
         Row and column of the first pixel to compute.
     window : tuple of int, optional
         Number of rows and columns to compute. By default, the whole frame.
+
+    Returns
+    -------
+    ndarray, (row, col, band)
+        The resampled cube.
     """
     down, across = (
         _resampling(
@@ -142,9 +147,9 @@ def sampled(
 def _resampling(length: int, pixels: int, first: float, step: float) -> Any:
     """Return the sparse matrix (pixel, sample) that averages a line of samples over the extent of each pixel.
 
-    Pixel n extends from first + n · step to first + (n + 1) · step. The positions of the samples are 0.5, 1.5, … The line is
-    interpolated linearly between the samples and is constant outside the first and the last sample. The integral is exact.
-    The total brightness of a small object therefore does not change if the object moves by a fraction of a pixel.
+    Pixel n extends from first + n · step to first + (n + 1) · step. The samples are at 0.5, 1.5, … The line is interpolated
+    linearly between the samples and is constant beyond the first and the last sample. The integral is exact, so the total
+    brightness of a small object does not change if the object moves by a fraction of a pixel.
     """
     start = first + step * np.arange(pixels)[:, None]
     knots = np.floor(start - 1.5).astype(int) + np.arange(int(np.ceil(step)) + 4)
@@ -206,14 +211,14 @@ def motion_between(course: Course, things: list[Sprite], number: int) -> NDArray
     course : Course
         Motion of the camera and of the leaves.
     things : list of Sprite
-        The leaves. The first leaf covers all others.
+        The leaves from front to back.
     number : int
         Frame number.
 
     Returns
     -------
     ndarray, (3, row, col)
-        Motion downwards and to the right, in pixels, and validity. Validity is 1 if the previous frame showed the same
+        Downward motion and rightward motion in pixels, and validity. Validity is 1 if the previous frame shows the same
         object and no edge is near the pixel, and otherwise 0. All values are 0 in the first frame.
     """
     size = course.motion.size

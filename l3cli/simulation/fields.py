@@ -5,9 +5,8 @@ There are two kinds of texture: random fields with natural power spectra, and fi
 Random fields are drawn as periodic pieces, and each leaf shows a random part of a piece. Fields as large as the picture
 would take four times as long, and leaves with other textures would hide seven eighths of each field.
 
-Fences, windows, blinds, cloth and print repeat every few pixels. With such fine patterns, a colour filter array confuses
-luminance with colour.
-Dead leaves alone contain almost no such detail, so some leaves carry regular patterns.
+Fences, windows, blinds, cloth and print repeat every few pixels. A colour filter array turns such fine luminance patterns
+into false colour. Dead leaves alone contain almost no fine patterns, so some leaves have a regular pattern.
 """
 
 import functools
@@ -23,18 +22,18 @@ from l3cli.physics.spectra import with_saturation
 Field = NDArray[np.float32]
 Direction = tuple[float, float]  # elongation and its angle in radians
 
-LENGTHS, PHASES = 256, 256  # number of lengths and phases of the random coefficients; 16 random bits select one of each
-SLOW = 1 / 16  # cycles per pixel; at higher frequencies a piece has the same power as the whole field
-# Lowest exponent of the amplitude spectrum, highest exponent, and stretch of each texture. The textures range from sand to
-# clouds, and the last texture looks brushed.
+LENGTHS, PHASES = 256, 256  # numbers of different lengths and phases of the random coefficients; 16 random bits select both
+SLOW = 1 / 16  # frequency in cycles per pixel, above which a piece has the same power as the whole field
+# For each texture: lowest and highest exponent of the amplitude spectrum, and stretch. The textures range from sand to
+# clouds. The last texture looks brushed.
 PINK = ((0.3, 0.9, 1.0), (0.8, 1.3, 1.0), (1.6, 1.6, 1.0), (1.0, 1.0, 1.0), (0.6, 0.6, 1.0), (1.1, 1.1, 4.0))
 BLOTCHES, STRIPES = len(PINK), len(PINK) + 1  # indices of the last two textures, after the textures in PINK
 TEXTURES = len(PINK) + 2
-WIDEST = 1024  # samples; largest side of a piece, a power of two. Leaves are at most 400 samples wide.
+WIDEST = 1024  # largest side of a piece in samples, a power of two; leaves are at most 400 samples wide
 Array = NDArray[np.floating]
 
 PATTERN_FREQUENCIES = {"grating": 0.4, "lattice": 0.35, "lettering": 0.25}  # relative frequency of each kind of pattern
-PERIOD_RANGE = (2.0, 16.0)  # pixels; range of the periods, which are drawn log-uniformly
+PERIOD_RANGE = (2.0, 16.0)  # range of the periods in pixels; periods are drawn log-uniformly
 DUTIES = (0.15, 0.6)  # range of the fraction of a period that the strokes cover
 NEUTRAL, PALE = 0.5, 0.2  # fraction of patterns that are nearly neutral, and the highest saturation of these patterns
 CONTRAST = 0.5  # standard deviation of the natural logarithm of the random factor that multiplies the reflectance of strokes
@@ -107,10 +106,10 @@ def _amplitudes(shape: tuple[int, int], exponent: float, direction: Direction, l
 
 
 def _drawn(rng: np.random.Generator, amplitude: Field, cols: int, variance: float) -> Field:
-    """Draw a field of `cols` columns with a given variance, by drawing the coefficients of its Fourier transform."""
+    """Draw a field of `cols` columns with the given variance, by drawing its Fourier coefficients."""
     spectrum = _normals()[rng.integers(LENGTHS * PHASES, size=amplitude.shape, dtype=np.uint16)]
     spectrum *= amplitude
-    alone = [0] if cols % 2 else [0, cols // 2]  # columns whose coefficients are complex conjugates of each other
+    alone = [0] if cols % 2 else [0, cols // 2]  # columns that contain the complex conjugates of their own coefficients
     for column in alone:
         mirrored = np.roll(spectrum[::-1, column], 1).conj()
         spectrum[:, column] = (spectrum[:, column] + mirrored) * np.float32(np.sqrt(0.5))
@@ -122,7 +121,7 @@ def _drawn(rng: np.random.Generator, amplitude: Field, cols: int, variance: floa
 
 @functools.lru_cache(maxsize=1)
 def _normals() -> NDArray[np.complex64]:
-    """Return LENGTHS · PHASES complex numbers whose values follow a normal distribution with E|z|² = 1.
+    """Return LENGTHS · PHASES complex numbers that follow a normal distribution with E|z|² = 1.
 
     Picking coefficients from this list takes a third of the time of drawing normal random numbers. Each sample of the field
     is a sum of many coefficients and is therefore still Gaussian.
@@ -134,7 +133,7 @@ def _normals() -> NDArray[np.complex64]:
 
 
 def _power(spectrum: NDArray[np.complex64]) -> float:
-    """Return the sum of |z|², summed row by row, so that the result does not depend on the number of threads."""
+    """Return the sum of |z|². The summation row by row makes the result independent of the number of threads."""
     parts = np.ascontiguousarray(spectrum).view(np.float32)
     return float(np.einsum("ij,ij->i", parts, parts).sum(dtype=np.float64))
 
@@ -280,7 +279,7 @@ class Patterns:
     """
 
     present: NDArray[np.bool_]  # whether a leaf has a pattern
-    first: NDArray[np.float32]  # (leaf, band), reflectance between the strokes; without a pattern, of the whole leaf
+    first: NDArray[np.float32]  # (leaf, band), reflectance between the strokes, or of a whole leaf without a pattern
     second: NDArray[np.float32]  # (leaf, band), reflectance of the strokes
     kind: NDArray[np.intp]  # index into PATTERN_FREQUENCIES
     angle: NDArray[np.float32]  # radians; direction perpendicular to the strokes
@@ -335,7 +334,7 @@ def draw_patterns(
     )
     period = np.maximum([across, along], oversampling * PERIOD_RANGE[0])
     duty = rng.uniform(*DUTIES, (2, count))
-    duty[1] = np.where(kind == 2, 1.5 / (along / across), duty[1])  # lettering is blank between its lines
+    duty[1] = np.where(kind == 2, 1.5 / (along / across), duty[1])  # lettering is blank between the lines
     return Patterns(
         present=present,
         first=first.astype(np.float32),
@@ -383,13 +382,13 @@ def _strokes(
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Return the fraction of each sample that parallel strokes cover, and the number of the nearest stroke.
 
-    `axis` is 0 for the strokes of a pattern and 1 for its perpendicular bars. The coverage is exact for strokes parallel to
-    the sampling grid.
+    `axis` is 0 for the strokes of a pattern and 1 for the bars perpendicular to the strokes. The coverage is exact for
+    strokes parallel to the sampling grid.
     """
     period, width = patterns.period[axis][label], patterns.width[axis][label]
     turns = position / period + patterns.phase[axis][label]
     number = np.floor(turns)
-    distance = abs(turns - number - 0.5) * period  # samples; distance from the middle of the nearest stroke
+    distance = abs(turns - number - 0.5) * period  # distance from the middle of the nearest stroke, in samples
     covered = np.clip(0.5 + 0.5 * width - distance, 0.0, np.minimum(width, 1.0))
     return covered.astype(np.float32), number.astype(np.int64)
 

@@ -1,4 +1,4 @@
-"""Training frames, which are simulated from a scene, or made from a raw file and a picture of the same scene.
+"""Training frames: simulated from a scene, or made from a raw file and a picture of the same scene.
 
 To simulate a frame, l3 computes how a lens and a sensor record a scene under an illuminant, and computes the target from the
 scene (docs/method.md#simulation, docs/method.md#optics). `SimulationRun` contains the settings that all frames share.
@@ -50,14 +50,14 @@ from l3cli.simulation.recipe import Lens, Pair, SceneRecipe, Shot
 from l3cli.simulation.sensor import averaging_exposure, saturating_exposure
 from l3cli.simulation.sources import DeadLeaves, WantedScene
 
-PAIR_LIGHT = "picture"  # illuminant name stored with a pair; its picture is white-balanced, as if under D65
-BRIGHT = 0.9  # fraction of full scale; brighter pixels may be clipped and are not used to fit the scale of a pair
+PAIR_LIGHT = "picture"  # illuminant name that is stored with a pair; the picture of a pair is white-balanced to D65
+BRIGHT = 0.9  # fraction of full scale above which pixels may be clipped and are not used to fit the scale of a pair
 Array = NDArray[np.floating]
 Automatic = Callable[[CameraModel, NDArray[np.float32]], float]  # exposure time in s for a mosaic (row, col) in e-/s
 LOW_RANK_ERROR = 5e-5  # largest error of the transfer function at any sampled frequency and wavelength
 STRIP_PIXELS = 1 << 16  # number of pixels of a polarised scene that are projected together, which limits the memory
 RADIAL_SAMPLES = 2048  # number of frequencies at which transfer functions are sampled
-# number, size in rows and columns, and random seed of the frames on which the spectral estimators are trained
+# Number, size in rows and columns, and random seed of the frames on which the spectral estimators are trained.
 DRAWN, DRAWN_SIZE, DRAWN_SEED = 48, (64, 64), 20
 
 
@@ -84,7 +84,7 @@ def simulate(
     light : Light
         Illuminant of the scene.
     exposure : float or callable
-        Exposure time in s, or a function that derives it from the camera and the mosaic in e-/s.
+        Exposure time in s, or a function that computes the time from the camera and the mosaic in e-/s.
     lens : Lens
         Imperfections of the lens.
     seed : tuple of int
@@ -139,7 +139,7 @@ def exposed_again(frame: TrainingFrame, camera: CameraModel, gain: float) -> Tra
     camera : CameraModel
         The camera of the frame, with its original gain.
     gain : float
-        Factor on the analog gain.
+        Factor by which the analog gain is multiplied.
 
     Returns
     -------
@@ -153,7 +153,7 @@ def exposed_again(frame: TrainingFrame, camera: CameraModel, gain: float) -> Tra
 
 
 class AtGain:
-    """The simulated frames of a training set, simulated again at an analog gain that is higher by the factor `gain`."""
+    """The simulated frames of a training set, simulated again with the analog gain multiplied by `gain`."""
 
     def __init__(self, reader: TrainingSetReader, gain: float) -> None:
         self.head = replace(reader.head, camera=reader.head.camera.at_gain(gain))
@@ -197,7 +197,7 @@ def frames_like(head: TrainingSet) -> Callable[[TrainingPair, LightSpectrum], It
 def target_of(head: TrainingSet) -> Target:
     """Return the target for additional frames of a training set.
 
-    If the outputs were defined by a file of matching functions, which a training set does not store, the target is XYZ.
+    If a file of matching functions defined the outputs, the target is XYZ, because a training set does not store the file.
     """
     kinds = {names: kind for kind, names in OUTPUTS.items()} | {head.camera.channels: CAMERA}
     light = _lit(head.target_light, 1.0) if head.target_light else None
@@ -253,7 +253,7 @@ def _collected(
 
 
 def project_stokes(scene: Scene, weights: Array) -> NDArray[np.float32]:
-    """Compute weighted sums of the Stokes parameters S0, S1 and S2 of a scene over all bands.
+    """Sum the Stokes parameters S0, S1 and S2 of a scene over its bands, with weights for each channel.
 
     The sums are computed in float64, because large terms with different signs can nearly cancel. This happens if the
     polariser of a pixel is perpendicular to the polarisation of the light.
@@ -331,7 +331,7 @@ def _signalled(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
     """Compute the photo-electron rates and the target from a picture of channel signals.
 
-    The returned arrays have the same meaning as the results of `_collected`. The outputs are the bands of the camera.
+    The returned arrays are the same as for `_collected`. The outputs are the bands of the camera.
     """
     full = (white_rates(camera, light) * camera.channel_gains).max()
     white = full * camera.saturation_exposure / camera.full_scale
@@ -514,7 +514,7 @@ def blurred_channels(planes: NDArray[np.float32], transfer: LowRankTransfer, pix
     Returns
     -------
     ndarray, (channel, row, col)
-        Sum of the terms, each filtered with its radial part.
+        Sum of the terms. Each term is filtered with its radial part of the transfer function.
 
     Notes
     -----

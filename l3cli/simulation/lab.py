@@ -21,7 +21,7 @@ from l3cli.recipes.faults import Fault, fault, refuse_first
 from l3cli.recipes.toml import MAX_COUNT, Count, CountOrNone, NotNegative, Positive, Recipe
 from l3cli.simulation.sensor import DefectRecipe, FixedPattern, defects_of, fixed_pattern, read_out
 
-# nm; the spectrometer covers the wavelengths of the camera and of the monochromator, plus this margin at each end
+# Margin in nm by which the spectrometer extends beyond the wavelengths of the camera and the monochromator at each end.
 SPECTROMETER_MARGIN = 5.0
 MAX_STRAY_LIGHT, MAX_DRIFT = 0.01, 0.2  # largest permitted stray light and lamp drift, as fractions
 FOLDERS = ("mono", "chart", "white", "dark", "polariser", "spectra")  # one for each type of capture, and one for spectra
@@ -44,10 +44,10 @@ class MonoRecipe(Recipe):
     last_nm: Nanometres | None = None  # default: bandwidth_nm below the longest wavelength of the camera
     step_nm: Positive = 10.0
     bandwidth_nm: Nanometres = 10.0  # full width at half maximum
-    # fraction of the peak, at each wavelength
+    # Stray light at each wavelength, as a fraction of the peak.
     stray_light: Annotated[float, msgspec.Meta(ge=0, lt=MAX_STRAY_LIGHT)] = 0.0005
     trials: Count = 1  # number of frames per step
-    # number of steps that are captured a second time, overexposed; never the first or the last step
+    # Number of steps that are captured a second time with overexposure, never the first or the last step.
     overexposed: CountOrNone = 4
     level: Positive = 0.5  # fraction of full scale that the brightest channel reaches
     radiance: Positive = 1e18  # photons/s/sr/m² in each step
@@ -84,9 +84,9 @@ class PolariserRecipe(Recipe):
 
     illuminant: str = "D65"
     luminance: Positive = 500.0  # cd/m² of the light in front of the polariser
-    step_deg: Annotated[float, msgspec.Meta(gt=0, le=60)] = 15.0  # step of the polariser, which turns by 180°
+    step_deg: Annotated[float, msgspec.Meta(gt=0, le=60)] = 15.0  # angle between captures; the polariser turns by 180°
     extinction: Annotated[float, msgspec.Meta(gt=1)] = 10000.0  # extinction ratio of the polariser
-    angle_error_deg: NotNegative = 0.02  # standard deviation of the angles of the polariser
+    angle_error_deg: NotNegative = 0.02  # standard deviation of the error of each polariser angle
     level: Positive = 0.7  # fraction of full scale that the brightest channel reaches
     trials: Count = 2  # number of frames per angle
 
@@ -226,14 +226,14 @@ class _Response:
 
 @dataclass
 class _Session:
-    """The captures that are planned so far, and the state of the lamps and of the spectrometer."""
+    """The captures planned so far, and the state of the lamps and of the spectrometer."""
 
     recipe: LabRecipe
     response: _Response
     rng: np.random.Generator
     captures: list[LabCapture] = field(default_factory=list)
     shift: float = field(init=False)  # nm, wavelength error of the spectrometer
-    drift: float = field(init=False)  # present relative deviation of the lamps from their measured spectra
+    drift: float = field(init=False)  # current relative deviation of the lamps from their measured spectra
 
     def __post_init__(self) -> None:
         self.shift = round(self.recipe.wavelength_error_nm * self.rng.standard_normal(), 4)
@@ -289,7 +289,7 @@ class _Session:
 
 
 def plan(camera: CameraModel, recipe: LabRecipe, seed: int) -> tuple[LabCapture, ...]:
-    """Plan all captures of a camera, in the order in which the lab takes the captures.
+    """Plan all captures of a camera, in chronological order.
 
     Raises
     ------

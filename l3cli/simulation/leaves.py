@@ -18,8 +18,8 @@ Size = float | Field
 EXPONENT = 2.0  # exponent of the cumulative distribution of the radii, whose density is then r^-3
 UNCOVERED = 0.003  # fraction of the picture that may show the background, because covering the last pixels takes long
 BATCH_AREA = 1.5  # total area of the bounding squares of a batch of leaves, relative to the picture
-BLOCK = 8  # pixels; side of the blocks that are tested for uncovered pixels, so that a row of a block is one 64-bit word
-SMALL = 40.0  # pixels; leaves up to this radius are drawn in groups
+BLOCK = 8  # side in pixels of the blocks that are tested for uncovered pixels; each row of a block is one 64-bit word
+SMALL = 40.0  # largest radius, in pixels, of leaves that are drawn in groups
 WINDOW_RATIO = 1.15  # ratio between successive window sizes for small leaves
 CHUNK = 1 << 16  # number of samples that are drawn together, small enough for the processor cache
 SPARSE_FRACTION = 0.2  # if less than this fraction of a leaf's window is uncovered, only the uncovered pixels are tested
@@ -76,7 +76,7 @@ def dead_leaves(rng: np.random.Generator, shape: tuple[int, int], smallest: floa
     Of all leaves that cover a pixel, the leaf with the lowest number is visible. The result therefore does not depend on the
     order in which leaves are drawn, and many leaves can be drawn together.
     """
-    room = int(2 * min(SMALL, largest) * WINDOW_RATIO) + 3  # pixels; margin for windows that extend beyond the picture
+    room = int(2 * min(SMALL, largest) * WINDOW_RATIO) + 3  # margin in pixels, for windows that extend beyond the picture
     canvas = np.full([-(-(length + 2 * room) // BLOCK) * BLOCK for length in shape], OUTSIDE_LABEL, np.int32)
     label = canvas[room : room + shape[0], room : room + shape[1]]
     label[:] = FREE
@@ -100,7 +100,7 @@ def _mean_square(smallest: float, largest: float) -> float:
 def _drawn(
     rng: np.random.Generator, first: int, count: int, shape: tuple[int, int], smallest: float, largest: float
 ) -> Drawn:
-    """Draw `count` leaves that touch a picture of `shape` (rows, cols). Their numbers start at `first`."""
+    """Draw `count` leaves that touch a picture of `shape` (rows, cols). The leaves are numbered from `first`."""
     radius = _radii(rng, count, smallest, largest)
     return Drawn(
         number=np.arange(first, first + count, dtype=np.int32),

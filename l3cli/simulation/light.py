@@ -26,8 +26,8 @@ Array = NDArray[np.floating]
 Curve = tuple[Array, Array]  # (sample,), wavelengths in nm; (curve, sample), values
 
 SCENE_LIGHT = "scene"  # the name that recipes use for the illuminant under which a scene was measured
-WIDEST_GAP = 20.0  # nm; largest permitted distance between samples of a measured illuminant
-INCOMPLETE_FRACTION = 0.01  # fraction of the peak; a measured spectrum that ends above this value is incomplete
+WIDEST_GAP = 20.0  # largest permitted distance between samples of a measured illuminant, in nm
+INCOMPLETE_FRACTION = 0.01  # a measured spectrum is incomplete if its first or last value exceeds this fraction of the peak
 
 OUTPUTS = {
     "CIE 1931": ("X", "Y", "Z"),
@@ -52,7 +52,7 @@ class Light:
     luminance: float  # cd/m², luminance of a perfect white
     wavelength: Array  # (sample,), nm
     radiance: Array  # (sample,), photons/s/sr/m²/nm
-    measured: str = ""  # digest of the measured spectra of which the illuminant consists
+    measured: str = ""  # digest of the measured spectra in the illuminant
 
     def at(self, luminance: float) -> "Light":
         """Return this illuminant, scaled to a luminance in cd/m²."""
@@ -106,8 +106,9 @@ def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
     Notes
     -----
     The illuminant is tabulated in steps of 1 nm in the range in which the observer or the camera is sensitive. Power between
-    two of these wavelengths is divided between them, so that no spectral line is lost. An illuminant that was measured at
-    the wavelengths of the camera keeps these wavelengths. All sums are then computed on the same grid, as in ISETCam.
+    two wavelengths of this grid is divided between the two wavelengths, so that no spectral line is lost. An illuminant that
+    was measured at the wavelengths of the camera keeps these wavelengths. All sums are then computed on the same grid, as in
+    ISETCam.
     """
     names = mixture(text)
     wavelength = spectra.light_grid(seen)
@@ -190,8 +191,8 @@ def named_beyond_known(names: Iterable[str], camera: Sees) -> list[str]:
 def beyond_known(light: Light, measured: Mapping[str, Curve], camera: Sees) -> str:
     """Return a warning if a channel collects more than 1 % of its electrons at wavelengths where an illuminant has no data.
 
-    Outside the range of its table, a standard illuminant is continued with its last value, and a measured illuminant with
-    zero. For the warning, a measured illuminant is also continued with its last value.
+    Outside the tabulated range, l3 extends a standard illuminant with its last value, and a measured illuminant with zero.
+    The warning assumes that a measured illuminant also continues with its last value.
 
     Parameters
     ----------
@@ -233,8 +234,8 @@ def beyond_known(light: Light, measured: Mapping[str, Curve], camera: Sees) -> s
 def lens_beyond_known(name: str, transmittance: Curve, light: Light, camera: CameraModel) -> str:
     """Return a warning if a channel collects electrons at wavelengths at which the transmittance of a lens is unknown.
 
-    l3 uses a transmittance of zero at wavelengths outside the file. To estimate the fraction of electrons that are missing,
-    the warning assumes that the last value of the file continues.
+    l3 uses a transmittance of zero outside the wavelength range of the file. To estimate the missing fraction of the
+    electrons, the warning assumes that the last value of the file continues.
 
     Parameters
     ----------
@@ -261,8 +262,8 @@ def lens_beyond_known(name: str, transmittance: Curve, light: Light, camera: Cam
 def functions_beyond_known(name: str, functions: Curve, names: Sequence[str], light: Light) -> str:
     """Return a warning if wavelengths outside a file of matching functions would contribute to an output.
 
-    l3 uses zero at wavelengths outside the file. To estimate the missing fraction of an output for a white surface, the
-    warning assumes that the last values of the file continue.
+    l3 uses zero outside the wavelength range of the file. To estimate the missing fraction of an output for a white surface,
+    the warning assumes that the last values of the file continue.
 
     Parameters
     ----------
@@ -293,8 +294,8 @@ def functions_beyond_known(name: str, functions: Curve, names: Sequence[str], li
 def curves_beyond_known(recipe: Path, light: Light, camera: CameraModel) -> str:
     """Return a warning if a channel is sensitive at wavelengths that the curve file of the camera recipe does not cover.
 
-    l3 uses a responsivity of zero at wavelengths outside the file. To estimate the fraction of electrons that are missing,
-    the warning assumes that the last values of the file continue.
+    l3 uses a responsivity of zero outside the wavelength range of the file. To estimate the missing fraction of the
+    electrons, the warning assumes that the last values of the file continue.
 
     Parameters
     ----------
@@ -382,7 +383,14 @@ def _file_ends(name: str, grid: Array, there: str, taken: float, wanted: str) ->
 def surfaces_beyond_known(light: Light, camera: CameraModel) -> str:
     """Return a warning if a channel collects more than 1 % of its electrons at wavelengths without measured reflectances.
 
-    Outside the measured range, reflectances are continued with their last values.
+    The estimate assumes that reflectances continue with their last values outside the measured range.
+
+    Parameters
+    ----------
+    light : Light
+        The illuminant.
+    camera : CameraModel
+        The camera.
 
     Returns
     -------
@@ -482,7 +490,7 @@ def read_curve(path: Path, role: str) -> Curve:
     path : Path
         The file.
     role : {"light", "transmittance", "functions"}
-        What the recipe uses the file for.
+        Use of the file in the recipe.
 
     Returns
     -------

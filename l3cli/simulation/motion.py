@@ -18,13 +18,13 @@ from l3cli.recipes.toml import Count, NotNegative, Recipe, Share
 Array = NDArray[np.float64]
 Zoom = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
 Radius = Annotated[float, msgspec.Meta(gt=0, le=256)]
-FARTHEST_SHAKE = 3.0  # in standard deviations; random displacements are clipped to this value
+FARTHEST_SHAKE = 3.0  # limit of random displacements, in standard deviations
 LEAST_ZOOM = 1e-6  # avoids a division by zero in very long clips that zoom out
-SUBFRAMES = 8  # number of instants, while the shutter is open, over which a frame is averaged
+SUBFRAMES = 8  # number of instants during the exposure over which a frame is averaged
 
 
 class MovingLeaves(Recipe):
-    """Leaves that move across the scene in straight lines. Each leaf has one material. The first leaf covers all others."""
+    """Leaves that move across the scene in straight lines. Each leaf has one material. The first leaf is in front."""
 
     count: Annotated[int, msgspec.Meta(ge=1, le=64)] = 1
     radius_pixels: tuple[Radius, Radius] = (8.0, 24.0)  # smallest and largest radius
@@ -32,7 +32,7 @@ class MovingLeaves(Recipe):
 
 
 class Motion(Recipe):
-    """Settings of a simulated clip. Each frame shows a part of the scene, within which the camera moves."""
+    """Settings of a simulated clip. The camera moves over a scene, and each frame shows a part of the scene."""
 
     frames: Count
     size: tuple[Count, Count]  # rows and columns of each frame, in pixels

@@ -3,7 +3,7 @@
 Each leaf has one of five kinds of surface, which are drawn in the proportions of SHARES:
 
 matt       weakly polarised, with an angle that changes little over the leaf
-smooth     reflections on a curved dielectric: Fresnel's equations determine the degree, and the curvature the angle
+smooth     reflections on a curved dielectric: Fresnel's equations determine the degree, the curvature determines the angle
 flat       reflections on a plane such as a window, with nearly constant degree and angle
 sky        a degree that increases linearly across the leaf, as in the sky
 plastic    transparent, birefringent plastic in polarised light, whose degree and angle depend on the wavelength
@@ -21,14 +21,14 @@ from l3cli.simulation.leaves import Leaves
 Floats = NDArray[np.float32]
 
 MATT, SMOOTH, FLAT, SKY, PLASTIC = range(5)
-SHARES = (0.64, 0.18, 0.10, 0.05, 0.03)  # fraction of the leaves of each kind
-NODES = np.array([450.0, 550.0, 650.0])  # nm; wavelengths at which the polarisation of a leaf is drawn
+SHARES = (0.64, 0.18, 0.10, 0.05, 0.03)  # fraction of the leaves with each kind of surface
+NODES = np.array([450.0, 550.0, 650.0])  # wavelengths at which the polarisation of a leaf is drawn, in nm
 INDEX = 1.5  # refractive index of smooth surfaces
 MAX_DEGREE = 0.95
 MATT_DEGREE = 0.1  # largest degree of matt leaves
 COLOURED = 0.25  # fraction of the leaves whose degree depends on the wavelength
-CALM = 0.2  # fraction of the scenes with weak polarisation, and the factor by which all their degrees are multiplied
-RIM = 0.98  # largest sine of the angle of incidence on smooth leaves, which the surface reaches near the rim
+CALM = 0.2  # fraction of the scenes that have weak polarisation, and factor of the degrees in these scenes
+RIM = 0.98  # largest sine of the angle of incidence on smooth leaves, near the rim of a leaf
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Sheen:
     kind: NDArray[np.intp]  # (leaf) MATT, SMOOTH, FLAT, SKY or PLASTIC
     degree: Floats  # (leaf) degree of polarisation, or its largest value on the leaf
     angle: Floats  # (leaf) angle of polarisation at the centre, in radians
-    slope: Floats  # (2, leaf) change of the angle per radius, down and across; for SKY, direction of the increase
+    slope: Floats  # (2, leaf) change of the angle per radius, down and across; for SKY, direction of increasing degree
     # (leaf) The degree is proportional to brightness^-power. The power is 1 if only the surface reflects polarised light.
     albedo_power: Floats
     colour: Floats  # (leaf) relative change of the degree per 100 nm

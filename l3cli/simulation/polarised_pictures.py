@@ -17,13 +17,13 @@ from l3cli.simulation.reflectances import DRAWN, primaries, raise_to_spectra, sh
 
 Floats = NDArray[np.float32]
 
-# nm; wavelengths at which the polarisation of colour pictures is sampled. Interpolation changes S1 and S2 by less than 0.3 %
-# of S0 (RMS), even if the polarisations of the colours are unrelated.
+# Wavelengths in nm at which the polarisation of colour pictures is sampled. Interpolation changes S1 and S2 by less than
+# 0.3 % of S0 (RMS), even if the polarisations of the colours are unrelated.
 NODES = np.arange(450.0, 651.0, 20.0)
-BLOCK = 16  # pixels, side of the blocks over which differences from Malus's law are averaged, to reduce the noise
-CONTRADICTION = 0.01  # `StokesPicture.contradiction` above which l3 warns; photos from good cameras reach 0.004
-NOISE_LIMIT = 3.0  # smaller differences from Malus's law, in units of their noise, count as noise
-ROUNDING = 1e-4  # a degree of polarisation may exceed 1 by this much
+BLOCK = 16  # side in pixels of the blocks over which differences from Malus's law are averaged to reduce the noise
+CONTRADICTION = 0.01  # l3 warns if `StokesPicture.contradiction` is larger; photos from good cameras reach 0.004
+NOISE_LIMIT = 3.0  # smaller differences from Malus's law count as noise; in standard deviations of the noise
+ROUNDING = 1e-4  # rounding tolerance for degrees of polarisation above 1
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def scene_of_stokes(picture: StokesPicture, wavelength: NDArray[np.float64], nam
     Returns
     -------
     Scene
-        The scene, without an illuminant of its own.
+        The scene, without an illuminant.
     """
     scene = raise_to_spectra(np.broadcast_to(picture.stokes[0], (*picture.stokes.shape[1:3], 3)), wavelength, name)
     if picture.stokes.shape[3] == 1:

@@ -24,7 +24,7 @@ Array = NDArray[np.floating]
 Cube = NDArray[np.float32]  # (row, col, band)
 
 OVERSAMPLING = 2  # samples per pixel in each direction, so that edges can be at fractions of a pixel
-SMALLEST_RADIUS, LARGEST_RADIUS = 3.0, 100.0  # pixels; range of the leaf radii
+SMALLEST_RADIUS, LARGEST_RADIUS = 3.0, 100.0  # range of the leaf radii, in pixels
 MAX_TIMES_WHITE = 3.0  # largest value in a scene, including highlights, relative to a perfect white
 STRIP = 8  # number of rows that are drawn together, small enough for the processor cache
 Wavelength = NDArray[np.float64]
@@ -95,7 +95,7 @@ def drawn_leaves(
     reflectance : ndarray, (row, col, band)
         Reflectance. Highlights may exceed 1.
     polarisation : Polarisation or None
-        None without `polarising`.
+        Polarisation of the light, or None if `polarising` is None.
     """
     fine = (size[0] * OVERSAMPLING, size[1] * OVERSAMPLING)
     materials = palette(rng, surfaces(tuple(wavelength)))
@@ -147,8 +147,8 @@ def _coats(rng: np.random.Generator, materials: Array, count: int) -> Coat:
 def _light(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float32]:
     """Draw the relative illumination of a scene at each pixel.
 
-    The illumination always varies smoothly. In 30 % of the scenes, a random number of shadows is added, which can be 0. The
-    shadows have soft, ragged edges.
+    The illumination always varies smoothly. In 30 % of the scenes, shadows with soft, ragged edges are added. The number of
+    shadows is random and can be 0.
     """
     logarithm = 0.4 * fields.pink(rng, shape, 1.8)
     shadows = rng.poisson(1.0) if rng.random() < 0.3 else 0
@@ -245,7 +245,7 @@ def _average(cube: Cube, materials: NDArray[np.float32], label: NDArray[np.integ
     Parameters
     ----------
     cube : ndarray, (row, col, band)
-        Receives the result.
+        Array for the result.
     materials : ndarray, (leaf, band)
         Spectrum of each leaf.
     label : ndarray, (row, col)
@@ -270,7 +270,7 @@ def _blurred(cube: Cube, sigma: float) -> Cube:
     """Blur a scene with a Gaussian of `sigma` pixels, in place, to imitate the lens of a real picture.
 
     A blur of less than 0.2 pixels has no effect and is skipped. The scene is mirrored at its borders. The data are processed
-    row by row, so that they remain in the processor cache. This takes a fifth of the time of scipy.ndimage.
+    row by row, so that they remain in the processor cache. This function takes a fifth of the time of scipy.ndimage.
     """
     if sigma <= 0.2:
         return cube
@@ -330,7 +330,7 @@ def drawn_composition(
     reflectance : ndarray, (row, col, band)
         Reflectance.
     polarisation : Polarisation or None
-        None without `polarising`.
+        Polarisation of the light, or None if `polarising` is None.
     """
     cube, polarisation = drawn_leaves(rng, size, wavelength, polarising=polarising)
     for units, centre, panel in (
@@ -399,11 +399,11 @@ POLARISED: dict[type, Callable[..., tuple[Cube, Polarisation | None]]] = {  # sc
     sources.DeadLeaves: lambda s, rng, nm, polarising: drawn_leaves(rng, s.size, nm, s.patterned, polarising),
     sources.Composition: lambda s, rng, nm, polarising: drawn_composition(rng, s.size, nm, polarising),
 }
-POLARISATION_SEED = 60  # part of the seed of the polarisation, so that it is independent of the rest of the scene
+POLARISATION_SEED = 60  # part of the seed that makes the polarisation independent of the rest of the scene
 
 
 def draw(wanted: sources.WantedScene, seed: int, camera_wavelength: Wavelength, polarised: bool = False) -> Scene:
-    """Draw a procedural scene for a camera. The scene is determined by the recipe and the seed.
+    """Draw a procedural scene for a camera. The recipe and the seed determine the scene.
 
     Parameters
     ----------
@@ -414,7 +414,7 @@ def draw(wanted: sources.WantedScene, seed: int, camera_wavelength: Wavelength, 
     camera_wavelength : ndarray, (wavelength,)
         Wavelengths of the camera, in nm.
     polarised : bool
-        Whether leaves polarise light, for cameras with polarisers. The reflectances are the same in both cases.
+        Whether leaves polarise light, for cameras with polarisers. The reflectances do not depend on this setting.
 
     Returns
     -------
@@ -579,7 +579,7 @@ def zone_plate(size: tuple[int, int], wavelength: Array, highest: float) -> Cube
 
 
 def frequencies(size: tuple[int, int], wavelength: Array, orders: int) -> Cube:
-    """Return a row of gratings with different frequencies and with a contrast that decreases from top to bottom.
+    """Return a row of gratings. The frequency increases from left to right, and the contrast decreases from top to bottom.
 
     The frequency doubles from grating to grating, up to 0.5 cycles per pixel in the last grating. The contrast is 1 at the
     top and 1/100 at the bottom.

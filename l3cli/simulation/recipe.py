@@ -1,4 +1,4 @@
-"""The scene recipe: it lists the scenes to simulate, the illuminants and the exposures.
+"""The scene recipe, which lists the scenes to simulate, the illuminants and the exposures.
 
 Each scene is simulated under each illuminant, at each luminance and with each exposure.
 """
@@ -32,9 +32,9 @@ class Lens(Recipe):
     """Lens effects to simulate, and settings that replace the lens of the camera (docs/method.md#optics)."""
 
     diffraction: bool = True
-    off_axis: bool = False  # whether corners are darker; a table cannot correct this, because it treats all places equally
+    off_axis: bool = False  # whether to darken the corners; a table treats all places equally and cannot correct this
     defocus_um: NotNegative = 0.0  # standard deviation of a Gaussian blur on the sensor
-    # Transmittance as a number or as the name of a CSV file. It multiplies the responsivities of the camera.
+    # Transmittance as a number or as the name of a CSV file. The transmittance multiplies the responsivities of the camera.
     transmittance: Annotated[float, msgspec.Meta(gt=0, le=1)] | str | None = None
     focal_length_mm: Positive | None = None
     f_number: Positive | None = None
@@ -65,7 +65,7 @@ class Pair(Recipe):
 
     raw: str  # path relative to the recipe
     picture: str  # encoded sRGB, or an EXR file whose channels have the names of the target outputs
-    offset: tuple[CountOrNone, CountOrNone] = (0, 0)  # row and column in the raw frame of the first pixel of the picture
+    offset: tuple[CountOrNone, CountOrNone] = (0, 0)  # row and column of the picture's first pixel in the raw frame
     phase: tuple[int, int] | None = None  # row and column of the CFA at the first raw pixel; default: read from the file
     # A picture value multiplied by this scale is the fraction of full scale that a white surface of the same brightness
     # reaches. By default, the scale is fitted.
@@ -84,11 +84,11 @@ class SceneRecipe(Recipe):
     illuminants: Annotated[list[str], msgspec.Meta(min_length=1)] = msgspec.field(default_factory=lambda: ["D65"])
     luminances_cd_m2: Several | None = None  # luminances of a perfect white; default: 100
     lux: Several | None = None  # illuminances, as an alternative to luminances_cd_m2; π times the luminance of white
-    # automatic exposure: fraction of full scale that the brightest channel of a white reaches
+    # Automatic exposure: fraction of full scale that the brightest channel of a white reaches.
     exposure_share: Several | None = None
-    # automatic exposure: fraction of the pixels that reach full scale
+    # Automatic exposure: fraction of the pixels that reach full scale.
     exposure_saturated: Annotated[list[Annotated[float, msgspec.Meta(gt=0, lt=1)]], msgspec.Meta(min_length=1)] | None = None
-    # automatic exposure: mean of the mosaic before clipping, as a fraction of full scale
+    # Automatic exposure: mean of the mosaic before clipping, as a fraction of full scale.
     exposure_mean: Several | None = None
     exposure_s: Several | None = None  # fixed exposure time
     lens: Lens = msgspec.field(default_factory=Lens)
@@ -194,7 +194,7 @@ def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fa
     Yields
     ------
     Fault
-        A message and the keys to which it refers.
+        A message and the keys to which the message refers.
     """
     if not (recipe.scene or recipe.pair):
         yield fault("the recipe contains no scenes; add [[scene]] or [[pair]]", "scene", "pair")
@@ -273,7 +273,7 @@ class Shot:
     index: int  # number of the frame in the training set
     illuminant: str
     luminance: float  # cd/m²
-    # fixed exposure time in s, or target fraction of an automatic exposure; `SceneRecipe.exposures` returns which
+    # Fixed exposure time in s, or target fraction of an automatic exposure. `SceneRecipe.exposures` returns the type.
     exposure: float
     moment: int = 0  # number of the frame in its clip
 

@@ -26,7 +26,8 @@ from l3cli.simulation.light import make_light, matching_weights
 Array = NDArray[np.floating]
 
 COMPONENTS = 8  # number of principal components of the Gaussian in logit space
-# nm; wavelengths at which materials are drawn. They do not depend on the camera, so materials have the same colours for all.
+# Wavelengths in nm at which materials are drawn. The wavelengths do not depend on the camera, so a material has the same
+# colour for all cameras.
 DRAWN = np.arange(SHOWN[0], SHOWN[1] + 1.0, 10.0)
 
 # Relative frequency of each type of material (docs/method.md#procedural-scenes).
@@ -34,7 +35,7 @@ KIND_FREQUENCIES = {"library": 0.25, "mixture": 0.2, "gaussian": 0.35, "skin": 0
 # Types of material whose saturation is drawn at random. All other types have their natural saturation.
 DYED = ("library", "mixture", "gaussian")
 VIVID = (0.0, 1.2)  # range of the saturation in charts of dyed materials; 0 is grey, 1 is the measured saturation
-VESSEL = 0.007  # cm; radius of the blood vessels of the skin
+VESSEL = 0.007  # radius of the blood vessels of the skin, in cm
 PAINTED = 0.75  # fraction of the dyed materials that contain titanium white, as paint, plastic and paper do
 
 # Molar extinction of oxygenated and deoxygenated haemoglobin in cm-1/M, 390…780 nm in steps of 10 nm (S. Prahl, omlc.org).
@@ -55,7 +56,7 @@ EXACTNESS = 1e4  # weight of the colour equations relative to smoothness
 
 @dataclass(frozen=True)
 class Surfaces:
-    """Measured reflectances, and a Gaussian distribution fitted to them in logit space."""
+    """Measured reflectances, and a Gaussian distribution fitted to these reflectances in logit space."""
 
     wavelength: Array  # (band,), nm
     measured: Array  # (sample, band), reflectance
@@ -66,7 +67,7 @@ class Surfaces:
 
 @functools.lru_cache(maxsize=2)
 def surfaces(wavelength: tuple[float, ...]) -> Surfaces:
-    """Return measured reflectances from colour-science, except the ColorChecker, and a Gaussian that is fitted to them.
+    """Return measured reflectances from colour-science, except the ColorChecker, and a Gaussian fitted to these reflectances.
 
     The Gaussian is fitted at the wavelengths of DRAWN. Values at other wavelengths are predicted by linear regression, so
     that a random material has the same colour on any wavelength grid.
@@ -191,7 +192,7 @@ def _skin(rng: np.random.Generator, of: Surfaces) -> Array:
     absorption = blood * seen + 0.244 + 85.3 * np.exp(-(wavelength - 154.0) / 66.2)
     scattering = 46.0 * (wavelength / 500.0) ** -rng.uniform(1.1, 1.6)
     dermis = kubelka_munk(8 / 3 * absorption / (scattering * rng.uniform(0.7, 1.3)))  # K = 2 μ_a, S = 3/4 μ_s'
-    epidermis = np.exp(-2 * 0.006 * melanin * 6.6e11 * wavelength**-3.33)  # 60 µm thick; light passes it twice
+    epidermis = np.exp(-2 * 0.006 * melanin * 6.6e11 * wavelength**-3.33)  # 60 µm thick; the light passes through twice
     return 0.025 + 0.95 * dermis * epidermis * rng.uniform(0.8, 1.1)
 
 
@@ -240,7 +241,7 @@ def raise_to_spectra(linear: NDArray[np.float32], wavelength: NDArray[np.float64
     Returns
     -------
     Scene
-        The scene, without an illuminant of its own.
+        The scene, without an illuminant.
     """
     cube = np.maximum(linear, np.float32(0.0)) @ primaries().astype(np.float32)
     if not np.array_equal(wavelength, DRAWN):  # selecting bands after the product gives all cameras identical values
@@ -256,7 +257,7 @@ def shrunk(linear: NDArray[np.float32], by: int) -> NDArray[np.float32]:
     linear : ndarray, (row, col, colour)
         The picture.
     by : int
-        Side of a block in pixels. Incomplete blocks at the right and at the bottom are left out.
+        Side of a block in pixels. Incomplete blocks at the right and at the bottom are ignored.
 
     Returns
     -------

@@ -17,7 +17,7 @@ from l3cli.errors import RecipeError, shortened, suggestion
 from l3cli.recipes.toml import NotNegative, Recipe, Share
 from l3cli.system.plugins import NOISE, blamed, plugins
 
-MAX_ELECTRONS = 1e15  # e-; larger than any full-well capacity, and small enough for the Poisson generator
+MAX_ELECTRONS = 1e15  # limit in e-, larger than any full-well capacity and small enough for the Poisson generator
 NOISES = ("all", "shot", "none")  # "shot": only the shot noise of light and dark current; "none": only quantisation
 OfMillion = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
 
@@ -57,7 +57,7 @@ def mosaic(electrons: NDArray[np.float32], cfa: NDArray[np.uint8]) -> NDArray[np
 def signals(camera: CameraModel, rates: NDArray[np.floating]) -> NDArray[np.floating]:
     """Multiply the electron rate of each pixel, in e-/s, by the relative gain of its channel.
 
-    Multiplied by the gain of the camera, the result is the signal in DN per second.
+    The result, multiplied by the gain of the camera, is the signal in DN per second.
     """
     return rates if camera.readout is None else rates * camera.channel_gains[camera.channel_map(rates.shape)]
 
@@ -204,7 +204,7 @@ def _collected(
         signal *= 1 + pattern.prnu
         signal += pattern.dsnu
         for axis, deviation in enumerate((noise.row_temporal_noise, noise.column_temporal_noise)):
-            if deviation:  # one offset per line of the frame; without this noise, the other random numbers stay the same
+            if deviation:  # one offset per row or column, drawn only if needed, so that other random numbers stay the same
                 offsets = rng.standard_normal(signal.shape[axis], dtype=np.float32) * np.float32(deviation)
                 signal += offsets[:, None] if axis == 0 else offsets
     return signal
@@ -251,9 +251,9 @@ class DefectRecipe(Recipe):
     hot_current_e_per_s: NotNegative = 4000.0  # additional dark current of a hot pixel
     dead_pixels_per_million: OfMillion = 10.0
     dust_specks_per_million: Annotated[float, msgspec.Meta(ge=0, le=10_000)] = 4.0  # each speck casts a soft shadow
-    dust_depth: Share = 0.03  # fraction of the light that is lost at the centre of a shadow
+    dust_depth: Share = 0.03  # fraction of the light lost at the centre of a shadow
     dust_radius_px: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 12.0
-    column_noise_e: NotNegative = 2.0  # e-; standard deviation of the column offsets
+    column_noise_e: NotNegative = 2.0  # standard deviation of the column offsets, in e-
 
 
 @dataclass(frozen=True)

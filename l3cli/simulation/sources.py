@@ -39,7 +39,7 @@ class Framing(Recipe, kw_only=True):
     scale: Positive | None = None  # pixels per sample; if the result is larger than the sensor, only the centre is used
     # horizontal angle of view of the scene, as an alternative to scale
     field_of_view_deg: Annotated[float, msgspec.Meta(gt=0, lt=179)] | None = None
-    motion: Motion | None = None  # if set, a clip is simulated, whose frames show parts of the scene
+    motion: Motion | None = None  # if set, l3 simulates a clip whose frames show parts of the scene
 
 
 class Synthetic(Framing, kw_only=True):
@@ -90,7 +90,7 @@ class SlantedEdge(Synthetic, tag_field="source", tag="slanted edge", kw_only=Tru
 
 
 class ZonePlate(Synthetic, tag_field="source", tag="zone plate", kw_only=True):
-    highest: float = 0.5  # cycles per pixel; frequency at the nearest sides of the frame
+    highest: float = 0.5  # frequency at the nearest sides of the frame, in cycles per pixel
 
 
 class Frequencies(Synthetic, tag_field="source", tag="frequencies", kw_only=True):
@@ -100,7 +100,7 @@ class Frequencies(Synthetic, tag_field="source", tag="frequencies", kw_only=True
 
 
 class GreyRamp(Synthetic, tag_field="source", tag="grey ramp", kw_only=True):
-    octaves: float = 14.0  # the darkest grey has a reflectance of 2^-octaves
+    octaves: float = 14.0  # the reflectance of the darkest grey is 2^-octaves
 
 
 class FileSource(Framing, kw_only=True):
@@ -121,9 +121,9 @@ class RgbPictures(Pictures, tag_field="source", tag="rgb", kw_only=True):
 
 
 class PolarisedPictures(Pictures, kw_only=True):
-    # Stored value of a perfect white that is not polarised (behind the polariser, if there is one). By default, it is 1 for
-    # floats, 255 for 8-bit integers, and 65535 for 16-bit integers that use the whole range. It is required for all other
-    # integers.
+    # Stored value of a perfect white that is not polarised. For pictures behind a polariser, the white is also behind the
+    # polariser. The default is 1 for floats, 255 for 8-bit integers, and 65535 for 16-bit integers that use the whole range.
+    # For all other integers, this key is required.
     white: Positive | None = None
 
 
@@ -153,7 +153,7 @@ class Spectral(FileSource, kw_only=True):
     # is 1 for floats, 255 for 8-bit integers, and 65535 for 16-bit integers that use the whole range. For all other
     # integers, this key is required.
     white: Positive | None = None
-    # Stored value that marks pixels without data, which training ignores. By default, it is read from the file.
+    # Stored value that marks pixels without data, which training ignores. The default is the value in the file.
     ignored: float | Literal["nan"] | None = None
     light: str | None = None  # name or CSV file of the illuminant under which radiance was measured
 
@@ -306,7 +306,7 @@ def holds_codes(source: Source) -> bool:
 def can_be_relit(source: Source) -> bool:
     """Whether the reflectances of a source are known, so that scenes can be simulated under any illuminant.
 
-    Radiance under an unknown illuminant has no known reflectances.
+    If the illuminant of a radiance is unknown, the reflectances are unknown too.
     """
     return not (isinstance(source, Spectral) and source.holds != "reflectance" and source.light is None)
 
@@ -543,7 +543,7 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
     under `light`. If the illuminant is unknown, an equal-photon spectrum is assumed. If the recipe does not contain the key
     `white`, the brightest pixels of a radiance scene are assumed to be white.
 
-    Small negative values become zero (docs/method.md#simulation). Bad bands are left out. Pixels without data obtain the
+    Small negative values become zero (docs/method.md#simulation). Bad bands are removed. Pixels without data obtain the
     reflectance of the nearest pixel with data, and are marked as ignored.
     """
     wavelength, values, ignored = _bands(cube, source)

@@ -15,7 +15,7 @@ from l3cli.simulation.light import camera_unknown, make_light, named_beyond_know
 from l3cli.system.text import array_lines, columns, seconds_text, size_text
 
 LIGHTS = ("D65", "A")
-LUMINANCE = 100.0  # cd/m²; luminance of white, as indoors, for which exposure times are reported
+LUMINANCE = 100.0  # luminance of white, in cd/m², for which exposure times are reported; typical of indoor scenes
 
 
 def camera_summary(camera: CameraModel) -> dict[str, Any]:

@@ -30,7 +30,7 @@ from l3cli.system.files import FilesUsed, files_to_read, write_whole
 from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import counted
 
-MAX_PRINTED = 8  # at most this many assumptions, and this many missing entries, are printed
+MAX_PRINTED = 8  # largest number of assumptions, and of missing entries, that are printed
 
 
 def calibrate(
@@ -125,9 +125,9 @@ def calibrate(
 def draft(folder: Path, output: Path, options: DraftOptions) -> FilesUsed:
     """Write a draft of a measurement file for a folder of captures.
 
-    If the folder contains no raw frames, the draft describes its tables of responsivities. The frames contain no information
-    about sensor, CFA and optics, so these values come from `options.camera`. Values that are still unknown are marked TODO
-    in the draft, and assumed values are marked ASSUMED. The most important values of both types are also printed.
+    If the folder contains no raw frames, the draft describes the tables of responsivities in the folder. The frames contain
+    no information about sensor, CFA and optics, so these values come from `options.camera`. In the draft, unknown values are
+    marked TODO and assumed values are marked ASSUMED. The most important values of both types are also printed.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def _problem(text: str, output: Path) -> str:
 
 
 def named_from(path: Path, output: Path) -> str:
-    """Return a path in the form in which the measurement file `output` refers to this path.
+    """Return a path as written in the measurement file `output`.
 
     Paths inside the folder of the measurement file are relative to this folder. All other paths are absolute.
     """
@@ -219,7 +219,7 @@ def named_from(path: Path, output: Path) -> str:
 def spectra_of(listing: CaptureFolder, output: Path, notes: list[str]) -> list[Spectra]:
     """Return the tables of spectra in a folder, in natural order of their names.
 
-    `notes` receives a message about each file that is left out.
+    `notes` receives a message about each skipped file.
     """
     tables = read_spectra(listing, notes)
     spectra = [Spectra(named_from(listing.folder / name, output), read_name(name), table) for name, table in tables]

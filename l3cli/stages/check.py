@@ -54,8 +54,8 @@ def files_named(path: Path, content: Mapping[str, Any]) -> tuple[Path, ...]:
     """Return the existing files to which a recipe refers.
 
     A recipe refers to a file by its name, by a pattern such as "*.exr", or within the description of a mixture of
-    illuminants, such as "0.7 D65 + 0.3 lamp.csv". Every text in the recipe is tried as a file name. Missing files are left
-    out.
+    illuminants, such as "0.7 D65 + 0.3 lamp.csv". Every text in the recipe is tried as a file name. Missing files are
+    skipped.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def design_lines(figures: dict[str, Any], width: int | None) -> list[str]:
 
 
 def scene_recipe_faults(recipe: SceneRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults of a scene recipe, and report missing files.
+    """Yield the faults of a scene recipe, including missing files.
 
     If `source` has a camera, the recipe is checked for this camera.
     """
@@ -217,7 +217,7 @@ class Kind(NamedTuple):
 
 
 CAMERA = "camera"
-# additional keys from which the type of a recipe with the key `base` is recognised
+# Additional keys that identify the type of a recipe with the key `base`.
 BASED = {"a camera recipe": ("base", "phase"), "a measurement file": ("dark", "white")}
 KINDS = {
     kind.name: kind
@@ -301,7 +301,7 @@ CHECKS = {
 INDENT = "  "
 # Similar faults have messages that differ only in the number of a list entry, or in the name of a missing file.
 ENTRY = re.compile(r"\[\d+\]|^.*(?= does not exist)")
-MAX_LISTED = 3  # more similar faults than this are printed as one line
+MAX_LISTED = 3  # a larger number of similar faults is printed as one line
 MAX_LINE_NUMBERS = 8  # largest number of line numbers in a line about similar faults
 SYNTAX = re.compile(r"\(at line (\d+), column \d+\)")  # position in an error message of the TOML parser
 
@@ -378,7 +378,7 @@ def recipes_of(name: str) -> list[Path]:
     Parameters
     ----------
     name : str
-        Path of a file, path of a folder of recipes, or name of recipes or of a benchmark that come with l3. Recipes of
+        Path of a file, path of a folder of recipes, or name of a recipe or benchmark that comes with l3. Recipes of
         different types may have the same name.
 
     Raises
@@ -415,9 +415,9 @@ def _is_camera(path: Path) -> bool:
 def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
     """Check one file.
 
-    If the file comes with l3, its folder determines the type of recipe. Otherwise its keys determine the type. A file that
-    cannot be read, is not valid TOML, or has an unknown type has a single fault. If `camera` is set, the recipe is checked
-    for this camera.
+    The type of a recipe that comes with l3 is determined by its folder. The type of any other file is determined by the keys
+    in the file. A file that cannot be read, is not valid TOML, or has an unknown type has a single fault. If `camera` is
+    set, the recipe is checked for this camera.
     """
     try:
         text = read_text(path, "a recipe or a measurement file")

@@ -81,7 +81,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _write_page(comparison: Comparison, page: Path) -> None:
-    from l3cli.report.evaluation import luminance_section  # imported here because plotting is slow to import
+    from l3cli.report.evaluation import luminance_section  # imported here, because the import is slow
     from l3cli.report.parts import render_page
 
     names = " and ".join(curve.name for curve in comparison.cameras)

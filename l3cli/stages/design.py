@@ -85,7 +85,7 @@ class Parts(PartsFolder):
         what : str
             Name of the results in the plural, for file names and for the progress bar.
         work : callable
-            Function that computes a dictionary of arrays from an item. It must be picklable.
+            Function that computes a dictionary of arrays from an item. The function must be picklable.
         items : sequence
             The items.
         pool : WorkerPool
@@ -116,7 +116,7 @@ PARTS = 8  # number of parts into which the scenes are divided, independent of t
 def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -> tuple[SceneMoments, FilesUsed]:
     """Compute and write the second moments of scenes that the bare pixels of a camera record through the lens.
 
-    The colour filters of the camera have no influence.
+    The colour filters of the camera are ignored.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ def _is_finished(output: Path, parts: Parts, options: PartsOptions) -> bool:
     Raises
     ------
     L3Error
-        If the output exists, unless it is finished or `force` is set.
+        If the output exists but is not finished, and `force` is not set.
     """
     finished = options.resume and not options.force and is_of_run(output, parts.key)
     if not finished:
@@ -218,7 +218,7 @@ def _is_finished(output: Path, parts: Parts, options: PartsOptions) -> bool:
 def _refuse(recipe: SceneRecipe, path: Path) -> None:
     """Raise RecipeError if the scenes cannot be simulated under every illuminant and behind every filter.
 
-    Scenes must have reflectance spectra, and the recipe must not have a transmittance of the lens.
+    Scenes must have reflectance spectra, and the recipe must not set a lens transmittance.
     """
     if SCENE_LIGHT in recipe.illuminants:
         raise RecipeError(
@@ -282,7 +282,7 @@ def _moments(run: SimulationRun, bases: Sequence[NDArray[np.float64]], patches: 
 CLASS_RECIPE = "single"  # class recipe for training tables of CFAs
 CROP = 72  # side in pixels of the square crop of the first scene, which a design stores
 FIGURES = ("mean_delta_e", "scielab", "output_psnr")  # metrics that a design stores, as attributes of Quality
-# scene recipe for training CFAs
+# Scene recipe for training the tables.
 TRAINING_SCENES = """illuminants = {lights}
 exposure_share = [0.9]
 [[scene]]
@@ -295,7 +295,7 @@ size = [160, 160]
 count = 2
 patches = [4, 4]
 """
-# scene recipe for evaluating CFAs
+# Scene recipe for evaluating the tables.
 EVALUATION_SCENES = """illuminants = ["{light}"]
 luminances_cd_m2 = [{luminance}]
 {exposure}
@@ -473,7 +473,7 @@ class _Run:
         return self.parts.each(what, work, items, self.pool, self.options.console)
 
     def candidates(self, lists: Sequence[list[Cfa] | None]) -> Iterator[Cfa]:
-        """Yield each CFA whose error is predicted, without duplicates.
+        """Yield each candidate CFA once.
 
         All CFAs that fit a pattern of the recipe are candidates. If too many CFAs fit a pattern, the candidates are the
         results of simulated annealing. All Bayer CFAs from the library of filters are also candidates.
@@ -481,7 +481,7 @@ class _Run:
         Parameters
         ----------
         lists : sequence of list of CFA, or None
-            The CFAs of each pattern, or None for a pattern with too many CFAs to predict the error of every CFA.
+            The CFAs of each pattern, or None for a pattern that too many CFAs fit.
         """
         runs = [(number, run) for number, arrays in enumerate(lists) if arrays is None for run in range(ANNEALING_RUNS)]
         work = functools.partial(self.task.annealed, self.options.seed)

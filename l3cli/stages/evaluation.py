@@ -54,7 +54,7 @@ from l3cli.system.text import counted
 PlanesOf = Callable[[TrainingFrame], dict[str, NDArray[np.floating]]]  # frame → outputs of each pipeline
 CHART_LUMINANCE = 1e4  # luminance of white on the charts in cd/m², at which dark current is negligible
 LUX = 1e-9, 1e9  # range of plausible illuminances in lux
-CHART_BANDS = np.array([*np.arange(SHOWN[0], SHOWN[1], 20.0), SHOWN[1]])  # nm; fine enough to model diffraction
+CHART_BANDS = np.array([*np.arange(SHOWN[0], SHOWN[1], 20.0), SHOWN[1]])  # wavelengths in nm, dense enough for diffraction
 
 
 def standard_figures(head: TrainingSet, planes: PlanesOf) -> dict[str, Any]:
@@ -68,8 +68,8 @@ def standard_figures(head: TrainingSet, planes: PlanesOf) -> dict[str, Any]:
     head : TrainingSet
         Head of a training set. The charts are simulated with its camera and its outputs.
     planes : callable
-        Function of a frame. It returns a dictionary with the name of each pipeline and the pipeline's output planes (output,
-        row, col) for the frame.
+        Function that takes a frame and returns a dictionary. The keys are the names of the pipelines. The values are the
+        output planes (output, row, col) of the frame.
 
     Returns
     -------
@@ -266,7 +266,7 @@ def document_of(
     """Return the output of `l3 evaluate --json`.
 
     The output contains the metrics of all evaluated frames, the metrics at several gains, and metrics on simulated charts.
-    The metrics on charts are computed by this function.
+    This function computes the metrics on charts.
     """
 
     def planes(frame: TrainingPair) -> dict[str, NDArray]:
@@ -280,8 +280,8 @@ def warn_of_other_lights(
 ) -> None:
     """Warn if a baseline is better than a table under an illuminant for which the table was not trained.
 
-    Two types of table are not checked: tables whose outputs are not XYZ, and tables that were trained under several
-    illuminants but have only one set of transforms, because they do not store the illuminants.
+    Two types of table are not checked: tables with outputs other than XYZ, and tables that were trained under several
+    illuminants but have a single set of transforms. Tables of the second type do not store their illuminants.
 
     Parameters
     ----------
@@ -364,14 +364,14 @@ def figures_by_gain(
 ) -> list[dict[str, Any]]:
     """Evaluate a table on a few frames per illuminant at several analog gains.
 
-    The frames are simulated again at the gains 1, 4, 16 and 64, as far as the noise of the camera is known at these gains.
+    The frames are simulated again at each of the gains 1, 4, 16 and 64 for which the noise of the camera is known.
 
     Parameters
     ----------
     table : TransformTable
         The table, not adapted to a gain.
     reader : TrainingSetReader
-        The training set. Real pairs in it are not used.
+        The training set. Real pairs are not used.
     backend : str
         Name of the renderer.
     console : Console

@@ -28,7 +28,7 @@ from l3cli.rendering.opencl.devices import cache_warning, survey
 from l3cli.system.files import sha256
 from l3cli.system.limits import trusted
 
-# types that are small enough to be read whole
+# Types of artifacts that are small enough to be read as a whole.
 WHOLE: tuple[type[Artifact], ...] = (CameraModel, TransformTable, SceneMoments, Design)
 
 

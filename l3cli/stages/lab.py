@@ -76,7 +76,7 @@ def measure(camera: Path, output: Path, options: LabOptions) -> tuple[Path, File
         lights = (*chosen.lights, *([] if model.polarisers is None else [chosen.polariser.illuminant]))
         for unknown in camera_unknown(camera, model, tuple(dict.fromkeys(lights))):
             console.warn(unknown)
-        # The measurement file is written last. An old file is removed, so that it never refers to frames of another run.
+        # The measurement file is written last. An old measurement file is removed, because the frames are replaced.
         file.unlink(missing_ok=True)
         work = [(capture, trial) for capture in captures for trial in range(capture.trials)]
         write_frame = functools.partial(_write_frame, model, chosen.defects, output, seed)

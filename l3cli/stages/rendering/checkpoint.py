@@ -1,4 +1,4 @@
-"""List of the finished outputs of a rendering, with which `--resume` continues an interrupted run.
+"""The checkpoint of a rendering: a list of finished outputs, with which `--resume` continues an interrupted run.
 
 A picture is finished if its file has not changed since the run wrote it, and if its frame and its settings are the same as
 in the earlier run. Files are compared by size, times and inode, because SHA-256 digests would add about 10 % to the
@@ -122,8 +122,8 @@ class FrameOrigins:
     inputs : Path
         The input, which identifies frames that do not have a separate file.
     settings : object
-        Settings that influence all pictures but are not part of the key of the run, such as the estimated gain, as JSON
-        data.
+        JSON data of the settings that influence all pictures but are not part of the key of the run, such as the estimated
+        gain.
     follow : bool
         Whether each picture depends on all previous frames. The origins must then be computed in the order of the frames.
     """
@@ -134,8 +134,8 @@ class FrameOrigins:
     def of(self, reference: FrameReference) -> FrameReference:
         """Compute the origin of a picture from the file of its frame, and return the reference with this origin.
 
-        Call this method before the frame is read, because the file could change during reading. If the frame has no file of
-        its own, the file of the input is used. If that is not a file, `reference` is returned unchanged.
+        Call this method before the frame is read, because the file could change during reading. If the frame has no separate
+        file, the input is used instead. If the input is not a file, `reference` is returned unchanged.
         """
         source = reference.source or self._inputs
         return self._with_origin(reference, fingerprint(source)) if source.is_file() else reference
@@ -143,7 +143,7 @@ class FrameOrigins:
     def of_read(self, reference: FrameReference, frame: RawFrame) -> FrameReference:
         """Return the reference of a frame that has been read, with the origin of the picture.
 
-        If `of` has already added the origin, it is kept. Otherwise, the origin is computed from the raw values.
+        An origin that `of` has already added is kept. Otherwise, the origin is computed from the raw values.
         """
         if reference.origin:
             return reference

@@ -34,7 +34,7 @@ MAX_WARNINGS = 1000  # largest number of warnings in the report of a clip
 
 
 def clips_of(inputs: Sequence[Path], table: Path, options: RenderOptions, output: Path) -> tuple[Path, ...]:
-    """Replace each folder that contains several clips by the clips in this folder, and return all inputs.
+    """Return the inputs, in which each folder of several clips is replaced by the clips in the folder.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def clips_of(inputs: Sequence[Path], table: Path, options: RenderOptions, output
 def are_clips(inputs: Sequence[Path], table: Path, options: RenderOptions, output: Path) -> bool:
     """Whether each input is a separate clip.
 
-    This is the case if there are several inputs of which at least one is a sequence, or if the output is a folder of videos.
+    Inputs are clips if there are several inputs of which at least one is a sequence, or if the output is a folder of videos.
     Several files with one frame each are rendered together.
     """
     if is_video(Path(f"clip.{options.format}")) and not is_video(output):
@@ -82,7 +82,7 @@ class ClipReport:
     output: str
     state: str  # RENDERED, KEPT or FAILED
     frames: int = 0  # number of frames whose pictures exist
-    left_out: int = 0  # number of frames that were left out because of errors
+    left_out: int = 0  # number of frames that were skipped because of errors
     seconds: float = 0.0
     frames_per_s: float | None = None
     frame_times: str | None = None  # Tally.frame_times
@@ -113,7 +113,7 @@ class Summary:
 
     @property
     def exit_code(self) -> int:
-        """0 if every frame of every clip was rendered, the code of the first error if all clips failed, and otherwise 1."""
+        """Exit code: 0 if all frames were rendered, the code of the first error if all clips failed, and otherwise 1."""
         states = {clip.state for clip in self.clips}
         if self.first_error_code is not None and states == {FAILED}:
             return self.first_error_code

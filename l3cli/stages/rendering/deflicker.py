@@ -1,4 +1,4 @@
-"""Removal of lamp flicker from a sequence, by a correction of the exposure of each frame."""
+"""Removal of lamp flicker from a sequence, by correcting the exposure of each frame."""
 
 import math
 from collections import Counter, deque
@@ -20,7 +20,7 @@ class FlickerReport:
 
     frames: int = 0  # number of frames
     squares: float = 0.0  # sum of squares of the logarithms of the correction factors
-    # mains frequency in Hz (None: no flicker) → number of frames
+    # Mains frequency in Hz (None: no flicker) → number of frames.
     mains: Counter[int | None] = field(default_factory=Counter)
 
     def line(self) -> str:

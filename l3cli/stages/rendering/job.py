@@ -1,4 +1,4 @@
-"""First phase of a rendering: the table is opened, the frames are found, and all options are checked.
+"""First phase of a rendering: open the table, find the frames, and check all options.
 
 Errors that do not depend on the content of a frame are raised here, before anything is written.
 """
@@ -324,8 +324,8 @@ def part_of(sequence: FrameSequence, shard: tuple[int, int], temporal: bool) -> 
     shard : tuple of int
         Number of the shard, counted from 1, and number of shards.
     temporal : bool
-        Whether the frames are filtered in time. The temporal filter works in chunks of frames. If there are enough frames, a
-        shard then starts at the beginning of a chunk. Otherwise it would also have to filter earlier frames.
+        Whether the temporal filter is used. The filter works in chunks of frames. If there are enough frames, each shard
+        starts at the beginning of a chunk, because a shard that starts inside a chunk must also filter earlier frames.
 
     Raises
     ------
@@ -357,7 +357,7 @@ def _nearest(position: int, grid: int) -> int:
 
 
 def _protect_frames(sequence: FrameSequence, guard: OutputGuard) -> None:
-    """Ensure that no output replaces a file with a frame. A stream has no such files, and may be endless."""
+    """Ensure that no output replaces the file of a frame. A stream has no files, and may be endless."""
     if not sequence.is_stream:
         guard.protect(*(reference.source for reference in sequence.frames if reference.source))
 
@@ -473,7 +473,7 @@ def _rendition(destination: Destination, white: str | None, table: TransformTabl
 
 
 def warn_of_white(name: str, white: SceneWhite, table: TransformTable, console: Console) -> None:
-    """Warn if a white is far from the training illuminants, or if its spectrum is not fully known.
+    """Warn if a white is far from the training illuminants, or if the spectrum of the white is not fully known.
 
     The spectrum must cover all wavelengths at which the camera is sensitive.
     """

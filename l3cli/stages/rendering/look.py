@@ -24,7 +24,7 @@ class Look:
     """Settings of a rendering that may depend on the first frame."""
 
     table: TransformTable  # with the transforms for the illuminant of the frames
-    light_mix: Mix | None  # mixture of illuminants that the transforms are for; None for the common transforms
+    light_mix: Mix | None  # illuminant mixture to which the transforms belong; None for the common transforms
     overrides: RawOverrides  # Job.overrides, with the estimated gain
     sequence: FrameSequence  # the frames, which are read with these overrides
     rendition: Rendition
@@ -156,7 +156,7 @@ def _first_frame(sequence: FrameSequence) -> tuple[RawFrame | None, FrameSequenc
             raise fault
         return first
 
-    # If the numbers are an iterator, its first number has been consumed, too.
+    # If the frame numbers are an iterator, reading the first frame has also consumed the first number.
     numbers = itertools.chain([number], frames.wanted) if isinstance(frames.wanted, Iterator) else frames.wanted
     return first, replace(sequence, frames=replace(frames, series=replace(frames.series, read=read), wanted=numbers))
 

@@ -112,7 +112,7 @@ class FrameReader:
         """Return a task for a worker that reads the file of a frame. The task contains the digest of this file.
 
         If the file cannot be read, the task contains the error instead. The first frame is never left to a worker, because
-        it is needed for warnings.
+        warnings need this frame.
         """
         assert task.reference.source is not None
         try:

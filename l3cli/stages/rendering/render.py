@@ -32,7 +32,7 @@ def render(
     Returns
     -------
     Tally
-        Numbers of rendered frames and of frames that were left out, and the files.
+        Numbers of rendered and skipped frames, and the files.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Messages about the frames of a rendering: how many frames there are, and their white points and times."""
+"""Messages about the frames of a rendering: number, white points and times of the frames."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,14 +23,14 @@ class Tally:
 
     done: int = 0  # number of frames whose pictures exist
     made: int = 0  # number of frames whose pictures this run has rendered
-    failures: int = 0  # number of frames that were left out because of errors
+    failures: int = 0  # number of frames that were skipped because of errors
     seconds: float = 0.0  # time between reading the first frame and writing the last picture
     frame_times: str | None = None  # EVEN, KEPT or LOST; None for pictures, which have no times
     written: list[Path] = field(default_factory=list)  # files that were written
     files: FilesUsed = field(default_factory=FilesUsed)
 
     def leave_out(self, error: L3Error, job: Job, count: int = 1) -> None:
-        """Report an error, and count the frames that are left out because of this error.
+        """Report an error, and count the frames that are skipped because of the error.
 
         If `skip_bad` is not set, the error is raised instead.
         """
@@ -40,7 +40,7 @@ class Tally:
         job.options.console.report(f"l3: {error}")
 
     def report(self, job: Job) -> None:
-        """At the end of a run, report the number of frames, the speed, and the number of frames that were left out.
+        """At the end of a run, report the number of frames, the speed, and the number of skipped frames.
 
         If this run has rendered no frames, the message says that the output is already finished.
         """
@@ -56,7 +56,7 @@ class Tally:
 class WhiteReport:
     """Reports the white of the frames.
 
-    The white of each still is reported. For a sequence, the first white is reported, and the last white if it is different.
+    The white of each still is reported. For a sequence, the first white and, if different, the last white are reported.
     If the first white is implausible, a warning is sent to the console.
     """
 
@@ -125,5 +125,5 @@ def report_times(job: Job, look: Look, tally: Tally) -> None:
         gap = "{}: frames are missing between {} and {}".format(sequence.what, *pacing.first_gap) + more
         if tally.frame_times == LOST:
             console.warn(f"{gap}, but a y4m video cannot contain gaps; {cure}")
-        elif not tally.failures:  # the frames that were left out have already been reported
+        elif not tally.failures:  # skipped frames have already been reported
             console.warn(f"{gap}; the video shows the frame before a gap until the next frame")

@@ -1,4 +1,4 @@
-"""Third phase of a rendering: all frames are read, rendered and written.
+"""Third phase of a rendering: read, render and write all frames.
 
 Each frame passes through these steps: read, measure, filter in time, render, encode, write. The steps run in several
 threads. The queues between the threads are short, so memory does not grow with the number of frames.
@@ -55,7 +55,7 @@ def run(job: Job, look: Look, renderers: Renderers) -> Tally:
 
 
 def _is_finished(job: Job, look: Look, tally: Tally) -> bool:
-    """Whether the output, a video or a multi-page file, is already finished. If so, add its frames to the tally."""
+    """Whether a video or a multi-page file is already finished. If so, add its frames to the tally."""
     if job.checkpoint is None or job.destination.one_by_one:
         return False
     path = job.destination.path
