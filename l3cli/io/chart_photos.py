@@ -40,9 +40,9 @@ class Illuminant(NamedTuple):
 def illuminant_of(photo: PhotoRecipe, path: Path) -> Illuminant:
     """Return the illuminant of a photo in the measurement file `path`.
 
-    If the measurement file specifies no illuminant, which must then be estimated, the result is a placeholder with a
-    constant spectrum. Raises RecipeError if the name of the illuminant is unknown, and InputFileError if the file with its
-    spectrum is unusable.
+    If the measurement file specifies no illuminant, the result is a placeholder with a constant spectrum, because the
+    illuminant is estimated later. Raises RecipeError if the name of the illuminant is unknown, and InputFileError if the
+    file with the spectrum is unusable.
     """
     if photo.light is None:
         return Illuminant(GRID, np.ones_like(GRID))
@@ -70,8 +70,8 @@ def illuminant_of(photo: PhotoRecipe, path: Path) -> Illuminant:
 def chart_of(photo: PhotoRecipe, path: Path) -> Chart:
     """Return the chart of a photo in the measurement file `path`.
 
-    Raises RecipeError if the name of the chart is unknown, or if its layout does not match its number of patches. Raises
-    InputFileError if the file with its reflectances is unusable.
+    Raises RecipeError if the name of the chart is unknown, or if the layout does not match the number of patches. Raises
+    InputFileError if the file with the reflectances is unusable.
     """
     if names_file(photo.chart):
         table = read_table(path.parent / photo.chart)
@@ -106,7 +106,7 @@ def capture_of(
     body : Body
         The camera.
     levels : mapping
-        Levels for raw files that do not state them (see Levels). If the photo has dark frames, the black level is optional.
+        Levels for raw files that state no levels (see Levels). If the photo has dark frames, the black level is optional.
     path : Path
         The measurement file. File names are relative to its folder.
     read : callable
@@ -117,7 +117,7 @@ def capture_of(
     InputFileError
         If a file is not a raw file of this camera, if its black level is unknown, or if the files differ in size or phase.
     """
-    known = {"black_level": 0.0, **levels} if photo.dark else levels  # dark frames determine the black level later
+    known = {"black_level": 0.0, **levels} if photo.dark else levels  # the dark frames will determine the black level
     frames, darks, whites = (
         tuple(_frame(path.parent / name, read(path.parent / name, known), body, known) for name in names)
         for names in (photo.frames, photo.dark, photo.white)
@@ -163,7 +163,7 @@ def recipe_of_photos(paths: Sequence[Path], first: RawContent, light: str | None
     light : str or None
         Name of the illuminant, or None to estimate it.
     levels : mapping
-        Levels for raw files that do not state them (see Levels).
+        Levels for raw files that state no levels (see Levels).
 
     Raises
     ------
@@ -197,14 +197,14 @@ def recipe_of_photos(paths: Sequence[Path], first: RawContent, light: str | None
 
 
 def bits_of(white_level: float) -> int:
-    """Return the number of bits of a sensor with this white level in DN, at most MAX_BITS."""
+    """Return the bit depth of a sensor with this white level in DN, limited to MAX_BITS."""
     return min(int(np.ceil(np.log2(white_level + 1))), MAX_BITS)
 
 
 def array_of(codes: NDArray[np.integer]) -> CfaRecipe:
-    """Convert the colour codes (row, col) in a raw file to a colour filter array with its smallest period.
+    """Convert the colour codes (row, col) in a raw file to a colour filter array with the smallest period.
 
-    The names of the channels are letters such as "r" for the codes of TIFF/EP, and "c" with the number for all other codes.
+    For TIFF/EP codes, the channel names are letters such as "r". For other codes, the names are "c" followed by the code.
     """
     pattern = least_period(codes)
     names = {int(code): LETTERS[code].lower() if code < FREE_CODE else f"c{code}" for code in np.unique(pattern)}

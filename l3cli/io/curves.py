@@ -1,7 +1,7 @@
-"""Read and write curves over wavelength: CSV files, tables of wavelength sweeps, and rawtoaces JSON files.
+"""Read and write curves over wavelength in CSV files, tables of wavelength sweeps, and rawtoaces JSON files.
 
-The module also reads the responsivity statistics that are included in l3, and folders of measured responsivities from which
-new statistics can be computed (docs/method.md#charts-in-photographs).
+The module also reads the responsivity statistics that are included in l3, and folders with measured responsivities, from
+which new statistics can be computed (docs/method.md#charts-in-photographs).
 """
 
 import csv
@@ -58,13 +58,13 @@ def curve_text(wavelength: NDArray, columns: NDArray, names: Sequence[str], unit
 
 
 def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: int | str = 0) -> SweepTable:
-    """Read a wavelength sweep that was measured with a camera and a calibrated photodiode.
+    """Read a wavelength sweep, measured with a camera and a calibrated photodiode.
 
     Parameters
     ----------
     path : Path
-        Table with the columns "wavelength_nm", "light CHANNEL" for the mean of each channel with light, "dark CHANNEL" for
-        the mean of each channel in the dark, "diode light" and "diode dark". Without a heading, the columns must be in this
+        Table with the columns "wavelength_nm", "light CHANNEL" (mean of each channel with light), "dark CHANNEL" (mean of
+        each channel in the dark), "diode light" and "diode dark". If the table has no heading, the columns must be in this
         order.
     photodiode : Path
         Table with the spectral responsivity of the photodiode. Values without a unit are relative responses per energy.
@@ -96,7 +96,7 @@ def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: in
             f"{photodiode} covers {grid[0]:g}…{grid[-1]:g} nm, but the sweep covers "
             f"{wavelength[0]:g}…{wavelength[-1]:g} nm; use a responsivity that covers the whole sweep"
         )
-    # Interpolation is sufficient, because the responsivity is smooth and the light of each step has a narrow spectrum.
+    # Linear interpolation is sufficient, because the responsivity is smooth and each step has a narrow spectrum.
     diode = np.interp(wavelength, grid, response[0])
     if wavelength.size < 3 or diode.min() <= 0:
         raise InputFileError(
@@ -120,7 +120,7 @@ def read_finished(
     per_energy : bool
         Whether the curves are per energy. Otherwise they are per photon.
     columns : mapping, optional
-        Channel → name of its column, for channels whose column has a different name.
+        Channel → column name, for channels with a different column name.
 
     Returns
     -------
@@ -146,8 +146,8 @@ def read_finished(
 def _read_json(path: Path) -> CurveTable:
     """Read the curves in a rawtoaces JSON file.
 
-    The curves have names if the index of the file contains one name per curve. Raises InputFileError if the file
-    has a different structure, or if the wavelengths are not in nm.
+    The curves have names if the index in the file contains one name per curve. Raises InputFileError if the structure of the
+    file differs, or if the wavelengths are not in nm.
     """
     try:
         content = json.loads(read_bounded(path, "use curves in CSV or rawtoaces JSON"))["spectral_data"]
@@ -174,7 +174,7 @@ def _read_json(path: Path) -> CurveTable:
 
 # ---------------------------------------------------------------------------------- statistics of measured curves
 
-ROLES = ("r", "g", "b")  # channels of the included statistics, and of the cameras in a folder
+ROLES = ("r", "g", "b")  # channels in the included statistics and in folders of measured responsivities
 CURVE_FILES = (".csv", ".json")
 MIN_CAMERAS = 8  # minimum number of cameras in a folder; the curves of fewer cameras do not represent the variation
 MAX_CAMERAS = 2000  # maximum number of cameras in a folder
@@ -194,7 +194,7 @@ class PriorRecipe(Recipe):
 
 
 def shipped_statistics() -> CurveStatistics:
-    """Return the statistics of the responsivities of r, g and b that are included in l3."""
+    """Return the included statistics of r, g and b responsivities."""
     recipe = load_recipe(recipe_folder() / "priors" / "rgb.toml", PriorRecipe)
     return CurveStatistics(
         np.array(recipe.wavelength_nm),

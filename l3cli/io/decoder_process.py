@@ -40,15 +40,15 @@ SET_NO_NEW_PRIVILEGES = 38  # option of prctl
 CREATE_RULESET, ADD_RULE, RESTRICT_SELF = 444, 445, 446  # Landlock system calls, which have the same numbers on all machines
 ASK_FOR_VERSION = 1  # flag of CREATE_RULESET with which the call returns the version of Landlock
 PATH_BENEATH = 1  # type of a rule that grants rights for a file, or for everything below a folder
-FILE_RIGHTS, ADDED_IN = 13, (2, 3, 5)  # number of file rights in version 1, and the versions that added one right each
+FILE_RIGHTS, ADDED_IN = 13, (2, 3, 5)  # number of file rights in Landlock 1, and the versions that each added one right
 READ_FILE, READ_FOLDER = 1 << 2, 1 << 3
 TCP, TCP_SINCE = 0b11, 4  # rights to bind and to connect, and the version of Landlock that introduced these rights
 SCOPES, SCOPES_SINCE = 0b11, 6  # restrictions of abstract Unix sockets and signals, and the version that introduced them
 SYSTEM = ("/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/etc/localtime")
 PACKAGES = ("site-packages", "dist-packages")
-MAX_WORKERS = 8  # number of workers that stay alive after a request, because a stage may read several files alternately
+MAX_WORKERS = 8  # maximum number of idle workers to keep, because a stage may alternate between several files
 
-DENIED = {  # what system calls affect outside the process → the denied system calls
+DENIED = {  # what the system calls affect outside the process → names of the denied system calls
     "sockets": "socket socketpair connect bind listen accept accept4",
     "programs": "execve execveat",
     "processes": "fork vfork setpgid setsid",
@@ -72,7 +72,7 @@ def confine(files: Iterable[Path]) -> tuple[str, ...]:
     """Restrict this process permanently, so that it can only read `files` and the Python installation.
 
     The process must have only one thread. Returns the names of the active measures, such as ("Landlock ABI 7", "seccomp").
-    Measures that the system does not support are left out.
+    Measures that the system does not support are omitted.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(SET_NO_NEW_PRIVILEGES, *map(ctypes.c_ulong, (1, 0, 0, 0))):
@@ -123,7 +123,7 @@ def _filter_system_calls() -> bool:
     try:
         rules = pyseccomp.SyscallFilter(pyseccomp.ALLOW)
         for name in " ".join(DENIED.values()).split():
-            with contextlib.suppress(OSError):  # the installed libseccomp does not know the system call
+            with contextlib.suppress(OSError):  # the installed libseccomp does not support the system call
                 rules.add_rule(refuse, name)
         # A filter cannot read the flags of `clone3`. On the error ENOSYS, the C library calls `clone` instead of `clone3`.
         rules.add_rule(pyseccomp.ERRNO(errno.ENOSYS), "clone3")
@@ -143,7 +143,7 @@ def measures(path: Path) -> tuple[str, ...]:
 
 
 def serve(socket_descriptor: int, arrays: int, cpu_seconds: float, max_bytes: int) -> None:
-    """Process requests for decoding until the caller closes the connection. A separate worker process decodes each file.
+    """Answer requests for decoding until the caller closes the connection. A separate worker process decodes each file.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ def serve(socket_descriptor: int, arrays: int, cpu_seconds: float, max_bytes: in
 
 
 def _import(module: str, name: str) -> None:
-    """Import a decoder and its libraries, so that the workers, which are forked later, need not import them."""
+    """Import a decoder and its libraries before the workers are forked, so that no worker needs to import them again."""
     with contextlib.suppress(Exception):  # the worker repeats a failed import and reports the error
         for library in getattr(importlib.import_module(module), name).libraries:
             importlib.import_module(library)
@@ -269,7 +269,7 @@ def _answer(module: str, name: str, path: Path, plain: list[Any], arrays: int) -
         return _problem(error)
     except MemoryError:
         return _problem(InputFileError(too_much(path)))
-    except OSError as error:  # an error while the arrays are written; decoders convert their own errors to InputFileError
+    except OSError as error:  # the arrays cannot be written; decoders convert their own errors to InputFileError
         return _problem(
             InputFileError(f"{path}: the decoded content cannot be stored ({error.strerror or error}); free some memory")
         )

@@ -1,6 +1,6 @@
 """Destinations of rendered pictures: a file, the pages of a file, a folder, numbered files, a video or a stream.
 
-The module derives the destination from the name of the output, checks whether files exist, and opens the function that
+The module derives the destination from the name of the output, checks whether files exist, and provides the function that
 writes the frames.
 """
 
@@ -28,7 +28,7 @@ PICTURE_WRITERS = 2  # number of threads that compress picture files
 
 @dataclass(frozen=True)
 class Destination:
-    """The place where rendered pictures are written.
+    """The destination of rendered pictures.
 
     `kind` is "stream" (y4m on stdout), "video", "pattern" (numbered files), "folder", "file" (a single picture) or "pages"
     (the pages of a TIFF file).
@@ -38,7 +38,7 @@ class Destination:
     kind: str
     suffix: str  # suffix of the files in a folder, without a period
     bits: int = 8  # bits per value
-    shard: tuple[int, int] | None = None  # number of the shard (from 1), and number of all shards; None without shards
+    shard: tuple[int, int] | None = None  # number of the shard (from 1), and total number of shards; None without shards
 
     @property
     def one_by_one(self) -> bool:
@@ -66,7 +66,7 @@ class Destination:
         return self.kind == "video" and self.path.suffix.lower() != Y4M
 
     def file(self, number: int, stem: str) -> Path:
-        """Return the file to which the frame with this number and this name is written."""
+        """Return the output file for the frame with this number and with this file name (without suffix)."""
         if self.kind == "pattern":
             return numbered_name(self.path, number)
         return self.path / f"{stem}.{self.suffix}" if self.kind == "folder" else self.path
@@ -78,7 +78,7 @@ class Destination:
 
     @property
     def checkpoint(self) -> Path:
-        """The checkpoint file in the folder of the pictures. Each shard has a separate checkpoint file."""
+        """Path of the checkpoint file, which is in the folder of the pictures. Each shard has its own checkpoint file."""
         ending = f"{self._of_shard}{UNFINISHED}"
         if self.kind == "folder":
             return self.path / ending
@@ -86,7 +86,7 @@ class Destination:
 
     @property
     def lock(self) -> tuple[Path, str]:
-        """Folder and name of the lock that prevents other runs from writing. Each shard has a separate lock."""
+        """Folder and name of the lock that excludes other runs. Each shard has its own lock."""
         folder, name = (self.path, "") if self.kind == "folder" else (self.path.parent, self.path.name)
         return folder, name + self._of_shard
 
@@ -107,13 +107,13 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice, shard: tuple[
     choice : VideoChoice
         Bits per value, codec and other settings.
     shard : tuple of int, optional
-        Number of the shard (from 1), and number of all shards.
+        Number of the shard (from 1), and total number of shards.
 
     Returns
     -------
     Destination
         The destination. For an output such as "out.tif", the kind is "file", because the number of frames is not yet known.
-        `paged` later changes the kind to "pages" if the sequence has several frames.
+        If the sequence has several frames, `paged` later changes the kind to "pages".
 
     Raises
     ------
@@ -142,7 +142,7 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice, shard: tuple[
 
 
 def paged(destination: Destination, sequence: FrameSequence) -> Destination:
-    """Return a destination that writes one page per frame if `destination` is a TIFF file for several frames.
+    """Change a TIFF file for several frames to a destination with one page per frame.
 
     Any other destination is returned unchanged.
     """
@@ -159,14 +159,14 @@ def guard_outputs(destination: Destination, may_exist: bool, guard: OutputGuard)
     destination : Destination
         The destination.
     may_exist : bool
-        Whether a video or a single picture may exist. Existing files in a folder are checked later by `refuse_outputs`.
+        Whether a video or a single picture may already exist. `refuse_outputs` later checks the files in a folder.
     guard : OutputGuard
-        Keeps the lock until the end of the stage.
+        Object that keeps the lock until the end of the stage.
 
     Raises
     ------
     L3Error
-        If the destination is not writable, if another run is writing it, or if a file exists that must not exist.
+        If the destination is not writable, if another run writes to it, or if a file exists that must not exist.
     RecipeError
         If the output is also an input.
     """
@@ -226,7 +226,7 @@ def refuse_outputs(
 
 
 def _existing(destination: Destination, sequence: FrameSequence) -> list[Path]:
-    """Return the existing files that the frames of a stream could replace. The stream is not read."""
+    """Return the existing files that the frames of a stream could overwrite. The stream is not read."""
     if sequence.wanted is None:
         return _pictures(destination)
     wanted = sequence.wanted if sequence.part is None else sequence.wanted[sequence.part.start : sequence.part.stop]
@@ -238,7 +238,7 @@ def _existing(destination: Destination, sequence: FrameSequence) -> list[Path]:
 
 
 def _pictures(destination: Destination) -> list[Path]:
-    """Return all existing files that match the pattern of the destination, or the suffix in its folder."""
+    """Return the existing files that match the pattern of the destination or, in a folder, its suffix."""
     if destination.kind == "pattern":
         return list(numbered_files(destination.path).values())
     return sorted(destination.path.glob(f"*.{destination.suffix}"))
@@ -249,7 +249,7 @@ def sink_of(
     destination: Destination, sequence: FrameSequence, choice: VideoChoice, pacing: Pacing,
     before_rename: Callable[[Path, Path, FrameReference | None], None],
 ) -> Iterator[tuple[Callable[[tuple[FrameReference, Any]], None], int]]:  # fmt: skip
-    """Open a destination for writing during the block.
+    """Open a destination, and yield the function that writes frames. The destination is closed after the block.
 
     Parameters
     ----------
@@ -260,7 +260,7 @@ def sink_of(
     choice : VideoChoice
         Settings of videos.
     pacing : Pacing
-        Converts frame numbers to times in videos.
+        Object that converts frame numbers to times in videos.
     before_rename : callable
         Function that is called when a file is complete but still has a temporary name. Its arguments are the final path, the
         temporary path and the frame. The frame is None if the file contains all frames.

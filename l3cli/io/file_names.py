@@ -1,6 +1,6 @@
-"""Find the files to which a folder, a glob, or a numbered pattern such as frame_%04d.tif or frame_####.tif refers.
+"""Find the files that match a folder, a glob, or a numbered pattern such as frame_%04d.tif or frame_####.tif.
 
-The module also sorts numbered names, finds the clips in a folder, and derives the names of output files.
+The module also sorts numbered file names, finds the clips in a folder, and derives the names of output files.
 """
 
 import contextlib
@@ -15,19 +15,19 @@ from l3cli.io.raw.files import BY_SUFFIX, RawOverrides, format_of, holds_several
 from l3cli.system.files import STDIN
 
 RAW, IDEAL, MOTION = "_raw.tif", "_ideal.png", "_motion.exr"  # endings of the files of a simulated sequence
-MOST_WILD = 4  # maximum number of parts of a path with wildcards; each part multiplies the number of folders to search
-MOST_DIGITS = 18  # maximum number of digits of a frame number, which may be a time in µs and must fit into 64 bits
+MOST_WILD = 4  # maximum number of path components with wildcards; each of them multiplies the number of folders to search
+MOST_DIGITS = 18  # maximum number of digits of a frame number; a frame number may be a time in µs, and must fit into 64 bits
 PATTERN = re.compile(r"%(0[0-9]{1,2})?d|#{1,99}")  # placeholder for the number in a file name
-DIGITS = re.compile(r"[0-9]+")  # only ASCII digits, because Python cannot convert every digit that \d matches
+DIGITS = re.compile(r"[0-9]+")  # only ASCII digits, because \d also matches characters that int() rejects
 
 
 def natural_order(path: Path) -> tuple[Any, ...]:
-    """Return a key for `sorted` with which numbers in file names are compared by value: frame_9 precedes frame_10."""
+    """Return a sort key that compares numbers in file names by value, so that frame_9 precedes frame_10."""
     return tuple((int(part), part) if DIGITS.fullmatch(part) else (0, part) for part in re.split(r"([0-9]+)", str(path)))
 
 
 def last_number(path: Path) -> int | None:
-    """Return the last number in the name of a file, without its suffix.
+    """Return the last number in a file name. The suffix of the file is ignored.
 
     The result is None if the name contains no number, or if the number has more than MOST_DIGITS digits.
     """
@@ -36,7 +36,7 @@ def last_number(path: Path) -> int | None:
 
 
 def numbered_name(pattern: Path, number: int) -> Path:
-    """Replace the first placeholder in the file name of a pattern (%d, %04d or a sequence of #) with a number."""
+    """Replace the first placeholder (%d, %04d or a sequence of #) in the file name of a pattern with a number."""
 
     def digits(field: re.Match[str]) -> str:
         width = len(field[0]) if field[0][0] == "#" else int(field[1] or 0)
@@ -46,7 +46,10 @@ def numbered_name(pattern: Path, number: int) -> Path:
 
 
 def numbered_files(pattern: Path) -> dict[int, Path]:
-    """Return the existing files that match a numbered pattern, as a mapping from number to file in increasing order."""
+    """Return the existing files that match a numbered pattern.
+
+    The keys are the numbers in the names, in increasing order.
+    """
     where = PATTERN.search(pattern.name)
     if where is None or not pattern.parent.is_dir():
         return {}
@@ -67,7 +70,7 @@ def is_glob(path: Path) -> bool:
 
 
 def globbed(path: Path) -> list[Path]:
-    """Return the files that match a glob, in natural order, without hidden files."""
+    """Return the files that match a glob, in natural order. Hidden files are omitted."""
     matches = Path(path.anchor or ".").glob(str(path.relative_to(path.anchor)))
     return sorted((each for each in matches if each.name[0] != "." and each.is_file()), key=natural_order)
 
@@ -131,12 +134,12 @@ WILD = re.compile(r"\[[^]]*\]|[*?]")
 def name_of(source: Path) -> str:
     """Return the output name of a clip.
 
-    For an existing file or folder, the result is its name without a suffix. For a pattern or glob, it is the name without
-    placeholders and wildcards or, if nothing remains, the name of the folder.
+    For an existing file or folder, the result is its name without a suffix. For a pattern or glob, the result is its name
+    without placeholders and wildcards or, if nothing remains, the name of the folder.
     """
     if source.exists():
         name = source.resolve().name if source.is_dir() else source.stem
-        return PATTERN.sub("_", name) or "clip"  # a placeholder would turn the output name into a pattern
+        return PATTERN.sub("_", name) or "clip"  # a remaining placeholder would make the output name a pattern
     plain = WILD.sub("", PATTERN.sub("", source.stem)).strip("_-. ")
     return plain or WILD.sub("", source.parent.resolve().name) or "clip"
 
@@ -162,11 +165,11 @@ def clips_in(folder: Path, sensor: Callable[[], Sensor], known: RawOverrides, wa
     folder : Path
         The folder.
     sensor : callable
-        Function that returns the table or camera. Headerless files have the size of its sensor.
+        Function that returns the table or camera. Headerless files are assumed to have the size of its sensor.
     known : RawOverrides
         Properties of the raw files that the user set.
     warn : callable
-        Function that is called with a warning if files are left out.
+        Function that is called with a warning if files are skipped.
 
     Returns
     -------
@@ -185,7 +188,7 @@ def clips_in(folder: Path, sensor: Callable[[], Sensor], known: RawOverrides, wa
                 break
     if several or (several is None and longer):
         return sorted(filter(_is_clip, paths), key=natural_order)
-    # HDF5 files are not reported, because they are most likely artifacts.
+    # HDF5 files are not reported, because they are probably artifacts of l3.
     left_out = sorted(path.name for path in longer if not format_of(path).wants_dataset)
     if left_out:
         more = f" and {len(left_out) - 1} more" if len(left_out) > 1 else ""

@@ -263,10 +263,10 @@ def _check(path: Path, depth: str, channels: int, size: tuple[int, ...], shape: 
 
 
 def list_captures(folder: Path) -> CaptureFolder:
-    """List the raw frames and the tables of spectra in a folder and its subfolders, by their suffixes.
+    """List the raw frames and the tables of spectra in a folder and its subfolders. File types are determined by suffix.
 
-    Hidden files are ignored. The result also contains notes about the files that were left out. Raises InputFileError if
-    `folder` is not a folder, or if it contains more than MOST_FILES files.
+    Hidden files are ignored. The result also contains notes about files that were skipped. Raises InputFileError if `folder`
+    is not a folder, or if it contains more than MOST_FILES files.
     """
     if not folder.is_dir():
         raise InputFileError(f"{folder} is not a folder; specify the folder that contains the captures")
@@ -301,7 +301,7 @@ def list_captures(folder: Path) -> CaptureFolder:
 def _files(folder: Path) -> Iterator[Path]:
     """Yield the files in a folder and in its subfolders up to the depth DEEPEST, sorted by name in each folder.
 
-    Hidden files and folders are left out, and symbolic links to folders are not followed.
+    Hidden files and folders are skipped, and symbolic links to folders are not followed.
     """
     for place, folders, names in os.walk(folder):
         deep = len(Path(place).relative_to(folder).parts)
@@ -332,8 +332,8 @@ def read_capture(path: Path) -> RawFile:
 def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, CurveTable]]:
     """Read the tables of spectra in a folder of captures, and return the name and the content of each table.
 
-    For each file that cannot be read as a table, a line is appended to `notes`. Text files without rows of numbers are left
-    out without a note.
+    For each file that cannot be read as a table, a line is appended to `notes`. Text files without rows of numbers are
+    skipped without a note.
     """
     found = []
     for name in folder.tables:
@@ -348,9 +348,9 @@ def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, Cur
 
 
 def _has_numbers(path: Path) -> bool:
-    """Return whether a text file contains at least three rows of numbers and is therefore probably meant as a table.
+    """Return whether a text file contains at least three rows of numbers, so that it is probably a table.
 
-    A file that cannot be read counts as a table.
+    The result is also True if the file cannot be read.
     """
     try:
         with open(path, "rb") as stream:

@@ -1,4 +1,4 @@
-"""Write dark frames with the glare that a calibration found in photos of charts (docs/method.md#charts-in-photographs)."""
+"""Create dark frames that contain the glare measured in photos of charts (docs/method.md#charts-in-photographs)."""
 
 import io
 from pathlib import Path
@@ -10,17 +10,16 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.physics.mosaic import shifted_cfa, tiled
 
 LARGEST_DN = 65535  # largest 16-bit value
-# Number of identical pages in a file. `l3 render` estimates the noise of dark frames from the differences between pages, and
-# identical pages have no noise.
+# Each file contains this many identical pages. `l3 render` estimates the noise of dark frames from the differences between
+# pages, so it treats identical pages as noise-free.
 PAGES = 2
 
 
 def glare_files(camera: CameraModel) -> dict[str, bytes]:
-    """Return a dark frame for each photo of a chart from which the camera was calibrated.
+    """Create one dark frame for each chart photo that the calibration used.
 
-    A dark frame contains the black level plus the glare of each channel. `l3 render --dark` subtracts the dark frame from
-    the photo, or from another photo that was taken in the same place.
-
+    A dark frame contains the black level plus the glare of each channel. `l3 render --dark` can subtract the dark frame from
+    the chart photo, or from another photo taken in the same place.
     Parameters
     ----------
     camera : CameraModel

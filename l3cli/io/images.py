@@ -30,14 +30,14 @@ def read_image(path: Path) -> tuple[NDArray, tuple[str, ...]]:
 
 @isolated("OpenImageIO")
 def picture_flip(path: Path) -> int:
-    """Convert the tag Orientation of a picture to the LibRaw flip code, which makes the stored pixels upright."""
+    """Return the LibRaw flip code that makes the stored pixels of a picture upright, from the tag Orientation."""
     with opened(path) as (_, spec):
         return flip_of(path, spec.get_int_attribute("Orientation", UPRIGHT))
 
 
 @isolated("OpenImageIO")
 def picture_size(path: Path) -> tuple[int, int]:
-    """Return the numbers of rows and columns from the header of a picture. Raises InputFileError if it cannot be read."""
+    """Read the numbers of rows and columns from the header of a picture. Raises InputFileError if the header is invalid."""
     with opened(path) as (_, spec):
         return spec.height, spec.width
 
@@ -55,7 +55,7 @@ def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[Any], float | N
     values = pixels_of(path, source, spec)[..., 0]
     if values.dtype not in (np.uint8, np.uint16):
         return values, spec.get_float_attribute(EXPOSURE_TIME, 0.0) or None
-    # OpenImageIO scales, for example, 12-bit values to 16 bits. The upper 12 bits are then the stored value.
+    # OpenImageIO scales 12-bit values, for example, to 16 bits. The upper 12 bits are then the stored value.
     depth = 8 * values.dtype.itemsize
     unused = np.uint16(depth - spec.get_int_attribute("oiio:BitsPerSample", depth))
     return values.astype(np.uint16) >> unused, spec.get_float_attribute(EXPOSURE_TIME, 0.0) or None
@@ -63,7 +63,7 @@ def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[Any], float | N
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[tuple[Any, Any]]:
-    """Open a file with OpenImageIO during the block, and yield its ImageInput and ImageSpec.
+    """Open a picture with OpenImageIO, and yield its ImageInput and ImageSpec. The file is closed after the block.
 
     Raises InputFileError if OpenImageIO cannot read the file, or if the file contains several pictures or a picture that is
     too large.
@@ -95,7 +95,7 @@ def open_image(path: Path) -> Any:
 
 
 def require_bearable(path: Path, spec: Any) -> None:
-    """Raise InputFileError if the ImageSpec of a picture shows that it is too large, is a volume, or has deep samples."""
+    """Raise InputFileError if a picture is too large, is a volume, or has deep samples, according to its ImageSpec."""
     require_picture(str(path), spec.height, spec.width, spec.nchannels * max(spec.format.size() // VALUE_BYTES, 1))
     if spec.deep or spec.depth != 1:
         raise InputFileError(
@@ -106,7 +106,8 @@ def require_bearable(path: Path, spec: Any) -> None:
 def require_whole_stack(path: Path, spec: Any, pages: int) -> None:
     """Raise InputFileError if the description of a TIFF file states more frames than the file has pages.
 
-    ImageJ and tifffile may store only the first frame of a stack as a page, and append the other frames without pages.
+    ImageJ and tifffile may store only the first frame of a stack as a page, and append the other frames without page
+    headers.
     """
     text = spec.get_string_attribute("ImageDescription")
     count = re.search(r"^images=([0-9]{1,9})$", text, re.MULTILINE) if text.startswith("ImageJ=") else None
@@ -136,6 +137,6 @@ def pixels_of(path: Path, source: Any, spec: Any) -> NDArray:
 
 
 def _reason(message: str, name: str) -> str:
-    """Return the first line of a message of OpenImageIO, without the file name at its beginning."""
+    """Return the first line of an OpenImageIO error message, without the file name at the beginning."""
     line = message.strip().splitlines()[0] if message.strip() else "unknown format"
     return line.removeprefix(f"{name}: ")

@@ -1,13 +1,12 @@
 """Decode untrusted files in an isolated process with limited time and memory.
 
 If a third-party decoder crashes, only the isolated process ends, and this process continues. The isolated process starts
-when the first file is read, and forks a worker process for each file (decoder_process.py). As far as the kernel supports
-this, a worker can read only its own file. If a worker dies, the isolated process also ends, and a new isolated process is
-started for the next file.
+when the first file is read, and forks a worker process for each file (decoder_process.py). If the kernel supports this
+restriction, a worker can read only its own file. If a worker dies, the isolated process also ends, and a new isolated
+process is started for the next file.
 
 Requests and replies are JSON. Arrays are passed through a file in memory, and are copied after their sizes have been
-checked. No data from a worker are executed or trusted. With `--trust` or L3_TRUST=1, files are decoded in the current
-process.
+checked. Data from a worker are never executed. With `--trust` or L3_TRUST=1, files are decoded in the current process.
 """
 
 import atexit
@@ -34,7 +33,7 @@ from l3cli.system.locks import ThreadLock
 
 WALL_PER_CPU_TIME = 5  # limit of the wall-clock time as a multiple of the limit of the CPU time, because disks may be slow
 PROGRAM_BYTES = 1 << 30  # address space for the interpreter, the libraries and their buffers, in bytes
-COPIES = 2  # additional address space, as a multiple of the maximum size of the content of a file
+COPIES = 2  # additional address space for decoding, as a multiple of the maximum size of the decoded content
 MORE_MEMORY = "free some memory, or raise the memory limit of the shell (ulimit -v)"
 READY = b"ready"  # first message of the isolated process
 MAX_REPLY = 64 << 20  # maximum size of a reply without its arrays, in bytes
@@ -46,7 +45,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def isolated(*libraries: str) -> Callable[[F], F]:
-    """Return a decorator that runs a decoder of untrusted files in the isolated process.
+    """Return a decorator that runs a function in the isolated process. The function decodes untrusted files.
 
     Parameters
     ----------
@@ -126,7 +125,7 @@ def too_much(path: Path) -> str:
 
 
 class _Child:
-    """The isolated process, with the socket through which this process communicates with it."""
+    """The isolated process, with a socket for requests and replies."""
 
     def __init__(self, limits: tuple[float, int]) -> None:
         self.limits = limits
@@ -150,7 +149,7 @@ class _Child:
 
     @property
     def usable(self) -> bool:
-        """Whether the isolated process is running and belongs to this process. After a fork, it belongs to the parent."""
+        """Whether the isolated process is running and belongs to this process. A forked process must start its own."""
         return self._open and self.owner == os.getpid() and self._process.poll() is None
 
     def end(self) -> None:
@@ -169,7 +168,7 @@ class _Child:
         """Call the function `name` in `module` for a file in the isolated process, and return its result.
 
         Errors of the function are raised again. If the isolated process takes too long, crashes or returns an invalid reply,
-        it is killed, and InputFileError is raised.
+        the process is killed, and InputFileError is raised.
         """
         try:
             self._wait_until_ready()
@@ -196,7 +195,7 @@ class _Child:
             raise
 
     def _wait_until_ready(self) -> None:
-        """Wait until the isolated process is ready. Raises L3Error if it ends before it is ready."""
+        """Wait until the isolated process is ready. Raises L3Error if the process ends before."""
         if self._ready:
             return
         try:
@@ -206,14 +205,13 @@ class _Child:
             raise L3Error(f"the process that decodes files cannot start; {MORE_MEMORY}, or add ‹trust›") from error
 
     def _timeout_message(self, path: Path) -> str:
-        """Return the message for a file whose decoding exceeds the time limit."""
         return (
             f"{path} takes longer than {self.limits[0]:g} s to decode and may be damaged; "
             f"if the file is intact, increase the environment variable {SECONDS} or add ‹trust›"
         )
 
     def _crash_message(self, path: Path) -> str:
-        """Return the message for a file that crashed the isolated process, according to the exit code of the process."""
+        """Return the message for a file that crashed the isolated process. It depends on the exit code of the process."""
         code = self._process.returncode
         if code == -signal.SIGXCPU:
             return self._timeout_message(path)
@@ -239,7 +237,6 @@ def _the_child() -> _Child:
 
 @atexit.register
 def _end_child() -> None:
-    """Kill the isolated process if it exists."""
     if _child is not None:
         _child.end()
 
@@ -296,7 +293,7 @@ def plain_of(value: Any, file: BinaryIO) -> Any:
 
 
 def send(connection: socket.socket, text: bytes) -> None:
-    """Send the length of a message, and the message."""
+    """Send a message, preceded by its length."""
     connection.sendall(LENGTH.pack(len(text)) + text)
 
 

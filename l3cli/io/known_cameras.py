@@ -17,11 +17,11 @@ from l3cli.spectra.file import read_table
 ROLES = ("r", "g", "b")
 USUAL_ROWS, USUAL_COLS, USUAL_BITS = 1080, 1920, 14  # assumed values for cameras whose properties are not published
 FULL_SCALE_PER_BLACK = 32  # assumed ratio of full scale to black level
-ARRAYS = {  # colour filter arrays in one phase; a raw file may have any phase
+ARRAYS = {  # colour filter arrays, each in one phase; the phase of a raw file may differ
     "bayer": ("r g", "g b"),
     "xtrans": ("g b g g r g", "r g r b g b", "g b g g r g", "g r g g b g", "b g b r g r", "g r g g b g"),
 }
-# Words in the names of manufacturers that are ignored when names are compared.
+# Words that are ignored in the names of manufacturers when two names are compared.
 COMPANY = {"corporation", "corp", "company", "co", "ltd", "inc", "imaging"}
 
 
@@ -53,7 +53,7 @@ class KnownCamera(Recipe):
 
     @property
     def stated(self) -> Stated:
-        """The published properties, in the same type as the properties that a raw file states."""
+        """The published properties, as the type that is also used for the properties that raw files state."""
         return Stated(self.name, (), None, self.iso, self.pixel_pitch_um, None, None)
 
 
@@ -73,7 +73,7 @@ def known_cameras() -> KnownCameras:
 
 
 def known_curves(slug: str) -> FinishedCurves:
-    """Return the measured responsivities of r, g and b of an included camera. `slug` is its key in cameras.toml."""
+    """Return the measured responsivities of r, g and b of an included camera. `slug` is the key of the camera."""
     table = read_table(recipe_folder() / "priors" / "cameras.csv")
     chosen = table.channel_columns(ROLES, {role: f"{slug} {role}" for role in ROLES})
     return FinishedCurves(chosen.wavelength, chosen.values)

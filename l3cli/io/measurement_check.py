@@ -14,9 +14,9 @@ from l3cli.system.text import array_lines, counted, seconds_text
 
 
 def measurement_faults(recipe: MeasurementRecipe | CorrectionRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults in the keys of a measurement file, and in the tables and other files that it lists.
+    """Yield the errors in a measurement file and in the tables, spectra and other files that it lists.
 
-    The values of raw frames are not read.
+    Raw frames are not decoded.
     """
     yield from key_faults(recipe)
     faults: list[Fault] = []
@@ -25,9 +25,10 @@ def measurement_faults(recipe: MeasurementRecipe | CorrectionRecipe, source: Rec
 
 
 def measurement_summary(recipe: MeasurementRecipe | CorrectionRecipe, measured: Measurements) -> dict[str, Any]:
-    """Return a summary of a measurement file as JSON types: its array, its channels, and the contents of each section.
+    """Summarise a measurement file as a dictionary that can be stored as JSON.
 
-    The contents of a section of captures are the numbers of captures and frames, and the range of exposure times in s.
+    The dictionary contains the CFA, the channels and a summary of each section. For a section that lists captures, the
+    summary contains the number of captures, the number of frames and the range of exposure times in s.
     """
     body, sections = measured.body, _captures(recipe)
     array = [row.split() for row in array_rows(body.channels, body.cfa)]
@@ -52,7 +53,7 @@ def measurement_summary(recipe: MeasurementRecipe | CorrectionRecipe, measured: 
 
 
 def _captures(recipe: MeasurementRecipe | CorrectionRecipe) -> dict[str, Any]:
-    """Return, for each section, the number of captures, the number of frames and the range of exposure times in s."""
+    """Summarise the captures of each section: number of captures, number of frames and range of exposure times in s."""
     sections: dict[str, list[CaptureRecipe]] = {}
     for section, _, capture in captures_of(recipe):
         sections.setdefault(section, []).append(capture)
@@ -67,7 +68,7 @@ def _captures(recipe: MeasurementRecipe | CorrectionRecipe) -> dict[str, Any]:
 
 
 def measurement_lines(measured: dict[str, Any], width: int | None) -> list[str]:
-    """Format the result of `measurement_summary` as lines of text. `width` is not used."""
+    """Format the result of `measurement_summary` as lines of text. `width` has no effect."""
     lines = [f"{measured['name']}: channels {', '.join(measured['channels'])}", "", *array_lines(measured["array"]), ""]
     for name, section in measured["sections"].items():
         texts = (

@@ -59,19 +59,20 @@ class MonitorRecipe(Recipe):
     """A table with readings of a lamp monitor during a sweep, one row per wavelength."""
 
     file: str  # table with a column of wavelengths and columns of readings in any unit
-    column: int | str = 1  # readings during the captures: column name, or number from 1 without the wavelength column
-    # column with the readings during the measurement of the spectra; default: `column` contains ratios of the two readings
+    # name of the column with readings during the captures, or its number, where 1 is the first column after the wavelength
+    column: int | str = 1
+    # column with readings during the measurement of the spectra; by default, `column` contains ratios of the two readings
     reference: int | str | None = None
 
 
 class CaptureRecipe(Recipe, kw_only=True):
-    """Dark or white frames with the same exposure."""
+    """Dark or white frames that were taken with the same exposure."""
 
     frames: Names
     exposure_s: Positive | None = None  # exactly one of the three keys for the exposure time must be set
     exposure_ms: Positive | None = None
     exposure_us: Positive | None = None
-    # reading of a lamp monitor during the capture, relative to its reading during the measurement of the spectrum;
+    # reading of a lamp monitor during the capture, relative to the reading during the measurement of the spectrum;
     # [[mono]] captures may refer to a table of readings instead
     monitor: Annotated[float, msgspec.Meta(ge=1 / MOST_MONITOR, le=MOST_MONITOR)] | MonitorRecipe = 1.0
 
@@ -84,43 +85,43 @@ class CaptureRecipe(Recipe, kw_only=True):
 
 
 class SensorCaptureRecipe(CaptureRecipe, kw_only=True):
-    """Dark or white frames at an ISO speed. The gain of the camera model is the gain at the lowest ISO speed."""
+    """Dark or white frames taken at one ISO speed. The gain in the camera model is the gain at the lowest ISO speed."""
 
     iso: float | None = None  # must be set either for all dark and white captures or for none
 
 
 class MonoRecipe(CaptureRecipe, kw_only=True):
-    """Frames of a uniform field under the light of a monochromator at one wavelength."""
+    """Frames of a uniform field, lit by a monochromator at one wavelength."""
 
-    spectrum: str  # CSV file of measured radiances, including bandwidth and stray light
-    column: int | str = 1  # column name, or number from 1 without the wavelength column
+    spectrum: str  # CSV file with the measured spectral radiance of the light
+    column: int | str = 1  # name of the column, or its number, where 1 is the first column after the wavelength
     unit: str | None = None  # unit of the radiances, if the CSV file does not state it; default: photons/s/sr/m²/nm
 
 
 class ChartRecipe(CaptureRecipe, kw_only=True):
-    """A ColorChecker under one illuminant. In [[band]], the light passes a filter, and the radiances may be relative."""
+    """A ColorChecker under one illuminant. In [[band]], the light passes through a filter, and radiances may be relative."""
 
     illuminant: str
-    corners: Corners  # (col, row) in pixels of the outer corners of patches 1, 6, 24 and 19 (clockwise)
-    radiance: str  # CSV of measured radiances: 24 columns with the names of the patches, or in order from dark skin to black
+    corners: Corners  # (col, row) in pixels: outer corners of patches 1, 6, 24 and 19, clockwise
+    radiance: str  # CSV file of measured radiances: 24 columns named after the patches, or in order from dark skin to black
     unit: str | None = None  # as in [[mono]]
 
 
 class PolariserRecipe(CaptureRecipe, kw_only=True):
-    """Frames of a uniform light behind a rotating linear polariser."""
+    """Frames of a uniform light source, taken through a rotating linear polariser."""
 
-    # reading of the scale: angle of the transmission axis, counter-clockwise from horizontal, plus rotator.offset_deg
+    # reading of the angle scale: angle of the transmission axis, counter-clockwise from horizontal, plus rotator.offset_deg
     angle_deg: Annotated[float, msgspec.Meta(ge=-360, le=360)]
 
 
 class RotatorRecipe(Recipe):
-    """The rotating polariser of the [[polariser]] captures."""
+    """The rotating polariser with which the [[polariser]] captures were taken."""
 
     extinction: Annotated[float, msgspec.Meta(gt=1)] | None = None  # extinction ratio; default: ideal polariser
-    # standard deviation of each angle_deg
+    # standard deviation of the error of each angle_deg
     angle_error_deg: Annotated[float, msgspec.Meta(ge=0, le=10)] = 0.1
-    offset_deg: Annotated[float, msgspec.Meta(ge=-180, le=180)] = 0.0  # reading of the scale if the axis is horizontal
-    reference: str | None = None  # channel whose polariser_deg is exact; set it if the zero of the scale is unknown
+    offset_deg: Annotated[float, msgspec.Meta(ge=-180, le=180)] = 0.0  # reading of the scale when the axis is horizontal
+    reference: str | None = None  # channel whose polariser_deg is exact; set this key if the zero of the scale is unknown
 
 
 class CommonRecipe(Recipe):
@@ -137,23 +138,23 @@ class ColumnRecipe(Recipe):
     """One column of a table with several columns."""
 
     file: str
-    column: int | str  # column name, or number from 1 without the wavelength column
+    column: int | str  # name of the column, or its number, where 1 is the first column after the wavelength
 
 
 class SweepRecipe(Recipe):
-    """A monochromator sweep as a table of mean values."""
+    """A table of mean signals from a monochromator sweep."""
 
     table: str  # CSV: nm, light r, light g, …, dark r, dark g, … (mean of each channel in DN), diode light, diode dark
-    photodiode: str | ColumnRecipe  # CSV: nm, responsivity of the photodiode per energy, for example in A/W
+    photodiode: str | ColumnRecipe  # CSV: nm, and responsivity of the photodiode per energy, for example in A/W
 
     @property
     def response(self) -> ColumnRecipe:
-        """Table and column with the responsivity of the photodiode. Column 0 means that the table has only one column."""
+        """Table and column with the responsivity of the photodiode. Column 0 stands for the only column of the table."""
         return ColumnRecipe(self.photodiode, 0) if isinstance(self.photodiode, str) else self.photodiode
 
 
 class CurvesRecipe(Recipe):
-    """Responsivities that were measured or computed without l3."""
+    """Responsivities that were measured or computed by another program."""
 
     file: str  # CSV file with nm and one column per channel, or rawtoaces JSON file
     columns: dict[str, str] = msgspec.field(default_factory=dict)  # channel → column, if the names differ
@@ -179,7 +180,7 @@ class DatasheetRecipe(NoiseRecipe, kw_only=True):
 
     black_level_dn: float
     white_level_dn: float
-    gain_dn_per_e: Positive | None = None  # system gain; default: the full-well capacity reaches the white level
+    gain_dn_per_e: Positive | None = None  # system gain; by default, the full-well capacity corresponds to the white level
 
 
 class UncertaintyRecipe(Recipe):
@@ -212,7 +213,7 @@ class MeasurementRecipe(Recipe):
     polariser: list[PolariserRecipe] = msgspec.field(default_factory=list)
     rotator: RotatorRecipe | None = None
     datasheet: DatasheetRecipe | None = None
-    # exposures or gains that differ between channels, and stated angles of polarisers
+    # exposures or gains that differ between channels, and the polariser angles of the channels
     channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)
     uncertainty: UncertaintyRecipe = msgspec.field(default_factory=UncertaintyRecipe)
 
@@ -232,7 +233,7 @@ class MeasurementRecipe(Recipe):
         return self.photo if isinstance(self.photo, list) else [self.photo]
 
     def photo_key(self, number: int) -> KeyPath:
-        """Return the path of the photo with this index in the recipe."""
+        """Return the key path of the photo with the index `number`."""
         return ("photo", number) if isinstance(self.photo, list) else ("photo",)
 
 
@@ -252,7 +253,7 @@ class CorrectionRecipe(Recipe):
 
 
 def captures_of(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[tuple[str, int, CaptureRecipe]]:
-    """Yield the name of the section, the index in the section, and the contents of every capture."""
+    """Yield (name of the section, index in the section, capture) for every capture."""
     for section in CAPTURES:
         for number, capture in enumerate(getattr(recipe, section, [])):
             yield section, number, capture
@@ -401,7 +402,7 @@ def _capture_faults(capture: CaptureRecipe, key: KeyPath) -> Iterator[Fault]:
 
 
 def frames_named(recipe: MeasurementRecipe | CorrectionRecipe) -> list[tuple[KeyPath, str]]:
-    """Return the path in the recipe and the file name of every frame in a measurement file, in order."""
+    """Return (key path, file name) for every frame in a measurement file, in order."""
     lists: list[tuple[KeyPath, list[str]]] = [
         ((section, number, "frames"), capture.frames) for section, number, capture in captures_of(recipe)
     ]
@@ -413,7 +414,7 @@ def frames_named(recipe: MeasurementRecipe | CorrectionRecipe) -> list[tuple[Key
 
 
 def spectrum_names(recipe: MeasurementRecipe) -> list[str]:
-    """Return the names of all files with spectra, tables or curves in a measurement file, in order, without duplicates."""
+    """Return the names of all files with spectra, tables or curves in a measurement file, without duplicates."""
     names = [step.spectrum for step in recipe.mono] + [chart.radiance for chart in [*recipe.band, *recipe.chart]]
     names += [step.monitor.file for step in recipe.mono if isinstance(step.monitor, MonitorRecipe)]
     names += [recipe.sweep.table, recipe.sweep.response.file] if recipe.sweep else []
@@ -451,7 +452,7 @@ def describe(camera: CameraModel, uncertainty: UncertaintyRecipe, **captures: An
 
 
 def _channels(camera: CameraModel) -> dict[str, ChannelRecipe]:
-    """Return the sections [channel.NAME]: the readout, and the polariser angles rounded to degrees as in a data sheet."""
+    """Return the sections [channel.NAME], which contain the readout, and the polariser angles rounded to whole degrees."""
     sections = settings_of(camera.readout, camera.channels)
     if camera.polarisers is not None:
         stated = zip(camera.channels, camera.polarisers.polariser_deg, camera.polarisers.present, strict=True)
@@ -466,7 +467,10 @@ def write_measurements(recipe: MeasurementRecipe, path: Path) -> None:
 
 
 def _toml(table: dict[str, Any], prefix: str = "") -> str:
-    """Convert a table to TOML text. `prefix` is the key of the table with a period at the end. None and [] are left out."""
+    """Convert a table to TOML text. Keys with the value None or [] are omitted.
+
+    `prefix` is the key of the table, followed by a period.
+    """
 
     def is_table(value: Any) -> bool:
         return isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))

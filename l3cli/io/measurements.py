@@ -1,7 +1,7 @@
-"""Read a measurement file and all files to which it refers (docs/architecture.md#the-path-of-a-measurement).
+"""Read a measurement file and all files that it lists (docs/architecture.md#the-path-of-a-measurement).
 
 The keys of the file are read first (measurement_recipe.py), then the tables of spectra, then the photos. All other frames
-are read later, one at a time, because a lab captures more frames than fit into memory.
+are read later, one at a time, because the frames of a lab may not fit into memory.
 """
 
 import contextlib
@@ -86,15 +86,15 @@ At = Callable[..., AbstractContextManager[None]]  # at(*keys) is a context manag
 
 @dataclass(frozen=True)
 class MeasurementFiles:
-    """Measurements, the files that contain these measurements, and the state of the files before l3 read them."""
+    """Measurements, the files from which they were read, and the state of these files before l3 read them."""
 
     measurements: Measurements
     recipe: str  # text of the measurement file; empty for photos without a measurement file
-    files: dict[str, list[Path]]  # role, such as "frames" → files
+    files: dict[str, list[Path]]  # role of files, such as "frames" → files
     stamps: dict[Path, tuple[int, ...]]  # file → its device, inode, size and modification time (see `stamp`)
 
     def history(self, options: dict[str, Any]) -> Stage:
-        """Return the history entry of a calibration: its options, the measurement file, and the SHA-256 of every file.
+        """Return the history entry for a calibration: the options, the measurement file, and the SHA-256 of every file.
 
         Raises InputFileError if a file has changed since l3 read it, because its digest would not match the measurements.
         """
@@ -108,7 +108,7 @@ class MeasurementFiles:
 
 
 def read_measurements(path: Path) -> MeasurementFiles:
-    """Read a measurement file and all files to which it refers.
+    """Read a measurement file and all files that it lists.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def read_photos(photos: Sequence[Path], light: str | None, levels: Levels | None
     light : str or None
         Name of the illuminant, or None to estimate it.
     levels : mapping, optional
-        Levels for raw files that do not state them (see chart_photos.Levels). [default: none]
+        Levels for raw files that state no levels (see chart_photos.Levels). [default: none]
 
     Raises
     ------
@@ -175,7 +175,7 @@ def parse_measurements(text: str, path: Path) -> AnyRecipe:
 
 
 def measurements_of(recipe: AnyRecipe, path: Path) -> Measurements:
-    """Read all files to which a measurement file refers.
+    """Read all files that a measurement file lists.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ def measurements_of(recipe: AnyRecipe, path: Path) -> Measurements:
 
 
 def _files_named(recipe: AnyRecipe, path: Path) -> dict[str, list[Path]]:
-    """Return the files to which a measurement file refers, by role."""
+    """Return the files that a measurement file lists, by role."""
     folder = path.parent
     if isinstance(recipe, CorrectionRecipe):
         frames = [folder / name for _, _, capture in captures_of(recipe) for name in capture.frames]
@@ -214,7 +214,7 @@ def _files_named(recipe: AnyRecipe, path: Path) -> dict[str, list[Path]]:
 
 
 class MonoLight(NamedTuple):
-    """The light measured at one monochromator step."""
+    """The measured light of one monochromator step."""
 
     wavelength: Array  # (wavelength,) nm
     radiance: Array  # (wavelength,) photons/s/sr/m²/nm
@@ -233,7 +233,7 @@ class PatchRadiances(NamedTuple):
 class Contents:
     """The contents of all files that a measurement file lists, except frames.
 
-    Each tuple is in the order of the measurement file.
+    The elements of each tuple are in the order of the measurement file.
     """
 
     base: CameraModel | None = None
@@ -260,9 +260,9 @@ def read_contents(recipe: AnyRecipe, path: Path, at: At = _raised) -> Contents:
     path : Path
         The path of the measurement file. File names are relative to its folder.
     at : callable
-        Function that returns a context manager for the errors in a block of code. Its arguments are the keys to which the
-        errors refer. The context manager of `l3 check` collects errors instead of raising them. Entries with errors are then
-        missing from the result. [default: errors are raised]
+        Function that returns a context manager, which handles the errors in a block of code. The arguments are the keys to
+        which the errors refer. `l3 check` passes a function whose context managers collect errors instead of raising them.
+        Entries with errors are then missing from the result. [default: errors are raised]
 
     Raises
     ------
@@ -307,7 +307,7 @@ def read_contents(recipe: AnyRecipe, path: Path, at: At = _raised) -> Contents:
 
 
 def _mono_lights(steps: Sequence[MonoRecipe], path: Path, read: ReadTable, at: At) -> tuple[MonoLight, ...]:
-    """Return the light of each monochromator step.
+    """Return the measured light of each monochromator step.
 
     Raises RecipeError if a column does not exist, and InputFileError if a spectrum is unsuitable.
     """
@@ -353,8 +353,8 @@ def monitor_at(monitor: MonitorRecipe, nm: float, folder: Path, read: ReadTable 
     Raises
     ------
     InputFileError
-        If the table does not cover `nm`, if the units of the two columns differ, if the ratio is implausible, or if the
-        column contains readings instead of ratios although no reference is set.
+        If the table does not cover `nm`, if the units of the two columns differ, if the ratio is implausible, or if no
+        reference is set and the column contains readings instead of ratios.
     """
     table = read(folder / monitor.file)
     first, last = table.wavelength[0], table.wavelength[-1]
@@ -390,9 +390,9 @@ def monitor_at(monitor: MonitorRecipe, nm: float, folder: Path, read: ReadTable 
 
 
 def _reading(table: CurveTable, column: int | str, nm: float) -> tuple[float, dict[str, int]]:
-    """Return the value of a column at the wavelength `nm` in base units, and the exponent of each base unit.
+    """Interpolate a column at the wavelength `nm`. Return the value in base units, and the exponent of each base unit.
 
-    If the heading contains no unit, the value is returned as stored, and the mapping of exponents is empty.
+    If the heading contains no unit, the value is in the unit of the table, and the mapping of exponents is empty.
     """
     found = table.column(column)
     unit = None if found.units[0] is None else units.parse(found.units[0])
@@ -427,7 +427,8 @@ def _patch_radiances(
 def patch_name(heading: str) -> str:
     """Convert a heading such as "patch 13", "13", "Blue" or "white 9.5 (.05 D)" to the name of a patch.
 
-    Headings without a number of a patch are converted to lower case, without text in brackets at the end.
+    A patch number becomes the name of the patch. Other headings are converted to lower case, and text in parentheses at the
+    end is removed.
     """
     number = re.fullmatch(r"(?:patch|p|no|#)?[ ._-]*0*(\d{1,2})", heading.strip(), re.IGNORECASE)
     if number and 1 <= int(number[1]) <= PATCHES:
@@ -447,7 +448,7 @@ def _curve(recipe: MeasurementRecipe, folder: Path) -> SweepTable | FinishedCurv
 
 
 def _cameras(recipe: MeasurementRecipe, folder: Path) -> CurveStatistics | tuple[FinishedCurves, ...] | None:
-    """Return measured responsivities of other cameras, or their statistics, as the prior for the evaluation of photos.
+    """Return the prior for photos: measured responsivities in a folder, or the statistics of the included cameras.
 
     The result is None if the measurement file contains no photos.
     """
@@ -466,9 +467,9 @@ def _assembled(
     levels: Levels | None,
     read: Callable[[Path, Levels], RawContent],
 ) -> Measurements:
-    """Combine a recipe and the contents of its files into measurements, and read the photos with the function `read`.
+    """Combine a recipe and the contents of its files into measurements. The photos are read with the function `read`.
 
-    `levels` applies to photos that do not state their levels. If `levels` is None, the levels in [datasheet] apply.
+    `levels` applies to photos that state no levels. If `levels` is None, the levels in [datasheet] apply.
     """
     if isinstance(recipe, CorrectionRecipe):
         assert contents.base is not None
@@ -511,7 +512,7 @@ def _assembled(
 def _corrections(recipe: CorrectionRecipe, camera: CameraModel, folder: Path) -> Measurements:
     """Return the dark, white and polariser captures of a measurement file that contains the key `base`.
 
-    `camera` is the camera model that `base` names.
+    `camera` is the camera model to which `base` refers.
     """
     geometry = camera.name, camera.rows, camera.cols, camera.pixel_pitch, camera.bits, camera.channels, camera.cfa
 
@@ -529,9 +530,9 @@ def _corrections(recipe: CorrectionRecipe, camera: CameraModel, folder: Path) ->
 
 
 def _polarisers(recipe: AnyRecipe, frames: Callable[[CaptureRecipe], dict[str, Any]]) -> dict[str, Any]:
-    """Return the keyword arguments of Measurements that describe the captures behind a rotating polariser.
+    """Return the arguments of Measurements that describe the captures behind a rotating polariser.
 
-    `frames` is a function that returns the keyword arguments of Capture for an entry in the measurement file.
+    The function `frames` returns the arguments of Capture for an entry in the measurement file.
     """
     stated = recipe.rotator or RotatorRecipe()
     return {
@@ -583,12 +584,12 @@ def _by_speed(recipes: Sequence[SensorCaptureRecipe], body: Body, folder: Path) 
 
 
 def _frames(capture: CaptureRecipe, body: Body, folder: Path) -> dict[str, Any]:
-    """Return the keyword arguments that create a Capture from its entry in the measurement file. Frames are read later."""
+    """Return the arguments of Capture for an entry in the measurement file. The frames are read later."""
     files = FrameFiles(tuple(folder / name for name in capture.frames), (body.rows, body.cols), body.bits, body)
     return {"name": capture.frames[0], "exposure": capture.seconds, "frames": files, "monitor": capture.monitor}
 
 
 def _chart(chart: ChartRecipe, patches: PatchRadiances, body: Body, folder: Path) -> dict[str, Any]:
-    """Return the keyword arguments that create a ChartCapture or BandCapture from its entry in the measurement file."""
+    """Return the arguments of ChartCapture or BandCapture for an entry in the measurement file."""
     corners = np.array(chart.corners, dtype=np.float64)
     return {**_frames(chart, body, folder), "illuminant": chart.illuminant, "corners": corners, **patches._asdict()}

@@ -1,7 +1,7 @@
 """Find the raw frames of an input, or the pictures of a finished sequence for evaluation.
 
 An input is a folder, a numbered pattern, a glob, a file with one or several frames, a video, or a headerless stream on
-stdin. Frames are listed without being read, and each frame is read on demand.
+stdin. Frames are listed without being read. Each frame is read when it is needed.
 """
 
 import contextlib
@@ -48,7 +48,7 @@ STDIN_NAME = "stdin"  # name of the input in messages
 
 @dataclass(frozen=True)
 class FrameReference:
-    """Identifies a frame of a sequence. `Frames.read` reads the frame with this number."""
+    """Identifies a frame of a sequence. The frame is read with `Frames.read(number)`."""
 
     number: int
     stem: str  # name of the output file, without suffix
@@ -58,7 +58,7 @@ class FrameReference:
 
 @dataclass(frozen=True)
 class FrameSequence:
-    """The frames of an input in order. A stream ends at the first frame for which `Frames.read` returns None."""
+    """The frames of an input, in order. A stream ends at the first frame for which `Frames.read` returns None."""
 
     what: str  # name of the input in messages
     frames: "Frames"  # a stream may end before the last of these frames
@@ -90,15 +90,15 @@ class FrameSequence:
         return self.part is None or place in self.part
 
     def absent(self, numbers: range) -> InputFileError:
-        """Return an error with the numbers of missing frames. The caller raises it."""
+        """Return an error that names the missing frames. The caller raises the error."""
         step = f"x{numbers.step}" if numbers.step > 1 else ""
         named = f"frame {numbers[0]} is" if len(numbers) == 1 else f"frames {numbers[0]}-{numbers[-1]}{step} are"
         return InputFileError(f"{named} not in {self.what}; select existing frames with ‹frames›, or add ‹skip_bad›")
 
     def rest(self, number: int) -> range:
-        """Return the selected frame numbers of a stream from `number` on. The range is empty if no frames were selected.
+        """Return the selected frame numbers of a stream, from `number` to the end. Empty if no frames were selected.
 
-        These frames are missing if the stream ended before frame `number`.
+        If the stream ended before frame `number`, these frames are missing.
         """
         return self.wanted[self.wanted.index(number) :] if self.wanted else range(0)
 
@@ -135,15 +135,15 @@ def find_frames(
     known : RawOverrides
         Properties of the raw files that the user set. They take precedence over the properties in the files.
     selection : range, optional
-        Frame numbers to select. All of them are expected to exist. [default: all frames of the input; for a pattern, all
-        numbers from the first to the last are expected to exist]
+        Frame numbers to select. All selected frames are expected to exist. [default: all frames of the input; for a pattern,
+        all numbers from the first to the last are expected to exist]
     dataset : str, optional
         Name of the array in an HDF5 or MATLAB file.
 
     Returns
     -------
     FrameSequence
-        The frames in order of their numbers, and the numbers of the frames that are expected but do not exist.
+        The frames in order of their numbers, and the numbers of missing frames.
 
     Raises
     ------
@@ -155,9 +155,9 @@ def find_frames(
 
     Notes
     -----
-    The number of a frame in its own file is the last number in the file name. If a name contains no number, or if two names
-    contain the same number, the files are numbered from 0 instead. The frames of a file with several frames are numbered
-    from 0.
+    If each file contains one frame, the frame number is the last number in the file name. If a name contains no number, or
+    if two names contain the same number, the files are numbered from 0 instead. The frames of a file with several frames are
+    numbered from 0.
     """
     plain = [path for path in inputs if is_one_file(path)]
     if len(plain) < len(inputs) and len(inputs) > 1:
@@ -183,9 +183,9 @@ def find_frames(
 
 
 def _divided(wanted: range, numbers: Collection[int]) -> tuple[Sequence[int], list[range]]:
-    """Return the wanted frame numbers that exist, in order, and ranges of the wanted numbers that do not exist.
+    """Return the wanted frame numbers that exist, in order, and ranges of wanted numbers that do not exist.
 
-    The ranges are not expanded to lists, because `wanted` may contain very many numbers.
+    The missing numbers are returned as ranges, because `wanted` may contain very many numbers.
     """
     if isinstance(numbers, range):  # a stack, whose frames are numbered from 0
         there: Sequence[int] = range(wanted.start, min(wanted.stop, len(numbers)), wanted.step)
@@ -207,7 +207,7 @@ def read_dark(sequence: FrameSequence) -> DarkFrame:
     """
     if sequence.what == STDIN_NAME:
         raise RecipeError("dark frames cannot be read from stdin; save them in files")
-    # The number of frames in a video is known only at its end.
+    # The number of frames in a video is unknown until the video ends.
     return average_dark(_until_none(sequence.frames.read(frame.number) for frame in sequence.frames))
 
 
@@ -221,7 +221,7 @@ def _until_none(frames: Iterable[RawFrame | None]) -> Iterator[RawFrame]:
 def frame_files(path: Path) -> list[Path]:
     """Return the raw files of a folder, a pattern or a glob, in order.
 
-    For any other path, the list contains only the path, even if no such file exists. The list is empty if no file
+    For any other path, the list contains only the path, even if the file does not exist. The list is empty if no file
     matches a pattern. Raises InputFileError if a folder or glob contains no files.
     """
     if path.is_dir():
@@ -322,7 +322,7 @@ def _series_of_files(what: str, paths: Iterable[Path], table: TransformTable, kn
 
 
 def _film_rate(path: Path) -> Fraction | None:
-    """Return the frame rate in a file with a single frame, such as a CinemaDNG file, or None if it states none."""
+    """Return the frame rate that a file with a single frame states (such as a CinemaDNG file), or None."""
     return format_of(path).rate(path) if path.is_file() else None
 
 
@@ -330,7 +330,7 @@ def _series_of_pattern(pattern: Path, table: TransformTable, known: RawOverrides
     files = numbered_files(pattern)
     if not files:
         raise InputFileError(f"{pattern} matches no file; use a pattern of the raw frames, such as frame_%04d.tif")
-    # The files of a pattern are expected to have consecutive numbers. A missing number means that a frame is missing.
+    # A pattern is expected to have files with consecutive numbers. If a number is missing, the frame counts as missing.
     whole, rate = range(min(files), max(files) + 1), _film_rate(next(iter(files.values())))
     return _Series(
         str(pattern), files, lambda number: read_raw(files[number], table, known.of_frame(number - whole.start)),
@@ -344,7 +344,8 @@ def _series_of_pattern(pattern: Path, table: TransformTable, known: RawOverrides
 def _series_of_stack(what: str, stem: str, stack: MultiFrameFile, table: TransformTable, known: RawOverrides) -> _Series:
     """Convert a stack or stream of raw frames to a series. Output names are STEM_NUMBER, or NUMBER if `stem` is empty.
 
-    The output name of a single frame is STEM, unless the stack sets `numbered`. Raises InputFileError if the stack is empty.
+    If the stack contains a single frame and does not set `numbered`, the output name is STEM. Raises InputFileError if the
+    stack is empty.
     """
     if stack.count == 0:
         raise InputFileError(f"{what} contains no frames; use an array with the axes (frame, row, column)")
@@ -371,17 +372,17 @@ def _series_of_stack(what: str, stem: str, stack: MultiFrameFile, table: Transfo
 PICTURES = suffixes("codes")
 Linear = NDArray[np.float32]  # (row, col, 3) linear sRGB
 GIVE = 'use a folder of pictures, a pattern such as "out/%04d.png", or a video'
-KNOWN_MOTION = ("down", "right", "seen")  # channel names of files with the known motion
+KNOWN_MOTION = ("down", "right", "seen")  # channel names of the motion files that `l3 simulate` writes
 
 
 @dataclass(frozen=True)
 class PictureSequence:
-    """Pictures in order. They are read one by one."""
+    """A sequence of pictures, which are read one at a time."""
 
     name: str  # name of the sequence in messages
     shape: tuple[int, int]  # rows, cols
     count: int | None  # None for a video, whose length is unknown
-    pictures: Callable[[], Iterator[Linear]]  # returns an iterator that reads the pictures from the first on
+    pictures: Callable[[], Iterator[Linear]]  # returns a new iterator over all pictures
     files: tuple[Path, ...]  # one file per picture, or the video
     motion: tuple[Path, ...] = ()  # files with the motion from the previous picture to each picture; empty if unknown
 
@@ -389,8 +390,8 @@ class PictureSequence:
 def find_pictures(path: Path) -> PictureSequence:
     """Find a sequence of pictures. The path is a folder, a numbered pattern, a glob, or a video.
 
-    If a folder was written by `l3 simulate`, only the ideal pictures are used. Raises InputFileError if there are no
-    pictures, if the pictures differ in size, or if a number of a pattern is missing.
+    If `l3 simulate` wrote the folder, only the ideal pictures are used. Raises InputFileError if there are no pictures, if
+    the pictures differ in size, or if a number in a pattern is missing.
     """
     if is_video(path) and not _names_several(path):
         return PictureSequence(str(path), _video_shape(path), None, functools.partial(_video_pictures, path), (path,))
@@ -400,8 +401,8 @@ def find_pictures(path: Path) -> PictureSequence:
 def picture_files(path: Path) -> list[Path]:
     """Return the picture files of a folder, a numbered pattern or a glob, in order. The pictures may differ in size.
 
-    If a folder was written by `l3 simulate`, only the ideal pictures are used. Raises InputFileError if there are no
-    pictures, if a file is not a supported picture, if a number of a pattern is missing, or if the path is a single file.
+    If `l3 simulate` wrote the folder, only the ideal pictures are used. Raises InputFileError if there are no pictures, if a
+    file is not a supported picture, if a number in a pattern is missing, or if the path is a single file.
     """
     if not _names_several(path):
         what = "is a single file" if path.exists() else "does not exist"
@@ -430,7 +431,7 @@ def picture_files(path: Path) -> list[Path]:
 def require_alike(ours: PictureSequence, wanted: PictureSequence | None) -> None:
     """Raise InputFileError if a sequence has only one picture, or if it differs from `wanted` in size or length.
 
-    If `wanted` is None, there is no comparison. Unknown lengths of videos are not compared.
+    If `wanted` is None, only the number of pictures is checked. Unknown lengths of videos are not compared.
     """
     if ours.count == 1:
         raise InputFileError(f"{ours.name} contains only one picture; use a sequence of at least two")
@@ -447,8 +448,8 @@ def require_alike(ours: PictureSequence, wanted: PictureSequence | None) -> None
 def paired(ours: PictureSequence, wanted: PictureSequence | None) -> Iterator[tuple[Linear, Linear | None, Linear | None]]:
     """Yield the rendered picture, the ideal picture and the known motion of each frame.
 
-    The ideal picture is None if `wanted` is None. The motion is an array in the form that `read_motion` returns, or None if
-    the motion is unknown. Raises InputFileError if one sequence ends before the other.
+    The ideal picture is None if `wanted` is None. The motion has the form that `read_motion` returns. The motion is None if
+    it is unknown. Raises InputFileError if one sequence ends before the other.
     """
     ideals: Iterator[Linear | None] = wanted.pictures() if wanted else itertools.repeat(None)
     motions = iter(wanted.motion) if wanted else iter(())
@@ -465,9 +466,9 @@ def paired(ours: PictureSequence, wanted: PictureSequence | None) -> Iterator[tu
 
 
 def read_motion(path: Path, shape: tuple[int, int]) -> Linear:
-    """Read the motion of each pixel from the previous frame to a frame, as an array (3, row, col).
+    """Read the motion of each pixel since the previous frame, as an array (3, row, col).
 
-    The three planes are the downward motion in pixels, the motion to the right in pixels, and 1 where the motion is known (0
+    The three planes are the downward motion in pixels, the rightward motion in pixels, and 1 where the motion is known (0
     elsewhere). Raises InputFileError if the file does not contain the motion of frames of `shape` (rows, columns).
     """
     planes, names = read_image(path)

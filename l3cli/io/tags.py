@@ -1,6 +1,6 @@
 """Read and write tags of TIFF 6, TIFF/EP, Exif and DNG 1.7. Tags have the names that tifffile uses.
 
-The tags with the name of the camera and the settings of a shot are the same in all these formats.
+All these formats use the same tags for the names of the camera and for the shot settings.
 """
 
 import re
@@ -28,7 +28,7 @@ BROKEN = (ValueError, TypeError, KeyError, IndexError, AttributeError, ZeroDivis
 LONGEST_NAME = 80  # maximum length of a camera name; longer names are cut
 MAX_DENOMINATOR = 10**9
 MAX_INTEGER = 2**31 - 1  # maximum numerator
-Entry = tuple[int, int, int, object, bool]  # a tag for tifffile: code, type, count, value, whether only page 0 has it
+Entry = tuple[int, int, int, object, bool]  # tag for tifffile: code, type, count, value, whether only the first page has it
 
 
 def flip_of(path: Path, orientation: object) -> int:
@@ -62,7 +62,7 @@ def numbers(page: Any, name: str, default: Any) -> Any:
 
 
 def number(value: Any) -> float | None:
-    """Convert the value of an Exif tag to a float, or return None if it is not a number.
+    """Convert the value of an Exif tag to a float, or return None if the value is not a number.
 
     Two numbers are the numerator and the denominator of a fraction. If the denominator is 0, or if there are more than two
     numbers, the first number is returned.
@@ -73,13 +73,13 @@ def number(value: Any) -> float | None:
 
 
 def exif_of(page: Any) -> dict[str, Any]:
-    """Return the tags in the Exif directory of a page by name, or {} if there is no such directory."""
+    """Return the tags in the Exif directory of a page by name, or {} if the page has no Exif directory."""
     exif = page.tags.valueof("ExifTag")
     return exif if isinstance(exif, dict) else {}
 
 
 def exposure_time(page: Any) -> float | None:
-    """Return the exposure time in s from the first page of a TIFF or DNG file, or None if it is missing or invalid.
+    """Return the exposure time in s from the first page of a TIFF or DNG file, or None if the time is missing or invalid.
 
     The tag of TIFF/EP takes precedence over the tag of Exif.
     """
@@ -104,7 +104,7 @@ def camera_names(page: Any) -> list[str]:
 
 
 def entry(name: str, kind: int, values: Iterable[float]) -> Entry:
-    """Return a numeric tag with the type code `kind` for tifffile. Fractions are approximated (see `_fraction`)."""
+    """Create a numeric tag for tifffile, with the type code `kind`. Fractions are approximated (see `_fraction`)."""
     if kind == DOUBLE:
         parts: list[float] = [float(value) for value in values]
     elif kind in FRACTIONS:
@@ -117,12 +117,12 @@ def entry(name: str, kind: int, values: Iterable[float]) -> Entry:
 
 
 def _fraction(value: float) -> Fraction:
-    """Return a fraction that is close to a number, with a numerator and a denominator that fit in 32 bits."""
+    """Approximate a number by a fraction whose numerator and denominator fit into 32 bits."""
     return Fraction(value).limit_denominator(min(MAX_DENOMINATOR, int(MAX_INTEGER / max(1.0, abs(value)))))
 
 
 def text_entry(name: str, text: str) -> Entry:
-    """Return a tag with a string value for tifffile. Characters that are not in ASCII become question marks."""
+    """Create a tag with a string value for tifffile. Characters that are not ASCII become question marks."""
     return _code(name), ASCII, 0, text.encode("ascii", "replace").decode(), True
 
 
@@ -132,7 +132,7 @@ def _code(name: str) -> int:
     return int(tifffile.TIFF.TAGS[name])
 
 
-# ------------------------------------------------------------------------------------------- settings of a shot
+# ------------------------------------------------------------------------------------------------ shot settings
 
 LONGEST_TEXT = 100  # maximum number of characters in the string value of a tag; longer strings are cut
 MAX_BELIEVABLE = 1e7  # largest plausible number; the highest ISO speeds are about 4 million
@@ -149,11 +149,11 @@ SHOT = {  # field of Shot → (name of the tag in tifffile, name in OpenImageIO)
 
 
 def believable_shot(stated: Mapping[str, Any]) -> Shot:
-    """Return the settings of a shot, without invalid and implausible values.
+    """Create a Shot from the settings that a file states. Invalid and implausible settings keep the defaults of `Shot`.
 
     The keys of `stated` are names of fields of `Shot`. Other keys are ignored. Unprintable characters are removed from
-    strings, and long strings are truncated. A date that does not have the Exif format is replaced by the default of
-    `Shot`. The same applies to a number that is not positive or exceeds MAX_BELIEVABLE.
+    strings, and long strings are truncated. A date is invalid if it does not have the Exif format. A number is implausible
+    if it is not positive or exceeds MAX_BELIEVABLE.
     """
     usual, fields = Shot(), dict[str, Any]()
     for name in stated.keys() & SHOT.keys():
@@ -167,9 +167,9 @@ def believable_shot(stated: Mapping[str, Any]) -> Shot:
 
 
 def shot_of_page(page: Any) -> dict[str, str | float]:
-    """Return the settings of a shot, by field of `Shot`, from the tags of a tifffile page or from its Exif directory.
+    """Read the shot settings from the tags or the Exif directory of a tifffile page.
 
-    Missing settings are left out.
+    The keys of the result are names of fields of `Shot`. Missing settings are omitted.
     """
     exif = exif_of(page)
     stated = {name: page.tags.valueof(tag, exif.get(tag)) for name, (tag, _) in SHOT.items()}
@@ -178,13 +178,13 @@ def shot_of_page(page: Any) -> dict[str, str | float]:
 
 
 def shot_of_spec(spec: Any) -> dict[str, str | float]:
-    """Return the settings of a shot, by field of `Shot`, from OpenImageIO's ImageSpec. Missing settings are left out."""
+    """Read the shot settings from an OpenImageIO ImageSpec. The keys are fields of `Shot`. Missing settings are omitted."""
     stated = {name: spec.getattribute(other) for name, (_, other) in SHOT.items()}
     return {name: value for name, value in stated.items() if isinstance(value, str | float | int)}
 
 
 def shot_entries(shot: Shot, exposure: float | None) -> list[Entry]:
-    """Return the TIFF/EP tags with the settings of a shot and its exposure time in s. Unknown settings have no tag.
+    """Create the TIFF/EP tags for the settings and the exposure time in s of a shot. Unknown settings have no tag.
 
     ISO speeds above 65535 are stored as 65535, the maximum of the tag.
     """

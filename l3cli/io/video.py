@@ -3,9 +3,9 @@
 The module writes videos and y4m streams, decodes videos frame by frame, and determines the times of frames. The decoding
 functions must be called only in a process of `io.isolated`. The module raw/video.py reads raw videos.
 
-Written pictures are sRGB, and every video is labelled accordingly: BT.709 primaries, the sRGB transfer function (the BT.709
-transfer function for ProRes, which has no label for sRGB), and the BT.709 matrix in limited range if colours are stored as
-luma and chroma.
+Pictures are written as sRGB. Videos are labelled with BT.709 primaries and the sRGB transfer function. ProRes has no label
+for sRGB, so ProRes videos are labelled with the BT.709 transfer function. If colours are stored as luma and chroma, the
+label also states the BT.709 matrix and limited range.
 """
 
 import contextlib
@@ -147,14 +147,14 @@ class _Converter:
     """Converts pictures (row, col, 3) to FFmpeg frames of a pixel format."""
 
     def __init__(self, pixel_format: str) -> None:
-        self._reformatter = pyav().video.reformatter.VideoReformatter()  # kept, because creating it is slower than using it
+        self._reformatter = pyav().video.reformatter.VideoReformatter()  # reused, because creation is slow
         self.pixel_format = pixel_format
         self._bytes = np.empty(0, np.uint8)
 
     def even(self, picture: NDArray) -> NDArray:
         """Return a picture with even numbers of rows and columns, if the pixel format requires them.
 
-        The last row or column is repeated.
+        To make a number even, the last row or column is repeated.
         """
         if not self.pixel_format.startswith(("yuv420", "yuv422")):
             return picture
@@ -165,7 +165,8 @@ class _Converter:
     def frame(self, picture: NDArray) -> Any:
         buffer, source = self._buffer_for(self.even(picture))
         frame = pyav().VideoFrame.from_numpy_buffer(buffer, format=source)
-        # Conversion uses a single thread. With several threads it takes 20 % longer, because rendering uses the other cores.
+        # A single thread converts the pictures. Several threads would take 20 % longer, because rendering uses the other
+        # cores.
         coded = {"dst_colorspace": "ITU709", "dst_color_range": "MPEG"} if self.pixel_format.startswith("yuv") else {}
         return self._reformatter.reformat(frame, format=self.pixel_format, threads=1, **coded)
 
@@ -191,9 +192,9 @@ class _Converter:
 def _widen(picture: NDArray[np.uint8], buffer: NDArray[np.uint8]) -> None:
     """Copy pixels of three bytes (RGB) to pixels of four bytes.
 
-    FFmpeg converts pixels of four bytes to luma and chroma faster. Copy and conversion together take 20 % less time than the
-    conversion from three bytes. Each pixel is copied as a 32-bit integer, so its fourth byte is the first byte of the next
-    pixel. FFmpeg ignores the fourth byte.
+    FFmpeg converts pixels of four bytes to luma and chroma faster. The copy and the conversion together take 20 % less time
+    than a conversion from three bytes. Each pixel is copied as a 32-bit integer, so its fourth byte is the first byte of the
+    next pixel. FFmpeg ignores the fourth byte.
     """
     pixels = picture.size // 3
     buffer.reshape(-1).view("<u4")[: pixels - 1] = np.ndarray(pixels - 1, "<u4", picture.data, strides=(3,))
@@ -203,8 +204,9 @@ def _widen(picture: NDArray[np.uint8], buffer: NDArray[np.uint8]) -> None:
 def _x265_parameters(rows: int, cols: int, is_short: bool) -> str:
     """Return parameters that avoid two bugs of x265.
 
-    Videos of one or two frames are encoded without B-frames, because x265 would not set the decoding times of B-frames.
-    Frames below the size of a coding tree unit are encoded without assembly code, which would write beyond the frame.
+    Videos of one or two frames are encoded without B-frames, because x265 does not set the decoding times of the B-frames in
+    such videos. Frames smaller than a coding tree unit are encoded without assembly code, which would write beyond the
+    frame.
     """
     return "log-level=none" + ":bframes=0" * is_short + ":asm=0" * (min(rows, cols) < X265_UNIT)
 
@@ -217,7 +219,7 @@ class VideoWriter:
         self._encoding = _encoding(path, choice)
         self._converter = _Converter(self._encoding.formats[choice.bits])
         self._stream: Any = None
-        self._waiting: list[Any] = []  # the first frames, kept until their number determines the options of the encoder
+        self._waiting: list[Any] = []  # first frames, kept until it is known whether the video is too short for B-frames
         self._tick, self._time = choice.tick or 1 / choice.rate, -1
 
     def write(self, picture: NDArray, time: int | None = None) -> None:
@@ -240,7 +242,7 @@ class VideoWriter:
             self._encode_waiting()
 
     def finish(self) -> None:
-        """Write the pictures that are still buffered by the object or by the encoder. Does nothing without pictures."""
+        """Write the pictures that this object or the encoder has buffered. Do nothing if no picture was added."""
         if self._waiting:
             self._encode_waiting()
         if self._stream is not None:
@@ -287,17 +289,17 @@ class VideoWriter:
 def new_video(
     path: Path, choice: VideoChoice, finished: Callable[[Path], None] = lambda temporary: None
 ) -> Iterator[VideoWriter]:
-    """Create a video in a context manager that yields its writer.
+    """Create a video file, and yield an object that writes pictures to the video.
 
-    The file is written under a temporary name. At the end of the block, `finished` is called with the temporary file, and
-    then the file is renamed to `path`. If the block raises an exception, the temporary file is removed. Raises L3Error if
-    FFmpeg cannot write the video.
+    The file has a temporary name. At the end of the block, `finished` is called with the temporary path, and the file is
+    then renamed to `path`. If the block raises an exception, the temporary file is removed. Raises L3Error if FFmpeg cannot
+    write the video.
     """
     av = pyav()
     form = {".mp4": "mp4", ".mov": "mov", ".mkv": "matroska"}[path.suffix.lower()]
     with atomic_output(path) as temporary:
         try:
-            # With bitexact, FFmpeg writes no versions, times or random numbers. Equal inputs then give equal bytes.
+            # With bitexact, FFmpeg writes no versions, times or random numbers. Equal inputs then result in equal bytes.
             with av.open(str(temporary), "w", format=form, container_options={"fflags": "+bitexact"}) as container:
                 writer = VideoWriter(path, container, choice)
                 yield writer
@@ -331,7 +333,7 @@ class Y4mWriter:
 
 
 def _write_all(stream: BinaryIO, content: Any) -> None:
-    """Write all bytes to a stream that may accept only some of them at a time because it is unbuffered."""
+    """Write all bytes to an unbuffered stream, which may accept only a part of the bytes per call."""
     rest = memoryview(content).cast("B")
     while len(rest):
         rest = rest[stream.write(rest) :]
@@ -341,13 +343,14 @@ def _write_all(stream: BinaryIO, content: Any) -> None:
 def new_y4m(
     path: Path | None, choice: VideoChoice, finished: Callable[[Path], None] = lambda temporary: None
 ) -> Iterator[Y4mWriter]:
-    """Context manager that creates a y4m file and yields its writer. If `path` is None, the frames are written to stdout.
+    """Create a y4m file, and yield an object that writes pictures to the file. If `path` is None, stdout is used.
 
-    A file is written under a temporary name. At the end of the block, `finished` is called with the temporary file, and then
-    the file is renamed to `path`. For a stream, `finished` is not called.
+    A file has a temporary name. At the end of the block, `finished` is called with the temporary path, and the file is then
+    renamed to `path`. For stdout, `finished` is not called.
     """
     if path is None:
-        # The stream is unbuffered, because a thread that waits in a buffered stream would keep the interpreter from exiting.
+        # The stream is unbuffered, because a thread that waits in a buffered stream would prevent the interpreter from
+        # exiting.
         with open(1, "wb", buffering=0, closefd=False) as stream:
             yield Y4mWriter(stream, choice)
         return
@@ -363,16 +366,17 @@ CONTAINERS = "matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,avi"
 
 
 class DecodedVideo:
-    """The video stream of a file, which is decoded frame by frame.
+    """The video stream of a file. Frames are decoded one by one.
 
     Parameters
     ----------
     path : Path
         The video file.
     what : str
-        Description of suitable files. In messages it follows the word "use".
+        Description of suitable files, which follows the word "use" in messages.
     require : callable
-        Called with the path and FFmpeg's codec context. It raises InputFileError if the video is unsuitable.
+        Function that is called with the path and FFmpeg's codec context. It raises InputFileError if the video is
+        unsuitable.
     formats : str
         FFmpeg's names of the accepted container formats, separated by commas.
 
@@ -503,16 +507,16 @@ class StatedTimes:
         return steps.size == 0 or int(steps.max() - steps.min()) * self.tick <= JITTER
 
     def range(self) -> str:
-        """Return the shortest and the longest time between consecutive frames as text, such as "0.0333–0.05 s".
+        """Format the shortest and the longest time between consecutive frames, for example as "0.0333–0.05 s".
 
-        There must be at least two frames.
+        The video must have at least two frames.
         """
         steps = np.diff(self.ticks) * float(self.tick)
         return f"{steps.min():.3g}–{steps.max():.3g} s"
 
 
 def unit_of(numbers: Sequence[int]) -> int | None:
-    """Return the step between consecutive frame numbers, or None if the numbers are irregular, for example time stamps.
+    """Return the step between consecutive frame numbers, or None if the numbers are irregular (for example, time stamps).
 
     `numbers` are in ascending order. The step is the smallest difference between consecutive numbers. The numbers are
     regular if at least half of the differences are equal to the step, and if every difference is a multiple of the step. For
@@ -525,13 +529,13 @@ def unit_of(numbers: Sequence[int]) -> int | None:
 
 
 class Pacing:
-    """Assigns times to frames in order. Times are in ticks after the first frame.
+    """Assigns times to frames in order. A time is a number of ticks after the first frame.
 
     Parameters
     ----------
     unit : int or None
-        Step between consecutive frame numbers, which is one tick. If it is None (irregular numbers), all frames are one tick
-        apart.
+        Step between consecutive frame numbers. One step is one tick. If `unit` is None because the frame numbers are
+        irregular, consecutive frames are one tick apart.
     stated : StatedTimes, optional
         Times to use instead of the frame numbers.
     step : int
@@ -571,4 +575,4 @@ class Pacing:
         return self._last + 1 if self._unit is None else number // self._unit
 
 
-Stated = Callable[[], StatedTimes | None]  # reads the times, which may take long; returns None if the file has none
+Stated = Callable[[], StatedTimes | None]  # reads the frame times, or returns None if the file contains none; may be slow

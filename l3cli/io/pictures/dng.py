@@ -5,7 +5,7 @@ either three channels per pixel, or one channel per pixel in a Bayer mosaic (doc
 green and blue of Rec. 2020, and a white surface has equal values in all channels. The values are not scaled for display.
 Instead, the tag BaselineExposure contains the exposure that l3 would apply.
 
-Raw mosaics are written with any colour filter array and any number of channels.
+Raw mosaics can have any colour filter array and any number of channels.
 """
 
 import io
@@ -45,7 +45,7 @@ from l3cli.system.files import write_whole
 
 
 def _file(values: NDArray[np.uint16], software: str, tags: list[Entry], camera: str) -> bytes:
-    """Return the bytes of a DNG file with a mosaic (row, col) or a picture (row, col, 3).
+    """Encode a mosaic (row, col) or a picture (row, col, 3) as a DNG file, and return the bytes of the file.
 
     `tags` are added to the tags that every DNG file contains. `camera` is the value of UniqueCameraModel.
     """
@@ -82,7 +82,7 @@ def _file(values: NDArray[np.uint16], software: str, tags: list[Entry], camera: 
 
 
 def _mosaic_tags(pattern: NDArray[np.integer], planes: Sequence[int]) -> list[Entry]:
-    """Return the tags for a CFA, given the colour code of each site (row, col) and the colour code of each plane."""
+    """Return the tags that describe a CFA, from the colour code of each CFA site and the colour code of each plane."""
     return [
         entry("CFARepeatPatternDim", SHORT, pattern.shape),
         entry("CFAPattern", BYTE, pattern.ravel()),
@@ -95,9 +95,9 @@ def _mosaic_tags(pattern: NDArray[np.integer], planes: Sequence[int]) -> list[En
 
 MOSAICS = ("bayer",)
 RGGB = np.array([[0, 1], [1, 2]])
-# The black level is 0, because LibRaw does not subtract the black level from the white level of files with three channels.
+# The black level is 0, because LibRaw does not subtract the black level from the white level if a pixel has three channels.
 BLACK_LEVEL, WHITE_LEVEL = 0, 65535  # DN
-HEADROOM = 2.0  # linear value at the white level; it exceeds 1, because l3 estimates values above 1 in clipped areas
+HEADROOM = 2.0  # linear value that is stored as WHITE_LEVEL; above 1, because l3 estimates values above 1 in clipped areas
 D65_CODE = 21  # value of CalibrationIlluminant for D65
 CAMERA = "linear Rec. 2020"  # value of the tag Model
 
@@ -105,7 +105,8 @@ CAMERA = "linear Rec. 2020"  # value of the tag Model
 def raw_values(linear: NDArray[np.floating], mosaic: str | None) -> NDArray[np.uint16]:
     """Convert linear Rec. 2020 values (row, col, 3) to DN.
 
-    If `mosaic` is None, the result has the shape (row, col, 3). If `mosaic` is "bayer", it is a Bayer mosaic (row, col).
+    If `mosaic` is None, the result has the shape (row, col, 3). If `mosaic` is "bayer", the result is a Bayer mosaic
+    (row, col).
     """
     if mosaic is not None:
         linear = np.take_along_axis(linear, tiled(RGGB, linear.shape)[..., None], axis=2)[..., 0]
@@ -113,7 +114,7 @@ def raw_values(linear: NDArray[np.floating], mosaic: str | None) -> NDArray[np.u
 
 
 def encode(path: Path, picture: Picture) -> bytes:
-    """Return the bytes of a DNG file with a rendered frame. The pixels of `picture` are the result of `raw_values`."""
+    """Encode a rendered frame as a DNG file. The pixels of `picture` must be the result of `raw_values`."""
     values = picture.pixels
     channels = 1 if values.ndim == 2 else values.shape[2]
     to_connection_space = adaptation_matrix(REC2020.neutral_xyz, D50) @ REC2020.to_xyz
@@ -132,9 +133,10 @@ def encode(path: Path, picture: Picture) -> bytes:
 
 
 def _label_tags(label: Label) -> list[Entry]:
-    """Return the tags with the settings of the shot.
+    """Return the tags that contain the metadata of the raw frame and of the transform table.
 
-    Make and Model do not contain the original camera, because raw converters would then apply its colour matrices.
+    The tags Make and Model do not name the original camera, because raw converters would apply the colour matrices of that
+    camera.
     """
     shot = label.shot
     description = ", ".join(filter(None, (" ".join(filter(None, (shot.make, shot.model))), label.description)))
@@ -144,7 +146,7 @@ def _label_tags(label: Label) -> list[Entry]:
 
 # --------------------------------------------------------------------------------------------------- raw mosaics
 
-LIGHT_CODES = {"A": 17, "D65": 21}  # illuminant of each colour matrix, in order → value of CalibrationIlluminant
+LIGHT_CODES = {"A": 17, "D65": 21}  # illuminants of ColorMatrix1 and ColorMatrix2 → values of CalibrationIlluminant
 
 
 def write_dng(
@@ -166,7 +168,7 @@ def write_dng(
     camera : CameraModel
         The camera.
     matrices : mapping of str to ndarray, (channel, 3)
-        Illuminant in LIGHT_CODES → colour matrix that converts XYZ to the channels.
+        Colour matrix for each illuminant in LIGHT_CODES. The matrix converts XYZ to channel signals.
     neutral : ndarray, (channel,), or None
         Signal of a grey surface in each channel, or None if unknown.
     exposure : float
@@ -195,10 +197,10 @@ def write_dng(
 
 
 def _planes(camera: CameraModel) -> list[int]:
-    """Return the indices of the channels in the order of the colour planes.
+    """Return the channel index of each colour plane.
 
-    If the camera has three channels, the channel with the most pixels becomes the second plane, because most raw converters
-    expect the second plane to be the green plane of a Bayer CFA, whose pixels are on a quincunx grid.
+    If the camera has three channels, the channel with the most pixels becomes the second plane. Most raw converters assume
+    that the second plane is the green channel of a Bayer CFA, which has half of the pixels.
     """
     planes = list(range(len(camera.channels)))
     if len(planes) == 3:

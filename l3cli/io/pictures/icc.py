@@ -1,6 +1,6 @@
-"""Compute display profiles of colour spaces: ICC version 4, with a matrix and tone curves (ICC.1:2022).
+"""Create ICC display profiles (version 4, with a matrix and tone curves, ICC.1:2022) for colour spaces.
 
-The profile of a colour space always consists of the same bytes.
+Equal colour spaces always have profiles with identical bytes.
 """
 
 import functools
@@ -14,15 +14,15 @@ from l3cli.physics.spaces import Curve, Space, adaptation_matrix
 
 D50 = np.array([0.9642, 1.0, 0.8249])  # XYZ of the profile connection space, rounded as in ICC.1
 VERSION = 0x04400000
-DATE = (2000, 1, 1, 0, 0, 0)  # constant creation date, which a profile must contain, so that equal profiles have equal bytes
+DATE = (2000, 1, 1, 0, 0, 0)  # creation date, a required field; constant, so that equal profiles have identical bytes
 POWER, SRGB_LIKE = 0, 3  # function types of parametricCurveType
 ID = slice(84, 100)  # position of the profile ID, an MD5 digest, in the header
-NOT_HASHED = (slice(44, 48), slice(64, 68), ID)  # fields that the digest ignores: flags, rendering intent and profile ID
+NOT_HASHED = (slice(44, 48), slice(64, 68), ID)  # not part of the digest: flags, rendering intent, profile ID
 
 
 @functools.cache
 def icc_profile(space: Space) -> bytes:
-    """Return the ICC profile of a colour space as bytes. The white of a neutral surface is adapted to D50."""
+    """Return the ICC profile of a colour space as bytes. Colours are adapted from the neutral of the space to D50."""
     adapted = adaptation_matrix(space.neutral_xyz, D50)
     colorants = (adapted @ space.to_xyz).T
     tags = {
@@ -73,9 +73,10 @@ def _text(text: str) -> bytes:
 
 
 def _curve(curve: Curve | None) -> bytes:
-    """Return the tag of the decoding curve: ((value + offset) / gain)^(1 / exponent) above the knee, linear below.
+    """Return the tone-curve tag, which converts encoded values to linear values.
 
-    For None, the curve is linear everywhere.
+    The linear value is ((value + offset) / gain)^(1 / exponent) above the knee, and proportional to the encoded value below
+    the knee. If `curve` is None, the linear value equals the encoded value.
     """
     if curve is None:
         return _tag(b"para", struct.pack(">HH", POWER, 0) + _fixed(np.ones(1)))

@@ -24,8 +24,8 @@ from l3cli.system.files import atomic_output, write_whole
 from l3cli.system.signals import held_back_in
 
 EXR, PNG, JPEG_XL = ".exr", ".png", ".jxl"
-# Suffix → compression settings. Noise is almost incompressible: the strongest compression takes seven times as long and
-# saves only a tenth of the size.
+# Suffix → compression settings. Noise is almost incompressible, so the strongest compression takes seven times as long but
+# makes files only a tenth smaller.
 COMPRESSION: dict[str, dict[str, str | int]] = {
     # The PNG filter predicts each value from the mean of two neighbours. Run-length encoding is sufficient, because longer
     # sequences rarely repeat, and a search for repetitions is slow.
@@ -44,10 +44,10 @@ XMP = (
 
 
 def encode(path: Path, picture: Picture) -> bytes:
-    """Return the bytes of a picture file, including the metadata of the picture and a description of its colour space.
+    """Encode a picture with its metadata and its colour space, and return the bytes of the file.
 
-    An ICC profile describes the colour space. EXR files contain the chromaticities of the primaries and the white instead.
-    EXR files with spectra also contain the attribute of the layout for spectral images.
+    The colour space is stored as an ICC profile. EXR files instead contain the chromaticities of the primaries and of white.
+    EXR files with spectra also have the attribute "spectralLayoutVersion".
     """
     pixels, space, suffix = picture.pixels, picture.space, path.suffix.lower()
     spec = _spec(pixels)
@@ -126,7 +126,7 @@ def write_mosaic(path: Path, values: NDArray[np.uint16], exposure: float | None 
 
 
 def jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
-    """Encode sRGB codes (row, col, 3) as a JPEG file without chroma subsampling. `quality` is 1…100."""
+    """Encode an 8-bit sRGB picture (row, col, 3) as JPEG without chroma subsampling. `quality` is from 1 to 100."""
     spec = _spec(picture)
     spec.attribute("oiio:ColorSpace", "sRGB")
     spec.attribute("Compression", f"jpeg:{quality}")
@@ -134,16 +134,16 @@ def jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
     return encoded("picture.jpg", spec, picture)
 
 
-@held_back_in  # if a signal interrupted the libraries, they would print messages
+@held_back_in  # the libraries would print messages if a signal interrupted them
 def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
     """Encode pixels (row, col, value) in memory, and return the bytes of the file. The suffix of `name` selects the format.
 
-    The libraries do not write files directly. If the disk were full, the JPEG library would abort the whole program, and
-    the PNG library would not report an error. Raises L3Error if the pixels cannot be encoded.
+    The libraries do not write to the disk directly. If the disk were full, the JPEG library would abort the program, and the
+    PNG library would not report an error. Raises L3Error if the pixels cannot be encoded.
     """
-    spec.attribute("DateTime", "")  # prevents a timestamp, because equal inputs must result in equal bytes
+    spec.attribute("DateTime", "")  # no timestamp, so that equal inputs result in equal bytes
     with open(os.memfd_create("picture"), "rb", buffering=0) as memory:
-        sink = oiio.ImageOutput.create(f"picture{Path(name).suffix}")  # the real name may not be valid UTF-8
+        sink = oiio.ImageOutput.create(f"picture{Path(name).suffix}")  # not `name`, which may not be valid UTF-8
         if sink is None:
             raise L3Error(f"{name} cannot be encoded: {oiio.geterror().strip()}; choose another file format")
         written = sink.open(f"/proc/self/fd/{memory.fileno()}", spec) and sink.write_image(np.ascontiguousarray(pixels))
@@ -153,7 +153,7 @@ def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
 
 
 PAGED = (".tif", ".tiff")
-MAX_PIXEL_BYTES = 4_000_000_000  # maximum number of bytes of pixels in a TIFF file with 32-bit offsets
+MAX_PIXEL_BYTES = 4_000_000_000  # limit for TIFF files with 32-bit offsets; larger files are written as BigTIFF
 
 
 class Pages:
@@ -194,7 +194,7 @@ class Pages:
                 contiguous=False,
             )
         except OSError as error:
-            # If the disk is full, numpy raises an error without an error number. The missing number is therefore added.
+            # On a full disk, numpy raises an OSError without an error number. ENOSPC is then the likely number.
             raise OSError(error.errno or errno.ENOSPC, os.strerror(error.errno or errno.ENOSPC)) from error
 
     def close(self) -> None:
@@ -204,7 +204,7 @@ class Pages:
 
 @contextlib.contextmanager
 def new_pages(path: Path, count: int | None, finished: Callable[[Path], None] = lambda temporary: None) -> Iterator[Pages]:
-    """Create a TIFF file during the block, and yield an object with which its pages can be written.
+    """Create a multi-page TIFF file, and yield an object that appends pages to the file.
 
     The file has a temporary name. If the block succeeds, `finished` is called with the temporary path, and the file is then
     renamed to `path`.

@@ -23,12 +23,12 @@ UNADAPTED_XYZ = replace(XYZ, title="CIE XYZ", neutral=None)
 
 @dataclass(frozen=True)
 class Label:
-    """Metadata of a rendered frame: the settings of the shot, and the identity of the transform table and the raw frame."""
+    """Metadata of a rendered frame: camera settings, and the identity of the transform table and of the raw frame."""
 
     shot: Shot = Shot()
     exposure: float | None = None  # exposure time in s; None if unknown
     table: str = ""  # SHA-256 of the file of the transform table
-    frame: str = ""  # text that identifies the raw frame, from `file_identity` or `values_identity`
+    frame: str = ""  # identity of the raw frame: the result of `file_identity` or `values_identity`
 
     @property
     def software(self) -> str:
@@ -43,12 +43,12 @@ NOTHING = Label()
 
 
 def file_identity(digest: str) -> str:
-    """Return the identity of the frame in a single-frame raw file, from the SHA-256 of the file."""
+    """Return a text that identifies the frame of a single-frame raw file by the SHA-256 of the file."""
     return f"raw file SHA-256 {digest}"
 
 
 def values_identity(digest: str) -> str:
-    """Return the identity of a frame in a stack or stream, from the SHA-256 of the values of the frame.
+    """Return a text that identifies a frame of a stack or stream by the SHA-256 of its pixel values.
 
     The SHA-256 is computed from the values as little-endian 16-bit integers in row-major order.
     """
@@ -57,9 +57,9 @@ def values_identity(digest: str) -> str:
 
 @dataclass(frozen=True)
 class Picture:
-    """The contents of a picture file, in upright orientation."""
+    """The content of a picture file, in upright orientation."""
 
-    # codes (uint8 or uint16) or linear values (float32) with the shape (row, col, value), or a mosaic (row, col) in DN
+    # codes (uint8 or uint16) or linear values (float32), both (row, col, value), or a mosaic (row, col) in DN
     pixels: NDArray[Any]
     space: Space | None = SRGB  # colour space of the values; None if the values are not colours
     label: Label = NOTHING
@@ -74,7 +74,7 @@ class PictureFormat:
     suffixes: tuple[str, ...]  # in lower case
     module: str  # module in this folder that encodes files
     bits: tuple[int, ...] = ()  # supported bits per value; FLOAT_BITS means that the format also supports linear values
-    holds: str = "codes"  # "codes", "linear" (linear values only) or "raw" (DN for raw converters)
+    holds: str = "codes"  # content of the files: "codes", "linear" (linear values only) or "raw" (DN for raw converters)
 
     def encode(self, path: Path, picture: Picture) -> bytes:
         """Encode a picture, and return the bytes of the file `path`. Raises L3Error if the picture cannot be encoded."""
@@ -82,7 +82,7 @@ class PictureFormat:
         return content
 
     def make_ready(self) -> None:
-        """Import the module that encodes files of this format, so that the first picture need not wait for it."""
+        """Import the module that encodes files of this format, so that the import does not delay the first picture."""
         self._writer  # noqa: B018
 
     @property
@@ -102,12 +102,12 @@ BY_SUFFIX = {suffix: each for each in FORMATS for suffix in each.suffixes}
 
 
 def suffixes(holds: str) -> tuple[str, ...]:
-    """Return the suffixes of all formats whose contents are `holds`: "codes", "linear" or "raw"."""
+    """Return the suffixes of all formats that contain `holds`, which is "codes", "linear" or "raw"."""
     return tuple(suffix for suffix, each in BY_SUFFIX.items() if each.holds == holds)
 
 
 def format_of(path: Path, bits: int) -> PictureFormat:
-    """Return the format for the suffix of a file name.
+    """Return the format that the suffix of a file name selects.
 
     Raises RecipeError if the suffix is unknown, or if the format does not support this number of bits per value.
     """
@@ -132,7 +132,7 @@ def holds_linear(path: Path, bits: int = 8) -> bool:
 
 
 def holds_raw(path: Path) -> bool:
-    """Return whether a file with this name contains DN for raw converters."""
+    """Return whether the suffix of a file name selects a format for raw converters."""
     return path.suffix.lower() in suffixes("raw")
 
 

@@ -1,4 +1,4 @@
-"""Types for the contents of raw files with a single frame, and of raw files with several frames."""
+"""Types for the content of raw files, with one frame or with several frames."""
 
 from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass
@@ -13,25 +13,26 @@ from l3cli.io.video import Stated
 
 
 class RawContent(TypedDict):
-    """One raw frame as a file contains it. A key is missing if the file does not state its value."""
+    """The content of a raw file with one frame. A key is missing if the file does not state the value."""
 
-    values: NDArray[Any]  # (row, col) DN without masked borders; types other than 16-bit integers may have a different scale
+    # (row, col) DN without masked borders; values of other types than 16-bit integers may have a different scale
+    values: NDArray[Any]
     black_level: NotRequired[float]  # DN
     white_level: NotRequired[float]  # DN
-    pattern: NotRequired[NDArray[np.int64]]  # (row, col) colour codes of the CFA, beginning at pixel (0, 0)
+    pattern: NotRequired[NDArray[np.int64]]  # (row, col) colour codes of the CFA, starting at pixel (0, 0)
     orientation: NotRequired[int]  # LibRaw flip code
     exposure: NotRequired[float | None]  # exposure time in s
-    baseline_exposure: NotRequired[float]  # EV by which pictures should be brightened relative to the white level
-    neutral: NotRequired[NDArray[np.float64] | None]  # (colour, 2) CFA code, and signal of a grey surface on any scale
+    baseline_exposure: NotRequired[float]  # exposure compensation for pictures in EV, as the file requests
+    neutral: NotRequired[NDArray[np.float64] | None]  # (colour, 2) CFA code, and signal of a grey surface in any unit
     camera: NotRequired[list[str]]  # make, model and other names of the camera
     shot: NotRequired[dict[str, str | float]]  # fields of Shot that the file states
-    gain: NotRequired[NDArray[np.float32]]  # (row, col) factor for the values above the black level, as the file requests
+    gain: NotRequired[NDArray[np.float32]]  # (row, col) factor that the file requests for the values above the black level
     warps: NotRequired[tuple[dict[str, Any], ...]]  # fields of each LensWarp, in the order in which the warps are applied
     notes: NotRequired[tuple[str, ...]]  # warnings about properties of the file that l3 ignores
-    # faults, and requests that l3 does not support: parameter with which the user resolves the fault → message
+    # parameter that resolves a fault of the file, or a request that l3 does not support → message
     faults: NotRequired[dict[str, str]]
     exchangeable: NotRequired[bool]  # whether swapped numbers of rows and columns would also match the size of the file
-    # possible interpretations of the bytes, as (option that selects the interpretation, values, bits); the first is used
+    # possible interpretations of the bytes: (option that selects the interpretation, values, bits); the first one is used
     readings: NotRequired[Callable[[], Iterable[tuple[str, NDArray[np.uint16], int]]]]
 
 
@@ -50,7 +51,7 @@ class MultiFrameFile:
     """A file or stream with several raw frames. Each frame is read when it is needed."""
 
     count: int | None  # number of frames; None for a stream, whose length is unknown until it ends
-    read: Callable[[int], RawContent | None]  # reads the frame with a number (from 0); None after the end of a stream
+    read: Callable[[int], RawContent | None]  # returns the frame with a number (from 0), or None after the end of a stream
     unit: str = "frame"  # word for a frame in messages, such as "page"
     first: int = 0  # number of the first frame in messages
     rate: Fraction | None = None  # frame rate in frames/s; None if the file does not state it

@@ -1,8 +1,8 @@
-"""Determine which axes of an array are frames, rows and columns. Pictures with several channels are an error.
+"""Determine which axes of an array are frames, rows and columns. Pictures with several channels are rejected.
 
-If the file states the names of the axes, the names determine their order. Otherwise, the order is (frame, row, col). Two
-lengths of the last axis contradict this order and are an error. If the last axis has a length of at most 4, it probably
-contains channels. If the last axis is much shorter than the other two axes, it probably contains frames.
+If the file states the names of the axes, the names determine their order. Otherwise, the order is (frame, row, col). Arrays
+whose last axis is suspiciously short are rejected: if its length is at most 4, it probably contains channels, and if it is
+much shorter than the other two axes, it probably contains frames.
 """
 
 import re
@@ -12,8 +12,8 @@ from typing import NamedTuple
 from l3cli.errors import InputFileError
 from l3cli.system.text import counted
 
-MOST_CHANNELS = 4  # maximum number of channels of a picture; frames have more columns
-FRAMES_LAST = 16  # the last axis contains frames if the other two axes are at least this number of times longer
+MOST_CHANNELS = 4  # maximum number of channels of a picture, which is far below the number of columns of a frame
+FRAMES_LAST = 16  # if both other axes are at least this many times longer than the last axis, the last axis contains frames
 MEANINGS = {
     "frame": ("f", "frame", "frames", "t", "time", "n", "number", "index", "i", "z", "page", "pages", "image", "images"),
     "row": ("r", "row", "rows", "y", "height", "line", "lines"),
@@ -49,7 +49,7 @@ def frame_axes(name: str, shape: Sequence[int], names: Sequence[str] = (), usual
     names : sequence of str
         Names of the axes that the file states, in the order of `shape`. Empty if the file states no names.
     usual : Axes, optional
-        Order of the axes if the names do not determine the order. [default: (frame, row, col) or (row, col)]
+        Order of the axes to use if the names do not determine the order. [default: (frame, row, col) or (row, col)]
 
     Returns
     -------

@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from l3cli.errors import InputFileError
 from l3cli.physics.mosaic import shifted_cfa, tiled
 
-if TYPE_CHECKING:  # not imported at run time, so that the decoding process starts faster
+if TYPE_CHECKING:  # not imported at run time, so that the process that decodes files starts faster
     from l3cli.artifacts.camera import CameraModel
     from l3cli.artifacts.table import TransformTable
 
-Sensor: TypeAlias = "TransformTable | CameraModel"  # determines size, levels and CFA if a raw file does not state them
+Sensor: TypeAlias = "TransformTable | CameraModel"  # source of the size, levels and CFA if a raw file does not state them
 
 
 class FilterArray(Protocol):
-    """An object with a colour filter array: the channel of each site (cfa_row, cfa_col), and the name of each channel."""
+    """An object with a CFA (channel index of each site), and with the name of each channel."""
 
     @property
     def cfa(self) -> NDArray[np.uint8]: ...
@@ -40,7 +40,7 @@ def code_of(name: str) -> int | None:
 
 
 def codes_of(letters: str) -> NDArray[np.int64]:
-    """Convert letters such as "RGGB" to codes (letter,). Letters that TIFF/EP does not define become unassigned codes."""
+    """Convert letters such as "RGGB" to colour codes (letter,). Letters without a TIFF/EP code become unassigned codes."""
     return np.array(
         [LETTERS.index(each) if each in LETTERS else FREE_CODE + index for index, each in enumerate(letters.upper())]
     )
@@ -60,7 +60,7 @@ def channel_codes(channels: Sequence[str]) -> NDArray[np.uint8]:
 
 
 def find_phase(name: str, pattern: NDArray[np.integer], sensor: FilterArray) -> tuple[int, int]:
-    """Return the phase of a file: the row and the column, in the CFA of the sensor, of the first pixel.
+    """Return the phase of a file: the CFA row and the CFA column of its first pixel.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def find_phase(name: str, pattern: NDArray[np.integer], sensor: FilterArray) -> 
     pattern : ndarray, (row, col)
         Colour codes that the file states for its first rows and columns.
     sensor : FilterArray
-        The sensor. A channel whose name has a TIFF/EP code matches only this code. Any other channel matches any code.
+        The sensor. A channel whose name has a TIFF/EP code can only match this code. Any other channel can match any code.
 
     Returns
     -------
@@ -116,8 +116,8 @@ def neutral_of_channels(
     neutral : ndarray, (colour, 2), or None
         Code and signal of each colour that the file states.
     pattern : ndarray, (row, col), or None
-        Colour codes of the CFA that the file states. The colour of a channel is then the colour at its sites. If `pattern`
-        is None, the name of a channel determines its colour.
+        Colour codes of the CFA that the file states. The sites of a channel in this CFA determine the colour of the channel.
+        If `pattern` is None, the name of a channel determines its colour.
     phase : tuple of int
         CFA row and CFA column of the first pixel of the file.
     sensor : FilterArray
@@ -126,7 +126,7 @@ def neutral_of_channels(
     Returns
     -------
     tuple of float, or None
-        Signals, on any scale. None if `neutral` is None or does not contain the colour of a channel.
+        One signal per channel, in any unit. None if `neutral` is None or does not contain the colour of a channel.
     """
     if neutral is None:
         return None
@@ -147,6 +147,6 @@ def _fits(ours: NDArray[np.uint8], theirs: NDArray[np.integer], channels: Sequen
 
 
 def _written(pattern: NDArray[np.integer]) -> str:
-    """Format a pattern of colour codes as rg/gb. Codes without a letter are written as numbers in parentheses."""
+    """Format a pattern of colour codes, for example as rg/gb. Codes without a letter appear as numbers in parentheses."""
     rows = [[LETTERS[code].lower() if code < FREE_CODE else f"({code})" for code in row] for row in pattern.tolist()]
     return "/".join("".join(row) for row in rows)

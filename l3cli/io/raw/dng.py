@@ -65,16 +65,16 @@ FRAME_RATE = 51044  # number of the tag FrameRate of CinemaDNG
 
 @dataclass(frozen=True)
 class Mosaic:
-    """The properties of the raw image that its tags state."""
+    """Properties of the raw image, from the tags of the file."""
 
     orientation: int  # LibRaw flip code
     pattern: NDArray[np.int64]  # (row, col) colour codes, starting at the upper left corner of the active area
     active: tuple[int, int, int, int]  # top, left, bottom and right edges of the light-sensitive area
     crop: tuple[int, int, int, int]  # default crop: first row and column in the active area, numbers of rows and columns
     black_level: NDArray[np.float64]  # (row, col) DN, repeated from the upper left corner of the active area
-    black_of_row: NDArray[np.float64]  # (row,) of the active area; DN to be added to black_level
-    black_of_col: NDArray[np.float64]  # (col,) of the active area; DN to be added to black_level
-    black_fault: str  # message that states why the black level is unknown; empty if it is known
+    black_of_row: NDArray[np.float64]  # DN to add to black_level in each row of the active area
+    black_of_col: NDArray[np.float64]  # DN to add to black_level in each column of the active area
+    black_fault: str  # message that states why the black level is unknown; empty if the black level is known
     white_level: float  # DN
     exposure: float | None  # exposure time in s; None if unknown
     baseline_exposure: float  # EV
@@ -84,7 +84,7 @@ class Mosaic:
     opcodes: Opcodes
     planes: tuple[int, ...]  # colour code of each colour plane
     shape: tuple[int, int]  # rows and columns, including masked borders
-    fields: tuple[int, int]  # numbers of interleaved fields of rows and of columns
+    fields: tuple[int, int]  # number of interleaved fields into which the rows are divided, and the same for the columns
     notes: tuple[str, ...]  # warnings about unsupported tags
 
 
@@ -94,7 +94,7 @@ def read(path: Path) -> RawContent:
 
     Raises InputFileError if the file cannot be read, or if its tags are damaged or unsupported.
     """
-    mosaic = _read_tags(path)  # before LibRaw opens the file, because its messages about invalid tags are less clear
+    mosaic = _read_tags(path)  # before LibRaw opens the file, because LibRaw's messages about invalid tags are less clear
     with opened(path) as raw:
         if raw.raw_image.shape != mosaic.shape:
             rows, cols = mosaic.shape
@@ -106,10 +106,10 @@ def read(path: Path) -> RawContent:
 
 
 def _in_order(stored: NDArray[np.uint16], fields: tuple[int, int]) -> NDArray[np.uint16]:
-    """Convert an image (row, col) that is stored as interleaved fields to the order of the pixels on the sensor.
+    """Restore the order that the pixels have on the sensor, if the image (row, col) is stored as interleaved fields.
 
-    With n fields of rows, the file contains rows 0, n, 2n… first, then rows 1, n + 1…, and so on (RowInterleaveFactor). The
-    same applies to columns (ColumnInterleaveFactor).
+    If the rows are divided into n fields, the file contains rows 0, n, 2n… first, then rows 1, n + 1…, and so on
+    (RowInterleaveFactor). The columns can be divided in the same way (ColumnInterleaveFactor).
     """
     if fields == (1, 1):
         return stored
@@ -121,7 +121,7 @@ def _in_order(stored: NDArray[np.uint16], fields: tuple[int, int]) -> NDArray[np
 
 
 def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawContent:
-    """Return the default crop of the linear pixels `stored` (row, col), converted to a single black level.
+    """Crop the linear pixels `stored` (row, col) to the default crop, and convert them to a single black level.
 
     Raises InputFileError if the tags contradict the pixels.
     """
@@ -268,7 +268,7 @@ def _raw_page(path: Path, file: Any) -> Any:
 def _refuse_unsupported(path: Path, first: Any, raw: Any) -> None:
     """Raise InputFileError if l3 or LibRaw does not support the file.
 
-    Such a file requires a newer DNG version, is demosaicked, stores its data in an unsupported form, or contains an
+    An unsupported file requires a newer DNG version, is demosaicked, stores its data in an unsupported form, or contains an
     unsupported tag that affects the pixels.
     """
     version = tuple(first.tags.valueof("DNGBackwardVersion") or LATEST)[:2]
@@ -357,7 +357,7 @@ def _stated_black(
     levels : tuple of ndarray
         Repeated levels (row, col), and the levels that are added to each row (row,) and to each column (col,).
     fault : str
-        Empty if the tags are valid. Otherwise all levels are 0, and this is the message.
+        Empty if the tags are valid. Otherwise a message about the damaged tag, and all levels are 0.
     """
     rows, cols = shape
     try:
@@ -368,7 +368,7 @@ def _stated_black(
 
 
 def _repeating_black(raw: Any, cfa_shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return the repeated black levels (row, col) of the first sample of each pixel.
+    """Return the repeating pattern of black levels (row, col) for the first sample of each pixel.
 
     Many programs omit BlackLevelRepeatDim, or write a value that contradicts the number of levels. In this case, l3 accepts
     one level per CFA site, or levels that are all equal. Otherwise, a ValueError is raised.
@@ -386,7 +386,7 @@ def _repeating_black(raw: Any, cfa_shape: tuple[int, ...]) -> NDArray[np.float64
 
 
 def _fields(raw: Any) -> tuple[int, int]:
-    """Return the numbers of interleaved fields of rows and of columns. Raises ValueError if a number is below 1."""
+    """Return the numbers of interleaved fields of the rows and of the columns. Raises ValueError if a number is below 1."""
     rows, cols = (int(tags.numbers(raw, tag, (1,))[0]) for tag in ("RowInterleaveFactor", "ColumnInterleaveFactor"))
     if min(rows, cols) < 1:
         raise ValueError(f"invalid numbers of fields {rows}×{cols}")
@@ -439,7 +439,7 @@ def _pattern(path: Path, raw: Any) -> NDArray[np.int64]:
 
 
 def _repeating(values: Sequence[float], shape: Sequence[int]) -> NDArray:
-    """Reshape the values of a pattern to (row, col). Raises ValueError if their number does not match the shape."""
+    """Reshape the values of a pattern to (row, col). Raises ValueError if the number of values does not match the shape."""
     if min(shape) < 1:
         raise ValueError(f"invalid pattern size {shape}")
     return np.reshape(values, tuple(shape))

@@ -1,8 +1,8 @@
-"""Colour tags of DNG files: colour matrices, and the signals of a grey surface under the white that the file states.
+"""Colour tags of DNG files: the colour matrices, and the signals of a grey surface under the white point of the file.
 
 According to DNG 1.7.1, chapter 6, a white with the chromaticity x, y produces the signals
 AB · CC · CM · (x/y, 1, (1 - x - y)/y). AB is AnalogBalance. CM is interpolated between ColorMatrix1, 2 and 3, and CC between
-CameraCalibration1, 2 and 3. Both are linear in the reciprocal of the correlated colour temperature.
+CameraCalibration1, 2 and 3. Both interpolations are linear in the reciprocal of the correlated colour temperature.
 """
 
 import contextlib
@@ -19,19 +19,16 @@ from l3cli.physics import spectra
 
 Array = NDArray[np.float64]
 
-OTHER_LIGHT = 255  # value of CalibrationIlluminant which means that IlluminantData describes the illuminant
+OTHER_LIGHT = 255  # value of CalibrationIlluminant for an illuminant that IlluminantData describes
 KELVIN = {  # value of CalibrationIlluminant (Exif LightSource) → correlated colour temperature in K
     1: 5500.0, 2: 4150.0, 3: 2856.0, 4: 5500.0, 9: 5500.0, 10: 6504.0, 11: 7504.0, 12: 6400.0, 13: 5050.0, 14: 4150.0,
     15: 3525.0, 16: 2925.0, 17: 2856.0, 18: 4874.0, 19: 6774.0, 20: 5503.0, 21: 6504.0, 22: 7504.0, 23: 5003.0, 24: 3200.0,
 }  # fmt: skip
-MIREDS = np.arange(40.0, 1000.0, 0.25)  # search grid of reciprocal colour temperatures in mired (10^6/K)
-DECIMALS = 4  # signals are rounded as in AsShotNeutral, so that AsShotNeutral and AsShotWhiteXY result in the same picture
-ILLUMINANT_DATA = {
-    1: 52533,
-    2: 52534,
-    3: 52535,
-}  # tag numbers of IlluminantData1…3; tifffile has a wrong number for the third
-# Types of IlluminantData. CHROMATICITY: x and y. SPECTRUM: first wavelength and step in nm, and the power per wavelength.
+MIREDS = np.arange(40.0, 1000.0, 0.25)  # search grid of reciprocal colour temperatures, in mired (10^6/K)
+DECIMALS = 4  # precision of AsShotNeutral; AsShotWhiteXY is rounded equally, so that both tags result in the same picture
+# Tag numbers of IlluminantData1, 2 and 3. They are listed here because the third number is wrong in tifffile.
+ILLUMINANT_DATA = {1: 52533, 2: 52534, 3: 52535}
+# Types of IlluminantData. CHROMATICITY: x and y. SPECTRUM: first wavelength in nm, step in nm, and power at each wavelength.
 CHROMATICITY, SPECTRUM = 0, 1
 
 
@@ -39,16 +36,16 @@ CHROMATICITY, SPECTRUM = 0, 1
 class Calibration:
     """The matrices of a DNG file for one illuminant."""
 
-    light: int  # value of CalibrationIlluminant; 0 if the file does not state it
+    light: int  # value of CalibrationIlluminant; 0 if the file does not state an illuminant
     kelvin: float | None  # correlated colour temperature of the illuminant in K; None if unknown
-    colour: Array  # (plane, 3) converts XYZ to the signals of the reference camera
-    camera: Array  # (plane, plane) converts reference signals to signals of this camera: AnalogBalance · CameraCalibration
+    colour: Array  # (plane, 3) matrix from XYZ to the signals of the reference camera
+    camera: Array  # (plane, plane) matrix from reference signals to signals of this camera
 
 
 def calibrations(first: Any, planes: int) -> list[Calibration]:
     """Return the calibrations on the first page of a DNG file with `planes` colour planes.
 
-    Calibrations that are missing or damaged are left out, and the result may be empty.
+    Missing and damaged calibrations are omitted, so the result may be empty.
     """
     tags, found = first.tags, []
     ours = tags.valueof("CameraCalibrationSignature", "") == tags.valueof("ProfileCalibrationSignature", "")
@@ -65,10 +62,10 @@ def calibrations(first: Any, planes: int) -> list[Calibration]:
 
 
 def as_shot_neutral(first: Any, planes: int) -> Array | None:
-    """Return the signals (plane,) of a grey surface, from AsShotNeutral or AsShotWhiteXY.
+    """Return the signal of a grey surface in each colour plane, from AsShotNeutral or AsShotWhiteXY.
 
-    The result is None if the file contains neither tag, if the tags are damaged, or if the file contains no colour matrix
-    with which the chromaticity AsShotWhiteXY can be converted.
+    The result is None if the file contains neither tag, or if the tags are damaged. The result is also None if the file
+    contains AsShotWhiteXY but no colour matrix, which is needed to convert the chromaticity to signals.
     """
     with contextlib.suppress(*BROKEN):
         stated = np.asarray(numbers(first, "AsShotNeutral", ()), np.float64)
@@ -88,9 +85,9 @@ def as_shot_neutral(first: Any, planes: int) -> Array | None:
 def interpolated(known: Sequence[Calibration], kelvin: float) -> tuple[Array, Array]:
     """Return the colour matrix and the camera matrix for a correlated colour temperature in K.
 
-    Between two calibrations, the matrices are linear in the reciprocal temperature. Beyond the outermost calibrations, they
-    are constant. If the temperatures of fewer than two calibrations are known, the result is the matrices of the first
-    calibration. `known` must not be empty.
+    Between two calibrations, the matrices are interpolated linearly in the reciprocal temperature. Beyond the outermost
+    calibrations, they are constant. If the temperature is known for fewer than two calibrations, the matrices of the first
+    calibration are returned. `known` must not be empty.
     """
     placed = {1e6 / each.kelvin: each for each in known if each.kelvin is not None}  # reciprocal temperature → calibration
     mireds = np.array(sorted(placed))
@@ -106,8 +103,7 @@ def interpolated(known: Sequence[Calibration], kelvin: float) -> tuple[Array, Ar
 def temperature(x: float, y: float) -> float:
     """Return the correlated colour temperature, in K, of a chromaticity x, y.
 
-    This is the temperature of the nearest black body in CIE 1960 u, v, within 1000…25 000 K.
-
+    The result is the temperature of the nearest black body in the CIE 1960 u, v diagram, from 1000 K to 25 000 K.
     References
     ----------
     M. Krystek, An algorithm to calculate correlated colour temperature, Color Research & Application 10 (1985) 38-40:
@@ -125,7 +121,7 @@ def temperature(x: float, y: float) -> float:
 
 
 def _white_of(content: Any) -> tuple[float, float] | None:
-    """Return the chromaticity of the illuminant in IlluminantData, which contains x and y or a spectrum.
+    """Return the chromaticity x, y of the illuminant in IlluminantData, which contains either x and y or a spectrum.
 
     Both byte orders are tried. The result is None if the data are missing or damaged.
     """
@@ -146,13 +142,13 @@ def _white_of(content: Any) -> tuple[float, float] | None:
 
 
 def _fractions(content: bytes, order: str, start: int, count: int) -> list[float]:
-    """Read `count` unsigned fractions (pairs of 32-bit integers) from the byte `start`."""
+    """Read `count` unsigned fractions (pairs of 32-bit integers), starting at the byte `start`."""
     parts = struct.unpack_from(f"{order}{2 * count}I", content, start)
     return [above / below for above, below in zip(parts[::2], parts[1::2], strict=True)]
 
 
 def _chromaticity(wavelength: Array, power: Array) -> tuple[float, float]:
-    """Return the chromaticity x, y of a power spectrum at wavelengths in nm. Beyond the wavelengths, the power is zero."""
+    """Return the chromaticity x, y of a power spectrum. Wavelengths are in nm. Outside their range, the power is zero."""
     grid = np.arange(360.0, 831.0)
     x, y, z = map(float, spectra.colour_matching_functions(grid) @ np.interp(grid, wavelength, power, 0.0, 0.0))
     return x / (x + y + z), y / (x + y + z)

@@ -1,11 +1,11 @@
 """Read raw files of all supported formats as RawFrame.
 
 To add a format, write a module in this folder, and add the format to FORMATS. Every module must define the function `read`.
-If the entry in FORMATS sets `stackable`, `has_rate` or `has_plain`, the module must also define `stack`, `rate` or
-`is_plain`, respectively. l3 imports the module when it reads the first file in this format.
+The module must also define `stack` if the entry in FORMATS sets `stackable`, `rate` if it sets `has_rate`, and `is_plain` if
+it sets `has_plain`. l3 imports the module when it reads the first file in this format.
 
 l3 reads the pixels, the levels, the crop and the orientation from the file, and the colour filter array from the table. If
-the file also states an array, the two arrays must agree, and the file determines the phase.
+the file also states a colour filter array, it must agree with the table, and the file determines the phase.
 """
 
 import importlib
@@ -34,7 +34,7 @@ from l3cli.system.files import STDIN, naming, require_regular
 from l3cli.system.limits import require_picture
 
 RAW_FILE = "use a raw file, or - for headerless frames on stdin"
-TOP = 65535  # largest 16-bit value in DN
+TOP = 65535  # largest 16-bit value
 LONGEST = 1e5  # longest plausible exposure time in s
 
 
@@ -46,7 +46,7 @@ class RawFormat:
     module: str  # name of the module in this folder that reads the format
     what: str = ""  # name of the format, for the table in docs/raw-files.md
     read_as: str = ""  # what l3 reads from the file, for the table in docs/raw-files.md
-    holds_frame: bool = True  # whether a file can be a single frame; if not, every file is read as a sequence
+    holds_frame: bool = True  # whether a file can be a single frame; if False, every file is read as a sequence
     stackable: bool = False  # whether a file may contain several frames
     isolated: bool = True  # whether files are decoded in the isolated process
     has_plain: bool = False  # whether the module defines `is_plain`
@@ -78,11 +78,11 @@ class RawFormat:
             return self._reader.stack(path, *wanted) if self.stackable else None
 
     def rate(self, path: Path) -> Fraction | None:
-        """Return the frame rate, in frames/s, that a file with one frame states, or None."""
+        """Return the frame rate in frames/s that a file with one frame states, or None if the file states no rate."""
         return self._reader.rate(path) if self.has_rate else None
 
     def is_plain(self, path: Path) -> bool:
-        """Return whether the layout of a file is so simple that this process can read the file safely."""
+        """Return whether a file has such a simple layout that this process can read the file safely."""
         return self.has_plain and self._reader.is_plain(path)
 
     @property
@@ -141,7 +141,7 @@ BY_SUFFIX = {suffix: each for each in FORMATS for suffix in each.suffixes}
 
 
 def format_of(path: Path) -> RawFormat:
-    """Return the format for the suffix of a file name.
+    """Return the format that the suffix of a file name selects.
 
     A file with an unknown suffix is treated as a camera raw, because LibRaw recognises camera raws by their content.
     """
@@ -154,27 +154,27 @@ def is_frame(path: Path) -> bool:
 
 
 def is_photo(path: Path) -> bool:
-    """Return whether a file is a DNG file or a camera raw, according to its suffix. Both state the model of the camera."""
+    """Return whether a file is a DNG file or a camera raw, according to its suffix. Such files state the camera model."""
     return path.suffix.lower() in PHOTOS
 
 
 def are_photos(path: Path) -> bool:
-    """Return whether a path or pattern has the suffix of a DNG file or camera raw, or is a folder with such a file."""
+    """Return whether a path has the suffix of a DNG file or camera raw, or is a folder that contains such a file."""
     return is_photo(path) or (path.is_dir() and any(map(is_photo, path.iterdir())))
 
 
 def needs_isolation(path: Path) -> bool:
-    """Return whether a file is decoded in the isolated process. False for paths without a suffix, such as "-"."""
+    """Return whether a file must be decoded in the isolated process. False for paths without a suffix, such as "-"."""
     kind = format_of(path)
     return bool(path.suffix) and kind.isolated and not kind.is_plain(path)
 
 
 @dataclass(frozen=True)
 class RawOverrides:
-    """Values that the user set instead of the metadata of raw files, and corrections that are applied to the frames.
+    """Settings of the user that replace the metadata of raw files, and corrections that are applied to the frames.
 
     If the black level, white level, phase, exposure or gain is None, l3 reads the value from the file. If the file does not
-    state the value, l3 uses the value of the table or a default.
+    contain the value, l3 uses the value of the table or a default.
     """
 
     black_level: float | None = None  # black level in DN
@@ -184,9 +184,9 @@ class RawOverrides:
     packing: str | None = None  # packing of a headerless file, a key of frames.packings.PACKINGS
     stride: int | None = None  # bytes from the start of a row to the start of the next row of a headerless file
     exposure: float | None = None  # exposure time in s
-    gain: float | None = None  # analog gain as a multiple of the camera model's gain; None to use the ISO speed of the file
+    gain: float | None = None  # analog gain relative to the gain in the camera model; None to compute it from the ISO speed
     gains: tuple[float, ...] = ()  # gain of each frame of a sequence, in order; empty if `gain` applies to all frames
-    unlabelled_gain: float = 1.0  # gain of frames without an ISO speed from which the gain can be computed
+    unlabelled_gain: float = 1.0  # gain of frames whose gain cannot be computed from an ISO speed
     dark: DarkFrame | None = None  # dark frame to subtract; None to subtract no dark frame
     correction: Correction | None = None  # correction of defects and shading; None for no correction
     hot: HotTest | None = None  # test for hot pixels; None to keep hot pixels
@@ -195,7 +195,7 @@ class RawOverrides:
     opcodes: str | None = None  # "leave" to ignore lens warps and unsupported opcodes of DNG files; otherwise None
 
     def of_frame(self, place: int) -> "RawOverrides":
-        """Return the overrides for the frame at the position `place` (from 0) of a sequence.
+        """Return the overrides for one frame of a sequence. `place` is the position of the frame in the sequence, from 0.
 
         Raises
         ------
@@ -220,14 +220,14 @@ def read_raw(path: Path, table: Sensor, known: RawOverrides | None = None) -> Ra
     path : Path
         The raw file. Its suffix selects the reader.
     table : TransformTable or CameraModel
-        The table or camera, which determines the colour filter array, and the properties that the file does not state.
+        The table or camera. It determines the colour filter array, and all properties that the file does not state.
     known : RawOverrides, optional
-        Values that the user set. [default: none]
+        Settings of the user. [default: none]
 
     Returns
     -------
     RawFrame
-        The frame, with the corrections in `known`.
+        The frame, after the corrections in `known`.
 
     Raises
     ------
@@ -250,9 +250,9 @@ def read_stack(path: Path, table: Sensor, known: RawOverrides, dataset: str | No
     path : Path
         The file.
     table : TransformTable or CameraModel
-        The table or camera. By default, the frames of a headerless file have the size of its sensor.
+        The table or camera. By default, headerless frames have the size of this sensor.
     known : RawOverrides
-        Values that the user set.
+        Settings of the user.
     dataset : str, optional
         Name of the dataset in an HDF5 or MATLAB file. [default: the only dataset with frames]
 
@@ -273,10 +273,10 @@ def holds_several(path: Path, sensor: Callable[[], Sensor], known: RawOverrides)
     path : Path
         The file.
     sensor : callable
-        Function that returns the table or camera. It is called only for headerless files, because their frames have the size
-        of the sensor by default.
+        Function that returns the table or camera. It is called only for headerless files, because the frames in these files
+        have the size of the sensor by default.
     known : RawOverrides
-        Values that the user set.
+        Settings of the user.
 
     Raises
     ------
@@ -291,7 +291,7 @@ def holds_several(path: Path, sensor: Callable[[], Sensor], known: RawOverrides)
 
 
 def read_stdin(table: Sensor, known: RawOverrides) -> MultiFrameFile:
-    """Return the headerless frames on stdin. By default, each frame has the size of the sensor in the table or camera."""
+    """Return the headerless frames on stdin. By default, a frame has the size of the sensor in the table or camera."""
     return stdin(_headerless_layout(STDIN, table, known))
 
 
@@ -314,9 +314,9 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
     content : RawContent
         Content of the file.
     table : TransformTable or CameraModel
-        The table or camera, whose values apply if neither `known` nor the file contains a value.
+        The table or camera. Its values apply if neither `known` nor the file contains a value.
     known : RawOverrides
-        Values that the user set, which have precedence over the file.
+        Settings of the user, which override the file.
 
     Returns
     -------
@@ -372,14 +372,14 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
 
 
 def _misread(content: RawContent, table: Sensor, phase: tuple[int, int]) -> str:
-    """Return the option that would decode a headerless file to a much smoother frame, or "" if no option would."""
+    """Return the option that would decode a headerless file to a much smoother frame, or "" if no such option exists."""
     return smoother_reading(content["readings"](), shifted_cfa(table.cfa, phase)) if "readings" in content else ""
 
 
 def _displaced(content: RawContent, table: Sensor, phase: tuple[int, int]) -> tuple[str, ...]:
     """Return a warning if the packing of a headerless frame implies an impossible crop, otherwise an empty tuple.
 
-    A packing implies a crop if its colour pattern does not begin at the first site of the CFA. A crop is impossible if the
+    A packing implies a crop if its colour pattern does not start at the first site of the CFA. A crop is impossible if the
     frame has the size of the whole sensor.
     """
     if "readings" not in content or phase == (0, 0) or content["values"].shape != (table.rows, table.cols):
@@ -391,8 +391,8 @@ def _displaced(content: RawContent, table: Sensor, phase: tuple[int, int]) -> tu
 def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides) -> RawFrame:
     """Set the phase, exposure time, gain and dark signal of a frame, and apply the corrections in `known`.
 
-    Only the dark frame, the correction and the hot-pixel test in `known` change the pixel values. The dark signal is stored
-    in the frame but not subtracted. Raises InputFileError if the dark signal reaches the white level.
+    Only the dark frame, the correction and the hot-pixel test in `known` change pixel values. The dark signal is stored in
+    the frame, but is not subtracted from the values. Raises InputFileError if the dark signal reaches the white level.
     """
     phase = frame.phase if known.phase is None else known.phase
     rows, cols = table.cfa.shape

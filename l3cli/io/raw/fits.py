@@ -1,8 +1,8 @@
 """Read FITS files with astropy. The first image is a frame (row, col) or a stack (frame, row, col).
 
-astropy supports unsigned values (BZERO), compressed images (fpack) and headers of several blocks. The first row is the top
-row, unless ROWORDER is BOTTOM-UP. BAYERPAT contains the colours of the top left pixels of a Bayer array (4 letters) or an
-X-Trans array (36 letters). XBAYROFF and YBAYROFF shift this pattern.
+astropy supports unsigned values (BZERO), compressed images (fpack) and headers of several blocks. The first stored row is
+the top row, unless ROWORDER is BOTTOM-UP. BAYERPAT contains the colours of the top left pixels of a Bayer array (4 letters)
+or an X-Trans array (36 letters). XBAYROFF and YBAYROFF shift this pattern.
 """
 
 import contextlib
@@ -22,7 +22,7 @@ from l3cli.io.raw.cfa_codes import LETTERS, codes_of
 from l3cli.system.limits import require_picture
 
 INSTALL = 'FITS files need astropy; install it with: pip install "l3cli[fits]"'
-SIDES = {4: 2, 36: 6}  # number of letters in BAYERPAT → rows and columns of the array (Bayer, X-Trans)
+SIDES = {4: 2, 36: 6}  # number of letters in BAYERPAT → side of the pattern in pixels (Bayer, X-Trans)
 PLANES = 3  # number of planes of an RGB picture
 BOTTOM_UP = "BOTTOM-UP"
 ROW_ORDERS = "TOP-DOWN", BOTTOM_UP
@@ -31,8 +31,8 @@ ROW_ORDERS = "TOP-DOWN", BOTTOM_UP
 def stack(path: Path) -> MultiFrameFile | None:
     """Open an image with three axes as a stack. Return None for any other image.
 
-    Raises InputFileError if the order of the axes is not (frame, row, col), or if three planes are probably the colours of a
-    picture.
+    Raises InputFileError if the order of the axes is not (frame, row, col), or if the image has three planes that are
+    probably the colours of a picture.
     """
     shape, names, has_pattern = _shape(path)
     if len(shape) != 3:
@@ -52,7 +52,7 @@ def stack(path: Path) -> MultiFrameFile | None:
 
 @isolated("astropy.io.fits")
 def _shape(path: Path) -> tuple[tuple[int, ...], list[str], bool]:
-    """Return the lengths and the names (CTYPEn) of the axes of the first image, and whether it has the keyword BAYERPAT."""
+    """Return the shape and the axis names (CTYPEn) of the first image, and whether the keyword BAYERPAT is set."""
     with _first_image(path) as (image, header):
         count = len(image.shape)
         names = [str(image.header.get(f"CTYPE{number}", "")).strip() for number in range(count, 0, -1)]
@@ -91,16 +91,17 @@ def read(path: Path, number: int | None = None) -> RawContent:
 
 @contextlib.contextmanager
 def _first_image(path: Path) -> Iterator[tuple[Any, Mapping[str, Any]]]:
-    """Open a file during the block. Yield its first image and the keywords of the image.
+    """Open a file, and yield its first image and the keywords of this image. The file is closed after the block.
 
-    The keywords of the primary header are included. If the header of the image contains the same keyword, its value is used.
+    The keywords include the keywords of the primary header. If both headers contain a keyword, the header of the image has
+    precedence.
     """
     try:
         from astropy.io import fits
     except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # warnings about nonstandard headers; unreadable data raise exceptions
+        warnings.simplefilter("ignore")  # astropy warns about nonstandard headers, but raises exceptions for unreadable data
         with fits.open(path, uint=True, lazy_load_hdus=True) as units:
             image = next((unit for unit in units if unit.is_image and unit.header.get("NAXIS", 0) >= 2), None)
             if image is None:

@@ -1,6 +1,6 @@
 """Read raw frames from HDF5 files: a dataset with a stack (frame, row, col) or with one frame (row, col).
 
-If the file states the names of the axes, the axes may be in a different order.
+If the file contains axis names, the axes can have any order.
 """
 
 import re
@@ -23,13 +23,13 @@ FILTERS = {  # number of a compression filter, registered with The HDF Group →
     4: "szip", 307: "bzip2", 32000: "LZF", 32001: "blosc", 32004: "LZ4", 32008: "bitshuffle", 32013: "ZFP", 32015: "zstd",
     32017: "SZ", 32018: "FCIDECOMP", 32019: "JPEG", 32024: "SZ3", 32026: "blosc2", 32028: "SPERR",
 }  # fmt: skip
-# Maximum size of the cache in bytes. Without a cache, a chunk with many frames would be decompressed for each frame.
+# Maximum size of the chunk cache in bytes. Without a cache, a chunk with many frames would be decompressed for each frame.
 CHUNK_CACHE = 128 << 20
 MATLAB = "MATLAB_class"  # attribute of each variable in a MATLAB file
 TRUE_COLOUR = "IMAGE_TRUECOLOR"  # value of IMAGE_SUBCLASS in the HDF5 Image specification
-MOST_AXES = 8  # maximum number of axis names that are examined
+MOST_AXES = 8  # maximum number of axis names that are read
 
-_opened: dict[tuple[Any, ...], Any] = {}  # identity of the file that was opened last → the open file
+_opened: dict[tuple[Any, ...], Any] = {}  # cache of the last file: identity of the file → open file
 
 
 def stack(path: Path, dataset: str | None) -> MultiFrameFile:
@@ -61,9 +61,9 @@ def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
     return name, 1 if axes.frame is None else frames.shape[axes.frame]
 
 
-@isolated("h5py", "hdf5plugin")  # hdf5plugin is optional and adds compression filters to h5py
+@isolated("h5py", "hdf5plugin")  # the optional package hdf5plugin adds compression filters to h5py
 def stack_frame(path: Path, name: str, number: int) -> NDArray:
-    """Read frame `number` (from 0) of the dataset `name`, which `find_stack` returned, as an array (row, col).
+    """Read frame `number` (from 0) of the dataset that `find_stack` returned, as an array (row, col).
 
     Raises InputFileError if the frame is damaged, or if a compression filter is not installed.
     """
@@ -86,7 +86,7 @@ def stack_frame(path: Path, name: str, number: int) -> NDArray:
 
 
 def _axes(path: Path, frames: Any) -> Axes:
-    """Return the axes of a dataset, from their names in the file or from the convention of the program that wrote the file.
+    """Return the axes of a dataset, from the axis names in the file or from the convention of the program that wrote it.
 
     Raises InputFileError if the dataset is a picture with several channels.
     """
@@ -106,7 +106,7 @@ def _axes(path: Path, frames: Any) -> Axes:
 def _axis_names(frames: Any) -> list[str]:
     """Return the names of the axes of a dataset, or an empty list if the file does not state them.
 
-    The function uses the first of these that has one name per axis:
+    The names are read from the first of these places that contains one name per axis:
 
     1. the labels or scales of the dimensions (HDF5),
     2. the attribute `axes` of the dataset,
@@ -126,7 +126,7 @@ def _scale_name(dimension: Any) -> str:
 
 
 def _listed(attribute: Any) -> list[str]:
-    """Return the names in an attribute, which is an array of names or a string such as "[t:y:x]", "t,y,x" or "tyx"."""
+    """Return the axis names in an attribute: an array of names, or a string such as "[t:y:x]", "t,y,x" or "tyx"."""
     if isinstance(attribute, np.ndarray):
         return [_text(each) for each in attribute.ravel()[:MOST_AXES]]
     words = re.findall(r"\w+", _text(attribute))
@@ -138,7 +138,7 @@ def _text(attribute: Any) -> str:
 
 
 def missing_filters(dataset: Any) -> list[str]:
-    """Return the names of the compression filters that a dataset needs but that are not installed."""
+    """Return the names of the compression filters that are needed to read a dataset but are not installed."""
     import h5py
 
     created = dataset.id.get_create_plist()
@@ -151,9 +151,9 @@ def missing_filters(dataset: Any) -> list[str]:
 
 
 def _open(path: Path, stack: str | None = None) -> Any:
-    """Open an HDF5 file, which stays open for the next frames until a different file is opened.
+    """Open an HDF5 file. The file stays open for further frames, until this function opens a different file.
 
-    The size of the cache is chosen for the dataset `stack`. Raises InputFileError if the file is not an HDF5 file.
+    The size of the chunk cache is chosen for the dataset `stack`. Raises InputFileError if the file is not an HDF5 file.
     """
     import h5py
 
@@ -166,7 +166,8 @@ def _open(path: Path, stack: str | None = None) -> Any:
         _opened.clear()
         root = h5py.File(path, "r")
         if stack is not None:
-            # The cache contains the chunks of one frame. A larger cache would only retain frames that were already read.
+            # The cache has the size of the chunks of one frame. In a larger cache, only frames that were already read
+            # remain.
             nbytes = min(CHUNK_CACHE, chunks_of_a_frame(root[stack], _axes(path, root[stack])))
             root.close()
             root = h5py.File(path, "r", rdcc_nbytes=nbytes)
@@ -184,8 +185,8 @@ def chunks_of_a_frame(frames: Any, axes: Axes = STACK) -> int:
 def _only_stack(path: Path, members: dict[str, Any]) -> str:
     """Return the name of the only dataset (frame, row, col) with the type uint8 or uint16.
 
-    If no such dataset exists and l3 did not write the file, datasets with any numeric type are considered. Raises
-    InputFileError if none or more than one is found.
+    If no such dataset exists, datasets with any numeric type are considered, unless the file is an artifact of l3. Raises
+    InputFileError if no dataset or more than one is found.
     """
     stacks = sorted(name for name, member in members.items() if _is_stack(member) and member.ndim == 3)
     counts = [name for name in stacks if members[name].dtype.kind == "u" and members[name].dtype.itemsize <= 2]

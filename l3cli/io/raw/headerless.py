@@ -1,6 +1,6 @@
 """Read headerless files, which contain pixel values without any metadata.
 
-The layout of the values follows from the user's options and from the table. The packings are defined in frames/packings.py.
+The user's options and the table determine the layout of the values. The packings are defined in frames/packings.py.
 """
 
 from collections.abc import Iterator
@@ -34,7 +34,7 @@ class Layout:
     def bits(self) -> int:
         """Number of bits of the largest possible value.
 
-        It is always 16 for unpacked 16-bit words, because values with swapped bytes can be any 16-bit value.
+        The number is always 16 for unpacked 16-bit words, because swapped bytes can result in any 16-bit value.
         """
         return 16 if self.packing.is_words else self.packing.bits
 
@@ -67,7 +67,7 @@ class Layout:
 
     @property
     def exchangeable(self) -> bool:
-        """Whether a frame with swapped numbers of rows and columns would have the same number of bytes."""
+        """Whether the number of bytes per frame stays the same if the numbers of rows and columns are swapped."""
         padded = self.stride is not None and self.stride != self.row_bytes
         return not padded and self.frame_bytes == replace(self, rows=self.cols, cols=self.rows, stride=None).frame_bytes
 
@@ -108,7 +108,7 @@ class Layout:
         return np.ascontiguousarray(values.reshape(lines, -1)[:, :pixels])
 
     def others(self) -> Iterator[tuple[str, "Layout"]]:
-        """Yield (option, layout) for each different layout with the same number of bytes per frame."""
+        """Yield each other layout with the same number of bytes per frame, as (option that selects the layout, layout)."""
         if self.packing.is_words:
             yield f"‹byte_order› {'little' if self.big_endian else 'big'}", replace(self, big_endian=not self.big_endian)
         for other in () if self.packing.cells else PACKINGS.values():
@@ -136,7 +136,7 @@ def make_layout(
     skip : int
         Bytes before the first frame.
     byte_order : str, optional
-        "little" or "big", which is permitted only for packings of 16-bit words. [default: little]
+        "little" or "big". Permitted only for packings of 16-bit words. [default: little]
 
     Raises
     ------
@@ -172,9 +172,9 @@ def layout_of(
 ) -> Layout:
     """Return the layout of a headerless file.
 
-    If `packing` is None, the packing is the suffix of the file name, such as .raw10, or u16 if the suffix is not the name of
-    a packing. Raises RecipeError if a parameter is invalid, and InputFileError if a frame is too large. See `make_layout`
-    for the other parameters.
+    If `packing` is None, the suffix of the file name selects the packing, as in .raw10. If the suffix is not the name of a
+    packing, u16 is used. Raises RecipeError if a parameter is invalid, and InputFileError if a frame is too large. See
+    `make_layout` for the other parameters.
     """
     suffix = path.suffix.lower().removeprefix(".")
     layout = make_layout(size, packing or (suffix if suffix in PACKINGS else WORDS), stride, skip, byte_order)
@@ -184,7 +184,7 @@ def layout_of(
 
 
 def read(path: Path, layout: Layout) -> RawContent:
-    """Read the frame in a file with a single frame. Raises InputFileError if the layout does not match the file size."""
+    """Read a file with a single frame. Raises InputFileError if the layout does not match the size of the file."""
     size = path.stat().st_size - layout.skip
     if size != layout.frame_bytes:
         raise InputFileError(
@@ -201,7 +201,7 @@ def _counted(size: int, layout: Layout) -> str:
 
 
 def _cure(size: int, layout: Layout) -> str:
-    """Return the remedy for a file of the wrong size: the packings that match its size, and the options for the layout."""
+    """Suggest how to correct the layout of a file with an unexpected size. The text lists packings that match the size."""
     fitting = [
         name
         for name, packing in PACKINGS.items()
@@ -213,10 +213,10 @@ def _cure(size: int, layout: Layout) -> str:
 
 
 def content_of(stored: bytes | bytearray | NDArray[np.uint8], layout: Layout) -> RawContent:
-    """Convert the bytes of a frame to its content.
+    """Convert the bytes of a frame to a RawContent.
 
-    To detect a wrong layout, the content also includes the pixels according to every other layout with the same number of
-    bytes per frame. If the packing states a CFA, the content includes the CFA.
+    The content also includes the pixels in every other layout with the same number of bytes per frame, so that a wrong
+    layout can be detected. If the packing states a CFA, the content includes the CFA.
     """
     content = RawContent(values=layout.unpack(stored), exchangeable=layout.exchangeable)
 
@@ -255,7 +255,7 @@ def stdin(layout: Layout) -> MultiFrameFile:
 
     Reading a frame raises InputFileError if stdin ends in the middle of the frame.
     """
-    # The stream is unbuffered. A thread that waits in a buffered stream would prevent the interpreter from exiting.
+    # The stream is unbuffered, because a thread that waits in a buffered stream would prevent the interpreter from exiting.
     pipe = open(0, "rb", buffering=0, closefd=False)  # noqa: SIM115
     to_skip = layout.skip
 

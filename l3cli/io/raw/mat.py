@@ -23,9 +23,9 @@ HDF5_VERSION = b"MATLAB 7.3 MAT-file"
 TEXT = 116  # length in bytes of the text at the beginning of a file, which identifies the program that wrote the file
 COUNTS, NUMBERS = ("uint8", "uint16"), ("uint8", "uint16", "int16", "int32", "uint32", "single", "double")
 BYTES = {"uint8": 1, "int16": 2, "uint16": 2, "double": 8}  # type → bytes per value; all other types have 4 bytes
-LEAST_SIDE = 8  # minimum number of rows and of columns of a frame; smaller variables are settings
+LEAST_SIDE = 8  # minimum number of rows and of columns of a frame; smaller variables contain settings
 
-_loaded: dict[tuple[Any, ...], NDArray] = {}  # identity of the file, and name → the variable that was read last
+_loaded: dict[tuple[Any, ...], NDArray] = {}  # cache of the last variable: identity of the file, and name → values
 
 
 def stack(path: Path, dataset: str | None) -> MultiFrameFile:
@@ -76,7 +76,7 @@ def find_variable(path: Path, dataset: str | None, from_python: bool) -> tuple[s
 
 @isolated("scipy.io")
 def frame(path: Path, name: str, from_python: bool, number: int) -> NDArray:
-    """Read frame `number` (from 0) of the variable `name`, which `find_variable` returned, as an array (row, col)."""
+    """Read frame `number` (from 0) of the variable that `find_variable` returned, as an array (row, col)."""
     import scipy.io
 
     key = (str(path), *stamp(path), name)
@@ -102,8 +102,8 @@ def _axes(path: Path, name: str, shape: tuple[int, ...], from_python: bool) -> A
 def _only_variable(path: Path, variables: dict[str, tuple[tuple[int, ...], str]]) -> str:
     """Return the name of the only array with the type uint8 or uint16.
 
-    If no array has such a type, arrays with any numeric type are considered. Raises InputFileError if none or more than one
-    is found.
+    If no array has this type, arrays with any numeric type are considered. Raises InputFileError if the file contains no
+    suitable array, or more than one.
     """
     arrays = sorted(name for name, (shape, kind) in variables.items() if kind in NUMBERS and _is_stack(shape))
     chosen = [name for name in arrays if variables[name][1] in COUNTS] or arrays

@@ -1,4 +1,7 @@
-"""Read raw frames from .npy files of numpy, with memory mapping: one frame (row, col), or a stack (frame, row, col)."""
+"""Read raw frames from numpy's .npy files by memory mapping.
+
+An array is one frame (row, col) or a stack (frame, row, col).
+"""
 
 from pathlib import Path
 from typing import Any
@@ -20,11 +23,11 @@ def map_array(path: Path) -> NDArray[Any]:
     """
     require_regular(path, "use a .npy file")
     try:
-        with np.errstate(over="ignore"):  # if a stated shape is impossibly large, np.load or the size limit rejects the file
+        with np.errstate(over="ignore"):  # a damaged header may state a huge shape, which is rejected below
             values = np.load(path, mmap_mode="r", allow_pickle=False)
     except OSError as error:
         raise InputFileError(f"{path} cannot be read: {error.strerror or error}; use a readable .npy file") from error
-    except Exception as error:  # for a damaged header, Python's tokenizer can raise any exception
+    except Exception as error:  # numpy parses the header as Python code, so a damaged header can raise any exception
         raise InputFileError(f"{path} is not a complete .npy file; write it with numpy.save(file, array)") from error
     if not isinstance(values, np.ndarray):
         values.close()
@@ -33,7 +36,7 @@ def map_array(path: Path) -> NDArray[Any]:
 
 
 def read(path: Path) -> RawContent:
-    """Read the frame in a file with a single frame. Raises InputFileError if the file contains anything else."""
+    """Read a file with a single frame. Raises InputFileError if the file contains anything else."""
     shape = map_array(path).shape
     if len(shape) == 3:
         raise InputFileError(
@@ -50,14 +53,14 @@ def stack(path: Path) -> MultiFrameFile | None:
     frame_axes(str(path), shape)
 
     def frame(number: int) -> RawContent:
-        # The file is mapped again for each frame, because the pages of a mapping that stays open count as used memory.
+        # The file is mapped again for each frame, because pages of a permanent mapping would count as used memory.
         return RawContent(values=np.array(_mapped(path, 3)[number]))
 
     return MultiFrameFile(len(_mapped(path, 3)), frame, numbered=False)
 
 
 def _mapped(path: Path, axes: int) -> NDArray:
-    """Memory-map an array. Raises InputFileError if it has other than `axes` axes, is not numeric, or is too large."""
+    """Memory-map an array. Raises InputFileError if the array is not numeric, is too large, or does not have `axes` axes."""
     values = map_array(path)
     if values.ndim != axes or values.dtype.kind not in "iuf":
         found = f"a {values.ndim}-dimensional array of {values.dtype}"

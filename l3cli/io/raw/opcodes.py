@@ -1,8 +1,8 @@
-"""Opcode lists of a DNG file (Adobe DNG 1.7, chapter 7): corrections of the mosaic or of the picture that the file requests.
+"""Opcode lists of DNG files (Adobe DNG 1.7, chapter 7): corrections that a file requests for the mosaic or the picture.
 
-l3 supports three types of opcodes. It corrects bad pixels, converts gain maps and radial vignetting to a gain per pixel, and
-applies rectilinear lens warps to the picture. All other opcodes are ignored with a note if they are optional. If they are
-required, l3 rejects the file, unless the user sets an option to ignore them.
+l3 supports three types of corrections. It corrects bad pixels, converts gain maps and radial vignetting to a gain per pixel,
+and applies rectilinear lens warps to the picture. Other opcodes are ignored with a note if they are optional. If other
+opcodes are required, l3 rejects the file, unless the user sets an option to ignore these opcodes.
 """
 
 import struct
@@ -15,19 +15,19 @@ from numpy.typing import NDArray
 
 from l3cli.frames.lens_warp import BLUE, GREEN, RED, UNCHANGED, LensWarp, corrected_places
 
-LISTS = ("OpcodeList1", "OpcodeList2", "OpcodeList3")  # lists for stored, linear and demosaicked values, in this order
+LISTS = ("OpcodeList1", "OpcodeList2", "OpcodeList3")  # opcodes for stored values, linear values and demosaicked values
 WARP_RECTILINEAR, FIX_VIGNETTE_RADIAL, FIX_BAD_PIXELS_CONSTANT, FIX_BAD_PIXELS_LIST, GAIN_MAP = 1, 3, 4, 5, 9
-SUPPORTED = ((4, 5), (5, 3, 9), (3, 9, 1))  # supported opcodes in each list
+SUPPORTED = ((4, 5), (5, 3, 9), (3, 9, 1))  # supported opcodes in each of LISTS
 NAMES = (
     "", "WarpRectilinear", "WarpFisheye", "FixVignetteRadial", "FixBadPixelsConstant", "FixBadPixelsList", "TrimBounds",
     "MapTable", "MapPolynomial", "GainMap", "DeltaPerRow", "DeltaPerColumn", "ScalePerRow", "ScalePerColumn",
     "WarpRectilinear2",
 )  # fmt: skip
-OPTIONAL = 1  # bit in the flags of an opcode that permits readers to ignore the opcode
+OPTIONAL = 1  # flag of an opcode: readers may ignore the opcode
 MOST_OPCODES = 1000  # maximum number of opcodes in a list
 MOST_GAIN = 64.0  # largest plausible gain
 MOST_PLANES = 16  # maximum number of colour planes
-MOST_WARP = 10.0  # maximum factor, in both directions, by which a warp may change a distance from the centre
+MOST_WARP = 10.0  # maximum factor by which a warp may lengthen or shorten a distance from the centre
 HEAD = struct.Struct(">IIII")  # identifier, version, flags, number of bytes
 AREA = struct.Struct(">8I")  # top, left, bottom, right, first plane, number of planes, row pitch, column pitch
 MAP = struct.Struct(">2I4dI")  # numbers of points down and across, spacings, origins, number of planes
@@ -58,11 +58,11 @@ class GainMap:
 
 @dataclass(frozen=True)
 class Vignette:
-    """Radial gain 1 + k0 r² + k1 r⁴ + …, where r is 1 in the corner farthest from the centre."""
+    """Radial gain 1 + k0 r² + k1 r⁴ + …, where r is the distance from the centre and is 1 in the farthest corner."""
 
     terms: tuple[float, ...]  # k0, k1, …
     centre: tuple[float, float]  # centre (down, across) as fractions of the height and width of the image
-    warps: tuple[LensWarp, ...]  # warps that precede this opcode; the gain applies to the picture after these warps
+    warps: tuple[LensWarp, ...]  # warps in the list before this opcode; the gain applies to the warped picture
 
 
 @dataclass(frozen=True)
@@ -70,9 +70,9 @@ class Opcodes:
     """The corrections that a file requests."""
 
     constants: tuple[int, ...] = ()  # stored values that mark bad pixels
-    rects: tuple[NDArray[np.int64], ...] = ()  # (rectangle, 5) stage, top, left, bottom and right of bad pixels
+    rects: tuple[NDArray[np.int64], ...] = ()  # (rectangle, 5): index in LISTS, and top, left, bottom, right of bad pixels
     gains: tuple[GainMap | Vignette, ...] = ()
-    warps: tuple[LensWarp, ...] = ()  # warps of the picture of the active area
+    warps: tuple[LensWarp, ...] = ()  # lens warps, which apply to the picture of the active area
     notes: tuple[str, ...] = ()  # notes about optional opcodes that are ignored
     demanded: tuple[str, ...] = ()  # required opcodes that l3 does not support
 
@@ -98,7 +98,7 @@ def read_opcodes(page: Any, planes: Sequence[int], area: tuple[int, int]) -> Opc
     Returns
     -------
     Opcodes
-        The corrections. They are empty if the page has no opcodes.
+        The corrections. Empty if the page has no opcodes.
 
     Raises
     ------
@@ -149,7 +149,7 @@ def _listed(page: Any) -> list[Opcode]:
 
 
 def _bad_rects(opcode: Opcode) -> NDArray[np.int64]:
-    """Return the rectangles of bad pixels that an opcode lists. A single bad pixel becomes a rectangle of one pixel.
+    """Return the rectangles of bad pixels in an opcode. A single bad pixel becomes a rectangle of 1×1 pixel.
 
     Each row of the result (rectangle, 5) contains the index of the opcode list, followed by the top, left, bottom and right
     edges. Raises ValueError if the content of the opcode has the wrong length.
@@ -186,10 +186,10 @@ def _vignette(opcode: Opcode, warps: tuple[LensWarp, ...]) -> Vignette:
 
 
 def _warps(opcode: Opcode, planes: Sequence[int], area: tuple[int, int]) -> list[LensWarp]:
-    """Return the warp of an opcode as a list with one element, or an empty list if the warp does not move any pixel.
+    """Return a list with the warp of an opcode, or an empty list if the warp does not move any pixel.
 
-    Raises ValueError if the number of sets of terms is neither 1 nor the number of planes, if a term or the centre is out of
-    range, or if the warp changes distances by more than a factor of MOST_WARP.
+    Raises ValueError if the number of coefficient sets is neither 1 nor the number of planes, if a coefficient or the centre
+    is out of range, or if the warp lengthens or shortens distances by more than a factor of MOST_WARP.
     """
     (count,) = struct.unpack_from(">I", opcode.content)
     if count not in (1, len(planes)):
@@ -210,7 +210,7 @@ def _warps(opcode: Opcode, planes: Sequence[int], area: tuple[int, int]) -> list
 
 
 def bad_pixels(opcodes: Opcodes, stored: NDArray[np.uint16], active: tuple[int, int, int, int]) -> NDArray[np.bool_]:
-    """Return a mask (row, col) of the active area that is true for the pixels that the opcodes mark as bad.
+    """Return a mask (row, col) of the active area. The mask is true for pixels that the opcodes mark as bad.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ def gain_of_pixels(
     ValueError
         If a gain is not positive or is implausibly large.
     """
-    with np.errstate(all="ignore"):  # after an overflow, the check below fails
+    with np.errstate(all="ignore"):  # an overflow makes the check below fail
         gain = _product(opcodes, pattern, planes, shape)
     if not (gain.min() > 0 and gain.max() <= MOST_GAIN):
         raise ValueError(f"the gains are {gain.min():.3g}…{gain.max():.3g}")
@@ -291,7 +291,7 @@ def _radial(vignette: Vignette, shape: tuple[int, int]) -> Floats:
 
 
 def _interpolated(each: GainMap, plane: int, shape: tuple[int, int]) -> Floats:
-    """Return the gains (row, col) in the area of a gain map. Gains are linear between grid points and constant outside."""
+    """Return the gains (row, col) in the area of a gain map, interpolated linearly. Outside the grid, gains are constant."""
     sides = []
     for axis in (0, 1):
         place = (np.arange(shape[axis])[each.area[axis]] + 0.5) / shape[axis]

@@ -1,6 +1,6 @@
 """Read binary portable graymaps (PGM, P5) with 8 or 16 bits, without scaling.
 
-OpenImageIO is not used for these files, because it scales the values so that the maximum in the header becomes 65535.
+OpenImageIO is not used, because it would scale the values so that the maximum in the header becomes 65535.
 """
 
 import re
@@ -19,7 +19,7 @@ LONGEST_HEADER = 65536  # maximum length of the header in bytes, including comme
 
 
 def read(path: Path) -> RawContent:
-    """Read the pixels (row, col) of a graymap in DN. They are uint8 if the stated maximum is below 256, otherwise uint16.
+    """Read the pixels (row, col) of a graymap in DN: uint8 if the maximum in the header is below 256, otherwise uint16.
 
     Raises InputFileError if the file is not a single, complete P5 graymap.
     """

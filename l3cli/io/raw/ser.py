@@ -1,8 +1,8 @@
 """Read SER files, the raw videos of planetary astronomy: a header of 178 bytes, and frames with 8 or 16 bits per value.
 
-The reference is the SER format description 3. Programs disagree about the value of LittleEndian that means little-endian. l3
+The reference is the SER format description 3. Programs disagree about the meaning of the header field LittleEndian. l3
 therefore chooses the byte order in which neighbouring pixels of the first frame are more similar. The frame times at the end
-of a file are not read.
+of the file are not read.
 """
 
 import struct
@@ -20,7 +20,7 @@ from l3cli.io.raw.headerless import Layout, read_frame
 from l3cli.system.files import open_regular
 from l3cli.system.limits import require_picture
 
-HEADER = struct.Struct("<14s7i")  # beginning of the header; names and two dates follow
+HEADER = struct.Struct("<14s7i")  # beginning of the header; the rest contains names and two dates
 HEADER_BYTES = 178
 MAGIC = b"LUCAM-RECORDER"
 # Value of ColorID → letters of the CFA, or "" for a monochrome sensor.
@@ -48,7 +48,7 @@ def stack(path: Path) -> MultiFrameFile:
 
 
 def _header(path: Path) -> tuple[Layout, NDArray[np.int64] | None, int]:
-    """Return the layout of the frames, the colour codes of the CFA (None for a monochrome camera), and the number of frames.
+    """Return the layout of the frames, the colour codes of the CFA (None for monochrome cameras), and the number of frames.
 
     Raises InputFileError if the header is damaged or describes demosaicked frames, or if frames are missing.
     """
@@ -73,7 +73,7 @@ def _header(path: Path) -> tuple[Layout, NDArray[np.int64] | None, int]:
 
 
 def _in_byte_order(path: Path, layout: Layout) -> Layout:
-    """Return the layout with the byte order in which the first frame is smoother. 8-bit layouts are unchanged."""
+    """Return `layout` with the byte order that makes the first frame smoother. 8-bit layouts are returned unchanged."""
     if not layout.packing.is_words:
         return layout
     first = read_frame(path, layout, 0)

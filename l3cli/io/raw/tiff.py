@@ -1,7 +1,7 @@
 """Read raw frames from single-channel TIFF and PNG files.
 
-A TIFF file with several pages is a stack, whose pages must have the same size and type. If a file has the layout in which l3
-writes mosaics, it is read in this process. OpenImageIO reads all other files in the isolated process.
+A TIFF file with several pages is a stack, whose pages must have the same size and type. Files in the layout in which l3
+writes mosaics are read in this process. All other files are read with OpenImageIO in the isolated process.
 """
 
 import contextlib
@@ -25,11 +25,11 @@ from l3cli.system.limits import most_pixels
 
 MOST_PAGES = 1_000_000  # maximum number of pages
 
-_opened: dict[tuple[Any, ...], Any] = {}  # identity of the file that was opened last → its ImageInput
+_opened: dict[tuple[Any, ...], Any] = {}  # cache of the last file: identity of the file → its open ImageInput
 
 
 def read(path: Path) -> RawContent:
-    """Read the frame in a single-channel picture. Raises InputFileError if the file contains anything else."""
+    """Read a single-channel picture as a frame. Raises InputFileError if the file contains anything else."""
     if (plain := read_plain(path)) is not None:
         return plain
     return read_by_library(path)
@@ -37,7 +37,7 @@ def read(path: Path) -> RawContent:
 
 @isolated("OpenImageIO", "tifffile")
 def read_by_library(path: Path) -> RawContent:
-    """Read the frame in a single-channel picture with OpenImageIO. Raises the same errors as `read`."""
+    """Read a single-channel picture as a frame with OpenImageIO. Raises the same errors as `read`."""
     _check_first_page(path)
     with opened(path) as (source, spec):
         return _content(path, source, spec)
@@ -68,8 +68,8 @@ def stack(path: Path) -> MultiFrameFile | None:
 def count_pages(path: Path) -> int:
     """Return the number of pages in a TIFF file, or 1 for a PNG file.
 
-    Raises InputFileError if the pages differ in size or type, for example because a thumbnail follows the picture, if they
-    are the channels of a picture, or if the file contains images that are not pages.
+    Raises InputFileError if the pages differ in size or type, for example because one page is a thumbnail, if the pages are
+    the channels of a picture, or if the file contains images that are not pages.
     """
     first = _page(path, 0).spec()
     usual, count = _kind(first), _count(path)
@@ -86,7 +86,7 @@ def count_pages(path: Path) -> int:
 
 @isolated("OpenImageIO", "tifffile")
 def read_page(path: Path, number: int) -> RawContent:
-    """Read the frame on page `number`, from 0. Raises InputFileError if the page is damaged or has several channels."""
+    """Read the frame on page `number` (from 0). Raises InputFileError if the page is damaged or has several channels."""
     source = _page(path, number)
     require_bearable(path, source.spec())
     return _content(path, source, source.spec())
@@ -95,13 +95,13 @@ def read_page(path: Path, number: int) -> RawContent:
 def _require_frames(path: Path, spec: Any, count: int) -> None:
     """Raise InputFileError if the pages are probably not frames.
 
-    ImageJ, tifffile and OME may state that pages are channels of a picture. If frames have very few columns, the last axis
-    probably contains channels or frames (see `frame_axes`).
+    The image description of ImageJ, tifffile or OME may state that the pages are the channels of a picture. The pages are
+    also rejected if they have so few columns that the axes are probably in a different order (see `frame_axes`).
     """
     text = spec.get_string_attribute("ImageDescription")
     channels = re.search(r"^channels=([0-9]{1,9})$", text, re.MULTILINE) if text.startswith("ImageJ=") else None
     channels = channels or re.search(r'<Pixels [^>]*SizeC="([0-9]{1,9})"', text)
-    # A larger number of channels means frames, because tifffile writes the frames of a stack as channels by default.
+    # More channels than MOST_CHANNELS are frames, because tifffile by default describes the frames of a stack as channels.
     if (channels and 1 < int(channels[1]) <= MOST_CHANNELS) or re.match(r"""\{.*"axes": "[A-Z]*C[A-Z]*\"""", text):
         raise InputFileError(
             f"{path}: according to the image description, the pages are channels of a picture; save raw frames as pages"
@@ -110,7 +110,7 @@ def _require_frames(path: Path, spec: Any, count: int) -> None:
 
 
 def _page(path: Path, number: int) -> Any:
-    """Return the OpenImageIO ImageInput of a file, positioned at a page. It stays open for the next pages.
+    """Return the OpenImageIO ImageInput of a file, positioned at a page. The file stays open for further pages.
 
     Raises InputFileError if the page is damaged.
     """
@@ -126,7 +126,10 @@ def _page(path: Path, number: int) -> Any:
 
 
 def _kind(spec: Any) -> str:
-    """Describe the size, the channels and the type of a page, and state whether it is a smaller copy or a mask."""
+    """Describe the size, channels and data type of a page.
+
+    The text also states whether the page is a small copy or a mask.
+    """
     part = ", a smaller copy or a mask" if spec.get_int_attribute("tiff:subfiletype", 0) & ~ONE_OF_MANY else ""
     channels = f"{spec.nchannels} channel{'s' if spec.nchannels > 1 else ''}"
     return f"{spec.height}×{spec.width} pixels, {channels} of {spec.format}{part}"
@@ -135,15 +138,15 @@ def _kind(spec: Any) -> str:
 def _count(path: Path) -> int:
     """Return the number of pages in a TIFF file.
 
-    If the chain of pages is broken, libraries assume that the file ends there. This function therefore checks the offset of
-    the next page. Raises InputFileError if the chain is broken, or if a page has subpages other than smaller copies.
+    Libraries treat a broken chain of pages as the end of the file. This function therefore checks that the offset after the
+    last page is zero. Raises InputFileError if the chain is broken, or if a page has subpages other than smaller copies.
     """
     import tifffile
 
     broken = InputFileError(f"{path} is damaged, because the chain of its pages is broken; copy the file again")
     with tifffile.TiffFile(path) as file:
         with contextlib.suppress(IndexError):
-            file.pages.get(MOST_PAGES)  # limited, because a chain of pages may form a loop
+            file.pages.get(MOST_PAGES)  # an index above the limit, because a damaged chain of pages may form a loop
             raise broken
         file.filehandle.seek(file.pages.next_page_offset)
         following = file.filehandle.read(file.tiff.offsetsize)
@@ -157,7 +160,7 @@ def _count(path: Path) -> int:
 
 
 def _check_first_page(path: Path) -> None:
-    """Check the tags of the first page if the file is a TIFF file. Damaged files are left to OpenImageIO."""
+    """Check the tags of the first page if the file is a TIFF file. A damaged file passes, because OpenImageIO reports it."""
     import tifffile
 
     try:
@@ -165,12 +168,12 @@ def _check_first_page(path: Path) -> None:
             _check_tags(path, file.pages.first)
     except InputFileError:
         raise
-    except Exception:  # OpenImageIO reports damaged files
+    except Exception:  # OpenImageIO will report the damage
         return
 
 
 def _check_tags(path: Path, page: Any) -> None:
-    """Raise InputFileError if a page has an invalid orientation or is a DNG mosaic, which OpenImageIO does not detect."""
+    """Raise InputFileError if a page has an invalid orientation, or is a DNG mosaic, which OpenImageIO would not detect."""
     tags = page.tags
     flip_of(path, tags.valueof("Orientation", UPRIGHT))
     if "DNGVersion" in tags or tags.valueof("PhotometricInterpretation") == COLOUR_FILTER_ARRAY:
@@ -180,15 +183,15 @@ def _check_tags(path: Path, page: Any) -> None:
 
 
 # ------------------------------------------------------------------------------------------------- plain mosaics
-# A file in the layout of l3 is read without tifffile and without the isolated process, which shortens the rendering of a
-# single frame. The import of tifffile would take 10 % of the time, and the start of the isolated process 25 %.
+# Files in the layout of l3's mosaics are read without tifffile and without the isolated process. For a single frame, the
+# import of tifffile would take 10 % of the rendering time, and the start of the isolated process 25 %.
 
 ENTRY = np.dtype([("tag", "<u2"), ("type", "<u2"), ("count", "<u4"), ("content", "V4")])
 MAX_TAGS, MAX_STRIPS = 20, 1 << 20
-# Numbers of tags.
+# Tag numbers
 WIDTH, LENGTH, BITS, OFFSETS, ROWS_PER_STRIP, COUNTS, DATE_TIME, EXIF = 256, 257, 258, 273, 278, 279, 306, 34665
 EXPOSURE_TIME = 33434
-# Tag → its only permitted value: compression, photometric interpretation, orientation, channels, planes, sample format.
+# Tags with only one supported value: compression, photometric interpretation, orientation, channels, planes, sample format.
 FIXED = {259: [1], 262: [1], 274: [UPRIGHT], 277: [1], 284: [1], 339: [1]}
 NEEDED = {WIDTH, LENGTH, BITS, OFFSETS, ROWS_PER_STRIP, COUNTS, *FIXED}
 RATIONAL = np.dtype("<u4,<u4")
@@ -196,7 +199,7 @@ TYPES: dict[int, np.dtype] = {3: np.dtype("<u2"), 4: np.dtype("<u4"), 5: RATIONA
 
 
 class _Plain(NamedTuple):
-    """Size, data type, offset and exposure time of a TIFF file that can be read without a library."""
+    """The layout and the exposure time of a TIFF file that can be read without a library."""
 
     shape: tuple[int, int]
     dtype: np.dtype
@@ -205,7 +208,7 @@ class _Plain(NamedTuple):
 
 
 def is_plain(path: Path) -> bool:
-    """Return whether a TIFF file has the layout in which l3 writes mosaics. False if the file cannot be read."""
+    """Return whether a TIFF file has the layout of mosaics that l3 writes. False if the file cannot be read."""
     try:
         with open_regular(path) as stream:
             return _layout(stream) is not None
@@ -214,9 +217,9 @@ def is_plain(path: Path) -> bool:
 
 
 def read_plain(path: Path, depths: tuple[int, ...] = (8, 16)) -> RawContent | None:
-    """Read a mosaic if the file has the layout that l3 writes and a bit depth in `depths`. Otherwise, return None.
+    """Read a mosaic as uint16 (row, col) if the file has the layout that l3 writes and a bit depth in `depths`.
 
-    The values (row, col) are uint16.
+    Otherwise, return None.
     """
     with open_regular(path) as stream:
         plain = _layout(stream)
@@ -232,8 +235,8 @@ def read_plain(path: Path, depths: tuple[int, ...] = (8, 16)) -> RawContent | No
 def _layout(stream: BinaryIO) -> _Plain | None:
     """Return the layout of a TIFF file if l3 may have written the file as a mosaic, otherwise None.
 
-    This layout is little-endian and uncompressed, with one page, one channel of 8 or 16 bits, consecutive strips, and no
-    additional tags.
+    Mosaics of l3 are little-endian and uncompressed. They have one page, one channel of 8 or 16 bits, consecutive strips,
+    and no additional tags.
     """
     try:
         magic, at = struct.unpack("<4sI", stream.read(8))
@@ -261,15 +264,16 @@ def _layout(stream: BinaryIO) -> _Plain | None:
 
 
 def _directory(stream: BinaryIO, at: int) -> dict[int, list[Any]]:
-    """Return the numbers in each tag of the TIFF directory at the byte `at`.
+    """Return the values of each tag in the TIFF directory at the byte `at`.
 
-    Raises ValueError or KeyError if a tag is repeated or its type is not in TYPES, or if a second directory follows.
+    Raises ValueError or KeyError if a tag is repeated, if the type of a tag is not in TYPES, or if a second directory
+    follows.
     """
     [count] = _numbers(stream, at, np.dtype("<u2"), 1)
     [following] = _numbers(stream, at + 2 + ENTRY.itemsize * count, np.dtype("<u4"), 1)
     tags: dict[int, list[Any]] = {}
     for tag, kind, length, content in _numbers(stream, at + 2, ENTRY, min(count, MAX_TAGS)):
-        if tag == DATE_TIME:  # a string that l3 does not use
+        if tag == DATE_TIME:  # a text that l3 does not need
             tags[tag] = []
         elif TYPES[kind].itemsize * length > len(content):
             tags[tag] = _numbers(stream, int.from_bytes(content, "little"), TYPES[kind], length)

@@ -1,8 +1,8 @@
 """Convert pixel values of any number type to 16-bit DN.
 
-Integer values from 0 to 65535 are DN, even if the data type is floating-point. The scale of other values, such as fractions
-from 0 to 1 or negative values, is unknown. The user must then set the black level and the white level in the units of the
-file.
+Integer values from 0 to 65535 are DN, even if they are stored as floating-point numbers. Other values, such as fractions
+from 0 to 1 or negative values, are not DN, and their scale is unknown. The user must then set the black level and the white
+level in the units of the file.
 """
 
 import numpy as np
@@ -14,18 +14,18 @@ TOP = 65535  # largest DN
 # Black level and white level of scaled values in DN, with margins for noise below black and for values above white.
 SCALED_BLACK, SCALED_WHITE = 8192.0, 57344.0
 FULL_SCALE_ONE = 2.0  # if full scale is 1, all values are below this limit, even with noise
-LEAST_DN_LEVEL = 16.0  # a white level is in DN if it is at least this value
+LEAST_DN_LEVEL = 16.0  # a white level of at least this value is probably meant in DN
 
 
 def as_dn(values: NDArray) -> NDArray[np.uint16] | None:
-    """Convert integer values from 0 to 65535, of any type, to uint16. Return None if the values are not DN.
+    """Convert integer values from 0 to 65535, of any data type, to uint16. Return None if the values are not DN.
 
     Values are not DN if a value is not an integer, is out of range or is NaN, or if the array is empty. Floating-point
-    values of at most 1 are also not DN, because they may be fractions of full scale.
+    values are also not DN if none of them exceeds 1, because they may be fractions of full scale.
     """
     if values.dtype in (np.uint8, np.uint16):
         return values.astype(np.uint16, copy=False)
-    if not values.size or not (values.min() >= 0 and values.max() <= TOP):  # this condition is also true for NaN
+    if not values.size or not (values.min() >= 0 and values.max() <= TOP):  # NaN fails the comparison
         return None
     if values.dtype.kind == "f" and (values.max() <= 1 or (values != np.rint(values)).any()):
         return None
@@ -33,7 +33,7 @@ def as_dn(values: NDArray) -> NDArray[np.uint16] | None:
 
 
 def require_dn(name: str, values: NDArray) -> NDArray[np.uint16]:
-    """Convert values to DN. Raises InputFileError if the values are not DN. `name` is the name of the file for messages."""
+    """Convert values to DN. Raises InputFileError if the values are not DN. `name` is the file name for the message."""
     dn = as_dn(values)
     if dn is None:
         raise InputFileError(f"{name} contains {_range_of(name, values)}; save the values in DN (integers from 0 to {TOP})")
@@ -41,7 +41,7 @@ def require_dn(name: str, values: NDArray) -> NDArray[np.uint16]:
 
 
 def scaled_dn(name: str, values: NDArray, black: float | None, white: float | None) -> NDArray[np.uint16]:
-    """Convert values in the units of a file to DN with the black level SCALED_BLACK and the white level SCALED_WHITE.
+    """Convert values in the units of a file to DN, with SCALED_BLACK as the black level and SCALED_WHITE as the white level.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def scaled_dn(name: str, values: NDArray, black: float | None, white: float | No
     values : ndarray
         Stored values.
     black, white : float or None
-        Black level and white level in the units of the file, or None if the user has not set a level.
+        Black level and white level in the units of the file. A level is None if the user has not set it.
 
     Returns
     -------

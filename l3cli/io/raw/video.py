@@ -1,4 +1,4 @@
-"""Read raw videos with PyAV (FFmpeg). A raw video contains mosaics with one channel and lossless compression."""
+"""Read raw videos with PyAV (FFmpeg). A raw video contains losslessly compressed mosaics with one channel."""
 
 import contextlib
 import itertools
@@ -15,11 +15,11 @@ from l3cli.io.raw import InOrder, MultiFrameFile, RawContent
 from l3cli.io.video import CONTAINERS, DecodedVideo, InTurn, StatedTimes, storable_rate
 
 PALETTE = "pal8"  # pixel format of uncompressed 8-bit AVI files
-AT_A_TIME = 500  # number of frames whose times are read in one request
+AT_A_TIME = 500  # number of frame times that one request reads
 
 
 def stack(path: Path) -> MultiFrameFile:
-    """Open the frames of a video. Their number is unknown until the video ends.
+    """Open a video. The number of frames is unknown until the video ends.
 
     Raises InputFileError unless the video has one grey channel with 8 to 16 bits, such as FFV1 in MKV.
     """
@@ -34,9 +34,9 @@ def stack(path: Path) -> MultiFrameFile:
 
 
 def _times(path: Path) -> StatedTimes | None:
-    """Return the times of the frames, without decoding them. None if the video has no frames, or if a time is missing.
+    """Return the frame times without decoding the frames. None if the video has no frames, or if a time is missing.
 
-    The file is read to its end or to the first damaged frame.
+    The file is read until it ends, or until the first damaged frame.
     """
     ticks: list[int | None] = []
     tick = (1, 1)
@@ -60,7 +60,7 @@ def _rate(path: Path) -> tuple[int, int] | None:
 
 @isolated("av")
 def _some_times(path: Path, number: int) -> tuple[tuple[int, int], list[int | None]]:
-    """Return the length of a tick in s, and the times in ticks of at most AT_A_TIME frames, starting at frame `number`."""
+    """Return the length of a tick in s, and the times in ticks of up to AT_A_TIME frames, starting at frame `number`."""
     video = _timed.video(path, number)
     return (video.tick.numerator, video.tick.denominator), video.times(AT_A_TIME)
 
@@ -69,7 +69,7 @@ def _some_times(path: Path, number: int) -> tuple[tuple[int, int], list[int | No
 def _frame(path: Path, number: int) -> NDArray[np.uint16] | None:
     """Return frame `number` (row, col) of a raw video in DN, or None after the last frame.
 
-    Frames must be requested in order, from 0. Raises InputFileError if the frame is damaged. The frames after a damaged
+    Frames must be requested in order, starting at 0. Raises InputFileError if the frame is damaged. Frames after a damaged
     frame can still be read.
     """
     frame = _in_turn.frame(path, number)
@@ -80,9 +80,9 @@ def _frame(path: Path, number: int) -> NDArray[np.uint16] | None:
 
 
 def _of_palette(path: Path, pixels: NDArray[np.uint8], palette: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the indices of a palette image, which are raw values if the palette (colour, ARGB) is a grey ramp.
+    """Return the indices of a palette image. They are raw values if the palette (colour, ARGB) is a grey ramp.
 
-    Raises InputFileError for any other palette.
+    Raises InputFileError if the palette is not a grey ramp.
     """
     if not (palette[:, 1:] == np.arange(256)[:, None]).all():
         raise InputFileError(

@@ -1,9 +1,9 @@
 """Formats of scene files. The key `source` in a recipe and the suffix of a file determine which module reads the file.
 
 To add a format, write a module in this folder and add an entry to FORMATS. For a new source, also add its keys to
-simulation/sources.py. The module must define the functions `read` and `size`. If the entry sets `has_files` or
-`names_unknown`, the module must also define `files` or `unknown`, respectively. l3 imports the module when it reads the
-first scene in this format.
+simulation/sources.py. The module must define the functions `read` and `size`. It must also define `files` if the entry sets
+`has_files`, and `unknown` if the entry sets `names_unknown`. l3 imports the module when it reads the first scene in this
+format.
 """
 
 import importlib
@@ -19,11 +19,11 @@ from l3cli.frames.scene import PolarisedPictures, Scene, SpectralCube
 
 @dataclass(frozen=True)
 class SceneFormat:
-    """A file format of scenes."""
+    """A file format for scenes."""
 
     source: str  # value of the key `source` in a recipe
     module: str  # module in this folder that reads the format
-    suffixes: tuple[str, ...] = ()  # in lower case; empty for all suffixes that no earlier entry of the source lists
+    suffixes: tuple[str, ...] = ()  # in lower case; if empty, any suffix that no earlier entry with the same source lists
     keys: tuple[str, ...] = ()  # recipe keys that are passed to `read` and `size`
     is_folder: bool | None = False  # whether a scene is a folder instead of a file; None if it can be either
     has_files: bool = False  # whether a scene consists of several files
@@ -49,16 +49,16 @@ class SceneFormat:
         return content
 
     def size(self, path: Path, **keys: Any) -> tuple[int, int]:
-        """Return the numbers of rows and columns of a scene. The values are read only if no header states the size."""
+        """Return the number of rows and columns of a scene. Pixel values are read only if no header contains the size."""
         rows, cols = self._reader.size(path, **keys)
         return rows, cols
 
     def files(self, path: Path) -> list[Path]:
-        """Return all files of which a scene consists."""
+        """Return all files that belong to a scene."""
         return self._reader.files(path) if self.has_files else [path]
 
     def unknown(self, path: Path) -> list[str]:
-        """Return the header fields of a scene that l3 does not recognise and that may affect its values."""
+        """Return the names of header fields that l3 does not recognise and that may affect the values of the scene."""
         fields: list[str] = self._reader.unknown(path) if self.names_unknown else []
         return fields
 
@@ -103,11 +103,11 @@ FORMATS = (
 
 
 def format_of(source: str, path: Path) -> SceneFormat:
-    """Return the format of a scene file, given the value of the key `source` in the recipe."""
+    """Return the format of a scene file, given the value of the recipe key `source`."""
     suffix = path.suffix.lower()
     return next(each for each in FORMATS if each.source == source and (not each.suffixes or suffix in each.suffixes))
 
 
 def is_folder(source: str) -> bool | None:
-    """Return whether the scenes of a source are folders instead of files. None if they can be either."""
+    """Return True if a scene of this source is a folder, False if a scene is a file, and None if a scene can be either."""
     return next((each.is_folder for each in FORMATS if each.source == source), False)

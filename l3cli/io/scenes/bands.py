@@ -29,9 +29,9 @@ def read(path: Path) -> SpectralCube:
     """Read a cube from a folder of pictures, from a picture with several channels, or from the pages of a TIFF file.
 
     The pictures in a folder are sorted by the numbers in their names, and only the first channel of each picture is used.
-    The names of files, channels or pages may state wavelengths ("450nm", "S0.450,5nm"). If only some names state a
-    wavelength, the other bands are left out. If no name states a wavelength, the wavelengths of the cube are None. Raises
-    InputFileError if a folder contains no pictures, or if its pictures differ in size or bit depth.
+    The names of files, channels or pages may contain wavelengths ("450nm", "S0.450,5nm"). If only some names contain a
+    wavelength, bands without a wavelength are omitted. If no name contains a wavelength, the wavelengths of the cube are
+    None. Raises InputFileError if a folder contains no pictures, or if its pictures differ in size or bit depth.
     """
     if path.is_dir():
         pictures = _pictures(path)
@@ -53,7 +53,10 @@ def size(path: Path) -> tuple[int, int]:
 
 
 def files(path: Path) -> list[Path]:
-    """Return the pictures in a folder, sorted by the last number in their names, or the file itself if `path` is a file."""
+    """Return the pictures in a folder, sorted by the last number in their names.
+
+    If `path` is a file, return only this file.
+    """
 
     def order(path: Path) -> tuple[str, int]:
         numbers = re.findall(r"\d+", path.stem)
@@ -74,9 +77,9 @@ def _pictures(folder: Path) -> list[Path]:
 
 
 def _named(names: list[str] | tuple[str, ...]) -> tuple[list[int], NDArray[np.float64] | None]:
-    """Select the bands whose names state a wavelength. Return the indices and the wavelengths in nm of these bands.
+    """Return the indices of the bands whose names contain a wavelength, and these wavelengths in nm.
 
-    If no name states a wavelength, return the indices of all bands, and None.
+    If no name contains a wavelength, return the indices of all bands, and None instead of wavelengths.
     """
     stated = of_names(names)
     wanted = [index for index, each in enumerate(stated) if each is not None]
@@ -111,8 +114,8 @@ def _stacked(pictures: list[Path]) -> NDArray:
 def _of_tiff(values: NDArray, names: list[str], stated: dict[str, Any]) -> SpectralCube:
     """Convert the result of `read_tiff` to a cube.
 
-    The wavelengths are from the metadata or, if the metadata contain no wavelengths, from the names of the bands. Scales and
-    offsets are applied, and pixels with the no-data value are marked.
+    The wavelengths are taken from the metadata or, if the metadata contain no wavelengths, from the names of the bands.
+    Scales and offsets are applied, and pixels with the no-data value are marked.
     """
     if stated["wavelengths"]:
         wanted, wavelength = list(range(values.shape[2])), in_nm(stated["wavelengths"], "")
@@ -139,7 +142,7 @@ def _tiff_size(path: Path) -> tuple[int, int]:
 
 @isolated("OpenImageIO", "tifffile")
 def read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
-    """Return the bands of a TIFF file (row, col, band), their names, and the metadata in the tags (see `_stated`).
+    """Read the bands of a TIFF file (row, col, band), the names of the bands, and the metadata in the tags (see `_stated`).
 
     The list of names is empty if the file contains no names. Raises InputFileError if a page is damaged.
     """
@@ -151,7 +154,7 @@ def read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
         bands = int(np.prod(series.shape)) // (page.imagelength * page.imagewidth)
         stated, names = _stated(file, page, bands), _page_names(file, series, bands)
         pages = [each.index for each in series.pages if each is not None]
-        # ImageJ may write a single page and append the values of the other bands without pages.
+        # ImageJ can write one page and then append the values of the other bands without page headers.
         has_all_pages = len(pages) * page.samplesperpixel == bands
         values = None if has_all_pages else series.asarray()
         axes = series.axes
@@ -176,7 +179,7 @@ def read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
 
 
 def _bands_of(path: Path, file: Any) -> Any:
-    """Return the series of pages (tifffile) that contains the bands.
+    """Return the tifffile series that contains the bands.
 
     Raises InputFileError if the file contains several series of the same size, or if the series has axes other than row,
     column and band.
@@ -229,7 +232,7 @@ def _stated(file: Any, page: Any, bands: int) -> dict[str, Any]:
 
 
 def _page_names(file: Any, series: Any, bands: int) -> list[str]:
-    """Return the names of the bands: ImageJ labels, OME channel names, or the names or descriptions of the pages.
+    """Return the name of each band: its ImageJ label, its OME channel name, or the name or description of its page.
 
     The result is empty if the file does not contain one name per band.
     """

@@ -1,8 +1,8 @@
 """Read spectral cubes from MATLAB, HDF5 and .npy files.
 
-The attributes of an HDF5 dataset describe the scale of its values. l3 reads the attributes of the CF conventions
-(scale_factor, add_offset, _FillValue, missing_value) and of NEON (Scale_Factor, by which the values are divided, and
-Data_Ignore_Value). A .npy file contains only the values, without wavelengths and attributes.
+l3 scales the values of an HDF5 dataset as its attributes specify. l3 supports the attributes of the CF conventions
+(scale_factor, add_offset, _FillValue, missing_value) and the attributes of NEON (Scale_Factor, by which the values are
+divided, and Data_Ignore_Value). A .npy file contains only the values, without wavelengths and attributes.
 """
 
 from collections.abc import Container, Iterator
@@ -22,12 +22,14 @@ from l3cli.io.scenes.wavelengths import GOOD_NAMES, NAMES, in_nm, is_named, unit
 from l3cli.system.limits import require_values
 
 Content = dict[str, Any]
-# Attributes: factor by which stored values are multiplied, offset that is then added, and stored value of a perfect white.
+# Names of attributes: a factor for the stored values, an offset that is added after scaling, and the stored value of a
+# perfect white.
 SCALE, OFFSET, WHITE = "scale_factor", "add_offset", "Scale_Factor"
 MISSING = ("_FillValue", "missing_value", "Data_Ignore_Value")  # attributes that contain the value of pixels without data
 MATLAB, NPY = ".mat", ".npy"
-OTHER_SOURCES = {".tif": "channels", ".tiff": "channels", ".exr": "channels", ".hdr": "envi"}  # suffix → other `source`
-TITLES = ("NAME", "standard_name", "long_name")  # attributes that name an array (HDF5 dimension scales, CF conventions)
+# Suffixes that this module does not read → the value of the key `source` that reads them.
+OTHER_SOURCES = {".tif": "channels", ".tiff": "channels", ".exr": "channels", ".hdr": "envi"}
+TITLES = ("NAME", "standard_name", "long_name")  # attributes that contain the name of an array (HDF5, CF conventions)
 DEEPEST = 16  # maximum nesting of groups or structs
 
 
@@ -46,7 +48,7 @@ def read(path: Path, variable: str | None, axes: str) -> SpectralCube:
     Returns
     -------
     SpectralCube
-        The cube (row, col, band). Its wavelengths are None if the file contains no list of wavelengths.
+        The cube (row, col, band). Its wavelengths are None if the file contains no wavelengths.
 
     Raises
     ------
@@ -55,9 +57,9 @@ def read(path: Path, variable: str | None, axes: str) -> SpectralCube:
 
     Notes
     -----
-    A list of wavelengths has one number per band, and its name is in `wavelengths.NAMES`. l3 searches for the list among the
-    attributes of the cube, then in the group or struct of the cube, then in the enclosing groups, and finally in the whole
-    file.
+    A list of wavelengths is an array or attribute with one number per band and with a name in `wavelengths.NAMES`. l3
+    searches for the list among the attributes of the cube, then in the group or struct of the cube, then in the enclosing
+    groups, and finally in the whole file.
     """
     _refuse_other_source(path)
     content = {"values": map_array(path)} if path.suffix.lower() == NPY else read_content(path)
@@ -123,7 +125,7 @@ def _refuse_other_source(path: Path) -> None:
 
 
 def _path_of(variable: str) -> str:
-    """Convert the name of a variable, such as "a", "a/b" or "a.b", to a path with slashes."""
+    """Convert the name of a variable, such as "a", "a/b" or "a.b", to a path with "/" as the separator."""
     return variable.replace(".", "/").strip("/")
 
 
@@ -133,8 +135,8 @@ Lists = dict[tuple[str, str], NDArray[np.float64]]  # (group, name) → list of 
 def _lists(arrays: dict[str, NDArray], attributes: dict[str, dict[str, Any]], length: int) -> Lists:
     """Return all lists of `length` numbers in the arrays and attributes of a file, or no lists if `length` is 1.
 
-    The key of a list is (group, name). For a list in an attribute, the group is the path of the group or array to which the
-    attribute belongs.
+    The keys of the result are (group, name). For a list in an attribute, the group is the path of the group or array to
+    which the attribute belongs.
     """
     found: Lists = {}
     for path, values in arrays.items():
@@ -150,7 +152,7 @@ def _lists(arrays: dict[str, NDArray], attributes: dict[str, dict[str, Any]], le
 
 
 def _titles(attributes: dict[str, Any]) -> Iterator[str]:
-    """Yield the names of an array that are stored in its attributes, such as "long_name"."""
+    """Yield the names of an array that its attributes contain, such as the value of "long_name"."""
     for key in TITLES:
         if isinstance(title := attributes.get(key), str):
             yield title.removeprefix("radiation_")  # as in the CF standard name "radiation_wavelength"
@@ -177,8 +179,9 @@ def _nearest(
 def _wavelengths(path: Path, cube: str, lists: Lists, attributes: dict[str, dict[str, Any]]) -> NDArray[np.float64] | None:
     """Return the wavelength of each band in nm, or None if the file contains no list of wavelengths.
 
-    The unit is in the attribute "unit" or "units" of the list or in the last word of its name. Otherwise it is inferred from
-    the numbers. Raises InputFileError if a list is invalid, or if the nearest lists differ.
+    The unit is the attribute "unit" or "units" of the list, or the last word of the name of the list. If the file states no
+    unit, l3 infers the unit from the numbers. Raises InputFileError if a list is invalid, or if several lists are equally
+    near to the cube but differ.
     """
     found = []
     titled = {key for key in lists if any(map(is_named, _titles(attributes.get("/".join(key).strip("/"), {}))))}
@@ -213,16 +216,16 @@ def _good_bands(cube: str, lists: Lists) -> NDArray[np.bool_] | None:
 def read_content(path: Path) -> Content:
     """Read all numeric arrays in a MATLAB file (suffix .mat) or an HDF5 file (any other suffix).
 
-    Groups and structs become nested dictionaries. Arrays that MATLAB wrote have the same order of axes as in MATLAB, and
-    axes of length 1 are removed. From MATLAB files before version 7.3, strings are also read. Raises InputFileError if the
-    file cannot be read.
+    Groups and structs become nested dictionaries. Arrays that MATLAB wrote keep the order of axes that they have in MATLAB,
+    without axes of length 1. From MATLAB files before version 7.3, strings are also read. Raises InputFileError if the file
+    cannot be read.
     """
     return read_matlab(path) if path.suffix.lower() == MATLAB else _read_hdf5(path)
 
 
 @isolated("h5py", "scipy.io")
 def read_matlab(path: Path) -> Content:
-    """Read the content of a MATLAB file as `read_content` does, whatever the suffix of the file."""
+    """Read a MATLAB file with any suffix. The result has the same form as the result of `read_content`."""
     import h5py
 
     return _stored(path, reverse=True) if h5py.is_hdf5(path) else _loaded(path)  # version 7.3 is HDF5, with reversed axes
@@ -235,10 +238,11 @@ def _read_hdf5(path: Path) -> Content:
 
 @isolated("h5py", "scipy.io")
 def array_shapes(path: Path) -> dict[str, tuple[int, ...]]:
-    """Return the shape of each numeric array in a MATLAB or HDF5 file, by its path in the file, such as "a" or "a/b".
+    """Return the shape of each numeric array in a MATLAB or HDF5 file.
 
-    The shapes agree with the arrays that `read_content` returns. Only headers are read, except that structs in MATLAB files
-    before version 7.3 must be read completely.
+    The keys of the result are paths in the file, such as "a" or "a/b". The shapes are the shapes of the arrays that
+    `read_content` returns. Only headers are read, except that structs in MATLAB files before version 7.3 must be read
+    completely.
     """
     import h5py
 
@@ -279,7 +283,7 @@ def _loaded(path: Path, names: list[str] | None = None) -> Content:
 
 
 def _plain(content: Content, depth: int = 0) -> Content:
-    """Return only the fields that contain numbers or text. Structs that are nested too deeply are left out."""
+    """Remove all fields that are not numbers, text or structs, and all structs at a nesting depth above DEEPEST."""
     fields: Content = {}
     for name, value in content.items():
         if isinstance(value, dict) and depth < DEEPEST:
@@ -290,17 +294,18 @@ def _plain(content: Content, depth: int = 0) -> Content:
 
 
 def _is_matlab(path: Path) -> bool:
-    """Return whether an HDF5 file was written by MATLAB, as a file of version 7.3."""
+    """Return whether a file is a MATLAB file of version 7.3, which is an HDF5 file."""
     with open(path, "rb") as stream:
         return stream.read(10) == b"MATLAB 7.3"
 
 
 @isolated("h5py")
 def _attributes(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the attributes of the groups and datasets in an HDF5 file, by the path of the group or dataset.
+    """Return the attributes of all groups and datasets in an HDF5 file.
 
-    The path of the root is "". Only attributes that are numbers or strings are included. Groups and datasets without such
-    attributes are left out. If the file is not an HDF5 file, the result is empty.
+    The keys of the result are the paths of the groups and datasets, and "" for the root. Only attributes that are numbers or
+    strings are included. Groups and datasets without such attributes are omitted. If the file is not an HDF5 file, the
+    result is empty.
     """
     import h5py
 
@@ -321,7 +326,7 @@ def _attributes(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def _plain_attribute(attributes: Any, key: str) -> Any:
-    """Return an attribute that is a string or an array of at most a million numbers. Return None for any other attribute."""
+    """Return an attribute if it is a string or an array of at most a million numbers. Otherwise return None."""
     kind, shape = attributes.get_id(key).dtype, attributes.get_id(key).shape
     if kind.kind in "fiu" and np.prod(shape, dtype=float) <= 1e6:
         return np.asarray(attributes[key])

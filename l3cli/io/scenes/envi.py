@@ -28,7 +28,7 @@ STANDARD = ("envi standard", "envi", "standard", *UNSTATED)  # file types of unc
 DATA = ("", ".img", ".dat", ".raw", ".bsq", ".bil", ".bip", ".bin", ".cube", ".hyspex")  # suffixes of data files
 CURE = "use a complete ENVI header"
 
-# Words in the names of manufacturers' fields that suggest an effect on the values, as in "radiance gain" or "dark level".
+# Words in a field name that suggest that a manufacturer's field affects the values, as in "radiance gain" or "dark level".
 CHANGING = re.compile(
     r"gain|offset|scal|factor|calib|coeff|multipl|slope|intercept|bias|dark|black|white|ceiling|gamma|linear|"
     r"no ?data|ignore|mask|bad|invalid|fill|unit|quantity|radiance|reflectance|responsivity|sensitivity"
@@ -42,7 +42,9 @@ class HeaderField:
     """A field of an ENVI header."""
 
     name: str
-    fate: str  # READ: l3 uses it; REFUSED: l3 rejects values that it does not support; HARMLESS: it does not affect the cube
+    # READ: l3 uses the field; REFUSED: l3 rejects unsupported values of the field; HARMLESS: the field does not affect the
+    # cube
+    fate: str
     meaning: str  # for the documentation
 
 
@@ -131,13 +133,13 @@ FIELDS = (
 
 @dataclass(frozen=True)
 class Layout:
-    """Type and positions of the values in the data file."""
+    """Data type and positions of the values in the data file."""
 
     shape: tuple[int, int, int]  # lengths of `axes`
     axes: tuple[str, str, str]  # "lines", "samples" and "bands" in the order of the file; the last axis varies fastest
     dtype: np.dtype
     offset: int  # number of bytes before the first value
-    strides: tuple[int, int, int]  # distances in bytes between neighbouring values along `axes`
+    strides: tuple[int, int, int]  # distance in bytes between neighbouring values along each of `axes`
     end: int  # minimum size of the data file in bytes
 
     @property
@@ -146,7 +148,10 @@ class Layout:
 
 
 class Header:
-    """The fields of an ENVI header file, by name in lower case. Raises InputFileError if the file is not an ENVI header."""
+    """The fields of an ENVI header file.
+
+    Field names are in lower case. Raises InputFileError if the file is not a header.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path, self.fields = path, _fields(path)
@@ -160,7 +165,7 @@ class Header:
     def whole(self, name: str, least: int = 0, default: int | None = None) -> int:
         """Return a field as an integer, or `default` if the field is missing.
 
-        Raises InputFileError if the field is not an integer of at least `least`, or if it is missing and has no default.
+        Raises InputFileError if the field is not an integer of at least `least`, or if it is missing and `default` is None.
         """
         text = self.text(name)
         if not text and default is not None:
@@ -172,9 +177,9 @@ class Header:
         return int(text)
 
     def numbers(self, name: str, count: int) -> NDArray[np.float64] | None:
-        """Return a field as `count` numbers, or None if the field is missing. A single number in the field is repeated.
+        """Return the `count` numbers in a field, or None if the field is missing. A single number is repeated `count` times.
 
-        Raises InputFileError if the field contains a different number of entries, or an entry that is not a number.
+        Raises InputFileError if the field contains a wrong number of entries, or an entry that is not a number.
         """
         if not self.text(name):
             return None
@@ -196,8 +201,8 @@ def read(path: Path, holds: str = "reflectance") -> SpectralCube:
     path : Path
         The header.
     holds : str
-        Content of the cube according to the recipe: "reflectance", "radiance" or "photons". It determines whether l3 uses
-        the gains for reflectance or the gains for radiance.
+        Content of the cube according to the recipe: "reflectance", "radiance" or "photons". For "reflectance", the gains for
+        reflectance are applied if the header contains them. Otherwise, the gains for radiance are applied.
 
     Returns
     -------
@@ -241,20 +246,20 @@ def files(path: Path) -> list[Path]:
 
 
 def unknown(path: Path) -> list[str]:
-    """Return the names of header fields that are not in FIELDS and that suggest an effect on the values.
+    """Return the names of header fields that are not in FIELDS and that probably affect the values.
 
-    Empty fields are left out.
+    Empty fields are omitted.
     """
     known = {field.name for field in FIELDS}
     return [name for name, text in _fields(path).items() if name not in known and text and CHANGING.search(name)]
 
 
 def _fields(path: Path) -> dict[str, str]:
-    """Return the fields of a header, with names in lower case and values without braces and comments.
+    """Read the fields of a header as a dictionary from names in lower case to values.
 
-    Raises InputFileError if the file is not an ENVI header.
+    Braces and comments are removed from the values. Raises InputFileError if the file is not an ENVI header.
     """
-    with open_regular(path, "use the .hdr file") as stream:  # `read_bounded` would only report that a data file is too large
+    with open_regular(path, "use the .hdr file") as stream:  # before `read_bounded`, which rejects data files as too large
         if b"ENVI" not in stream.read(64):
             raise InputFileError(f"{path} is not an ENVI header; use the .hdr file of the cube")
     content = read_bounded(path)
@@ -280,7 +285,10 @@ def _fields(path: Path) -> dict[str, str]:
 
 
 def _goes_on(value: str, following: str) -> bool:
-    """Return whether a value continues in the following line: its brace is still open, or the brace opens in that line."""
+    """Return whether the value of a field continues in the following line.
+
+    A value continues if its brace is not closed yet, or if it is empty and the following line starts with a brace.
+    """
     return "}" not in value if value.startswith("{") else not value and following.lstrip().startswith("{")
 
 
@@ -296,7 +304,7 @@ def _data(path: Path) -> Path:
 
 
 def _whole_data(path: Path, layout: Layout) -> Path:
-    """Return the data file of a header. Raises InputFileError if it is missing or too short."""
+    """Return the data file of a header. Raises InputFileError if the data file is missing or too short."""
     data = _data(path)
     size = data.stat().st_size
     if size < layout.end:
@@ -347,9 +355,10 @@ def _frame_offsets(header: Header, name: str) -> tuple[int, int]:
 
 
 def _wavelengths(header: Header) -> NDArray[np.float64] | None:
-    """Return the wavelength of each band in nm, from the field "wavelength" or, without it, from the names of the bands.
+    """Return the wavelength of each band in nm.
 
-    Returns None if there are no wavelengths. Raises InputFileError if the field or its unit is invalid.
+    The wavelengths are in the field "wavelength". If this field is missing, they are in the names of the bands. Returns None
+    if the header contains no wavelengths. Raises InputFileError if the field or its unit is invalid.
     """
     bands = header.whole("bands", 1)
     if (listed := header.numbers("wavelength", bands)) is not None:
@@ -377,11 +386,11 @@ def _good_bands(header: Header) -> NDArray[np.bool_] | None:
 
 
 def _scale(header: Header, holds: str) -> tuple[NDArray[np.float64], NDArray[np.float64], float | None]:
-    """Return the gain and the offset of each band, and the value of a perfect white.
+    """Return the gain of each band, the offset of each band, and the value of a perfect white.
 
-    The value of a perfect white applies to the scaled data. It is None if the header does not determine it. The gains for
-    reflectance are used if the cube contains reflectance, otherwise the gains for radiance. Raises InputFileError if a field
-    is invalid, or if two fields scale the data.
+    The value of a perfect white is the value after scaling, or None if the header does not contain it. If `holds` is
+    "reflectance" and the header contains gains for reflectance, these gains are used. Otherwise, the gains for radiance are
+    used. Raises InputFileError if a field is invalid, or if two fields scale the data.
     """
     bands = header.whole("bands", 1)
     white = None
@@ -423,7 +432,7 @@ def _scale(header: Header, holds: str) -> tuple[NDArray[np.float64], NDArray[np.
 def _linear(header: Header, kind: str, bands: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Return the gain and the offset of each band from the fields whose names begin with `kind`.
 
-    Missing gains are 1 and missing offsets are 0. If all gains are 1 and all offsets are 0, return None.
+    Missing gains are 1, and missing offsets are 0. Returns None if all gains are 1 and all offsets are 0.
     """
     gain, offset = (header.numbers(f"{kind} {what} values", bands) for what in ("gain", "offset"))
     gain, offset = np.ones(bands) if gain is None else gain, np.zeros(bands) if offset is None else offset

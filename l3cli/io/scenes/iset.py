@@ -15,20 +15,20 @@ Curve = tuple[NDArray[np.floating], NDArray[np.floating]]  # wavelengths in nm, 
 
 
 def read(path: Path, light: Curve | None = None) -> Scene:
-    """Read the reflectances of an ISET scene and its illuminant.
+    """Read the reflectances of an ISET scene and the illuminant of the scene.
 
-    ISET stores scenes in three forms, and l3 reads all of them: a struct `scene`, the variables `photons` and `wave`, or
-    coefficients `mcCOEF` of basis functions, to which a mean spectrum `imgMean` is added. Photon counts are stored as
-    floating-point numbers, or as integers that are scaled to the range from `dmin` to `dmax`. l3 divides the photon counts
-    by the illuminant to obtain reflectances. Negative reflectances are noise and are set to zero. Reflectances above 1 are
-    specular highlights and are preserved (docs/method.md#simulation).
+    l3 reads all three forms in which ISET stores scenes: a struct `scene`, the variables `photons` and `wave`, and
+    coefficients `mcCOEF` of basis functions with an optional mean spectrum `imgMean`. Photon counts are floating-point
+    numbers, or integers that represent the range from `dmin` to `dmax`. l3 divides the photon counts by the illuminant to
+    obtain reflectances. Negative reflectances are noise and are set to zero. Reflectances above 1 are specular highlights
+    and are preserved (docs/method.md#simulation).
 
     Parameters
     ----------
     path : Path
         The scene file.
     light : tuple of ndarray, optional
-        Wavelengths in nm and photons of an illuminant, which is used if the file contains no illuminant.
+        Illuminant that is used if the file contains no illuminant: wavelengths in nm, and photons at each wavelength.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def read(path: Path, light: Curve | None = None) -> Scene:
 def size(path: Path, light: Curve | None = None) -> tuple[int, int]:
     """Return the number of rows and columns of the scene that `read` returns.
 
-    The photons are read only if the header does not state the size. Raises the same errors as `read`.
+    The photons are read only if the header does not contain the size. Raises the same errors as `read`.
     """
     shapes = array_shapes(path)
     for name in (f"{scene}{array}" for scene in ("scene/", "") for array in ("mcCOEF", "photons", "data/photons")):
@@ -103,9 +103,9 @@ def _photons(content: Content) -> tuple[NDArray[np.float64], NDArray[np.float32]
 def _illuminant(stored: Any, wavelength: NDArray[np.float64], light: Curve | None) -> NDArray[np.float64]:
     """Return the photons that a perfect white reflects under the illuminant, at each wavelength.
 
-    New versions of ISET store photons. Old versions store energy, and l3 converts the energy to photons. If the file has no
-    illuminant (`stored` is not a struct), `light` is used. Raises KeyError if `light` is None too, or if a variable of the
-    struct is missing.
+    New versions of ISET store photons. Old versions store energy, which l3 converts to photons. If the file contains no
+    illuminant, `stored` is not a struct, and `light` is used. Raises KeyError if the illuminant is incomplete, or if both
+    the file and `light` contain no illuminant.
     """
     if not isinstance(stored, dict):
         if light is None:
@@ -130,8 +130,8 @@ def _numbers(values: Any) -> NDArray[np.float64]:
 def _decoded(values: Any, holder: Content, low: str, high: str) -> NDArray[np.float32]:
     """Convert stored values to float32. Integers are scaled linearly to the range between two limits.
 
-    0 becomes the lower limit, and the maximum of the integer type becomes the upper limit. `low` and `high` are the names of
-    the limits in the struct `holder`.
+    The integer 0 becomes the lower limit, and the largest integer of the data type becomes the upper limit. The struct
+    `holder` contains the limits in its fields `low` and `high`.
     """
     array = np.asarray(values)
     decoded = array.astype(np.float32)

@@ -1,7 +1,7 @@
 """Read pictures that were taken through a polariser at several angles.
 
-The pictures are in a folder, with one picture per angle, or in a single file with a stack. The recipe or the names of the
-pictures state the angles.
+The pictures are in a folder, with one picture per angle, or in a single file with a stack of pictures. The angles are stated
+in the recipe or in the names of the pictures.
 """
 
 import re
@@ -24,11 +24,11 @@ PICTURES = (".png", ".tif", ".tiff", ".pgm", ".ppm", ".exr", ".jpg", ".jpeg")
 NUMBER = re.compile(r"[0-9]+(?:\.[0-9]+)?")
 DEGREES = re.compile(r"([0-9]+(?:\.[0-9]+)?) ?(?:deg|°)", re.IGNORECASE)
 FEWEST_PICTURES = 3
-MAX_CONDITION = 10.0  # of the matrix of Malus's law; 1.4 for 0°, 45°, 90° and 135°, 6 for 0°, 30° and 60°
+MAX_CONDITION = 10.0  # condition number of the Malus matrix: 1.4 for 0°, 45°, 90° and 135°; 6 for 0°, 30° and 60°
 
 
 def read(path: Path, pictures: str, angles_deg: Sequence[float] | None) -> PolarisedPictures:
-    """Read the pictures of a folder or of a stack.
+    """Read the pictures in a folder or in a stack.
 
     Parameters
     ----------
@@ -75,7 +75,10 @@ def size(path: Path, pictures: str, angles_deg: Sequence[float] | None) -> tuple
 
 
 def files(path: Path) -> list[Path]:
-    """Return all pictures in a folder in natural order, whether selected or not. For a file, return the file itself."""
+    """Return all pictures in a folder in natural order, or the file itself if `path` is a file.
+
+    The result includes pictures that the recipe does not select.
+    """
     if not path.is_dir():
         return [path]
     return sorted((each for each in path.iterdir() if _is_picture(each)), key=natural_order)
@@ -86,7 +89,10 @@ def _is_picture(path: Path) -> bool:
 
 
 def _selected(folder: Path, pattern: str) -> list[Path]:
-    """Return the pictures of a folder whose names match the glob. Raises InputFileError if there are too few."""
+    """Return the pictures in a folder whose names match a glob.
+
+    Raises InputFileError if fewer than FEWEST_PICTURES match.
+    """
     found = [each for each in files(folder) if each.match(pattern)]
     if len(found) < FEWEST_PICTURES:
         names = f" ({listed(each.name for each in found)})" if found else ""
@@ -132,10 +138,11 @@ def _angles(folder: Path, paths: list[Path], stated: Sequence[float] | None) -> 
 
 
 def _named_angles(names: list[str]) -> tuple[float, ...] | None:
-    """Return the angle in degrees in the name of each picture, or None if not every name states exactly one angle.
+    """Return the angle in degrees in the name of each picture, or None if not every name contains exactly one angle.
 
-    The angle is the only number with a unit (45deg, 45°). Without units, it is the only number in each name, or the only
-    number that differs between the names if all other parts of the names are equal.
+    If every name contains exactly one number with a unit (45deg, 45°), this number is the angle. Otherwise, if every name
+    contains exactly one number, this number is the angle. Otherwise, the names may differ in only one number, which is the
+    angle.
     """
     with_unit = [DEGREES.findall(name) for name in names]
     if all(len(each) == 1 for each in with_unit):
@@ -161,7 +168,10 @@ def _require_determined(path: Path, angles: Sequence[float]) -> None:
 
 
 def _stacked(paths: list[Path]) -> NDArray:
-    """Read pictures as an array (picture, row, col, colour). Raises InputFileError if they differ in size or type."""
+    """Read pictures as an array (picture, row, col, colour).
+
+    Raises InputFileError if the pictures differ in size or type.
+    """
     values: NDArray | None = None
     for index, path in enumerate(paths):
         pixels = _colours(path, read_image(path)[0])
@@ -179,7 +189,7 @@ def _stacked(paths: list[Path]) -> NDArray:
 
 
 def _colours(path: Path, pixels: NDArray) -> NDArray:
-    """Return the pixels (row, col, 1 or 3) without an alpha channel. Raises InputFileError for more than 4 channels."""
+    """Remove the alpha channel, so that 1 or 3 channels remain. Raises InputFileError for more than 4 channels."""
     channels = pixels.shape[2]
     if channels > 4:
         raise InputFileError(f"{path} has {channels} channels; use grey or RGB pictures")
@@ -187,9 +197,9 @@ def _colours(path: Path, pixels: NDArray) -> NDArray:
 
 
 def _stack(path: Path) -> NDArray:
-    """Read the pictures of a stack as an array (picture, row, col, colour).
+    """Read a stack as an array (picture, row, col, colour).
 
-    The last axis has the length 1 for grey pictures. Raises InputFileError if the file is not a stack.
+    Grey pictures have one colour. Raises InputFileError if the file is not a stack.
     """
     suffix = path.suffix.lower()
     if suffix in bands.TIFF:

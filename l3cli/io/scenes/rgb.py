@@ -1,5 +1,7 @@
-"""Read RGB pictures as scenes. Their values are either colours, from which l3 estimates spectra, or signals of camera
-channels."""
+"""Read RGB pictures as scenes.
+
+The values of a picture are either colours, from which l3 estimates spectra, or signals of camera channels.
+"""
 
 from pathlib import Path
 
@@ -19,8 +21,9 @@ def size(path: Path, holds: str = "sRGB") -> tuple[int, int]:
 def read(path: Path, holds: str = "sRGB") -> NDArray[np.float32]:
     """Read a picture (row, col, 3) as linear values, where 1 is white. An alpha channel is ignored.
 
-    Integers are decoded from sRGB. If `holds` is "codes", they are divided by the maximum of their type instead. Floats are
-    assumed to be linear, and negative floats and NaN become 0. Raises InputFileError if the file is not a colour picture.
+    If `holds` is "codes", integers are divided by the maximum of their data type. Otherwise, integers are decoded from sRGB.
+    Floating-point values are assumed to be linear, and negative values and NaN become 0. Raises InputFileError if the file
+    is not a colour picture.
     """
     pixels, names = read_image(path)
     if len(names) < 3:

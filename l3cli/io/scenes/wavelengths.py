@@ -1,4 +1,4 @@
-"""Find the wavelengths of bands in lists of numbers and in the names of bands, pages, files and arrays."""
+"""Determine the wavelengths of bands from lists of numbers and from the names of bands, pages, files and arrays."""
 
 import re
 from collections.abc import Sequence
@@ -12,15 +12,15 @@ NAMES = (
     "wave", "wavelength", "wavelengths", "lambda", "wl", "wvl", "bands", "wlens", "wavelengthlist", "bandwavelengths",
     "centerwavelength", "centerwavelengths", "centrewavelength", "centrewavelengths", "bandcenters", "bandcentres",
 )  # fmt: skip
-GOOD_NAMES = ("bbl", "goodwavelengths", "goodbands")  # names of lists of 0 (bad band) and 1 (good band)
-UNSTATED = ("", "unknown", "none", "n/a")  # values of header fields, such as a unit, that state nothing
+GOOD_NAMES = ("bbl", "goodwavelengths", "goodbands")  # names of lists in which 0 is a bad band and 1 is a good band
+UNSTATED = ("", "unknown", "none", "n/a")  # header values that mean "not specified"
 INVERSE_CM = ("wavenumber", "wavenumbers", "cm-1", "1/cm", "cm^-1", "cm⁻¹")
 HERTZ = {"thz": 1e12, "ghz": 1e9, "mhz": 1e6, "khz": 1e3, "hz": 1.0}
 METRIC = {"millimeter": 1e6, "millimetre": 1e6, "centimeter": 1e7, "centimetre": 1e7, "meter": 1e9, "metre": 1e9}
 LIGHT_SPEED_NM = 299792458e9  # nm/s
 MICROMETRES = 100.0  # numbers without a unit are assumed to be in µm if all of them are below this number
 UNIT_WORDS = "Nanometers, Micrometers, Millimeters, Centimeters, Meters, Angstroms, Wavenumber, GHz, MHz, Index"
-SHORTEST, LONGEST = 300.0, 2600.0  # range in nm in which a number without a unit in a name can be a wavelength
+SHORTEST, LONGEST = 300.0, 2600.0  # a number without a unit in a name is a wavelength only within this range, in nm
 IN_NAME = re.compile(r"(\d+(?:[.,]\d+)?)[\s_]*(nm|nanomet\w*|[uµμ]m|micromet\w*|microns?)(?![A-Za-z])", re.IGNORECASE)
 
 
@@ -33,7 +33,7 @@ def in_nm(values: Sequence[float] | NDArray, unit: str) -> NDArray[np.float64] |
         Numbers in the unit `unit`.
     unit : str
         Name of the unit in the file. If it is empty or "unknown", consecutive integers from 0 or 1 are assumed to be indices
-        of bands. Other numbers are assumed to be in µm if all of them are below 100, and otherwise in nm.
+        of bands. Other numbers without a unit are assumed to be in µm if all of them are below 100, and otherwise in nm.
 
     Returns
     -------
@@ -64,10 +64,10 @@ def in_nm(values: Sequence[float] | NDArray, unit: str) -> NDArray[np.float64] |
 
 
 def in_name(name: str) -> float | None:
-    """Return the wavelength in nm in the name of a band or file, such as "red (650.5 nm)", or None if it has none.
+    """Return the wavelength in nm in a name such as "red (650.5 nm)", or None if the name contains no wavelength.
 
-    A comma or a period in the number is a decimal separator. However, if the number in nm were below 100, the period would
-    separate the number from the text before it: "S0.450nm" is 450 nm.
+    A comma or a period in the number is a decimal separator, unless the wavelength would then be below 100 nm. In this case,
+    the wavelength starts after the separator: "S0.450nm" is 450 nm.
     """
     found = IN_NAME.search(name)
     if found is None:
@@ -81,9 +81,9 @@ def in_name(name: str) -> float | None:
 def of_names(names: Sequence[str]) -> list[float | None]:
     """Return the wavelength in nm in each name, or None for each name without a wavelength.
 
-    If no name contains a wavelength with a unit, the last number in each name is assumed to be a wavelength in nm, provided
-    that there are at least two names, every name contains a number, all numbers are from 300 to 2600, and any two numbers
-    differ by at least 2. Otherwise the numbers are assumed to be indices of bands.
+    If no name contains a wavelength with a unit, the last number in each name is assumed to be a wavelength in nm under four
+    conditions: there are at least two names, every name contains a number, all numbers are from 300 to 2600, and any two
+    numbers differ by at least 2. Otherwise, the result is None for every name.
     """
     stated = [in_name(name) for name in names]
     if any(stated):
@@ -100,12 +100,12 @@ def of_names(names: Sequence[str]) -> list[float | None]:
 
 
 def is_named(name: str, names: Sequence[str] = NAMES) -> bool:
-    """Return whether the name of an array is one of `names`. Letter case, punctuation and a unit at the end are ignored."""
+    """Return whether an array name is in `names`. Letter case, punctuation and a unit at the end of the name are ignored."""
     return _plain(name) in names
 
 
 def unit_in(name: str) -> str:
-    """Return the unit at the end of the name of an array, as in "wavelength_um" or "Wavelength (nm)", or "" if none."""
+    """Return the unit at the end of an array name, as in "wavelength_um" or "Wavelength (nm)", or "" without a unit."""
     words = [word for word in re.split(r"[\s_()\[\]/]+", name) if word]
     return words[-1] if len(words) > 1 and length_nm(words[-1]) is not None else ""
 
