@@ -23,7 +23,7 @@ STEP = 3.0  # largest plausible ratio between the response to a monochromatic ca
 END = 20.0
 LEAST = 0.02  # differences below this fraction of the largest response or signal are ignored
 NEAR_TOP = 0.85  # signals above this fraction of the largest signal may be saturated
-LONGEST = 20.0  # largest plausible ratio between the expected signal of a saturated capture and the saturation
+LONGEST = 20.0  # largest plausible ratio between the expected signal of a saturated capture and the largest measured signal
 DRIFT = 0.05  # DN; tolerated drift of the black level
 Array = NDArray[np.float64]
 
@@ -117,8 +117,7 @@ def check_series(captures: Sequence[BandCapture], light: NDArray[np.int64], valu
 
 
 def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: Array, absolute: bool) -> None:
-    """Raise InputFileError if a chart contradicts the other charts, or if all charts contradict the monochromatic
-    captures.
+    """Raise InputFileError if a chart contradicts the other charts or the monochromatic captures.
 
     Parameters
     ----------
@@ -129,8 +128,8 @@ def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: A
     predicted : ndarray, (chart, channel)
         Signals that the responsivity curves from the monochromatic captures predict.
     absolute : bool
-        Whether the radiances of the monochromatic captures are in absolute units. If they are not, the charts are compared
-        only with each other.
+        Whether the radiances of the monochromatic captures are in absolute units. If they are relative, the charts are
+        compared only with each other.
     """
     ratio = np.median(np.maximum(measured, 1e-9) / np.maximum(predicted, 1e-30), axis=1)
     # If there are only two charts, the monochromatic captures decide which of them is wrong.
@@ -201,9 +200,9 @@ def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
 
 
 def _check_alike(captures: Sequence[Capture], rates: Array, kind: str) -> None:
-    """Raise InputFileError if the signals per second of captures under the same light disagree by more than FACTOR.
+    """Raise InputFileError if the signals per second of captures under one illuminant differ by more than FACTOR (a ratio).
 
-    Two captures are compared with each other. If there are more captures, each is compared with the median.
+    Two captures are compared with each other. If there are more captures, each capture is compared with the median.
     """
     if len(captures) < 2:
         return

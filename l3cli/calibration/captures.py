@@ -332,7 +332,7 @@ def correct_by_frames(camera: CameraModel, measurements: Measurements) -> Camera
 
 
 def _nearest(darks: Sequence[Capture], exposure: float) -> int:
-    """Return the index of the dark capture whose exposure time has the smallest ratio to `exposure`, in either direction."""
+    """Return the index of the dark capture whose exposure time is nearest to `exposure` on a logarithmic scale."""
     return int(np.argmin([abs(np.log(dark.exposure / exposure)) for dark in darks]))
 
 

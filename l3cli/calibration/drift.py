@@ -15,9 +15,10 @@ from l3cli.calibration.captures import Charts
 from l3cli.calibration.responsivity import Sweep, chart_factors, fit_gain, smoothers
 
 MEMORY = 0.8  # correlation of the drift between consecutive captures in the measurement file
-CHART_ERROR = 0.002  # relative error of a chart's mean in a channel; half of it is due to errors of 0.5 % in single patches
-TRIED = np.geomspace(2e-4, 0.2, 100)  # possible values of the relative standard deviation of the drift
-EVIDENCE = 4.0  # smallest log likelihood ratio with which the estimated drift replaces the declared drift
+# relative error of a chart's mean in a channel; half of this error is due to errors of 0.5 % in single patches
+CHART_ERROR = 0.002
+TRIED = np.geomspace(2e-4, 0.2, 100)  # trial values of the relative standard deviation of the drift
+EVIDENCE = 4.0  # the estimated drift replaces the declared drift if the log likelihood ratio is at least this value
 Array = NDArray[np.float64]
 
 
@@ -26,7 +27,7 @@ class DriftError:
     """Drift of the lamps, estimated from the charts, and the resulting uncertainty of the responsivities."""
 
     deviation: float  # relative standard deviation of the lamps from their measured spectra
-    curve_error: Array  # (channel, wavelength): standard deviation of the responsivities, without the error of their scale
+    curve_error: Array  # (channel, wavelength): standard deviation of the responsivities, excluding the error of their scale
     scale_error: float  # relative standard deviation of the scale of the responsivities
 
 
@@ -57,16 +58,17 @@ def estimate_drift(
 
     Notes
     -----
-    The logarithms of the ratios of measured to predicted signals, one per chart and channel, are linear in the unknown
+    For each chart and channel, the logarithm of measured signal / predicted signal is a linear function of the unknown
     drifts of all captures. The drifts are assumed to be normally distributed, with an exponential correlation between
-    captures. The prior of the logarithm of their standard deviation is uniform. The returned deviation is the square root of
-    the posterior mean of the variance. With few charts, it is larger than the most probable deviation.
+    captures. The prior of the logarithm of the standard deviation of the drift is uniform. The returned deviation is the
+    square root of the posterior mean of the variance. With few charts, it is larger than the most probable deviation.
     """
     steps, count = len(sweep.values), len(charts.values)
     order = np.arange(steps + count)
     correlation = MEMORY ** np.abs(order[:, None] - order)
     factors = np.empty((count, len(curves)))
-    # (chart, channel, capture): derivative of the logarithm of a ratio with respect to the drift in each capture
+    # (chart, channel, capture): derivative of ln(measured signal / predicted signal) with respect to the drift in each
+    # capture
     response = np.zeros((count, len(curves), steps + count))
     deformations = []
     for channel, (curve, smoother) in enumerate(zip(curves, smoothers(sweep, delta), strict=True)):
@@ -96,8 +98,8 @@ def estimate_drift(
 def _deviation(factors: Array, covariance: Array, declared: float) -> float | None:
     """Return the standard deviation of the drift, or None if the declared drift explains the ratios.
 
-    `factors` contains the logarithms of the ratios of all charts and channels. `covariance` is the covariance that these
-    logarithms have for a drift with a standard deviation of 1.
+    `factors` contains ln(measured signal / predicted signal) for all charts and channels. `covariance` is the covariance of
+    these logarithms if the drift has a standard deviation of 1.
     """
     variance, directions = np.linalg.eigh(covariance)
     seen = (directions.T @ factors) ** 2

@@ -60,7 +60,7 @@ def line_errors(camera: CameraModel) -> dict[str, tuple[float, str]]:
     Returns
     -------
     dict
-        Name for tables → half-width of the interval, and its unit. Noise that is zero or was not measured is left out.
+        Half-width of the interval and its unit, by name for tables. Noise that is zero or was not measured is omitted.
     """
     fit, noise = camera.fit.noise if camera.fit else None, camera.noise
     if fit is None:
@@ -191,7 +191,7 @@ def _polariser_columns(fit: PolariserFit) -> dict[str, Any]:
 
 
 def _lights(camera: CameraModel, chart: ChartFit) -> dict[str, dict[str, float]]:
-    """Return R² and the relative RMSE of each channel for each chart and its illuminant."""
+    """Return R² and the relative RMSE of each channel, for each chart capture."""
     rows = {}
     for index, light in enumerate(chart.illuminants):
         measured, predicted = chart.measured[index][None], chart.predicted[index][None]
@@ -400,7 +400,7 @@ def matrix_lines(matrices: dict[str, dict[str, dict[str, Any]]], width: int | No
     Parameters
     ----------
     matrices : dict
-        Illuminant: matrix: statistics of CIEDE2000 errors over measured surfaces.
+        Statistics of CIEDE2000 errors over measured surfaces, by illuminant and by matrix.
     width : int, optional
         Largest width in characters.
     """
@@ -507,7 +507,7 @@ def shortfall(camera: CameraModel) -> str | None:
 
 
 def _photo_shortfall(fit: PhotoFit, channels: tuple[str, ...]) -> str | None:
-    """Describe the first photo whose patches do not fit the curves. The result is None if all fit."""
+    """Describe the first photo whose patches do not fit the curves. The result is None if all photos fit."""
     for index, name in enumerate(fit.names):
         worst = int(fit.misfit[index].argmax())
         if fit.misfit[index, worst] > MOST_MISFIT:

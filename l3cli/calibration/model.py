@@ -107,7 +107,7 @@ def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = 
     Raises
     ------
     InputFileError
-        If a measured gain does not agree with its ISO speed, or if a capture cannot be used.
+        If a measured gain contradicts its ISO speed, or if a capture cannot be used.
     """
     body, found = measurements.body, {}
     if measurements.iso is None:

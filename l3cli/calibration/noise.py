@@ -38,7 +38,8 @@ SATURATED = 0.985  # pixels at or above this fraction of full scale are saturate
 TOLERATED = 1e-4  # largest fraction of saturated pixels in frames from which a variance is computed
 LINEAR = (0.05, 0.95)  # fractions of saturation between which EMVA 1288 evaluates linearity
 CHANCE = 0.01  # probability that row noise is found in a sensor without row noise; the same applies to column noise
-WINDOW = 7  # side of the window of local means, in samples of one CFA site; if it were over 9, dust would increase the PRNU
+# side of the window of local means, in samples of one CFA site; with more than 9 samples, dust would increase the PRNU
+WINDOW = 7
 Array = NDArray[np.float64]
 
 
@@ -368,7 +369,7 @@ def _over_local_mean(picture: Array, patched: Array, cfa: NDArray[np.uint8]) -> 
 
 
 def _local_spread(site: Array, temporal: float) -> float:
-    """Return the spatial variance of pixels relative to their local mean, without the part that is temporal noise.
+    """Return the spatial variance of pixels relative to their local mean, excluding temporal noise.
 
     `temporal` is the temporal variance of a pixel.
     """

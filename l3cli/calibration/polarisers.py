@@ -26,7 +26,7 @@ from l3cli.frames.measurement import LEAKAGE_NM, Body, Capture, PolariserCapture
 from l3cli.physics.stokes import angle_difference, malus
 
 BRIGHTNESS = 0.05  # prior relative standard deviation of the brightness of a capture
-BLACK_ERROR = 0.05  # DN; standard deviation of the black level, because it drifts after the dark frames
+BLACK_ERROR = 0.05  # DN; standard deviation of the black level, which may drift after the dark frames
 LARGEST_CONDITION = 20.0  # largest condition number of the fit of Malus's law; with angles of 0°, 10° and 20°, it is 64
 LEAST_MODULATION = 0.2  # if the modulation is smaller, the light is not polarised, or the channel has no polariser
 WRONG_ANGLE = 3.0  # degrees; if the stated angle of a capture is wrong by more, it is reported as a mistake
@@ -94,8 +94,9 @@ def fit_polarisers(
     first = first_guess(light_angle, rate, used, polarised, light_polarisation)
     count = int(polarised.sum())
     black = np.broadcast_to(black_error, captures)[:, None]
-    # The parameters are ln gain, angle and leakage of the channels, relative to the first estimate or absolute, and then the
-    # black levels, brightnesses and angles of the light, in units of their prior standard deviations.
+    # The parameters of each channel are ln gain and angle, relative to the first estimate, and leakage. The remaining
+    # parameters are the black levels, the brightnesses and the angles of the light, in units of their prior standard
+    # deviations.
     parts = np.cumsum([channels, count, count, channels, captures])
 
     def unpacked(values: Array) -> tuple[Array, ...]:
@@ -350,9 +351,9 @@ def polarisers_of(fit: PolariserFit | None, body: Body, wavelength: Array) -> Po
 def with_polarisers(camera: CameraModel, fit: PolariserFit | None, body: Body) -> CameraModel:
     """Add polarisers to a camera model whose responsivities were measured in unpolarised light.
 
-    The responsivity of a channel with a polariser is converted to light that is polarised along the transmission axis. With
-    the leakage k, the conversion factor is 2 / (1 + k). Relative responsivities are scaled so that their highest peak is 1.
-    If there are no polarisers, the camera model is returned unchanged.
+    The responsivity of a channel with a polariser is converted to the responsivity to light that is polarised along the
+    transmission axis. With the leakage k, the conversion factor is 2 / (1 + k). Relative responsivities are scaled so that
+    their highest peak is 1. If there are no polarisers, the camera model is returned unchanged.
     """
     polarisers = polarisers_of(fit, body, camera.wavelength)
     if polarisers is None:

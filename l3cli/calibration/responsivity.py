@@ -123,7 +123,7 @@ def solve(design: Array, values: Array, delta: float) -> Array:
 
 
 def solve_channels(sweep: Sweep, delta: float) -> Array:
-    """Solve Eq. 1 for each channel, without the captures in which the channel is saturated.
+    """Solve Eq. 1 for each channel, excluding captures in which the channel is saturated.
 
     Returns
     -------
@@ -147,7 +147,8 @@ def choose_smoothing(deltas: Array, errors: Array) -> float:
     """Choose a smoothing weight from the validation errors of several weights (docs/method.md#responsivity).
 
     Around the weight with the smallest error, other weights have nearly the same error, so the minimum depends on chance.
-    The result is therefore the geometric centre of all adjacent weights with an error of at most PLATEAU times the smallest.
+    The result is therefore the geometric centre of the adjacent weights whose error is at most PLATEAU times the smallest
+    error.
 
     Parameters
     ----------
@@ -312,8 +313,8 @@ def from_sweep(table: SweepTable, body: Body) -> Array:
 def without_fit(curve: SweepTable | FinishedCurves, body: Body, light_error: float, wavelength_error: float) -> Curves:
     """Convert a sweep table or finished curves to relative responsivities with a highest peak of 1.
 
-    The confidence bands are computed from the declared errors of brightness and wavelength. If one of these errors is 0, it
-    is unknown, and the bands are 0.
+    The confidence bands are computed from the declared errors of brightness and wavelength. An error of 0 means
+    that the error is unknown. The bands are then 0.
     """
     relative = from_sweep(curve, body) if isinstance(curve, SweepTable) else curve.responsivity
     curves = Curves(curve.wavelength, relative, np.zeros_like(relative))
@@ -434,7 +435,7 @@ def unsaturated_values(capture: ChartCapture, body: Body, limit: float, defects:
 
 
 def patch_illumination(capture: ChartCapture, body: Body, defects: Defects) -> Array:
-    """Return the illumination of each patch (patch, 1), relative to the optical axis, after the fall-off of the lens."""
+    """Return the illumination of each patch behind the lens, relative to the optical axis: (patch, 1)."""
     pixels, label, count = _cores(capture, body, defects)
     channels = len(body.channels)
     light = _per_label(label, body.relative_illumination.ravel()[pixels], channels)

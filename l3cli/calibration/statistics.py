@@ -15,8 +15,9 @@ from l3cli.artifacts.camera import DefectMap
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import Body, Capture
 
-OUTLIER = 6.0  # robust standard deviations; normally distributed pixels exceed this with a probability below 10⁻⁸
-LEAST_LOSS = 0.1  # a smaller relative deviation from neighbouring pixels is PRNU and not a defect
+# limit in robust standard deviations; a normally distributed pixel exceeds this limit with a probability below 10⁻⁸
+OUTLIER = 6.0
+LEAST_LOSS = 0.1  # a smaller relative deviation from neighbouring pixels counts as PRNU, not as a defect
 WHOLE_LINE = 0.9  # if this fraction of a row or column is defective, the whole row or column is marked as defective
 Defects = NDArray[np.int64]  # (defect, 2): row and column of each defective pixel
 Array = NDArray[np.float64]
@@ -63,7 +64,7 @@ def joined_defects(*parts: Defects) -> Defects:
 
 
 def patched(picture: Array, cfa: NDArray[np.uint8], defects: Defects) -> Array:
-    """Return a picture in which defective pixels are replaced by the median of neighbours with the same CFA site."""
+    """Return a picture in which defective pixels are replaced by the median of neighbours at the same CFA site."""
     rows, cols = cfa.shape
     result = picture.copy()
     for row, col in defects:
@@ -208,7 +209,7 @@ def mean_value(counts: Counts) -> Array:
 
 
 def share_from(counts: Counts, value: float) -> Array:
-    """Return the fraction of the pixels of each channel with at least `value` DN, from its histogram."""
+    """Return, for each channel, the fraction of pixels with at least `value` DN, from the histogram of the channel."""
     return counts[:, int(np.ceil(value)) :].sum(axis=1) / counts.sum(axis=1)
 
 

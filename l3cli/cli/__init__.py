@@ -48,7 +48,8 @@ NO_THREAD = "can't start new thread"  # message of Python's RuntimeError if no t
 
 
 class Pipeline(click.Group):
-    """The group of all commands, in the order of the pipeline. Each command is a module, imported when it is called."""
+    """The group of all commands, in the order of the pipeline. The module of a command is imported when the command is
+    called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)

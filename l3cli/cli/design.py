@@ -1,5 +1,7 @@
-"""The commands `l3 design`, which ranks colour filter arrays by their predicted error, and `l3 design moments`, which
-computes the statistics of scenes that the prediction needs.
+"""The commands `l3 design` and `l3 design moments`.
+
+`l3 design` ranks colour filter arrays by their predicted error. `l3 design moments` computes the scene statistics that the
+prediction needs.
 """
 
 from pathlib import Path

@@ -75,11 +75,11 @@ NOT_SHOWN = ("visual_noise", "gfc", "delta_e_a", "delta_e_f11")  # metrics that 
 
 
 def print_tables(document: dict[str, Any]) -> None:
-    """Print the metrics of each frame, their means, the metrics by brightness and by illuminant, and the metrics of
-    standards.
+    """Print the tables of an evaluation.
 
-    For baselines, only the main metrics are printed. Results for classes, patches, bands and gains are only in the JSON and
-    in the report.
+    The tables contain the metrics of each frame, the mean metrics, the metrics by brightness and by illuminant, and the
+    metrics of standards. For baselines, only the main metrics are printed. Results for classes, patches, bands and gains are
+    only in the JSON and in the report.
     """
     width = terminal.width()
     wide = width is None or width >= WIDE

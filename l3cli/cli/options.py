@@ -33,7 +33,7 @@ class RecipeFile(click.Path):
         return Recipe(self.kind).read(value)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list["CompletionItem"]:
-        """Return recipe names and file names. If a program returns any completions, bash does not add file names."""
+        """Return recipe names and file names. Bash itself adds file names only if a program returns no completions."""
         from click.shell_completion import CompletionItem
 
         from l3cli.recipes.builtin import known_recipes
@@ -65,7 +65,7 @@ class Value(click.ParamType):
 
 
 class Word(click.Choice):
-    """Parameter type for one of the values of a `Choice`, whose `read` converts the text."""
+    """Parameter type for a `Choice`, whose method `read` converts the text to a value."""
 
     def __init__(self, reader: Choice) -> None:
         super().__init__(list(map(str, reader.values)))
@@ -110,7 +110,7 @@ def of(options: type[Options], *modes: Callable[[Any], Any]) -> Callable[[F], F]
         Class that declares the options. The command receives an instance in its parameter `options`, with the values and
         with the console.
     *modes : callable
-        Further click decorators. The command receives their values as separate keyword arguments.
+        Additional click decorators. The command receives their values as separate keyword arguments.
     """
     declared = declarations(options)
 
@@ -131,7 +131,7 @@ def output(what: str, required: bool = True, metavar: str = "FILE") -> Callable[
     return click.option("-o", "--output", type=FILE, required=required, metavar=metavar, help=f"{what}.")
 
 
-LOG = "l3cli.log"  # key of the path of --log in `click.Context.meta`
+LOG = "l3cli.log"  # key in `click.Context.meta` for the path of --log
 
 
 def _log(context: click.Context, parameter: click.Parameter, path: Path | None) -> None:

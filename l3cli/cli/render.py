@@ -78,8 +78,8 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
 def clips_result(summary: "Summary", fault: BaseException | None = None, show_text: bool = False) -> Result:
     """Return the result of `l3 render`.
 
-    `fault` is the error that ended a command with several clips early. If it is set, or if `show_text` is true, a table of
-    the clips is printed.
+    `fault` is the error that ended a command with several clips early. If there is such an error, or if `show_text` is true,
+    a table of the clips is printed.
     """
     document = _worded(summary.document())
     text = (lambda: _table(document)) if show_text or fault else None

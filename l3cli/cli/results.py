@@ -14,8 +14,9 @@ from l3cli.system.files import Dated, FilesUsed, dated, require_regular, sha256
 
 T = TypeVar("T")
 RUN_FORMAT = 1  # version of the keys in "run"
-ERROR_KINDS = {2: "call", 3: "input", 4: "device", 130: "interrupted", 143: "terminated"}  # type of error per exit code
-MOST_MESSAGES = 1000  # largest number of messages, and of warnings, in the record; a long sequence can cause very many
+ERROR_KINDS = {2: "call", 3: "input", 4: "device", 130: "interrupted", 143: "terminated"}  # error type for each exit code
+# largest number of messages in the record, and of warnings, because a long sequence can cause very many
+MOST_MESSAGES = 1000
 JSON = "--json"
 
 
@@ -43,7 +44,7 @@ class Record:
     warnings: list[str] = field(default_factory=list)
     messages: list[str] = field(default_factory=list)
     left_out: int = 0  # number of warnings and messages that were not recorded
-    steps: dict[str, tuple[int, float]] = field(default_factory=dict)  # name of a step: number of items, duration in s
+    steps: dict[str, tuple[int, float]] = field(default_factory=dict)  # for each step: number of items, and duration in s
     error: dict[str, str] | None = None  # type and message of the error that ended the command
     console: Console = field(default_factory=Terminal)  # console to which the command sends its messages
     begun: float = field(default_factory=time.time)  # time of the start, in s since 1970
@@ -69,7 +70,8 @@ class Record:
         """
         seconds, console = time.monotonic() - self.start, Recorded(self.console, self)
         is_whole = result is not None and (result.fault is None or isinstance(result.fault, L3Error))
-        files = result.files if result is not None and is_whole else FilesUsed()  # computing digests would delay Ctrl-C
+        # after an interruption, computing digests would delay the exit
+        files = result.files if result is not None and is_whole else FilesUsed()
         inputs = {role: [_file(path, at, console) for path, at in read.items()] for role, read in files.read.items()}
         outputs = [_file(path, dated(path), console) for path in dict.fromkeys(map(Path.absolute, files.written))]
         document = finite(result.document if result else {}, console)

@@ -99,7 +99,7 @@ LONGEST_SILENCE, SHORTEST_SILENCE = 600.0, 10.0  # s; limits of the time between
 
 
 def width() -> int | None:
-    """Return the width of stdout in characters, from the terminal or COLUMNS. It is at least 40.
+    """Return the width of stdout in characters, from the terminal or COLUMNS. The result is at least 40.
 
     The result is None if stdout is a pipe or a file, unless COLUMNS is set.
     """

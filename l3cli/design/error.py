@@ -46,7 +46,7 @@ def spectral_power(reflectance: NDArray[np.floating], rate: NDArray[np.floating]
     reflectance : ndarray, (row, col, band)
         The scene.
     rate : ndarray, (wavelength, band)
-        Photons at each wavelength that a reflectance of 1 in each band causes.
+        Photons at each wavelength per unit of reflectance in each band.
 
     Returns
     -------
@@ -172,8 +172,8 @@ class Noise:
     dark: float  # e-/s; dark current
     full: float  # e-; full scale
     prnu: float  # relative standard deviation of the response between pixels
-    rows: float = 0.0  # (e-)²; part of `floor` that all pixels of a row have in common
-    columns: float = 0.0  # (e-)²; part of `floor` that all pixels of a column have in common
+    rows: float = 0.0  # (e-)²; variance of the noise that all pixels of a row share, which is a part of `floor`
+    columns: float = 0.0  # (e-)²; variance of the noise that all pixels of a column share, which is a part of `floor`
 
 
 def noise_of(camera: CameraModel) -> Noise:
@@ -193,7 +193,8 @@ class Level:
 
     name: str
     light: int  # index of the illuminant in `Problem.seen`
-    share: float | None  # automatic exposure: signal of white in the brightest filter, as a fraction of full scale; or None
+    # signal of white in the brightest filter with automatic exposure, as a fraction of full scale; None: fixed exposure
+    share: float | None
     luminance: float = 1.0  # cd/m²; luminance of a perfect white
     seconds: float = 0.0  # s; exposure time if `share` is None
 
@@ -228,8 +229,8 @@ class Seen:
     """Moments of filter signals and outputs under one illuminant, for each group of patches.
 
     The moments contain the signals of all filters in a library at all taps. The moments for a given array are a selection of
-    these values. The same class is used for the moments of the coefficients of principal spectra, before any filter is
-    applied. The axis "filter" is then the principal spectrum, and `white` is empty.
+    these values. The class also represents the moments of the principal spectra, before any filter is applied. The
+    axis "filter" then contains the principal spectra, and `white` is empty.
     """
 
     signal: Array  # (filter, filter, group, tap, tap): second moments of the signals
@@ -340,7 +341,7 @@ def array_errors(seen: Seen, cfa: Cfa, noise: Noise, level: Level) -> NDArray[np
     if noise.rows or noise.columns:
         row, col = np.divmod(tap, SIDE)
         shared = noise.rows * (row[:, None] == row) + noise.columns * (col[:, None] == col)
-        shared[tap, tap] = 0.0  # because `variance` contains these values
+        shared[tap, tap] = 0.0  # `variance` already contains these values
         both = ~(clipped[..., :, None] | clipped[..., None, :])
         matrix += np.where(both, shared * (weight / dose**2)[..., None], 0.0)
     explained = np.einsum("sKpy,sKpy->sK", cross, np.linalg.solve(matrix, cross))

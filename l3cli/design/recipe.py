@@ -63,8 +63,8 @@ class PixelRecipe(Recipe):
 class FilterRecipe(Recipe):
     """Section [filters.NAME]: a colour filter.
 
-    It is one of: a Gaussian (`centre_nm`), a measured curve (`file`), two stacked filters (`stack`) or a channel of a camera
-    (`channel`). A filter without any of these keys is clear.
+    A filter is one of: a Gaussian (`centre_nm`), a measured curve (`file`), two stacked filters (`stack`) or a channel of a
+    camera (`channel`). A filter without any of these keys is clear.
     """
 
     centre_nm: Positive | None = None
@@ -118,8 +118,8 @@ class DesignRecipe(Recipe):
     level: Annotated[list[LevelRecipe], msgspec.Meta(min_length=1)]
     pixel: PixelRecipe = msgspec.field(default_factory=PixelRecipe)
     output: Literal["XYZ", "bands", "reflectance"] = "XYZ"
-    # Error metric for XYZ. "lab" approximates ΔE00. "scielab" does too, but first blurs the chroma like the eye.
-    # "luminance" ignores the chroma. "linear" is a difference in percent of white.
+    # Error metric for XYZ. "lab" approximates ΔE00. "scielab" approximates ΔE00 after the chroma is blurred as in the
+    # eye. "luminance" ignores the chroma. "linear" is a difference in percent of white.
     counts: Literal["lab", "scielab", "luminance", "linear"] = "lab"
     optimise: OptimiseRecipe | None = None
     rivals: list[list[str]] = msgspec.field(default_factory=list)  # other arrays that --truth trains, as lists of rows

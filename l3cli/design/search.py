@@ -57,7 +57,7 @@ def symmetries(shape: tuple[int, int]) -> NDArray[np.intp]:
     Returns
     -------
     ndarray, (symmetry, site)
-        For each shift, rotation and reflection, the old index of each site.
+        For each symmetry and each site, the index of the site whose filter moves to this site.
     """
     sites = np.arange(math.prod(shape)).reshape(shape)
     turned = [np.rot90(each, turn) for each in (sites, sites.T) for turn in range(4)]

@@ -35,7 +35,7 @@ from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.load import load_recipe
 
 ANNEALING_STEPS = 1000  # number of steps of simulated annealing
-MAX_REPEATED_FILTERS = 8  # if there are more filters, no run of annealing starts from repetitions of the best 2×2 array
+MAX_REPEATED_FILTERS = 8  # with more filters, no run of annealing starts from repetitions of the best 2×2 array
 PIXEL_TOLERANCE = 1e-6  # pixel pitches and f-numbers are equal if their relative difference is at most this
 BOUNDS = np.array([[400.0, 700.0], [10.0, 150.0], [0.1, 1.0]])  # range of centre (nm), sigma (nm) and peak
 VARIABLE_UNITS = np.array([10.0, 10.0, 0.1])  # units of the optimiser's variables: centre (nm), sigma (nm) and peak
@@ -256,8 +256,8 @@ class Task:
         seed : int
             Seed of the random numbers.
         number : int
-            Index of the starting point. Starting point 0 is the filters in the recipe. All other starting points are
-            random variations of these filters.
+            Index of the starting point. Starting point 0 consists of the filters in the recipe. All other starting points
+            are random variations of these filters.
 
         Returns
         -------
@@ -296,7 +296,8 @@ def _task(recipe: Path, moments: Path) -> Task:
 
 
 UNITS = {"lab": "ΔE00", "scielab": "ΔE of soft chroma", "luminance": "L*", "linear": "% of white"}
-LISTED_ARRAYS = 100  # number of arrays in a design, besides the best Bayer array and the best array at each light level
+# number of arrays in a design, in addition to the best Bayer array and the best array at each light level
+LISTED_ARRAYS = 100
 SHIFT = 5.0  # nm; shift of a filter in the sensitivity analysis
 DOSES = 10.0 ** np.arange(-2.0, 1.26, 0.25)  # cd s/m²; exposures in the plot of error against exposure
 

@@ -4,7 +4,8 @@ Its steps are white balance, demosaicking and a colour matrix.
 
 Each channel clips at its own full scale, so clipped highlights can be coloured. If all channels were clipped together at the
 signal at which the first channel clips, highlights would be neutral, but the colour error of faces would increase by 0.6
-ΔE00 (mean over three light levels). The more accurate method is used, because a baseline should be as good as possible.
+ΔE00 (mean over three light levels). The pipeline therefore clips each channel separately, because a baseline should be as
+good as possible.
 """
 
 from collections.abc import Callable
@@ -63,8 +64,8 @@ def fit_colour(
         Illuminant of the target XYZ. [default: `light`]
     channel_noise : float
         Standard deviation of the noise of each channel, relative to white. The regression takes this noise into account, so
-        that the matrix does not amplify it. This matters if several channels respond almost equally, for example behind
-        polarisers with different angles.
+        that the matrix does not amplify the noise. This matters if several channels respond almost equally, for example
+        behind polarisers with different angles.
 
     Raises
     ------

@@ -42,7 +42,7 @@ class Curve:
 class Comparison:
     """All metrics of several cameras as functions of luminance."""
 
-    curves: dict[str, list[Curve]]  # key of each metric, and one curve per camera, in the order of the evaluations
+    curves: dict[str, list[Curve]]  # for each metric key: one curve per camera, in the order of the evaluations
     alike: bool | None  # whether all cameras were evaluated on the same scenes; None if unknown
 
     @property
@@ -217,7 +217,8 @@ def _range(low: float, high: float) -> str:
 
 
 def clipping(curve: Curve) -> str | None:
-    """Describe from which luminance a camera clips. The result is None if it does not clip at the highest luminance."""
+    """Describe from which luminance a camera clips. The result is None if the camera does not clip at the highest
+    luminance."""
     some = [share >= CLIPPING for share in curve.clipped]
     if not some[-1]:
         return None

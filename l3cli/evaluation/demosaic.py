@@ -29,14 +29,14 @@ CFA = NDArray[np.uint8]
 Demosaic = Callable[[Array, CFA], Array]
 Direction = tuple[int, int]  # row offset and column offset
 DIRECTIONS: tuple[Direction, ...] = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right)
-# Width of the mirrored margin for band methods, in CFA periods. It is wider than the support of these methods, because they
-# wrap around at the border.
+# Width of the mirrored margin for band methods, in CFA periods. The margin is wider than the support of these methods,
+# because they wrap around at the border.
 BAND_MARGIN_PERIODS = 4
 CODES = 255.0  # value of a perfect white in PPID, whose weights contain a constant for 8-bit values
 # σ of the Gaussian, as a multiple of the mean distance between samples of a channel. This value is best for dead leaves with
 # a five-band CFA.
 SIGMA_SAMPLES = 0.55
-BAYER_MARGIN_PIXELS = 8  # width of the mirrored margin for Bayer methods; it is even, and wider than their support
+BAYER_MARGIN_PIXELS = 8  # width of the mirrored margin for Bayer methods; even, and wider than the support of these methods
 
 
 def interpolate(mosaic: Array, cfa: CFA) -> Array:
@@ -143,8 +143,9 @@ def _with_plugins(known: dict[str, Demosaic], cfa: CFA) -> dict[str, Demosaic]:
 
 
 def _interpolated_by(entry: EntryPoint, method: Callable[[Array], Array], mosaic: Array, cfa: CFA) -> Array:
-    """Demosaick a mosaic (row, col) with the method of a plugin. Raises L3Error if the method fails or its result is
-    invalid.
+    """Demosaick a mosaic (row, col) with the method of a plugin.
+
+    Raises L3Error if the method fails or its result is invalid.
     """
     with blamed(entry):
         planes = np.asarray(method(mosaic), np.float64)
@@ -322,5 +323,5 @@ def _moved(plane: Array, by: tuple[int, ...]) -> Array:
 
 
 def _step(direction: Direction, period: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the offset, in pixels, by one CFA period in a direction."""
+    """Return the offset, in pixels, of one CFA period in a direction."""
     return tuple(sign * length for sign, length in zip(direction, period, strict=True))

@@ -65,7 +65,7 @@ class ClassErrors:
         labels : ndarray, (…)
             Class of each pixel in the first layer.
         errors : dict of str to ndarray, (…)
-            Name of each pipeline, and its error at each pixel.
+            Error of each pipeline at each pixel, by name.
         """
         rule = self._rule
         within, classes = rule.within_site(labels.ravel()), rule.classes_per_site
@@ -84,7 +84,7 @@ class ClassErrors:
         Returns
         -------
         dict of str to list of dict
-            Name of each feature, and one entry per value of the feature. The entry contains a description of the value, the
+            For each feature, by name: one entry per value of the feature. An entry contains a description of the value, the
             number of pixels and the mean error of each pipeline. Values that do not occur are left out.
         """
         table, rule = self._table, self._rule
@@ -239,12 +239,12 @@ class Evaluation:
         outputs : ndarray, (output, row, col)
             The frame, rendered with the table, in output units.
         rivals : mapping of str to ndarray, (3, row, col), optional
-            Name of each rival, and its XYZ planes in the unit of the target.
+            XYZ planes of each rival in the unit of the target, by name.
 
         Returns
         -------
         dict of str to ndarray, (output, row, col)
-            Name of each pipeline, and its planes in the unit of the target.
+            Planes of each pipeline in the unit of the target, by name.
 
         Raises
         ------

@@ -68,10 +68,11 @@ def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
 
 
 def colour_difference(one: CameraModel, other: CameraModel) -> float:
-    """Return the mean CIEDE2000 between the colours of measured surfaces in two cameras with the same channels.
+    """Return the mean CIEDE2000 difference between the colours that two cameras record of measured surfaces.
 
-    The white balance and the colour matrix of `one` are applied to the signals of both cameras. Differences in overall
-    sensitivity are ignored. The result is the mean under D65 or the mean under A, whichever is larger.
+    The cameras must have the same channels. The white balance and the colour matrix of `one` are applied to both cameras.
+    Differences in overall sensitivity are ignored. The result is the mean under D65 or the mean under A, whichever is
+    larger.
     """
     return max(_colour_difference(one, other, named_light(name, one, other)) for name in LIGHTS)
 

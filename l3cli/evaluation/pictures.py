@@ -1,4 +1,4 @@
-"""Pictures of an evaluated frame (of every pipeline, of the target, and an error map), and colours of chart patches."""
+"""Pictures of an evaluated frame (pipelines, target and error map), and displayed colours of chart patches."""
 
 from dataclasses import dataclass
 
@@ -28,7 +28,7 @@ def frame_pictures(frame: TrainingPair, planes: dict[str, Array]) -> dict[str, P
     frame : TrainingPair
         Frame with its target.
     planes : dict of str to ndarray, (3, row, col)
-        Name of each pipeline, and its XYZ in the unit of the target. The first pipeline must be the table.
+        XYZ of each pipeline in the unit of the target, by name. The first pipeline must be the table.
 
     Returns
     -------
@@ -47,8 +47,8 @@ def frame_pictures(frame: TrainingPair, planes: dict[str, Array]) -> dict[str, P
 def planes_of(picture: Array, frame: TrainingPair) -> Array:
     """Convert a rival's picture of a frame to XYZ in the unit of the target.
 
-    The picture is scaled such that its luminance agrees best with the luminance of the target (least squares over all pixels
-    that do not clip).
+    The picture is scaled such that its luminance fits the luminance of the target best (least squares over all pixels that
+    do not clip).
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def patch_colours(frame: TrainingPair, planes: dict[str, Array], regions: list[R
     frame : TrainingPair
         Frame with its target.
     planes : dict of str to ndarray, (3, row, col)
-        Name of each pipeline, and its XYZ in the unit of the target.
+        XYZ of each pipeline in the unit of the target, by name.
     regions : list of (slice, slice)
         Rows and columns of each patch.
     """

@@ -109,7 +109,8 @@ def kind_of(lab: Array) -> str:
 CODES = 255  # value of a perfect white, for the PSNR of 8-bit values
 MIN_SQUARE_ERROR = 1e-12  # smallest mean square error; the PSNR of equal pictures is therefore 120 dB
 WINDOW_SIGMA, WINDOW_REACH = 1.5, 5  # pixels; σ and half width of the 11 × 11 Gaussian window of SSIM
-MIN_NORM = float(np.finfo(np.float32).eps)  # spectra whose norm is a smaller fraction of the largest are rounding errors
+# spectra with a norm below this fraction of the largest norm count as rounding errors
+MIN_NORM = float(np.finfo(np.float32).eps)
 STABILISERS = (0.01**2, 0.03**2)  # C1 and C2 of SSIM for values from 0 to 1
 VIEWING = 50.0  # samples per degree of visual angle, for a monitor of 110 dots per inch at a distance of 66 cm
 VIEWED = 2, 1000  # samples per degree; range in which the S-CIELAB filters are valid
@@ -178,8 +179,10 @@ class StokesQuality:
 
     mean_dolp_error: float  # mean absolute error of the DoLP
     psnr_dolp: float  # dB; PSNR of the DoLP
-    aolp_rmse: float | None  # degrees; RMS error of the AoLP where the target's DoLP exceeds 0.05; None if it never does
-    dolp_bias: float | None  # mean error of the DoLP where the target's DoLP is below 0.005; None if it never is
+    # degrees; RMS error of the AoLP where the target's DoLP exceeds 0.05; None if there are no such pixels
+    aolp_rmse: float | None
+    # mean error of the DoLP where the target's DoLP is below 0.005; None if there are no such pixels
+    dolp_bias: float | None
     psnr_intensities: float  # dB; PSNR of the intensities behind ideal polarisers at 0°, 45°, 90° and 135°
     psnr_s0: float  # dB; PSNR of S0 / 2, which is the intensity of unpolarised light behind a polariser
     psnr_s1: float  # dB; PSNR of S1

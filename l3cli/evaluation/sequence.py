@@ -1,5 +1,4 @@
-"""Metrics of rendered sequences: noise over time, flicker, and differences from the ideal sequence
-(docs/method.md#quality-of-sequences).
+"""Metrics of rendered sequences: temporal noise, flicker and errors (docs/method.md#quality-of-sequences).
 
 If the motion between two frames is not known, l3 estimates it from the ideal frames by window matching on an image pyramid.
 Pictures are linear sRGB (row, col, 3), where 1 is display white. Lightness is CIE L*, from 0 to 100.
@@ -77,7 +76,7 @@ def _refined(frame: Array, before: Array, vector: NDArray[np.intp], reach: int) 
 
 
 def _mismatch(frame: Array, before: Array, vector: NDArray[np.intp]) -> Array:
-    """Compare the window around each pixel of `frame` with the window from which it came in the frame `before`.
+    """Compare the window around each pixel of `frame` with its source window in the frame `before`.
 
     `vector` (2, row, col) is the displacement of each pixel since the frame `before`. The result (row, col) is the mean
     square difference between the windows.
@@ -162,8 +161,8 @@ STILL = 0.5
 # The following constants define still patches if there is no ideal sequence.
 DRIFT = 1.0  # L*; maximum change in the mean of a still patch from the first to the second half of the sequence
 UNCERTAIN = 3.0  # standard deviations; changes that are smaller than this may be caused by noise
-# The fraction QUIETEST of all patches, those that change least, is assumed to show only noise. A still patch changes at most
-# RESTLESS times as much as these patches.
+# The patches that change least are assumed to show only noise. They are the fraction QUIETEST of all patches. A still
+# patch changes at most RESTLESS times as much as these patches.
 QUIETEST, RESTLESS = 0.1, 3.0
 ROUNDING = 0.1  # L*; maximum change of a pixel due to rounding
 
@@ -172,8 +171,8 @@ class FrameFigures(msgspec.Struct, forbid_unknown_fields=True):
     """Metrics of one frame of a sequence.
 
     `jump`, `step_sigma` and `warped_error` are None in the first frame. `warped_error`, `psnr` and `mean_delta_e` are None
-    if there is no ideal sequence. `step_sigma` is also None if the sequence has no still patches, and `warped_error` if no
-    pixel is visible in both frames.
+    if there is no ideal sequence. `step_sigma` is also None if the sequence has no still patches. `warped_error` is also
+    None if no pixel is visible in both frames.
     """
 
     frame: int

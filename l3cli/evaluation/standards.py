@@ -1,5 +1,4 @@
-"""Metrics from standards: the MTF of slanted edges, and the SNR of a grey target at several illuminances
-(docs/measurement.md).
+"""Metrics from standards: MTF of slanted edges, and SNR of a grey target at several illuminances (docs/measurement.md).
 
 The metrics are measured in pictures. For comparison, theoretical values are computed in closed form from the lens, the pixel
 aperture and the noise model of the camera.

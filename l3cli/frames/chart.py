@@ -1,4 +1,4 @@
-"""Find a colour chart in a mosaic and measure its patches (docs/method.md#charts-in-photographs).
+"""Finds a colour chart in a mosaic and measures its patches (docs/method.md#charts-in-photographs).
 
 A chart is recognised as a grid of uniform regions whose values are consistent with the reflectances of the patches. For this
 test, the responsivities of the camera need not be known. l3 tests whether the values of each channel are a linear
@@ -18,7 +18,8 @@ from l3cli.physics.mosaic import tiled
 
 # A cell is a square of the grid that contains one patch. x and y are measured in cells from the corner of the first patch.
 CORE = 0.25  # half the side of the measured area of a patch, in cells; this area excludes borders and blurred edges
-OUTLIER = 5.0  # pixels, such as dust, that differ from the median by more robust standard deviations are outliers
+# robust standard deviations; a pixel is an outlier, for example dust, if it differs from the median by more than this
+OUTLIER = 5.0
 DUSTY = 0.2  # maximum fraction of outliers in a usable patch
 CLIPPED = 1e-3  # maximum fraction of saturated pixels in a usable patch
 MIN_PIXELS = 12  # minimum number of pixels of one channel in a patch

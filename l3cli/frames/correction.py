@@ -201,14 +201,14 @@ class HotTest:
         """Return the test for a camera. The noise of its noisiest channel is used for all channels."""
         rows, cols = camera.cfa.shape
         constant, linear, quadratic = camera.noise_terms(channel=np.arange(len(camera.channels)))
-        noisiest = float(np.max(constant)), float(np.max(linear))  # The noise depends on the channel if their gains differ.
+        noisiest = float(np.max(constant)), float(np.max(linear))  # the terms differ between channels with different gains
         return cls(*noisiest, quadratic, camera.white_level - camera.black_level, (rows, cols))
 
     def without_hot(self, frame: RawFrame, cfa: NDArray[np.uint8]) -> RawFrame:
         """Return the frame with hot pixels replaced.
 
         A hot pixel is far brighter than the eight nearest pixels of its CFA site, but its adjacent pixels are not brighter
-        than usual. In contrast, a star or any other small detail that the lens images also brightens adjacent pixels. Frames
+        than usual. In contrast, a star or any other small detail in the image also brightens adjacent pixels. Frames
         with at most two CFA periods per row or column are returned unchanged.
 
         Parameters

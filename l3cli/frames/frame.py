@@ -39,7 +39,7 @@ class NoiseLeft:
     cell: tuple[int, int]  # rows and columns of pixels in a cell
 
     def below(self, limits: Sequence[float], shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Count, for each pixel (row, col), the `limits` that its remaining fraction of the noise does not exceed.
+        """Count, for each pixel (row, col), how many of the `limits` its remaining noise fraction does not exceed.
 
         `shape` contains the numbers of rows and columns of the frame.
         """
@@ -71,7 +71,7 @@ class RawFrame:
     gain: float = 1.0  # analog gain, relative to the gain of the camera model
     baseline_exposure: float = 0.0  # EV by which pictures should be brightened according to the file
     noise_share: float = 1.0  # noise variance as a fraction of the camera's noise variance; below 1 after a temporal filter
-    noise_left: NoiseLeft | None = None  # the same fraction for each cell of the frame; None means 1 everywhere
+    noise_left: NoiseLeft | None = None  # remaining noise fraction of each cell of the frame; None: 1 everywhere
     warps: tuple[LensWarp, ...] = ()  # lens corrections for the rendered picture, in the order of their application
     notes: tuple[str, ...] = ()  # warnings about processing that the file requests but l3 does not support
     exchangeable: bool = False  # whether rows and columns may be exchanged, because the file does not state its size
@@ -215,7 +215,8 @@ def pad_mosaic(values: NDArray, margin: int, cfa_shape: tuple[int, int]) -> NDAr
 
 
 def as_taken(pixels: NDArray, orientation: int) -> NDArray:
-    """Return upright pixels (row, col, …) to the orientation of the sensor. This is the inverse of `upright`."""
+    """Rotate or mirror upright pixels (row, col, …) back to the orientation of the sensor. This is the inverse of
+    `upright`."""
     if orientation & 4:
         pixels = pixels.swapaxes(0, 1)
     if orientation & 2:

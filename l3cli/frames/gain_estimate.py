@@ -1,4 +1,4 @@
-"""Estimate the analog gain of a frame from the noise in uniform areas (docs/method.md#gains).
+"""Estimates the analog gain of a frame from the noise in uniform areas (docs/method.md#gains).
 
 1. The frame is divided into patches that are aligned with the CFA, so that every patch has the same channels at the same
    positions. In each patch, the mean of every channel is subtracted from its pixels. The difference is divided by the
@@ -242,8 +242,8 @@ def _consistent(plain: _Plain, camera: CameraModel, gain: float) -> _Plain:
 
     Texture in the weak components, for example a grating with a period of two pixels, makes the gain that is estimated from
     a range too high. The function therefore estimates the gain from each range alone, and tries these gains in ascending
-    order. It takes the first gain that predicts the noise of at least a quarter of the ranges, and keeps these ranges. It
-    raises ValueError if no gain does.
+    order. The first gain that predicts the noise of at least a quarter of the ranges determines which ranges are kept.
+    Raises ValueError if there is no such gain.
     """
     count = int(plain.level.max()) + 1
     alone = [_most_likely(plain.chosen(plain.level == each), camera, gain, None)[0] for each in range(count)]

@@ -1,4 +1,4 @@
-"""Correction of lens distortion and of lateral chromatic aberration, which moves pixels (docs/raw-files.md#lens-warps).
+"""Correction of lens distortion and lateral chromatic aberration (docs/raw-files.md#lens-warps).
 
 A warp is a function that returns, for each pixel of the corrected picture, the corresponding position in the uncorrected
 picture. The formula is defined by the opcode WarpRectilinear (Adobe DNG 1.7, chapter 7). Positions are relative to the
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 Terms = tuple[float, float, float, float, float, float]  # k0, k1, k2, k3, t0, t1
 UNCHANGED: Terms = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 RED, GREEN, BLUE = range(3)
-STRIP_PIXELS = 1 << 20  # number of pixels that are resampled at a time, to limit the memory
+STRIP_PIXELS = 1 << 20  # number of pixels that are resampled at a time, to limit the use of memory
 INVERSE_STEPS = 12  # number of fixed-point iterations in `corrected_places`, each of which at least halves the error
 
 

@@ -1,4 +1,4 @@
-"""Apply the metadata of stored values: no-data values, gains and offsets."""
+"""Applies the metadata of stored values: no-data values, gains and offsets."""
 
 import numpy as np
 from numpy.typing import NDArray

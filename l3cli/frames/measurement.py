@@ -43,7 +43,8 @@ class Body:
     cfa: NDArray[np.uint8]  # (cfa_row, cfa_col) channel of each site
     optics: Optics
     readout: Readout | None = None  # exposure and gain of each channel, without read noise; None if all channels are equal
-    polarisers: Polarisers | None = None  # polarisers in the measurement file, with leakages at LEAKAGE_NM; or None
+    # polarisers in the measurement file, with leakages at LEAKAGE_NM; None if the file states none
+    polarisers: Polarisers | None = None
 
     @property
     def channel_gains(self) -> NDArray[np.float64]:
@@ -167,7 +168,7 @@ class CurveStatistics:
     mean: NDArray[np.float64]  # (channel, wavelength) mean over the cameras
     modes: NDArray[np.float64]  # (mode, channel, wavelength) principal components, scaled to their standard deviations
     log_peak: NDArray[np.float64]  # (channel) mean of ln(peak / geometric mean of the peaks of all channels)
-    log_peak_covariance: NDArray[np.float64]  # (channel, channel) covariance of the same logarithms
+    log_peak_covariance: NDArray[np.float64]  # (channel, channel) covariance of these logarithms
 
 
 @dataclass(frozen=True)

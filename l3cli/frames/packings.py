@@ -26,7 +26,8 @@ FAMILIES = {
     "Packed": "GigE Vision: two pixels in three bytes; the middle byte contains the lower bits of both pixels",
 }
 CELL = ((1, 1), (0, 1), (0, 0), (1, 0))  # (row, col) of the polarisers at 0°, 45°, 90° and 135° in a cell of 2×2 pixels
-COMPUTED = ("PolarizedStokes", "PolarizedDolp", "PolarizedAolp")  # first part of format names whose values are not raw
+# first parts of the names of formats that do not contain raw values
+COMPUTED = ("PolarizedStokes", "PolarizedDolp", "PolarizedAolp")
 
 
 class Piece(NamedTuple):

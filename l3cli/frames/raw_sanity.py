@@ -1,4 +1,4 @@
-"""Check whether the CFA, the CFA phase and the black level that a raw file states are consistent with its pixels.
+"""Checks whether the CFA, the CFA phase and the black level that a raw file states are consistent with its pixels.
 
 In a smooth block of a frame, all sites of a channel have nearly the same value. If their values differ, the stated phase is
 probably wrong. This test cannot detect phases that exchange channels with equal patterns, such as r and b of a Bayer CFA.
@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.mosaic import shifted_cfa, tiled
 
-# All differences between sites are fractions of the signal.
+# In the constants below, differences between sites are fractions of the signal.
 BLOCK_SIDE, MAX_BLOCKS = 8, 32  # maximum side of a block in super-pixels; maximum number of blocks in each direction
 MIN_SIGNAL = 1e-3  # fraction of full scale; frames with a lower mean are too dark to check
 # A phase at which the sites of a channel differ by this amount may be wrong. In real frames, the difference is at most 0.007
 # at the correct phase, and at least 0.045 at wrong phases.
 SITES_DIFFER = 0.02
-# A phase may also be wrong if the ratio of two channels, relative to the ratio for a grey object, has this logarithm.
-# Coloured scenes have at most 0.67.
+# A phase may also be wrong if the logarithm of the ratio of two channels, relative to the ratio for a grey object, is
+# at least this value. In coloured scenes, the logarithm is at most 0.67.
 FAR_FROM_GREY = 0.75
 BETTER = 0.4  # a different phase is better only if its difference is below this fraction of the stated phase's difference
 ALIKE = 1.5  # two phases fit about equally well if their differences differ by at most this factor
@@ -45,7 +45,7 @@ ARRAYS_DIFFER = 0.05
 MOST_SITES_DIFFER = 0.03
 # The scene has stripes if a factor per row or column explains all but this fraction of the differences.
 STRIPED = 0.25
-SLANTED = 0.03  # the same fraction for a factor per slanted line
+SLANTED = 0.03  # like STRIPED, but for a factor per slanted line
 SLANTS = ((1, 1), (1, -1), (2, 1), (2, -1), (1, 2), (1, -2))  # lines on which row · first + column · second is constant
 # A checkerboard in the scene is distinguished from a different CFA by two limits: the minimum range of the sites of the mean
 # super-pixel relative to their mean, and the minimum contrast of any site relative to the maximum contrast.

@@ -2,7 +2,7 @@
 
 The mean loss of all channels is corrected by a gain that is applied to the rendered outputs. Because transforms are linear,
 this gain has the same effect as a gain that is applied to the raw values. The advantage is that classes are determined from
-uncorrected raw values, whose noise agrees with the noise model. Only the difference between the loss of a channel and the
+uncorrected raw values, whose noise matches the noise model. Only the difference between the loss of a channel and the
 mean loss, called colour shading, is corrected in the raw values. This changes their noise only slightly.
 """
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # not imported at run time, which saves 80 ms when the decodi
 CLIPPED = 0.985  # fraction of full scale; pixels at or above this fraction count as clipped and are not corrected
 NODE_SPACING_COLUMNS = 16  # distance between the nodes at which the output gain is stored, in columns
 FRACTION = 15  # number of fractional bits in the gains of the colour shading
-MIN_COLOUR_SHADING = 8  # in units of 2^-FRACTION, about 0.02 % in total; smaller colour shading is not corrected
+MIN_COLOUR_SHADING = 8  # in units of 2^-FRACTION, together about 0.02 %; smaller colour shading is not corrected
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +101,7 @@ def shading_of_gain(gain: NDArray[np.floating], period: tuple[int, ...]) -> Shad
     (rows, cols), (down, across) = gain.shape, period
     first = np.clip(np.arange(0, cols + NODE_SPACING_COLUMNS, NODE_SPACING_COLUMNS) - across // 2, 0, max(cols - across, 0))
     columns = np.minimum(first[:, None] + np.arange(across), cols - 1)
-    means = gain[:, columns].mean(axis=2, dtype=np.float64)  # (row, node) over a period of columns
+    means = gain[:, columns].mean(axis=2, dtype=np.float64)  # (row, node) mean over one period of columns
     first = np.clip(np.arange(rows) - down // 2, 0, max(rows - down, 0))
     nodes = np.mean([means[np.minimum(first + row, rows - 1)] for row in range(down)], axis=0).astype(np.float32)
     colour = gain / Shading(nodes, None).gain_map(cols) - 1.0
@@ -131,7 +131,7 @@ def clipped_from(black_level: float, white_level: float) -> int:
 def colour_corrected(
     values: NDArray[np.uint16], colour: NDArray[np.int16], black_level: float, white_level: float
 ) -> NDArray[np.uint16]:
-    """Return raw values after multiplying their differences from the black level by 1 + `colour` · 2^-FRACTION.
+    """Multiply the differences between raw values and the black level by 1 + `colour` · 2^-FRACTION.
 
     `values` and `colour` have the same shape. Clipped pixels are unchanged, and no other pixel becomes clipped. The results
     are identical to the results of opencl/common/shading.cl.

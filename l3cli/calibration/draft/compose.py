@@ -54,7 +54,8 @@ class DraftText:
     def __init__(self) -> None:
         self._lines: list[str] = []
         self.assumed: list[str] = []  # messages about assumed values, which the user should check
-        self._missing: list[tuple[str, str, str]] = []  # missing key, the capture or section that needs it, explanation
+        # for each missing key: the key, the capture or section that needs the key, and an explanation
+        self._missing: list[tuple[str, str, str]] = []
 
     def __str__(self) -> str:
         return "\n".join(self._lines) + "\n"
@@ -341,7 +342,7 @@ class Composer:
     def _chart_corners(self) -> dict[int, sorting.Corners]:
         """Search all captures in `self.charts` for a chart, and return the corners that were found.
 
-        The keys of the result are the `id` of each capture. Captures that are neither uniform nor contain a chart are
+        The keys of the result are the `id()` of the captures. Captures that are neither uniform nor contain a chart are
         removed from `self.charts`, unless their names say that they are charts.
         """
         seen, found = self.seen, dict[int, sorting.Corners]()
@@ -388,8 +389,8 @@ class Composer:
     def _bands(self) -> None:
         """Add the [[band]] captures, which show a chart behind narrow-band filters.
 
-        The corners of the chart are searched for in the brightest captures, and are the same in all captures. A missing
-        table of radiances is added as a TODO.
+        l3 finds the corners of the chart in the brightest captures, and uses the corners for all captures. A missing table
+        of radiances is added as a TODO.
         """
         out, seen = self.out, self.seen
         corners = sorting.corners_of_series(self.bands, seen.scale, seen.period, self.read)
@@ -415,9 +416,9 @@ class Composer:
     def _photos(self, corners: dict[int, sorting.Corners]) -> None:
         """Add the [[photo]] captures: charts in a folder without monochromatic captures.
 
-        The illuminant of a photo is the measured spectrum that matches it, otherwise the illuminant in its file name.
-        Otherwise a comment explains the key `light`. Dark frames with the same exposure time are added to the photo. If
-        there are none and the black level is unknown, they are added as a TODO.
+        The illuminant of a photo is a matching measured spectrum or, if there is none, the illuminant in the file name. If
+        both are missing, a comment explains the key `light`. Dark frames with the same exposure time are added to the photo.
+        If there are none and the black level is unknown, they are added as a TODO.
         """
         out, seen = self.out, self.seen
         for group in self.charts:

@@ -109,7 +109,7 @@ def survey(
 
 
 def _with_wavelengths(usable: list[Frame], notes: list[str]) -> list[Frame]:
-    """Return the frames with the wavelengths that their names contain without a unit, and add a note about them."""
+    """Set the wavelengths of frames whose names contain a wavelength without a unit, and add a note about these frames."""
     names = with_bare_wavelengths([frame.name for frame in usable])
     new = [name for name, frame in zip(names, usable, strict=True) if name != frame.name]
     if new:
@@ -121,9 +121,9 @@ def _with_wavelengths(usable: list[Frame], notes: list[str]) -> list[Frame]:
 
 
 def _facts(listing: CaptureFolder, notes: list[str], reading: Reading) -> list[_Fact]:
-    """Read the metadata of every file, and keep the pixel values of as many frames as fit into 64 MiB.
+    """Read the metadata of every file. The pixel values of as many frames as fit into 64 MiB stay in memory.
 
-    Files that cannot be read are left out, and a note about each of them is added.
+    Files that cannot be read are left out, and a note about each such file is added.
     """
     facts, room = [], 64 << 20
     refused: list[str] = []

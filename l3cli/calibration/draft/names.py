@@ -10,7 +10,7 @@ from pathlib import PurePath
 import numpy as np
 from numpy.typing import NDArray
 
-# types of captures, and the words in names from which they are recognised
+# types of captures, and the words in file names by which l3 recognises each type
 KINDS = {
     "dark": ("dark", "darks", "cap", "lenscap", "bias", "offset"),
     "white": ("white", "whites", "flat", "flats", "flatfield", "ptc"),
@@ -29,18 +29,19 @@ WORD = re.compile(r"[a-z]+|[A-Z][a-z]+|[A-Z]+(?![a-z])")
 # Numbers without a unit are wavelengths if all are within BARE (nm), and if at least LEAST_STEPS of them differ.
 BARE, LEAST_STEPS = (300.0, 1200.0), 5
 VISIBLE = (200.0, 2000.0)  # nm; a number with the unit nm is a wavelength only if it is in this range
-BLOCKS = 16  # largest number of rows and columns of blocks in the summary of a frame
+BLOCKS = 16  # largest number of block rows and block columns in the summary of a frame
 PERIODS = (1, 2, 3, 4, 5, 6, 8)  # possible numbers of rows or columns of the filter array
 LARGEST_CROP = 960  # pixels; largest side of the crop from which the period is estimated; it is a multiple of all periods
-EXPLAINED = 0.98  # a smaller period is preferred if it explains this fraction of the variance that the best period explains
+# a smaller period is preferred if it explains at least this fraction of the variance that the best period explains
+EXPLAINED = 0.98
 SIGNIFICANT = 0.02  # smallest fraction of the variance that a filter array must explain
 EVEN = 0.05  # largest relative residual of a uniform field after a smooth fit
 TERMS = 4  # degree of the polynomial of the smooth fit
-COMMON = 12  # smallest number of pixels with a value that is called frequent
+COMMON = 12  # a value is frequent if at least this number of pixels have the value
 LEAST_CODES = 16  # smallest number of frequent values from which stretched values can be recognised
 MOST_GAPS = 0.25  # in unprocessed data, the next higher value is missing for at most this fraction of the frequent values
-# In a drawing, more than the fraction PLAIN of the intermediate pixels equal their neighbours, and the values differ by more
-# than DRAWN (DN).
+# A frame is a drawing if more than the fraction PLAIN of its pixels with intermediate values equal their neighbours,
+# and if its values span more than DRAWN (DN).
 PLAIN, DRAWN = 0.8, 8
 Array = NDArray[np.floating]
 
@@ -102,7 +103,7 @@ def with_bare_wavelengths(names: Sequence[Name]) -> list[Name]:
     """Add wavelengths that the names of monochromatic captures contain without a unit, such as 450 in mono_450_03.
 
     The names must all contain equally many numbers. The wavelength is the first number that is a plausible wavelength in all
-    names and does not count the files. If there is no such number, the names are returned unchanged.
+    names and is not a running number. If there is no such number, the names are returned unchanged.
     """
     bare = [name for name in names if name.kind == "mono" and name.nm is None]
     numbers = [re.findall(r"\d+(?:\.\d+)?", PurePath(name.path).stem) for name in bare]
@@ -188,7 +189,7 @@ def summarise(values: NDArray[np.uint16], period: tuple[int, int]) -> Summary:
 def period_of(frames: Sequence[NDArray[np.uint16]]) -> tuple[int, int]:
     """Estimate the period of the colour filter array in rows and columns from several frames.
 
-    If channels have equal signals under an illuminant, the period of a frame seems smaller than it is. The result is
+    If channels have equal signals under an illuminant, the period of the array seems smaller than it is. The result is
     therefore the largest period that occurs in at least a third of the frames, not counting frames in which no array is
     visible. If no array is visible in any frame, the result is (1, 1).
     """
@@ -234,7 +235,7 @@ def altered(values: NDArray[np.uint16]) -> str | None:
     step = int(np.gcd.reduce(codes))
     if step > 1 and codes.size > DRAWN:
         return f"all values are multiples of {step}, so they seem to be shifted to the left"
-    # If many pixels have a value, chance does not explain that no pixel has the next higher value.
+    # The absence of the value above a frequent value is not due to chance.
     common = np.flatnonzero(counts[:-1] >= COMMON)
     gaps = float(np.mean(counts[common + 1] == 0)) if common.size else 0.0
     if common.size >= LEAST_CODES and gaps > MOST_GAPS:
@@ -245,7 +246,7 @@ def altered(values: NDArray[np.uint16]) -> str | None:
 
 
 def drawn(values: NDArray[np.uint16]) -> bool:
-    """Whether a frame is probably a mask or a drawing, because areas between its lowest and highest value have no noise."""
+    """Return whether a frame is probably a mask or a drawing, because its pixels with intermediate values have no noise."""
     inner = values[1:, 1:]
     same = (inner == values[:-1, 1:]) & (inner == values[1:, :-1])
     low, high = int(values.min()), int(values.max())

@@ -1,7 +1,7 @@
 """Groups frames into captures, and assigns a spectrum to each capture.
 
-The type of a capture is determined from the names of its frames or, if the names do not contain it, from their content. The
-spectrum is found by the wavelength or the illuminant in the names, or by the order of the names.
+The type of a capture is determined from the names of its frames or, if the names do not contain the type, from their
+content. The spectrum is found by the wavelength or the illuminant in the names, or by the order of the names.
 """
 
 import itertools
@@ -31,7 +31,7 @@ Array = NDArray[np.floating]
 SAME_CHANNEL = 0.05  # largest difference between two sites of the same channel, as a fraction of the largest response
 LEAST_STEPS = 5  # smallest number of monochromatic captures from which the colour filter array is guessed
 GRID_NM = np.arange(400.0, 701.0, 10.0)
-SEARCHED = 6  # the chart is searched for in this number of captures, which are the brightest without clipping
+SEARCHED = 6  # l3 searches for the chart in this number of captures, the brightest captures without clipping
 DIM = 0.05  # l3 does not search for a chart in captures with a signal below this fraction of `Scale.range`
 Corners = list[tuple[float, float]]  # column and row in pixels of the outer corners of patches 1, 6, 24 and 19
 NARROW_NM = 40.0  # nm; largest FWHM of a narrow-band spectrum
@@ -200,7 +200,7 @@ def with_plain_kinds(groups: Sequence[Group], scale: Scale, notes: list[str]) ->
 def _same_light(group: Group, other: Group, scale: Scale) -> bool:
     """Return whether two uniform captures have the same illuminant.
 
-    Their colours must agree and, if both exposure times are known, their signals per second too.
+    Their colours must agree. If both exposure times are known, their signals per second must also agree.
     """
     one, two = scale.signal(group), scale.signal(other)
     if min(one.max(), two.max()) <= 0 or np.abs(one / one.max() - two / two.max()).max() > ALIKE:

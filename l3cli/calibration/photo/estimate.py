@@ -1,8 +1,8 @@
 """Estimates responsivities and the illuminant of a photo from the patches of a chart.
 
-The responsivities are the posterior of a Gaussian model (docs/method.md#charts-in-photographs). From the same model follow
-the probability of each candidate illuminant, and the illuminant under which an additional photo would reduce the colour
-error most.
+The responsivities are the posterior of a Gaussian model (docs/method.md#charts-in-photographs). The same model yields the
+probability of each candidate illuminant, and the illuminant under which an additional photo would reduce the colour error
+most.
 """
 
 import functools
@@ -78,7 +78,8 @@ def statistics(cameras: Sequence[FinishedCurves]) -> CurveStatistics:
 
 
 def camera_prior(known: CurveStatistics) -> Prior:
-    """Return the prior of a camera whose curves resemble the measured cameras. It has the same channels as these cameras."""
+    """Return the prior of a camera whose curves resemble the measured cameras. The prior has the channels of these
+    cameras."""
     count, size = known.mean.shape
     covariance = _covariance(known.modes).reshape(count * size, count * size) + JITTER * np.eye(count * size)
     return Prior(
@@ -146,11 +147,11 @@ def smooth(channels: int) -> Prior:
 
 
 def _covariance(modes: Array) -> Array:
-    """Compute the covariance of curves from their principal components.
+    """Return the covariance of the curves of measured cameras, including smooth deviations.
 
-    The result is a weighted mean of this covariance and of the covariance of smooth deviations, in which the channels are
-    independent. `modes` has the shape (mode, channel, wavelength). The result has the shape (channel, wavelength, channel,
-    wavelength).
+    The result is a weighted mean of two covariances: the covariance of the principal components `modes`, and the covariance
+    of smooth deviations, which are independent in each channel. `modes` has the shape (mode, channel, wavelength). The
+    result has the shape (channel, wavelength, channel, wavelength).
     """
     _, count, size = modes.shape
     flat = modes.reshape(len(modes), -1)

@@ -22,7 +22,8 @@ PEAK_EFFICIENCY = 0.4  # typical peak quantum efficiency of a silicon camera wit
 ELECTRONS_PER_UM2 = 1500.0  # typical full-well capacity per µm² at ISO 100
 BASE_ISO = 100.0  # typical lowest ISO speed
 READ_NOISE_E = 3.0  # e-; typical read noise
-USUAL_GAINS = (4.0, 16.0, 64.0)  # gains relative to the lowest ISO speed, for the recipe of a camera without raw files
+# gains, relative to the gain at the lowest ISO speed, in the recipe of a camera without raw files
+USUAL_GAINS = (4.0, 16.0, 64.0)
 FEWEST_ELECTRONS = 100.0  # e-; smallest plausible full scale
 Array = NDArray[np.floating]
 
@@ -50,7 +51,8 @@ class PhotoCamera:
     origin: str  # source of the curves, for a comment in the recipe
     noise: SensorNoise
     white: str | None = None  # value of ‹white› for rendering the photo: the specified illuminant or the chart's illuminant
-    gains: tuple[tuple[float, float], ...] = ()  # other gains, relative to the photo, and the read noise (e-) at each gain
+    # other gains, relative to the gain of the photo, and the read noise (e-) at each gain
+    gains: tuple[tuple[float, float], ...] = ()
     overrides: Mapping[str, str] = field(default_factory=dict)  # options of l3 render that correct metadata of the raw files
 
     def gain_recipe(self) -> str:
@@ -139,7 +141,7 @@ f_number = {self._f_number or F_NUMBER:.3g}{"" if self._f_number else " # assume
 def without_photo(
     body: Body, levels: tuple[float, float], known: Stated, curves: FinishedCurves, origin: str
 ) -> PhotoCamera:
-    """Return the data of a camera without a photo. The data come from l3's list of cameras.
+    """Return the data of a camera in l3's list of cameras, for which there is no photo.
 
     Parameters
     ----------

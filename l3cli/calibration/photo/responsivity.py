@@ -131,8 +131,8 @@ def light_of(capture: PhotoCapture) -> Array:
 def _geometry(capture: PhotoCapture, mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array) -> Array:
     """Return the homography from chart coordinates, in patches, to pixels.
 
-    It is computed from the corners in the measurement file. If the file contains no corners, l3 searches the photo for the
-    chart. Raises InputFileError if no chart is found, or if the corners are outside the photo or on a line.
+    The homography is computed from the corners in the measurement file. If the file contains no corners, l3 searches the
+    photo for the chart. Raises InputFileError if no chart is found, or if the corners are outside the photo or on a line.
     """
     rows, cols = capture.chart.grid
     if capture.corners is None:
