@@ -308,7 +308,7 @@ def _judge(pair: Pair, anchor: str, limits: tuple[int, int, int], options: Repor
     anchor : str
         Identifier of this pair, unique on the page.
     limits : (int, int, int)
-        Largest number of bytes for the pictures, for the pixel viewer, and for the filters of further classes in the viewer.
+        Largest number of bytes for the pictures, for the pixel viewer, and for the filters of additional classes.
     options : ReportOptions
         Options of `l3 report`.
     console : Console
@@ -396,7 +396,7 @@ def chart_subsection(frame: TrainingPair, number: int, planes: dict[str, NDArray
 
 
 def _side_by_side(judged: list[Judged], limit: int, options: ReportOptions) -> Section:
-    """Return the section that compares all tables. `limit` is the largest number of bytes for its pictures."""
+    """Return the section that compares all tables. `limit` is the largest number of bytes for the pictures."""
     sides = [Side(each.pair.table.name, each.pair.frames.name, each.pair.head.camera, each.document) for each in judged]
     pictures, chosen = [], shared_frame(sides, options.at)
     for each, index in zip(judged, chosen, strict=False):
@@ -415,7 +415,7 @@ def plot(judged: Sequence[Judgement], output: Path, options: CheckOptions) -> No
     Parameters
     ----------
     judged : sequence of Judgement
-        Results of `l3 check`. Camera recipes with faults, and recipes of other types, are left out.
+        Results of `l3 check`. Camera recipes with faults, and recipes of other types, are skipped.
     output : Path
         The page, whose name must end in .html.
     options : CheckOptions

@@ -56,13 +56,13 @@ from l3cli.system.console import Console
 from l3cli.system.files import FilesUsed, atomic_output, blamed_on, files_to_read, refuse_protected, require_regular
 from l3cli.system.outputs import OutputGuard
 
-COLOURS = set(LETTERS.lower())  # colour letters; ‹pattern› may contain them without blanks between them
+COLOURS = set(LETTERS.lower())  # colour letters, which need no blanks between them in ‹pattern›
 # Nona Bayer array. It is common in smartphones, but l3 has no recipe for it.
 NONA = "ggg rrr/ggg rrr/ggg rrr/bbb ggg/bbb ggg/bbb ggg"
 RAW_OVERRIDES = ("black_level", "white_level", "opcodes")  # options that replace values in the raw files
 SINGLE_CAMERA_OPTIONS = ("phase", "pattern", "black_level", "white_level")  # options that are refused for several cameras
 NEW_FOLDER = "mine"  # folder name in suggested commands, as in the documentation
-PHOTO_LINK = "picture"  # name of a symbolic link to the photo, whose own name may contain characters that make cannot handle
+PHOTO_LINK = "picture"  # name of the symbolic link to the photo, because make cannot handle all names of photos
 CHART_WHITE = "chart"  # value of ‹white› for l3 render if the illuminant of the chart was only estimated
 MAX_CHART_PHOTOS = 4  # number of photos per camera in which l3 looks for a ColorChecker
 FOLDER_FILES = (*COMMON, "camera.toml", CURVES)  # files that l3 init writes into a folder
@@ -180,7 +180,7 @@ def start_designed(path: Path, folder: Path, options: InitOptions) -> FilesUsed:
 
 
 def _write_recipes(folder: Path, contents: Mapping[str, bytes], reads: Mapping[str, Sequence[Path]]) -> FilesUsed:
-    """Write a recipe folder. If its camera recipe is not valid, an error is raised after the files are written."""
+    """Write a recipe folder. An error in the new camera recipe is raised after the files are written."""
     used = files_to_read(reads)
     write_folder(folder, contents)
     load_camera(folder / "camera.toml")
@@ -226,7 +226,7 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> tu
     Parameters
     ----------
     photos : sequence of Path
-        Raw files, or folders of raw files. Files in these folders that are not raw files are reported and left out.
+        Raw files, or folders of raw files. Other files in these folders are reported and skipped.
     folder : Path
         Folder to create.
     options : InitOptions

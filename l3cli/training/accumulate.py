@@ -2,7 +2,7 @@
 
 Patches are added in two steps, so that intermediate arrays fit into the processor caches:
 
-1. Small groups of patches are scaled to random levels, get noise, and are assigned to classes. Only the class, level and
+1. Small groups of patches are scaled to random levels, receive noise, and are assigned to classes. Only the class, level and
    scale of each patch are kept.
 2. The patches are sorted by class, scaled again without noise, and weighted. The products of the columns of each patch are
    added to the sums of its class.
@@ -29,7 +29,7 @@ from l3cli.training.training_pass import BATCH_PATCHES, TrainingPass
 
 EXPOSED_PATCHES = 4096  # number of patches in a group of step 1, whose arrays must fit into the processor caches
 CLIPPED_GREY_EDGES = 8.0  # weight of colourless patches at edges of clipped areas, such as text on over-exposed paper
-DARKEST_LEVEL = 1e-4  # fraction of full scale; patches at lower levels have the weight of this level
+DARKEST_LEVEL = 1e-4  # level, as a fraction of full scale, below which all patches have the same weight
 
 
 def sum_sites(
@@ -100,7 +100,7 @@ class _Batch:
         self.pass_, self.patches, self.neighbours, self.site, self.weighting = pass_, patches, neighbours, site, weighting
         self.lines = LineNoise.of(pass_.head.camera, pass_.dark)
         member = (neighbours.channel[site][:, None] == np.arange(neighbours.count.shape[1])) / neighbours.count[site]
-        # weight of each tap in the level, which is the mean of the channel means
+        # Weight of each tap in the level, which is the mean of the channel means.
         self.tap_share = member.mean(axis=1).astype(np.float32)
 
     def add_to(self, sums: ClassSums, rng: np.random.Generator) -> None:
@@ -137,7 +137,7 @@ class _Batch:
     def _scale(self, patch_level: Floats, places: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the factors that scale the patches to random levels.
 
-        `places` contains the quantiles of these levels in the distribution of levels.
+        `places` contains the quantile of each level in the distribution of levels.
         """
         if not self.pass_.recipe.rescale:
             return np.ones(patch_level.size)
@@ -199,7 +199,7 @@ class _Batch:
         patch: NDArray[np.int64],
         rng: np.random.Generator,
     ) -> None:
-        """Scale patches, weight them, and add their products to the sums.
+        """Scale and weight patches, and add the products of their columns to the sums.
 
         Parameters
         ----------

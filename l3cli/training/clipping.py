@@ -18,7 +18,7 @@ SURFACE_STEP = 7  # only every seventh surface is used, to save time
 SAMPLE_RIDGE = 1e-3  # absolute ridge of the fit of the corrections
 COLOUR_RIDGE = 1e-3  # ridge of the colour matrix, relative to the mean power of the channels' deviations from grey
 EXPOSURE_POWER = 2  # clipped samples have the weight exposure^−2, because brighter areas are rarer
-CHANGE_WEIGHT = 3.0  # weight of changes between exposures, because a step is more visible than a wrong colour
+CHANGE_WEIGHT = 3.0  # weight of changes between exposures; high, because a step is more visible than a wrong colour
 
 
 def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Array) -> Clipping | None:
@@ -29,7 +29,7 @@ def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Ar
     camera : CameraModel
         Camera whose channels clip.
     light : LightSpectrum or None
-        Mean illuminant of the training, or None if it is unknown.
+        Mean illuminant of the training, or None if the illuminant is unknown.
     white : ndarray, (output)
         X, Y, Z of a perfect white under the illuminant, with Y = 1.
 
@@ -86,7 +86,7 @@ def _colours(signals: Array, outputs: Array) -> Array:
 
 
 def _target(outputs: Array, over: Array, white: Array, brightest: float) -> Array:
-    """Return the outputs to which clipped surfaces should be rendered, at the exposures `over`.
+    """Return the target outputs of clipped surfaces at the exposures `over`.
 
     At an exposure of 1, the first channel of a surface just clips. At higher exposures, the target colour becomes paler. The
     luminance is limited to `brightest`, the luminance of a white whose last channel just clips.

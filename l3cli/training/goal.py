@@ -1,6 +1,6 @@
-"""The goal of a training: the outputs, and the properties of the camera, illuminant and surfaces on which transforms depend.
+"""The training goal: the outputs, and the properties of the camera, illuminant and surfaces on which transforms depend.
 
-The goal is the same for all sites and for both passes of a training.
+The goal is the same for all sites and for both passes.
 """
 
 from dataclasses import dataclass
@@ -28,11 +28,11 @@ class Goal:
     outputs: tuple[str, ...]
     channels: tuple[str, ...]
     white: Array  # (output) outputs of a perfect white under the training illuminant, with Y = 1
-    white_signal: Array | None  # (channel) signals of this white, as fractions of full scale, or None if they are unknown
+    white_signal: Array | None  # (channel) signals of this white, as fractions of full scale, or None if unknown
     black_level: float  # DN
     white_level: float  # DN
-    white_error: Array | float = 0.0  # (channel) relative error of `white_signal` when measured surfaces predict it
-    surfaces: PlainSurfaces | None = None  # measured surfaces under the training illuminant, if l3 trains on them
+    white_error: Array | float = 0.0  # (channel) relative error of `white_signal` if predicted from measured surfaces
+    surfaces: PlainSurfaces | None = None  # measured surfaces under the training illuminant, if used for training
     filters: tuple[int, ...] = ()  # (channel) first channel with the same filter, or () if no channels share a filter
     sensitivity: Array | None = None  # (channel) relative sensitivity, or None if all channels are equally exposed
     integers: Integers | None = None  # integer formats of the planes, or None if no refinement layer can follow
@@ -49,7 +49,7 @@ def has_components(head: TrainingSet) -> bool:
 
 
 def goal_of(head: TrainingSet, white_point: Array, light: LightSpectrum | None) -> Goal:
-    """Derive the goal of a training from its training sets.
+    """Derive the training goal from the properties of the training sets.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def goal_of(head: TrainingSet, white_point: Array, light: LightSpectrum | None) 
     white_point : ndarray, (output)
         Mean outputs of a perfect white, with Y = 1.
     light : LightSpectrum or None
-        Mean illuminant of the frames, or None if it is unknown.
+        Mean illuminant of the frames, or None if the illuminant is unknown.
 
     Returns
     -------

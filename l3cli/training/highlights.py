@@ -47,10 +47,9 @@ def grey_patches(
 ) -> dict[int, Array]:
     """Return the moments of uniform greys for the saturated classes of the lowest contrast.
 
-    The moments of a class are the mean over all greys that belong to the class, multiplied by the weight of the greys
-    relative to one training patch.
-    Each grey also belongs to the same class at the next darker and the next brighter level. For the saturation case in which
-    every channel clips, only greys that are fully clipped in every channel are used.
+    The moments of a class are a weighted mean over all greys of the class. The weight of a grey is the number of greys per
+    training patch (see `GREYS_PER_PATCH`). Each grey also belongs to the same class at the next darker and the next brighter
+    level. For the saturation case in which every channel clips, only greys that are fully clipped in every channel are used.
 
     Parameters
     ----------
@@ -65,7 +64,7 @@ def grey_patches(
     black_level, white_level : float
         Levels of the camera, in DN.
     signal : ndarray, (channel), or None
-        Signals of this white, as fractions of full scale, or None if they are unknown.
+        Signals of this white, as fractions of full scale, or None if unknown.
     filters : tuple of int
         For each channel, the first channel with the same filter, as in `Goal`. A filter counts as clipped only if all its
         channels clip.
@@ -111,7 +110,7 @@ def grey_patches(
 def steps_back(
     common: Array, clipping: NDArray[np.int64], rule: ClassRule, signal: Array, black_level: float, white_level: float
 ) -> tuple[NDArray[np.int64], Array]:
-    """Find by how much the rendered luminance of a grey would fall at the exposure at which the last channel clips.
+    """Compute the drop in the rendered luminance of a grey at the exposure at which the last channel clips.
 
     Parameters
     ----------
@@ -172,7 +171,7 @@ def white_channels(
     white : ndarray, (output)
         Outputs of this white.
     known : ndarray, (channel), or None
-        Signals of this white according to the camera model, or None if they are unknown.
+        Signals of this white according to the camera model, or None if unknown.
     white_error : ndarray, (channel), or float
         Relative error to expect if the signals of white are estimated from surfaces.
 
@@ -197,6 +196,7 @@ def error_of_white(light: LightSpectrum, camera: CameraModel) -> Array:
     Returns
     -------
     ndarray, (channel)
+        Relative error of each channel.
     """
     radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
     lit = np.vstack([radiance, spectra.reflectance_library(camera.wavelength) * radiance])

@@ -2,8 +2,8 @@
 
 A *line* is a row or a column. All pixels of a line receive the same random offset, so the noise of two taps in the same row
 or column of a patch is correlated. The offsets do not change clipped taps, which have no noise. The *share* of a tap is the
-factor by which the offsets of its lines are multiplied. It is 0 if the tap clips, and otherwise the gain of its channel
-relative to the gain of the camera.
+factor by which the offsets of its lines are multiplied. The share is 0 if the tap clips. Otherwise, the share is the gain of
+the channel relative to the gain of the camera.
 """
 
 import functools
@@ -110,10 +110,10 @@ class SharedNoise:
         return np.asarray((self.shares.T @ self.shares)[pairs.first, pairs.second] * variance)
 
     def propagated(self, weights: Floats, outputs: Sequence[tuple[int, int]]) -> Floats:
-        """Return by how much the covariances of the outputs change because taps of the same line have correlated noise.
+        """Return how much the correlation of noise between taps of a line changes the covariances of the outputs.
 
-        The change is the covariance that line noise causes, minus the covariance that equally strong but independent noise
-        would cause.
+        The change is the covariance from line noise, minus the covariance from independent noise with the same variance at
+        each tap.
 
         Parameters
         ----------

@@ -30,7 +30,7 @@ class Patches:
     signal: Floats  # (patch, tap) as a fraction of full scale
     target: Floats  # (patch, output) in the output unit of the table
     carried: Floats | None = None  # (patch, tap) noise variance that measured signals contain, in full scale², or None
-    colourless: NDArray[np.bool_] | None = None  # (patch) whether a patch shows only luminance; None if none does
+    colourless: NDArray[np.bool_] | None = None  # (patch) whether a patch shows only luminance; None if no patch does
 
     def possible(self, scale: NDArray[np.float64]) -> NDArray[np.float64]:
         """Limit the factors by which patches are made brighter or darker.
@@ -201,7 +201,7 @@ def sample_pair(
     Raises
     ------
     InputFileError
-        If the raw frame does not contain a complete patch around any of these sites.
+        If the raw frame does not contain a complete patch around a site that is equivalent to `site`.
     """
     side = int(np.sqrt(neighbours.channel.shape[1]))
     radius, period = side // 2, camera.cfa.shape
@@ -263,7 +263,7 @@ def sample_patches(
     count : int
         Number of patches.
     orientations : sequence of ndarray, (tap)
-        Permutations of the taps. All are used equally often.
+        Permutations of the taps, which are used equally often.
     rng : numpy.random.Generator
         Source of the random numbers.
 

@@ -31,9 +31,9 @@ Array = NDArray[np.float64]
 MODULATIONS = np.linspace(0.3, 0.95, 8)  # modulations of the stripes on which classes are trained
 CENTRE = 0.65  # modulation of the stripes whose channel fractions are the chroma centre
 MAX_STRIPE_CHROMAS = 8  # largest number of chromas for stripes
-# smallest distance between the channel fractions of stripes and of white; otherwise noisy greys would count as stripes
+# Smallest distance between the channel fractions of stripes and of white. Noisy greys would otherwise count as stripes.
 MIN_STRIPE_CHROMA = 0.1
-UNLIKE = 0.5  # smallest distance from stripes to the nearest optimal colour, relative to their distance from white
+UNLIKE = 0.5  # smallest distance from stripes to the nearest optimal colour, relative to the distance from stripes to white
 BAND_EDGES = 31  # number of wavelengths at which the bright band of an optimal colour may begin or end
 BLACKS = (0.02, 0.1, 0.3)  # reflectances outside the bright band of an optimal colour
 
@@ -41,8 +41,8 @@ BLACKS = (0.02, 0.1, 0.3)  # reflectances outside the bright band of an optimal 
 def uniform_stripes(cfa: NDArray[np.integer], channels: int) -> Array:
     """Return the stripes that give the same raw values as a uniform colour.
 
-    These are sinusoidal patterns with a whole number of periods per CFA period, a mean of 0 and an amplitude of 1. All sites
-    of a channel sample the pattern at the same value, but the value differs between channels.
+    These stripes are sinusoidal patterns with a whole number of periods per CFA period, a mean of 0 and an amplitude of 1.
+    All sites of a channel sample the pattern at the same value, but the value differs between channels.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ EDGES = 0.1, 0.2, 0.4  # ratio of absorption to scattering (K/S) of titanium whi
 WIDTHS = 6.5, 9.5  # width of the absorption edge of titanium white, in nm
 BARE = 2  # number of copies of each version without titanium white; there are six versions with titanium white
 GREYS = np.geomspace(0.03, 0.95, 12)  # reflectances of white and grey paints
-GREY_SHARE = 100.0  # total weight of the paints in a chroma, relative to the total weight of its other surfaces
+GREY_SHARE = 100.0  # total weight of the paints in a chroma, relative to the total weight of all other surfaces
 OF_WHITE = 3.0  # additional weight of the chroma of white, in which a colour cast is most visible
 NEAR_WHITE = 0.2  # typical distance of noisy dark greys from white, relative to the mean channel fraction
 MIN_SURFACES = 4  # smallest number of surfaces per channel with which a chroma is trained

@@ -50,7 +50,7 @@ class LearningRecipe(Recipe):
     highlight_share: Share = 0.25  # fraction of the draws between `highlight_from` and `brightest`
     highlight_from: float = 0.15  # lowest level of the draws for highlights
     achromatic: Share = 0.0  # fraction of the patches that show their scene in greys (docs/method.md#patches)
-    rescale: bool = True  # whether patches are scaled to random levels; if false, they keep the level of their frame
+    rescale: bool = True  # whether patches are scaled to random levels; if false, patches keep the level of their frame
     # "analytic" adds the computed covariance of the noise to noise-free patches; "sampled" adds random noise to the patches,
     # so that luminance_noise and chroma_noise have no effect; "none" trains for frames without noise
     noise: Literal["analytic", "sampled", "none"] = "analytic"
@@ -113,7 +113,7 @@ class LayerRecipe(Recipe):
     level_step: Count = 1  # number of first-layer levels that form one level of this layer
     # boundaries between strengths of structure: trace of the structure tensor, relative to the trace that noise causes
     strengths: tuple[Positive, ...] = (1.7, 8.0)
-    coherence: Share = 0.48  # fraction of the trace along one direction from which structure counts as a directed edge
+    coherence: Share = 0.48  # smallest fraction of the trace along one direction for a directed edge
     # number of training mosaics over all frames
     mosaics: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 5400
     achromatic: Share = 0.2  # fraction of the mosaics that show their scene in greys
@@ -137,7 +137,7 @@ class LayerRecipe(Recipe):
     # last layer only: whether chroma is averaged over a wide area of similar pixels (docs/method.md#coarse-chroma)
     coarse_chroma: bool = False
     level_pool: tuple[NotNegative, ...] = (0.5, 0.25)  # weights of samples one level away, two levels away, and so on
-    # weight of samples from the class with the same direction and the next strength; the lowest strength is left out
+    # weight of samples from the class with the same direction and the next strength, excluding the lowest strength
     strength_pool: NotNegative = 0.0
     # number of pseudo-samples of the parent that every class gets; the parent is the mean of all structures of a level
     parent_patches: CountOrNone = 200
@@ -166,7 +166,7 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
 
     A `darkest` of 0 is replaced by the level at which the signal equals its noise, or by the lowest level of the classes,
     whichever is higher (docs/method.md#level-rescaling). If the channels have different exposures or gains, `brightest` is
-    raised so that the least sensitive channel clips, too (docs/method.md#exposures).
+    raised so that the least sensitive channel also clips (docs/method.md#exposures).
 
     Parameters
     ----------

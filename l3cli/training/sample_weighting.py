@@ -14,13 +14,13 @@ from l3cli.physics.display import XYZ
 from l3cli.training.lines import SharedNoise
 
 Floats = NDArray[np.float32]
-MIN_TARGET = 0.02  # fraction of the level; darker targets are treated as if they were this bright
+MIN_TARGET = 0.02  # smallest target used to compute relative errors, as a fraction of the level
 TARGET_FLOOR = 0.05  # fraction of the level that is added to the brightness of a target (docs/method.md#sample-weights)
-ERROR_FLOOR = 0.25  # ΔE² or degrees²; all samples with a smaller error have about the same weight
+ERROR_FLOOR = 0.25  # squared error, in ΔE² or degrees², below which all samples have about the same weight
 # Factors that convert errors of the cube roots of X, Y and Z to errors of L*, a* and b*. CIELAB has the factors 116, 500 and
 # 200. The factors of a* and b* are lower here, because errors of chroma are less visible.
 LIGHTNESS, RED_GREEN, YELLOW_BLUE = 116.0, 250.0, 150.0
-PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2))  # outputs whose covariances the colour error needs
+PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2))  # pairs of outputs whose covariances the colour error needs
 
 
 @dataclass(frozen=True)
@@ -52,14 +52,14 @@ class ColourWeighting:
         runs : list of (class, first patch, end patch)
             Range of patches of each class, from `sums.runs_of`.
         shared : SharedNoise, optional
-            Noise that taps of the same line share. It is part of `variance`. [default: the noise of taps is independent]
+            Noise that the taps of a line share, which is part of `variance`. [default: the noise of taps is independent]
 
         Returns
         -------
         ndarray, (patch)
         """
         relative = 1 / level[:, None]
-        # derivative of the cube root of X/X_w, Y/Y_w and Z/Z_w
+        # Derivative of the cube root of X/X_w, Y/Y_w and Z/Z_w.
         slope = np.maximum(target * relative / self.white, MIN_TARGET) ** np.float32(-2 / 3) / (3 * self.white)
         bias, noise = np.empty_like(target), np.empty((len(target), 5), np.float32)
         for index, first, last in runs:

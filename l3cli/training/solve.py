@@ -5,10 +5,10 @@ The transform of a class is a Wiener solution. Classes with few patches are supp
 
 * **Neighbouring levels.** The sums of the neighbouring levels are added with weights below 1. Samples are relative to their
   level and transforms change slowly with the level, so these sums are a good substitute.
-* **Pseudo-patches.** If a class has fewer patches than taps, its solution is not unique, and with slightly more patches it
-  would fit their noise. Therefore the mean sums of the *parent* are added as if they were `parent_patches` more patches. The
-  parent joins all chromas of the same level, contrast and saturation case. The pseudo-patches have little effect on a class
-  with many patches. A class without any patches gets the transform of its parent.
+* **Pseudo-patches.** A class with fewer patches than taps has no unique solution, and a class with slightly more patches
+  would fit the noise of its patches. Therefore the mean sums of the *parent* are added, with the weight of `parent_patches`
+  patches. The parent joins all chromas of the same level, contrast and saturation case. The pseudo-patches have little
+  effect on a class with many patches. A class without any patches gets the transform of its parent.
 * **Nearest class.** If the parent has no patches either, the class uses the transform of the nearest solved class.
 """
 
@@ -33,7 +33,7 @@ from l3cli.training.sums import moment_matrix, turned_places, width_of
 from l3cli.training.symmetry import Turn
 
 Array = NDArray[np.float64]
-CASE_SHARE = 0.1  # smallest fraction of the pseudo-patches that are a mean over all levels of the saturation case
+CASE_SHARE = 0.1  # smallest fraction of the pseudo-patches that is averaged over all levels of the saturation case
 # If the level and saturation case of a parent have this number of patches, the fraction is 0.55. With more patches, the
 # fraction falls towards CASE_SHARE.
 THIN_PARENT = 100.0
@@ -63,7 +63,9 @@ def shrunk(
     Returns
     -------
     moments : ndarray, (class, pair)
+        Packed moments of each class.
     noise : ndarray, (class, noise column)
+        Noise sums of each class.
     """
     _, level, contrast, combination, kind = rule.split(classes)
     moments, noise, count = sums.moments[classes], sums.noise[classes], sums.count[classes]
@@ -138,8 +140,8 @@ class Solution:
     """Wiener solutions of the classes of one canonical site, in the opponent basis (docs/method.md#equal-response).
 
     The *response* of a transform consists of the sum of its taps for each channel, and of its intercept. The response
-    describes how the transform renders uniform areas. The *compliance* describes how the best taps change if the response is
-    constrained to another value.
+    describes how the transform renders uniform areas. The *compliance* describes how the optimal taps change if the response
+    is constrained to another value.
     """
 
     taps: Array  # (class, tap + 1, output); the last tap is the intercept
@@ -187,7 +189,7 @@ def solve(
     recipe : LearningRecipe
         The section [learning] of the class recipe.
     goal : Goal
-        What the transforms are trained for.
+        The training goal.
 
     Returns
     -------
@@ -264,6 +266,7 @@ def _averaged(
     Returns
     -------
     moments : ndarray, (class, column, column)
+        Moments of each class.
     noise : ndarray, (class, tap)
         Noise variances.
     shared : ndarray, (class, tap, tap), or None
@@ -286,8 +289,8 @@ def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Arr
     """Return the moments of additional training patches for each unsaturated class of the lowest contrast.
 
     Classes without a direction are trained on uniform surfaces. Classes whose chroma occurs only in stripes are trained on
-    stripes, whatever their direction. The result is empty if the training patches contradict the white that is computed from
-    the camera model.
+    stripes, regardless of their direction. The result is empty if the training patches contradict the white that is
+    computed from the camera model.
     """
     if goal.surfaces is None or white is None or goal.white_signal is None or not np.array_equal(white, goal.white_signal):
         return {}
@@ -325,7 +328,7 @@ def equal_responses(
     Parameters
     ----------
     solutions : list of Solution
-        One per canonical site.
+        Solution of each canonical site.
     copies : list of int
         Number of CFA sites that each canonical site represents.
     rule : ClassRule
@@ -333,12 +336,12 @@ def equal_responses(
     recipe : LearningRecipe
         The section [learning] of the class recipe.
     goal : Goal
-        What the transforms are trained for.
+        The training goal.
 
     Returns
     -------
     list of Transforms
-        One per canonical site.
+        Transforms of each canonical site.
 
     Raises
     ------
@@ -373,7 +376,7 @@ def _constrained(
     """Constrain the transforms of all sites to the common response with the least error. Return the taps of each site.
 
     If `_exact_white` returns the signals of white, white is rendered exactly as white. The luminance of a grey must not fall
-    at the exposure at which its last channel clips (see `steps_back`).
+    at the exposure at which the last channel clips (see `steps_back`).
     """
     constrained = [solution.taps.copy() for solution in solutions]
     saturated = rule.case(rule.split(np.arange(solved.size)).kind) > 0

@@ -41,14 +41,14 @@ def insight(table: TransformTable) -> dict[str, Any]:
         * ``classes``: numbers of all classes, of trained classes, of trained classes with fewer patches than taps
           (``thin``), and of classes without patches (``filled``)
         * ``kinds``: name and number of patches of each chroma and saturation case
-        * ``features``: name and number of patches of each value of each further feature, such as direction
+        * ``features``: for each additional feature, such as direction, name and number of patches of each value
         * ``noise_gain``: for each output, median and maximum of √Σw² over the trained classes
         * ``dc_gain``: for each output and channel, the output for a uniform signal of 1 in this channel and 0 in the
           others, as a median over the trained unsaturated classes
         * ``condition``: median and maximum of the condition number over the trained classes
-        * ``worst``: the trained classes with the largest noise gain of Y, or of any output if there is no Y
+        * ``worst``: the trained classes with the largest noise gain of Y, or of all outputs if there is no Y
         * ``later``: `refinement_layer` of each refinement layer
-        * ``lights``: name and colour temperature, in K, of each illuminant with transforms of its own
+        * ``lights``: name and colour temperature, in K, of each illuminant that has separate transforms
         * ``noises``: analog gain and remaining fraction of the noise, for each additional set of transforms
         * ``spectra``: window, in pixels, and brightness reach of the smoothing of spectra
         * ``chroma_smoothing``: luminance reach and chroma likeness of the smoothing of chroma
@@ -120,7 +120,7 @@ def refinement_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, A
         * ``noise_gain``: as in `insight`
 
         If the classes depend on structure, the dict also contains the numbers of strengths and directions. If the classes
-        are the leaves of a tree, it contains the number of leaves, the depth and the number of nodes per test.
+        are the leaves of a tree, the dict contains the number of leaves, the depth and the number of nodes per test.
     """
     trained, rule = layer.samples > 0, layer.rule
     gain = np.sqrt((layer.weights.astype(np.float64) ** 2).sum(axis=2))
@@ -146,7 +146,7 @@ def _features(rule: PlaneRule) -> dict[str, Any]:
 
 
 def _values_of_features(table: TransformTable, combination: NDArray[np.int64]) -> dict[str, list[dict[str, Any]]]:
-    """Return, for each further feature such as direction, the name and the number of patches of each of its values."""
+    """For each additional feature, such as direction, return the name and the number of patches of each value."""
     every = {}
     for (module, feature), value in zip(
         features_of(table.first.rule), table.first.rule.split_features(combination), strict=True
@@ -259,7 +259,7 @@ def _kinds(layer: dict[str, Any]) -> str:
 def class_meaning(recipe: TrainingRecipe, source: RecipeSource) -> Meaning:
     """Return the summary of a class recipe for ``l3 check``.
 
-    The list of faults in the result is always empty, because the summary finds no further faults.
+    The list of faults in the result is always empty, because this function finds no faults.
     """
     return class_figures(recipe, source.camera), []
 
@@ -272,7 +272,7 @@ def class_figures(recipe: TrainingRecipe, camera: CameraModel | None) -> dict[st
     recipe : TrainingRecipe
         Recipe to summarise.
     camera : CameraModel or None
-        Camera for which the size of the table is computed, or None to leave out this size.
+        Camera for which the size of the table is computed, or None to omit the size.
 
     Returns
     -------
@@ -285,7 +285,7 @@ def class_figures(recipe: TrainingRecipe, camera: CameraModel | None) -> dict[st
     cases = classes.max_cases if camera is None else min(classes.max_cases, 2 ** len(camera.channels))
     sizes: dict[str, int] = {}
     if camera is not None:
-        # the saturation cases do not affect the sizes
+        # The saturation cases do not affect the sizes.
         rule = make_rule(classes, camera, np.zeros(2 ** len(camera.channels), np.uint16))
         sizes = {feature.name: feature.size for feature in rule.feature_list}
     chromas = max(1, classes.chromas)

@@ -51,7 +51,7 @@ def empty_sums(rule: ClassRule, outputs: int, camera: CameraModel) -> ClassSums:
 
 
 def same_shapes(sums: ClassSums | LayerSums, others: ClassSums | LayerSums) -> bool:
-    """Return whether two objects with sums have the same type and the same shapes, so that they can be added."""
+    """Return whether two sets of sums have equal types and shapes, and can therefore be added."""
     return type(sums) is type(others) and all(
         (getattr(sums, name).dtype, getattr(sums, name).shape) == (np.float64, getattr(others, name).shape)
         for name in ("moments", "noise", "count")
@@ -81,7 +81,7 @@ def add_rounded(total: Array, more: NDArray[np.float32], large: Array) -> None:
 
 
 def runs_of(label: NDArray[np.integer]) -> list[tuple[int, int, int]]:
-    """Return (class, first sample, end sample) for each class in `label`, the sorted classes of samples."""
+    """Return (class, first sample, end sample) for each class in `label`. The samples must be sorted by class."""
     changes = (np.flatnonzero(label[1:] != label[:-1]) + 1).tolist()
     first, last = [0, *changes], [*changes, len(label)]
     return list(zip(label[first].tolist(), first, last, strict=True)) if len(label) else []

@@ -34,7 +34,7 @@ LINES_KEPT: Allowed = (0, 2, 5, 7)  # rows stay rows and columns stay columns: i
 def orientations_of_scenes(camera: CameraModel) -> Allowed:
     """Return the orientations in which simulated scenes may be turned for training.
 
-    All orientations are equally likely in a scene. A camera with polarisers only allows a half turn, which does not change
+    All orientations are equally likely in a scene. A camera with polarisers allows only a half turn, which does not change
     the angle of polarisation.
     """
     return EVERY_ORIENTATION if camera.polarisers is None else HALF_TURN
@@ -147,7 +147,7 @@ class Turn(NamedTuple):
     """An orientation that leaves the CFA layout of a window unchanged."""
 
     taps: Indices  # (tap) permutation of the taps
-    classes: Indices  # (class) patches of class classes[c] belong to class c when they are read in this orientation
+    classes: Indices  # (class) a patch of class classes[c] has the class c if the patch is read in this orientation
 
 
 def turns_of(rule: ClassRule, window: Indices, allowed: Allowed = EVERY_ORIENTATION) -> list[Turn]:

@@ -14,7 +14,7 @@ from l3cli.artifacts.layers import PLANES
 from l3cli.classes.planes import opponent_basis, room_between, room_for
 
 Array = NDArray[np.float64]
-MAX_RIDGE_STEPS = 5  # a ridge is multiplied by 10 at most this number of times
+MAX_RIDGE_STEPS = 5  # largest number of times that a ridge is multiplied by 10
 EQUAL_RESPONSE_MARGIN = 4.0  # safety factor, because the equal-response constraint changes the transforms later
 ROUNDING_MARGIN = 1.001  # safety factor, because transforms are rounded to float32 later
 
@@ -146,6 +146,7 @@ def solve_positive(system: Array, right: Array) -> tuple[Array, float]:
     Returns
     -------
     solution : ndarray, (row, column)
+        One solution per right-hand side.
     condition : float
         Estimated condition number in the 1-norm.
     """

@@ -63,7 +63,7 @@ class Pilot:
     # (frame, wavelength) radiance of a white of 1 cd/m² on spectra.light_grid, or NaN if the illuminant is unknown
     lights: NDArray[np.float64]
     exposures: NDArray[np.float64]  # (frame) in s; 0 for real pairs, whose dark signal has already been subtracted
-    observed: dict[str, NDArray[np.float64]]  # (patch, …) measurements by the name of the feature that needs them
+    observed: dict[str, NDArray[np.float64]]  # name of a class feature → (patch, …) measurements for this feature
 
 
 def take_pilot(

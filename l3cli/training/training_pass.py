@@ -37,7 +37,7 @@ class TrainingPass:
     """Settings of one pass, which are the same for all its frames, sites and processes."""
 
     head: TrainingSet
-    patches: tuple[int, ...]  # (frame) number of patches per canonical site, before it is divided by `divisors`
+    patches: tuple[int, ...]  # (frame) number of patches per canonical site, before division by `divisors`
     rule: ClassRule
     recipe: LearningRecipe
     white_point: NDArray[np.float64]  # (output) outputs of a perfect white under the training illuminant, with Y = 1
@@ -53,7 +53,7 @@ class TrainingPass:
 
     @functools.cached_property
     def goal(self) -> Goal:
-        """Goal of the training, derived from the properties that all frames share.
+        """The training goal, derived from the properties that all frames share.
 
         The goal is cached, because its computation can take as long as solving the equations of one site.
         """
@@ -96,7 +96,7 @@ def at_noise(pass_: TrainingPass, noise: NoiseScale, classes: ClassRecipe) -> Tr
     noise : NoiseScale
         Noise of the frames, relative to the camera model.
     classes : ClassRecipe
-        Class recipe of the table. Some of its class edges depend on the noise and are computed again.
+        Class recipe of the table. The class edges that depend on noise are computed again.
 
     Returns
     -------

@@ -107,8 +107,8 @@ def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callabl
 def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "Scene | ChannelPicture":
     """Read a scene file.
 
-    Spectral cubes and pictures are converted to scenes with reflectances. If the recipe says that the codes of a picture are
-    the signals of the channels, the result is a ChannelPicture.
+    Spectral cubes and pictures are converted to scenes with reflectances. A picture with holds = "codes" in the recipe
+    becomes a ChannelPicture.
     """
     from l3cli.frames.scene import ChannelPicture, PolarisedPictures, Scene, SpectralCube
 
@@ -294,14 +294,14 @@ def fitting(
 ) -> tuple[list[list[Path]], int]:
     """Check the scene files, and return the files that can be used.
 
-    If `skip_bad` is set, each file that cannot be used is reported and left out. Only the headers of the files are read.
+    If `skip_bad` is set, each file that cannot be used is reported and skipped. Only the headers of the files are read.
 
     Returns
     -------
     list of list of Path
         The usable files of each source.
     int
-        Number of files that are left out.
+        Number of skipped files.
 
     Raises
     ------

@@ -155,7 +155,7 @@ def simulated(unit: WorkUnit) -> Iterator[tuple[int, Any, float]]:
 def received(pool: WorkerPool, work: list[WorkUnit], stored: StoredFrames, digests: Mapping[Path, str]) -> Iterator[int]:
     """Let workers on other machines simulate work units, and store the frames that the workers return.
 
-    The workers must have access to the same input files. Each time a worker has returned frames, their number is yielded.
+    The workers must have access to the same input files. The function yields the number of frames in each result.
 
     Parameters
     ----------
@@ -193,9 +193,9 @@ def _sent(unit: WorkUnit) -> list[tuple[int, bytes]]:
 
 
 def _are_frames_of(unit: WorkUnit, sent: list[tuple[int, bytes]]) -> bool:
-    """Check the answer of a worker on another machine to `_sent`.
+    """Check the result of `_sent` from a worker on another machine.
 
-    Return whether the answer contains exactly the frames of the unit, in order, and whether every frame has the expected
+    Return whether the result contains exactly the frames of the unit, in order, and whether every frame has the expected
     type and the expected numbers of outputs and channels.
     """
     frames = [part_in(content) for _, content in sent]

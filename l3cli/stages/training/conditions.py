@@ -1,4 +1,4 @@
-"""Training of additional sets of transforms, each for another noise level or for a single illuminant.
+"""Training of additional sets of transforms, each for a different noise level or for a single illuminant.
 
 A table can contain several sets of transforms, for example for frames after temporal noise reduction, or for tungsten light.
 Each combination of noise and illuminant is called a condition. All conditions of a table share the classes of the table
@@ -101,7 +101,7 @@ def runs_by_light(run: TrainingRun) -> list[tuple[str, TrainingRun]]:
 def _frames_by_light(run: TrainingRun, named: str) -> tuple[dict[str, dict[int, list[int]]], dict[str, float]]:
     """Find the frames under each illuminant.
 
-    Real pairs are left out, because their illuminant is unknown.
+    Real pairs are skipped, because their illuminant is unknown.
 
     Returns
     -------

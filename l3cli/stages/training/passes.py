@@ -45,7 +45,7 @@ def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
     """Return the settings of the first pass of a run.
 
     A pilot examines a few patches of each frame and determines the class rule. The number of classes is sent to the console.
-    If the patches are too small for a class feature, a message says that this feature is left out.
+    If the patches are too small for a class feature, a message says that the feature is omitted.
 
     Raises
     ------
@@ -182,7 +182,8 @@ def summed(
 def _are_results_of(unit: WorkUnit, results: dict[int, ClassSums | Solution]) -> bool:
     """Check the answer of a worker on another machine to a work unit.
 
-    Return whether it contains sums or a solution for exactly the sites of the unit, with arrays of the expected shapes.
+    Return whether the answer contains sums or a solution for exactly the sites of the unit, with arrays of the expected
+    shapes.
     """
     outputs = len(unit.pass_.head.outputs)
     empty = empty_sums(unit.pass_.rule, outputs, unit.pass_.head.camera)

@@ -86,7 +86,7 @@ class LayerUnit:
 
 
 def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: PlaneRule | None = None) -> PlaneRule:
-    """Return the class rule of a refinement layer, which a pilot over all frames determines.
+    """Determine the class rule of a refinement layer by a pilot over all frames.
 
     If `like` is set, the classes of this rule are reused. If the noise of the layer differs from the noise of the camera,
     only the gradient scale of the rule is determined from the frames.

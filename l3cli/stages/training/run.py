@@ -40,7 +40,7 @@ class FrameCache:
         self._frames: dict[tuple[str, int], TrainingPair] = {}
 
     def get(self, digest: str, index: int) -> TrainingPair | None:
-        """Return a frame, or None if it is not in the cache."""
+        """Return a frame, or None if the cache does not contain the frame."""
         return self._frames.get((digest, index))
 
     def add(self, digest: str, index: int, frame: TrainingPair) -> None:
@@ -97,7 +97,7 @@ class TrainingRun:
     patches: tuple[int, ...]  # number of patches to sample from each frame
     given: TrainingRecipe  # the class recipe of the user
     recipe: TrainingRecipe  # the class recipe, completed with values that depend on the camera
-    shares: tuple[Fraction, ...] | None  # proportion of patches for each set; None: proportional to its number of frames
+    shares: tuple[Fraction, ...] | None  # proportion of patches for each set; None: proportional to the number of frames
     seed: int
     stage: Stage
 

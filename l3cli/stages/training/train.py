@@ -92,7 +92,7 @@ def execution_of(
     TrainingRun
         The run.
     Execution
-        Its workers and its console.
+        The workers and the console of the run.
     FilesUsed
         The files that the run reads.
     """
@@ -118,7 +118,7 @@ def _learn(run: TrainingRun, execution: Execution) -> TransformTable:
 
 
 def report_table(table: TransformTable, output: Path, console: Console) -> None:
-    """Print a line for each layer: how many classes it has, and how many of the classes had no training patches."""
+    """Print a line for each layer, with the number of classes and the number of classes without training patches."""
     for number, (classes, unfilled) in enumerate(filling(table), start=1):
         which = f", layer {number}" if table.later else ""
         console.info(f"{output}{which}: {classes} classes, {unfilled} of them without training patches")

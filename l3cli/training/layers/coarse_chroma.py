@@ -23,10 +23,9 @@ Array = NDArray[np.float64]
 
 
 def measured_noise(layer: LayerPass) -> CoarseChroma:
-    """Measure the noise of simulated greys that the coarse chroma filter of a layer needs.
+    """Measure the noise with which the coarse chroma filter of a layer compares differences between blocks.
 
-    The filter compares differences between blocks with this noise. The noise of the block means is measured before each step
-    of the filter.
+    The noise is measured on simulated greys, as the variance of the block means before each step of the filter.
 
     Parameters
     ----------
@@ -75,7 +74,7 @@ def rising_terms(luminance: Array, variances: Array) -> Array:
 
     The fit minimises the squared errors of the logarithm of the variance. Some layers reduce chroma in dark areas, and the
     polynomial cannot fit such a low variance there. A fit of relative errors would then underestimate the variance in
-    brighter areas, which would show blotches.
+    brighter areas, and blotches would remain visible.
 
     Parameters
     ----------

@@ -70,7 +70,7 @@ def solve_layer(
     rule : PlaneRule
         Class rule of the layer.
     goal : LayerGoal
-        What the transforms are trained for.
+        Parameters for solving the transforms.
     equal : bool
         Whether to constrain all sites to a common response.
 
@@ -163,7 +163,7 @@ def _constrained(
     copies : list of int
         Number of CFA sites that each canonical site represents.
     goal : LayerGoal
-        What the transforms are trained for.
+        Parameters for solving the transforms.
     of : list of int
         Indices of the solved outputs.
     keeps : bool
@@ -219,7 +219,8 @@ def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goa
     """Return the moments and the noise of a class, supported by other classes. Return None if the parent has no samples.
 
     Pseudo-samples of the parent are always added. If the class is unsaturated and has samples, samples of classes with
-    neighbouring levels or strengths are added, too.
+    Pseudo-samples of the parent are always added. If the class is unsaturated and has samples, samples of classes with
+    neighbouring levels or strengths are also added.
     """
     _, level, kind = rule.split(index)
     case = int(rule.case(kind))
@@ -252,9 +253,8 @@ def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goa
 def _nearest(filled: NDArray[np.bool_], rule: PlaneRule) -> NDArray[np.int64]:
     """Return, for each class, the index of the solved class whose transform the class uses.
 
-    A solved class uses its own transform. For an unsolved class, solved classes with the same structure or saturation case
-    are preferred, and the nearest level among them is used. If there is no such class, classes without structure are
-    preferred.
+    A solved class uses its own transform. An unsolved class uses the transform of a solved class with the same structure or
+    saturation case, at the nearest level. If there is no such class, solved classes without structure are preferred.
     """
     _, level, kind = rule.split(np.arange(filled.size))
     known = np.flatnonzero(filled)

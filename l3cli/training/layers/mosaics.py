@@ -234,7 +234,7 @@ def _turned(planes: NDArray, turn: Turn) -> NDArray:
 
 
 AT_ONCE = 1 << 10  # number of pixels that are processed together, so that their windows fit into the processor cache
-DARKEST_LEVEL = 1e-4  # fraction of full scale; pixels at lower levels have the weight of this level
+DARKEST_LEVEL = 1e-4  # level, as a fraction of full scale, below which all pixels have the same weight
 
 
 @dataclass(frozen=True)
@@ -386,7 +386,9 @@ class _Transforms:
         Returns
         -------
         planes : ndarray, (plane, row, col)
+            Planes computed from `noisy`.
         clean_planes : ndarray or None, (plane, row, col)
+            Planes computed from `clean`.
         outputs : ndarray, (version, row, col, output)
             Results of the floating-point transforms. Version 0 has noise. If `clean` is not None, version 1 has no noise.
         """

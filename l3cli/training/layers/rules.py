@@ -2,10 +2,10 @@
 
 The rule classifies pixels by structure (docs/method.md#structure) or by a decision tree (docs/method.md#trees).
 
-A tree is grown from a random subset of the samples. Each step splits the leaf for which a split reduces the squared error
-most. To evaluate a split, l3 fits one filter to the samples on each side of the threshold. Two filters always fit the
-samples better than one filter, because two filters have twice as many taps. l3 therefore subtracts the expected reduction
-for a random split, and only makes the split if the rest is too large to be a coincidence. All sites share one tree, but
+A tree is grown from a random subset of the samples. Each step splits the leaf whose split reduces the squared error most. To
+evaluate a split, l3 fits one filter to the samples on each side of the threshold. Two filters always fit the samples better
+than one filter, because two filters have twice as many taps. l3 therefore subtracts the expected reduction for a random
+split, and makes the split only if the remaining reduction is too large to be a coincidence. All sites share one tree, but
 each site has its own filters.
 """
 
@@ -33,9 +33,9 @@ from l3cli.training.symmetry import orientations
 THRESHOLDS_PER_TEST = 5  # number of thresholds that are tried per test; the thresholds are quantiles of the test's quotient
 QUOTIENT_SAMPLES = 1 << 13  # approximate number of samples per site for these quantiles
 TREE_SIDE_PIXELS = 64  # largest side of the mosaics, in pixels; small, because a tree needs only a few samples per mosaic
-SPLIT_SIDE_PIXELS = 3  # largest side, in pixels, of the windows on which splits are evaluated for frames without noise
+SPLIT_SIDE_PIXELS = 3  # largest window side, in pixels, used to evaluate splits when training on noise-free frames
 SAMPLES_PER_TAP = 4  # smallest number of samples per tap in a leaf, at every site
-COLUMN_STEPS = 2.0**16  # grid steps up to the largest value; sums of products over a million samples then stay below 2^53
+COLUMN_STEPS = 2.0**16  # grid steps up to the largest value; limits sums of products over a million samples to 2^53 steps
 TAP_RIDGE = 1e-6  # ridge of the least-squares fit, relative to the mean power of the taps
 OUTPUT_RIDGE = 1e-10  # keeps the matrix positive definite; relative to the mean power of the outputs
 OUTPUTS = 3  # number of target values per sample
@@ -95,7 +95,9 @@ def turned_evidence(seen: Evidence, turn: int, pixels: Indices) -> tuple[Floats,
     Returns
     -------
     numerators : ndarray, (test, pixel)
+        Numerators for the turned windows.
     denominators : ndarray, (denominator, pixel)
+        Denominators, which do not depend on the orientation.
     """
     test, sign = turned_tests(turn)
     numerators = seen.numerators.reshape(TESTS, -1)[:, pixels][test] * np.array(sign)[:, None]
@@ -256,7 +258,7 @@ def _error(sums: Array) -> Array:
 
 PILOT_MOSAICS = 48  # total number of mosaics in which the luminance noise is measured
 PILOT_SIDE = 72  # side of the mosaics for the noise measurement, in pixels
-MAX_MEASURED_LEVEL = 0.8  # fraction of full scale; noise is not measured in brighter pixels
+MAX_MEASURED_LEVEL = 0.8  # noise is not measured in pixels above this fraction of full scale
 MIN_LEVEL_PIXELS = 1000  # the noise is interpolated for levels with fewer pixels
 LAB_SLOPES = (500.0, 116.0, 200.0)  # factors from small errors of the planes, relative to white, to errors of a*, L* and b*
 
@@ -306,7 +308,7 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
 def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> GradientScale:
     """Return the scale by which the gradients of each level are multiplied.
 
-    In areas with nothing but noise, scaled gradients have the standard deviation `structure.SIGMA`.
+    In areas that contain only noise, scaled gradients have the standard deviation `structure.SIGMA`.
 
     Parameters
     ----------

@@ -218,7 +218,7 @@ class GatheredSamples:
         steps : ndarray, (level, pair)
             Grid steps of the moments.
         noise : bool
-            Whether to sum the covariance of the noise, too.
+            Whether to also sum the covariance of the noise.
         """
         self.sums, self.rule, self.reading, self.basis, self.steps = sums, rule, reading, basis.astype(np.float32), steps
         self._noise = noise
