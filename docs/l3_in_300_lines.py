@@ -3,10 +3,10 @@
     python l3_in_300_lines.py picture.png
 
 This program draws scenes of dead leaves and simulates a camera with three Gaussian filters. It classifies neighbourhoods of
-pixels, learns one linear transform for each class, and renders a frame that was not used for learning. It is the method
-without refinements: it has one layer, and classes by level, contrast and saturation, but no symmetry and no chroma. For such
-a table, `render` computes the same outputs as the reference backend of l3cli. The page method.md contains the equations and
-their sources. "#level" refers to the section Level of that page.
+pixels, learns one linear transform for each class, and renders a frame that was not used for learning. The program
+implements the method without refinements: one layer, and classes by level, contrast and saturation, without symmetry and
+chroma. For such a table, `render` computes the same outputs as the reference backend of l3cli. The page method.md contains
+the equations and their sources. "#level" refers to the section Level of that page.
 """
 
 import struct
@@ -76,7 +76,7 @@ def draw_scene(size, rng):
 
 
 def draw_spectrum(rng):
-    """Return a random reflectance (wavelength) between 0 and 1: a step or a band, or grey in one of four cases."""
+    """Return a random reflectance (wavelength) between 0 and 1. One in four is grey, and the others have a step or a band."""
     height, floor = rng.uniform(0.1, 0.9), rng.uniform(0.02, 0.1)
     if rng.random() < 0.25:
         return np.full(WAVELENGTH.size, height)

@@ -1,7 +1,7 @@
 """Draw the figures of docs/how-l3-works.md.
 
 python docs/figures/figures.py                        # pipeline.svg
-python docs/figures/figures.py table.h5 frame.tif     # the same, and neighbourhood.svg and filters.svg
+python docs/figures/figures.py table.h5 frame.tif     # pipeline.svg, neighbourhood.svg and filters.svg
 
 The table is trained on `l3 simulate default --camera bayer` with the class recipe `default`. The frame is the raw frame
 that `l3 simulate docs/gallery/scene.toml --camera bayer --pictures` writes.
@@ -162,7 +162,7 @@ def neighbourhood(table: TransformTable, frame: RawFrame, renderer: l3.Renderer)
 
 
 def filter_of(table: TransformTable, level: int, output: str) -> NDArray[np.float32]:
-    """Return the weights (row, col) of an output for a uniform white area of a level, at the first site."""
+    """Return the filter (row, col) of an output at the first site, for the class of uniform white areas at a level."""
     rule = table.first.rule
     index = rule.join(level, 0, rule.chromas - 1)
     return table.first.weights[index, table.outputs.index(output)].reshape(rule.patch, rule.patch)

@@ -26,7 +26,7 @@ from l3cli.rendering.renderer import make_renderer
 Array = NDArray[np.floating]
 Figures = dict[str, float]
 Row = dict[str, Any]  # row of figures.json: name, program, ours, figures, settings, seconds; for some methods by_frame
-BORDER = 10  # pixels left out at each edge
+BORDER = 10  # number of pixels that are ignored at each edge
 LOWER = ("delta_e", "angle", "AoLP")  # metrics that are better if they are smaller
 OURS = "l3"
 DIGITS = 12  # stored digits of a digest

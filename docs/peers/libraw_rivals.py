@@ -11,7 +11,7 @@ from rivals import CFA, PLAIN, Array, Rival, installed
 
 BAYER = ("LINEAR", "VNG", "PPG", "AHD", "DCB", "DHT", "AAHD")
 XTRANS = {"VNG": "VNG", "PPG": "1 pass", "AHD": "3 passes"}  # rawpy calls the X-Trans methods by these names
-# FBDD filters the mosaic, and medians filter channel differences. Wavelets (noise_thr) are left out, because they crash.
+# FBDD filters the mosaic, and medians filter channel differences. Wavelets (noise_thr) are not used, because they crash.
 DENOISING: dict[str, dict[str, Any]] = {
     "FBDD full": {"fbdd_noise_reduction": rawpy.FBDDNoiseReductionMode.Full},
     "medians": {"median_filter_passes": 2},
@@ -19,7 +19,7 @@ DENOISING: dict[str, dict[str, Any]] = {
 
 
 def bayer(noisy: bool) -> list[Rival]:
-    """Return the methods for Bayer arrays. If `noisy`, they are also run with noise reduction."""
+    """Return the methods for Bayer arrays. If `noisy`, the settings include noise reduction."""
     program = _program()
     options: dict[str, dict[str, Any]] = {PLAIN: {}} | (DENOISING if noisy else {})
     rivals = []

@@ -23,7 +23,7 @@ DAYS, FACES = ("01", "06", "13"), (1, 2, 4, 5, 6)
 PHOTOS = {"BanteaySrei_03.jpg": 4, "FruitMCC_6500.tif": 3, "woodDuck.png": 3, "elephant.png": 2}  # reduction factor of each
 NANOMETRES = [405, 435, 450, 470, 505, 525, 570, 590, 630, 645, 660, 700, 780, 850, 870, 890, 910, 940, 970]
 POLARISED_SHARES = (0.9, 0.1, 0.02)  # signals of an unpolarised white, as fractions of full scale
-ANGLES = (0, 45, 90, 135)  # degrees; angles of the photographs behind a polariser
+ANGLES = (0, 45, 90, 135)  # angles of the polariser in the photographs, in degrees
 COMPOSITION = '[[scene]]\nsource = "composition"\nsize = [360, 480]\nseed = 7\n'
 PATTERN = re.compile(r"^pattern = \[.*?^\]", re.DOTALL | re.MULTILINE)
 

@@ -11,7 +11,7 @@ from l3cli.evaluation.demosaic import tiled
 from l3cli.frames.frame import pad_mosaic
 from l3cli.physics.display import srgb_curve, srgb_decoded
 
-MARGIN = 48  # pixels; whole periods, and one period more than the networks cut off on each side
+MARGIN = 48  # margin in pixels: whole periods, at least one period more than the networks cut off on each side
 NETWORKS = {(2, 2): "BayerDemosaick", (6, 6): "XTransDemosaick"}
 
 

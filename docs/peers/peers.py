@@ -61,7 +61,7 @@ class Comparison:
     absent: Sequence[str] = ()  # picture sets that are missing
 
     def measured(self) -> Part:
-        """Measure the part. Return its entry for figures.json, without the run."""
+        """Measure the part. Return the entry for figures.json, without the run."""
         rows = judged(self.sets, self._loaded(), self.rivals, self.protocol)
         trained = {name: provenance.stamped(path) for name, path in self.tables.items()}
         return {

@@ -80,7 +80,8 @@ def _moved(plane: Array, step: tuple[int, int], times: int) -> Array:
 def _polynomial(own: Array, other: Array, step: tuple[int, int]) -> Array:
     """Interpolate the difference of two channels that alternate along a direction.
 
-    `own` has the samples at even distances, and `other` those at odd distances. The polynomials of both sides are averaged.
+    `own` contains the samples at even distances, and `other` contains the samples at odd distances. The polynomials of both
+    sides are averaged.
     """
     samples = (other, 1), (own, 2), (other, 3)
     near, middle, far = (_moved(of, step, times) + _moved(of, step, -times) for of, times in samples)
@@ -88,7 +89,7 @@ def _polynomial(own: Array, other: Array, step: tuple[int, int]) -> Array:
 
 
 def _polynomial_of_planes(planes: Array, own: Array, wanted: NDArray[np.uint8], step: tuple[int, int]) -> Array:
-    """Like `_polynomial`. The other samples are those of the channel `wanted` of each pixel in `planes`."""
+    """Call `_polynomial` for each pixel, with samples of the channel `wanted` from `planes` as the other samples."""
     every = np.stack([_polynomial(own, plane, step) for plane in planes])
     return np.take_along_axis(every, wanted[None].astype(np.intp), 0)[0]
 
@@ -203,8 +204,8 @@ def lmmse(scene: Array, training: Array, mosaic: Array, cfa: CFA) -> Array:
 def trained_on_other_scenes(sets: Iterable[Path]) -> Callable[[Array, CFA], Array]:
     """Return LMMSE for the frames of training sets of two frames each.
 
-    For each frame, the transforms are trained on the other frame of the set. For other mosaics, they are trained on a frame
-    of the first set.
+    For each frame, the transforms are trained on the other frame of the set. For other mosaics, the transforms are trained
+    on a frame of the first set.
     """
     others: dict[bytes, tuple[Array, Array]] = {}
     for path in sets:
@@ -226,7 +227,7 @@ def trained_on_other_scenes(sets: Iterable[Path]) -> Callable[[Array, CFA], Arra
 
 
 def _windows(mosaic: Array, cfa: CFA, site: tuple[int, int]) -> Array:
-    """Return the neighbourhoods (pixel, tap) of a site, and a constant."""
+    """Return the neighbourhoods (pixel, tap) of a site, with a constant as the last tap."""
     padded = np.pad(mosaic, WINDOW // 2, mode="reflect")
     every = np.lib.stride_tricks.sliding_window_view(padded, (WINDOW, WINDOW))
     taps = every[site[0] :: cfa.shape[0], site[1] :: cfa.shape[1]].reshape(-1, WINDOW**2)

@@ -42,7 +42,7 @@ def stamp(made: Path) -> None:
 
 
 def stamped(made: Path) -> Origin | None:
-    """Return the origin of a file, or None if it was not stored."""
+    """Return the origin of a file, or None if no origin was stored."""
     if not _stamp_of(made).exists():
         return None
     noted: Origin = json.loads(_stamp_of(made).read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Published results, listed next to the results of l3. They are for more pictures, and were not measured by `make peers`."""
+"""Published results for more pictures, listed next to the results of l3. `make peers` did not measure these results."""
 
 # CPSNR (dB) without a border of 10 pixels, means over all 24 Kodak and all 18 McMaster pictures.
 SOURCE = "table 1 of Tan, Zhang, Zuo and Zhang, *Color image demosaicking via deep residual learning*, ICME 2017"

@@ -21,9 +21,9 @@ Array = NDArray[np.floating]
 BITS = 16
 BLACK, TOP = 1024.0, 2.0**BITS - 1  # DN
 WHITE_SHARE = 0.8  # fraction of full scale to which white is mapped, so that brighter values do not clip
-LEAST = 256  # pixels; smallest side of a file, because RawTherapee rejects files of 180 pixels
-PERIOD = 12  # pixels; margins are multiples of this, which are whole periods of 2×2, 4×4 and 6×6 arrays
-MARGIN = 12  # pixels; smallest mirrored margin, because raw converters cut off borders or are less accurate there
+LEAST = 256  # smallest side of a file in pixels, because RawTherapee rejects files of 180 pixels
+PERIOD = 12  # margins are multiples of this number of pixels, which contains whole periods of 2×2, 4×4 and 6×6 arrays
+MARGIN = 12  # smallest mirrored margin in pixels, because raw converters cut off borders or are less accurate there
 
 
 def write_mosaic(path: Path, mosaic: Array, cfa: NDArray[np.uint8]) -> None:
@@ -53,7 +53,7 @@ def through_file(develop: Callable[[Path], Array], mosaic: Array, cfa: NDArray[n
 
 
 def _camera(cfa: NDArray[np.uint8], shape: tuple[int, ...]) -> CameraModel:
-    """Return a camera model for the tags of the file. Raw converters do not read its responsivities and noise."""
+    """Return a camera model for the tags of the file. Raw converters do not read the responsivities and the noise."""
     return CameraModel(
         name="peers",
         rows=shape[0],

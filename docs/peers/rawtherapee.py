@@ -81,7 +81,7 @@ Passes=1
 
 
 def bayer(noisy: bool) -> list[Rival]:
-    """Return the methods for Bayer arrays, with noise reduction if `noisy`. Raise NotInstalled without the program."""
+    """Return the methods for Bayer arrays, with noise reduction if `noisy`. Raise NotInstalled if the program is missing."""
     program = _program()
     profiles = {PLAIN: PROFILE}
     if noisy:

@@ -40,7 +40,7 @@ class NotInstalled(Exception):
 
 @dataclass(frozen=True)
 class Rival:
-    """A method with one or more settings. Its result is the result with the best setting."""
+    """A method with one or more settings. The result of the method is the result with the best setting."""
 
     name: str
     program: str  # with its version
@@ -52,7 +52,7 @@ class Rival:
 
 
 def installed(package: str) -> str:
-    """Return the name and the version of a package. Raise NotInstalled if it is missing."""
+    """Return the name and the version of a package. Raise NotInstalled if the package is missing."""
     try:
         return f"{package} {version(package)}"
     except PackageNotFoundError as error:

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 SIDES = (504, 1512)  # sides of two pictures in pixels (whole periods); the difference is timed
 ROUNDS = 3  # rounds over all methods; the result is the smallest time of each method
-ENOUGH = 3.0  # s of CPU time, after which a slow method is not run again
-LONG = 20.0  # s of CPU time; a method that needs more for the small picture is measured only on this picture
+ENOUGH = 3.0  # CPU time in s, after which a slow method is not run again
+LONG = 20.0  # CPU time in s; a method that takes longer for the small picture is measured only on this picture
 
 
 def core_seconds() -> float:

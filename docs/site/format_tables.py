@@ -1,6 +1,6 @@
 """Tables of docs/ that are generated from registries. `python docs/site/format_tables.py` updates them in their pages.
 
-A table stands between the comments `<!-- NAME -->` and `<!-- end -->` of a page.
+A table is between the comments `<!-- NAME -->` and `<!-- end -->` of a page.
 """
 
 import re
@@ -22,7 +22,7 @@ DOCS = Path(__file__).parents[1]
 def packings() -> str:
     """Return the table of packings by family. Bayer names differ from Mono names only in their first letters.
 
-    Names that only polarisation cameras use have rows of their own.
+    Names that only polarisation cameras use have separate rows.
     """
     orders = ", ".join(code(f"Bayer{order}") for order in BAYER_ORDERS)
     rows = []
@@ -61,7 +61,7 @@ def scenes() -> str:
 
 
 def envi_fields(fate: str) -> str:
-    """Return the table of ENVI header fields that are treated as `fate` says. Fields with the same meaning share a row."""
+    """Return the table of ENVI header fields with the given `fate`. Fields with the same meaning share a row."""
     rows: dict[str, list[str]] = {}
     for field in FIELDS:
         if field.fate == fate:

@@ -1,7 +1,7 @@
 // Areas where channels clip (l3cli/classes/clipping.py). The kernels compute the means and the range of each block of the mosaic. From these
 // statistics they compute seven maps. Maps 0 to 3 replace the outputs in uniform areas: map 0 is the replaced fraction of the outputs, and
 // maps 1 to 3 are the values added to X, Y and Z. Maps 4 to 6 then change the hue of pixels to the hue of unclipped blocks: map 4 is the
-// degree of this change, and maps 5 and 6 are X/Y and Z/Y of the new hue multiplied by this degree. The maps are interpolated at quads
+// degree of this change, and maps 5 and 6 are X/Y and Z/Y of the new hue multiplied by map 4. The maps are interpolated at quads
 // (2 × 2 pixels). The eighth value of a block is its uniformity.
 
 // Built-in functions are function calls in PoCL 3.0, and therefore slow. These macros replace max, min and clamp.
@@ -83,8 +83,8 @@ INLINE float grey_level(const float *signal, __global const float *white) {
     return mean + every * (most - mean);
 }
 
-// Adds the corrections of the outputs for clipped channels. Each correction is weighted by the degree to which its channel clips, and by
-// a factor.
+// Adds the corrections of the outputs for clipped channels. The weight of each correction is `factor` times the degree to which the channel
+// clips.
 INLINE void add_clipped(float added[3], const float *signal, float factor, __global const float *response) {
     for (int c = 0; c < CHANNELS; c++) {
         const float weight = factor * smooth_step(signal[c], BEGINS, CLIPS);
@@ -100,8 +100,8 @@ INLINE void add_clipped(float added[3], const float *signal, float factor, __glo
 
 // Computes the first four maps and the uniformity of block (y, x). `response` is (clipped, signal, output), followed by the signals of a
 // white. Blocks whose means are far below BEGINS are skipped, because a uniform area that contains such a block has no bright blocks.
-// Ignored blocks are skipped, too, because they differ from neighbours that are not ignored. Blocks without a clipped channel are not
-// skipped, because the grey of the same brightness may clip.
+// Ignored blocks are also skipped, because they differ from neighbours that are not ignored. Blocks without a clipped channel are not
+// skipped, because a grey of the same brightness may clip.
 INLINE float4 replacement_of(int y, int x, __global const float *restrict means, __global const float *restrict response, int rows,
                              int columns, float *uniformity) {
     const size_t plane = (size_t)rows * columns, at = (size_t)y * columns + x;
@@ -143,7 +143,7 @@ INLINE float4 replacement_of(int y, int x, __global const float *restrict means,
     return (float4)(share, added[0], added[1], added[2]);
 }
 
-// A block in which some channels clip, but not all
+// A block in which at least one channel clips and at least one channel does not clip.
 typedef struct {
     float own[CHANNELS];      // signals, at least MIN_SIGNAL
     float inverse[CHANNELS];  // reciprocals of these signals

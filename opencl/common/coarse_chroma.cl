@@ -5,7 +5,7 @@
 #define BLOCKS_STRIDE(columns) (BLOCKS(columns) + 2 * MARGIN + 16)
 #define BLOCKS_PLANE(rows, columns) ((size_t)(BLOCKS(rows) + 2 * MARGIN) * BLOCKS_STRIDE(columns))
 
-// Reciprocal, for each plane, of the squared difference from which two blocks are not similar, at luminance y.
+// Reciprocal of the squared difference beyond which two blocks are not similar, for each plane at luminance y.
 INLINE void inverse_scales(floats inverse[3], __global const float *scale, floats y) {
     const floats above = y > 0.0f ? y : (floats)0.0f;
     #pragma unroll

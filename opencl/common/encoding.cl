@@ -133,7 +133,7 @@ INLINE void into_gamut(floats *linear) {
     if (any_negative(room)) brought_into_gamut(linear);
 }
 
-// Applies the tone curve to linear values, if there is one.
+// Applies the tone curve, if any, to linear values.
 INLINE floats toned(floats linear) {
 #ifdef TONE_A
     linear = linear > 0.0f ? linear : (floats)0.0f;
@@ -146,7 +146,7 @@ INLINE floats toned(floats linear) {
 
 #if defined(CURVE_PIECES) && LANES == 16 && defined(__AVX512F__)
 
-// 8-bit values on processors that can look up 16 lanes in a table of 32 entries with one instruction. The curve times TOP consists of 32
+// Encodes 8-bit values on processors that can look up 16 lanes in a table of 32 entries with one instruction. The curve times TOP consists of 32
 // parabolas, four per octave of u, where u is the linear value plus 2^-8 (layout.curve_pieces). The upper bits of the float u are the
 // number of the parabola. The lookup reads the lowest five of these bits.
 #define PIECE_BITS 21

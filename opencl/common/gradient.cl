@@ -28,7 +28,7 @@
 #define FIRST_CLASS(start) ((start) & 0x7fffffff)
 #define STRUCTURE_REACH 3  // number of pixels on each side that influence a class
 
-// Converts the difference between two pixels of a plane to units of its noise, clamped to ±top.
+// Converts the difference between two pixels of a plane to units of the noise, clamped to ±top.
 INLINE ints gradient(ints difference, uints scale, int top) {
     const ints scaled = (difference * SAME_BITS(scale & FACTOR_BITS, ints)) >> SAME_BITS(SHIFT_BITS(scale), ints);
     const ints most = top, below = scaled < most ? scaled : most;

@@ -1,6 +1,6 @@
 // Samples outside a frame, which are mirrored about the outermost samples.
 
-// Returns the index of the sample that is used for index `wanted`: its mirror image if `wanted` is outside 0 … length - 1.
+// Returns the index of the sample that replaces sample `wanted`. Indices outside 0 … length - 1 are mirrored.
 INLINE int mirrored(int wanted, int length) {
     const int mirror = wanted < 0 ? -wanted : wanted >= length ? 2 * (length - 1) - wanted : wanted;
     return min(max(mirror, 0), length - 1);

@@ -18,8 +18,8 @@ INLINE floats ratio_of(floats luminance, floats total) {
     return below > -1.0f ? below : (floats)-1.0f;
 }
 
-// Computes the taps of a row of the tile. to[t][x] is tap t of column x. The window of the row is the PATCH stored rows, of which the first
-// is row[first % PATCH].
+// Computes the taps of a row of the tile. to[t][x] is tap t of column x. The window of the row consists of the PATCH stored rows. The first of
+// these rows is row[first % PATCH].
 INLINE void taps_behind(float (*to)[SPAN], const Row *row, int first, int width) {
     const Row *r[PATCH];
     float sum[SOURCES][SPAN];  // sum of each column over the rows of the window

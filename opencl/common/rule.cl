@@ -15,8 +15,8 @@
 #define RULE BASIC
 #endif
 
-// Number of the set of transforms for a pixel: as a parameter of functions, as a parameter of kernels, and as arguments. Empty if the table
-// has a single set.
+// Number of the set of transforms for a pixel: as a parameter of functions, as a parameter of kernels, and as arguments. The macros are empty
+// if the table has a single set.
 #ifdef SETS
 #define SET_VALUE uints set,
 #define SET_PARAMETER , __global const uchar *restrict pixel_sets  // (row, col)
@@ -50,7 +50,7 @@ INLINE void no_evidence(Evidence *e, RULE_CONSTANTS) {
 #endif
 }
 
-// Adds channel c. `count`, `sum` and `square` are the number, the sum and the sum of squares of its pixels in the patch.
+// Adds channel c. `count`, `sum` and `square` are the number, the sum and the sum of squares of the channel's pixels in the patch.
 INLINE void add_evidence(Evidence *e, int c, uints count, uints sum, uints square, uints mean_reciprocal,
                          uints variance_reciprocal, RULE_CONSTANTS) {
     const uints scaled = sum * mean_reciprocal;

@@ -43,7 +43,7 @@ INLINE void change_chroma(floats *own, const floats *sums, float by_x, float by_
     int phase_row, int phase_column,       /* CFA site of the frame's first pixel */
 #define LEAST_READ raw, scale, black_level, raw_first, phase_row, phase_column,
 
-// Least luminance of a pixel if this is the smallest of the raw values around it.
+// Least luminance of a pixel, from the smallest of the raw values around the pixel.
 INLINE floats least_luminance(floats smallest) { return smallest * (smallest > 0.0f ? (floats)LEAST_OF_POSITIVE : (floats)LEAST_OF_NEGATIVE); }
 
 INLINE floats within_change(floats change, floats most) {

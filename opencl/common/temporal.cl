@@ -8,7 +8,7 @@
 #define CELL_COLUMNS (BLOCK_COLUMNS / CELL_ACROSS)
 #define SITES (CELL_ROWS * CELL_COLUMNS)
 #define PERIOD_SITES (PERIOD_ROWS * PERIOD_COLUMNS)
-#define UNITS_DOWN (BLOCK_ROWS / PERIOD_ROWS)  // number of CFA periods in a block along each axis, the samples of the finest plane
+#define UNITS_DOWN (BLOCK_ROWS / PERIOD_ROWS)  // number of CFA periods (samples of the finest plane) in a block along each axis
 #define UNITS_ACROSS (BLOCK_COLUMNS / PERIOD_COLUMNS)
 
 // CELL_LANES cells are processed in a vector. Sums over cells exceed 32 bits. Vectors use doubles for these sums, because doubles represent

@@ -97,7 +97,7 @@ __kernel void evidence(__global const ushort *restrict raw, __global const ushor
 }
 
 // Computes the weight and the remaining noise of every cell, and the number of cells in STRIP blocks that show another scene. At the start,
-// `weights` contains the previous remaining noise. The weights overwrite it.
+// `weights` contains the previous remaining noise, which the weights overwrite.
 __kernel void weigh(__global const uint *restrict powers, __global const int *restrict sums,
                     __global const uint *restrict variances, __global ushort *restrict weights,
                     __global ushort *restrict new_left, __global int *restrict cuts, int block_columns) {

@@ -2,7 +2,7 @@
 // lanes an AVX2 register. In the graphics variant, LANES is 1, because the device itself processes many pixels at the same time.
 //
 // vloadN and convert_T are function calls in PoCL 3.0. Instead, vectors are read through pointers to a type with the alignment of a
-// single element, and converted with a builtin of clang. Both compile to one instruction.
+// single element, and converted with a builtin of clang. Each of these operations compiles to one instruction.
 
 #define INLINE static inline __attribute__((always_inline))
 

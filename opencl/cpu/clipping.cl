@@ -67,7 +67,7 @@ KERNEL_OF_ONE spread_estimates(__global const float *restrict means, __global co
     EACH_OF_TILE spread_at(y, x, means, response, from, to, maps, rows, columns);
 }
 
-// Number of blocks in a row from which the maps of LANES quads are interpolated
+// Number of blocks in a row from which the maps of LANES quads are interpolated.
 #define BLOCKS_ACROSS (2 * LANES / BLOCK_COLUMNS + 2)
 
 COMPILED_ONCE read_maps_of_tile(int x0, int y0, __global const float8 *restrict maps, __global float *restrict to, int first,

@@ -1,5 +1,5 @@
-// Processor variant: converts the outputs X, Y, Z of a frame to the same picture that the kernel `transform` writes. It is used for frames
-// whose exposure is computed from the outputs. The host reads the number of LANES from the name of the kernel.
+// Processor variant: converts the outputs X, Y, Z of a frame to the same picture that the kernel `transform` writes. The kernel is used for
+// frames whose exposure is computed from the outputs. The host reads the number of LANES from the name of the kernel.
 //
 // A work-item processes a tile of TILE columns and BAND rows.
 

@@ -3,9 +3,9 @@
 // The distance between the two pixels of a pair is PAIR columns. If the width of the CFA allows, both pixels have the same site, and
 // therefore the same class in uniform areas. The weights, which are most of the data, are then read once for both pixels.
 
-// Number of unrolled loop iterations. Each iteration processes four pixels. A loop that is not unrolled compiles in half the time. In the
-// last layer it is up to 4 % slower, and in other layers it is equally fast. The slower loop is used for PLANES, because linear outputs are
-// usually rendered for a single frame, to find its exposure.
+// Number of unrolled loop iterations. Each iteration processes four pixels. A loop that is not unrolled compiles in half the time. Such a loop
+// is up to 4 % slower in the last layer, and equally fast in other layers. PLANES uses the slower loop, because linear outputs are usually
+// rendered for a single frame, to find its exposure.
 #if defined(FIXED_POINT) || defined(PLANES)
 #define UNROLLED 1
 #else
@@ -28,7 +28,7 @@
 #define PAIR_FIRST(n) ((n) / PAIR * 2 * PAIR + (n) % PAIR)                     // first pixel of pair n among LANES pixels
 #define PAIR_PLACE(x) (2 * ((x) / (2 * PAIR) * PAIR + (x) % PAIR) + (x) / PAIR % 2)  // index of pixel x if pixels are sorted by pair
 
-// The following functions add up the lanes of several vectors at once. Each step halves the number of vectors. A vector consists of groups
+// The following functions add up the lanes of several vectors together. Each step halves the number of vectors. A vector consists of groups
 // of four lanes. Brackets such as [a b a b] show which vector each lane of a group belongs to. Every group in the result of SHUFFLE_FOURS
 // consists of the lanes i, j, k and l of the corresponding groups of u and v.
 #if LANES == 16

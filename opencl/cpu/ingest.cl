@@ -1,6 +1,6 @@
 // Processor variant: copies raw rows to the rows of a tile.
 //
-// A tile is TILE columns wide. With the margins of the patches, it reads SPAN columns, which begin RADIUS columns to the left of the tile.
+// A tile is TILE columns wide. Including the margins of the patches, SPAN columns are read, which begin RADIUS columns to the left of the tile.
 // These columns are numbered p. The padded frame has RADIUS additional rows and columns on every side. row_source and column_source contain
 // the raw row or column that a padded row or column repeats (frame.mirrored_indices). Padding preserves the phase of the CFA.
 

@@ -30,8 +30,8 @@ INLINE void read_words(Words *to, __global const uint *labels, __global const in
     for (int p = 0; p < end; p++) to->of[p] = label_words[label[p]];
 }
 
-// The lower halves (gradient words) and the upper halves (start words) of the label_words of LANES pixels, starting at p. See
-// common/gradient.cl for their contents.
+// The lower halves (gradient words) and the upper halves (start words) of the label_words of LANES pixels, starting at p. The words are
+// described in common/gradient.cl.
 VECTOR(uint, words, 2 * LANES);
 #define WORDS_AT(row, p) (*(const words_unaligned *)((row)->of + (p)))
 #define HALVES_AT(row, p, which) __builtin_shufflevector(WORDS_AT(row, p), WORDS_AT(row, p), ALL_LANES(which))

@@ -43,7 +43,7 @@ INLINE void limit_to_white(floats *made, __global const float *matrix) {
 #if defined(FIXED_POINT)
 
 // Writes made[o] to planes (output, pixel) for the next layer. If the vectors are aligned with cache lines, the stores bypass the caches,
-// because the planes are too large for the caches, and are not read before all of them are complete.
+// because the planes are too large for the caches, and are read only after all planes are complete.
 INLINE void write_pixels(__global int *picture, const ints *made, __global const float *matrix, size_t at, int count,
                          size_t pixels) {
     #pragma unroll
@@ -57,7 +57,7 @@ INLINE void write_pixels(__global int *picture, const ints *made, __global const
 
 #elif defined(PLANES)
 
-// Writes output o of up to LANES pixels, made[o], to the picture (output, pixel) as floats.
+// Writes made[o], output o of up to LANES pixels, to the picture (output, pixel) as floats.
 INLINE void write_pixels(__global float *picture, const floats *made, __global const float *matrix, size_t at, int count,
                          size_t pixels) {
     for (int o = 0; o < OUTPUTS; o++) {

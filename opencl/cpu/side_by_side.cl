@@ -1,5 +1,5 @@
-// Processor variant that computes all outputs of a pixel in the same vector. It is used for fixed-point layers, which have 16-bit values and
-// 32-bit sums, and for floating-point layers with small patches.
+// Processor variant that computes all outputs of a pixel in the same vector. This variant is used for fixed-point layers, which have 16-bit
+// values and 32-bit sums, and for floating-point layers with small patches.
 //
 // A vector of weights contains ONCE taps for each output, and the sums of an output occupy four lanes. ONCE taps of the patch are read at a
 // time and repeated for every output. All sums of a pixel then fit into one vector of 16 lanes or two vectors of 8 lanes. With this layout,
@@ -21,7 +21,7 @@
 #define PLANES_MADE OUTPUTS
 #define READ_AHEAD ONCE
 
-// Whether the weights are read only once for both pixels of a pair. In fixed-point layers they are always read twice. The classes change so
+// Whether the weights are read only once for both pixels of a pair. Fixed-point layers always read the weights twice. The classes change so
 // often that mispredicted branches would take longer than reading some weights twice.
 #ifdef FIXED_POINT
 #define SHARED(class, other) false
@@ -85,7 +85,7 @@ INLINE void part_outputs(totals output[4], totals folded[SUMS][LANES / 4]) {
 #endif
 }
 
-// Computes plane or output o of LANES pixels, starting at column x, and stores it in made[o].
+// Computes made[o], which is plane or output o of LANES pixels, starting at column x.
 INLINE void apply(totals *made, const tap *patches, const float *ratios, const uint *label, __global const tap *weights, int x) {
     totals folded[SUMS][LANES / 4], output[4];
     #pragma clang loop unroll_count(UNROLLED)

@@ -36,7 +36,7 @@ INLINE bool any_lane(ints mask) {
     return (four.x | four.y | four.z | four.w) != 0;
 }
 
-// Luminances of LANES raw values, starting at column x, as if they belonged to a white. Columns outside the frame repeat its outermost pixels.
+// Luminances of LANES raw values, starting at column x, as if they belonged to a white. Columns outside the frame repeat the outermost pixels.
 INLINE floats levels_of(__global const ushort *raw, __global const float *scale, float black_level, int phase, int x, int columns,
                         bool inside) {
     if (inside) {

@@ -15,7 +15,7 @@
 #define SOURCE ushort
 
 // Stores the newest row in the ring. `to` is the slot of column 0. Floating-point layers subtract the black level here. Fixed-point layers
-// do not, because their intercepts include the black level.
+// do not subtract the black level, because their intercepts include the black level.
 INLINE void row_into_ring(tap *to, const ushort *row, float black_level, int span) {
     tap signal[SPAN];
     for (int p = 0; p < span; p += LANES)

@@ -1,7 +1,7 @@
 // Processor variant: computes the classes of a refinement layer with a tree, from the planes of the previous layer and the classes of the
 // first layer.
 //
-// A work-item processes a tile of TILE columns and BAND rows, row by row. It stores the first and second differences of the latest five
+// A work-item processes a tile of TILE columns and BAND rows, row by row, and stores the first and second differences of the latest five
 // rows. Sums are separable: they are weighted over the rows, and then over the columns.
 
 #define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict tests
@@ -63,7 +63,7 @@ INLINE void multiply(Products *to, const Planes *above, const Planes *middle, co
 #define FIVE_OF(f) (f(0) + 2 * f(1) + 3 * f(2) + 2 * f(3) + f(4))
 #define THREE_OF(f) (f(1) + 2 * f(2) + f(3))
 
-// Computes the weighted sums over rows r[0] to r[4] of products and rows q[1] to q[3] of planes. The middle row of both is the same.
+// Computes the weighted sums over rows r[0] to r[4] of products and rows q[1] to q[3] of planes. r[2] and q[2] belong to the same row.
 INLINE void weigh_rows(Columns *to, const Products *r[ROWS], const Planes *q[PLANE_ROWS], int span) {
     for (int p = 1; p < span; p += LANES) {
 #define WIDE_ROWS(name) { const ints one = AT(r[0]->name, p) + AT(r[4]->name, p), two = AT(r[1]->name, p) + AT(r[3]->name, p); \
@@ -116,7 +116,7 @@ INLINE void look(Evidence *e, const Columns *c, const Products *middle, uints tu
 #define WORDS ((PARTS + 31) / 32)
 #define AT_ONCE 2  // AT_ONCE times LANES pixels are processed together, so that each test is read once for all of them
 
-// Number of the lowest bit that is set.
+// Returns the index of the lowest set bit.
 INLINE uints lowest_bit(uints bits) {
     const uints lowest = bits & -bits;  // only the lowest bit; its number is the exponent of the float
     const floats power = CONVERT(lowest >> 1, floats) * 2.0f + CONVERT(lowest & 1, floats);

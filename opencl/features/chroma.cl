@@ -56,8 +56,8 @@ INLINE ints score_of(const Colour *colour, int k, __global const int *chroma_wei
 #endif
 }
 
-// Returns the chroma with the lowest score. Of equal scores, the first is chosen. With dither, some sites use the chroma with the second
-// lowest score if the two scores are close.
+// Returns the chroma with the lowest score. If several scores are equal, the first is chosen. With dither, some sites use the chroma with the
+// second lowest score if the two scores are close.
 INLINE uints chroma_of(const Colour *colour, uints site, __global const int *chroma_weights) {
     uints chroma = 0;
 #if CHROMAS > 1

@@ -2,8 +2,8 @@
 
 #define CONTRAST_CONSTANTS __global const uint *restrict contrast_edges  // (contrast edge, level)
 
-// Term of a channel in the variance sum. `count`, `sum` and `square` are the number, the sum and the sum of squares of its pixels in the
-// patch.
+// Term of a channel in the variance sum. `count`, `sum` and `square` are the number, the sum and the sum of squares of the channel's pixels in
+// the patch.
 INLINE uints variance_part(uints count, uints sum, uints square, uints mean, uints variance_reciprocal) {
     const uints cap = 0xffffffffu / CHANNELS;
     const uints deviation = square - mean * (sum + sum - mean * count), variance = deviation * variance_reciprocal;

@@ -19,7 +19,7 @@ INLINE uints case_of(patterns code, __global const ushort *case_of_code) {
     return LOAD_PRIVATE(uints, saturation);
 }
 
-// Whether any of LANES pixels may have a saturation case other than 0. This is rare, so the slow lookup can mostly be skipped.
+// Whether any of LANES pixels may have a saturation case other than 0. Such pixels are rare, so the slow lookup is usually skipped.
 INLINE bool any_case(patterns code, __global const ushort *case_of_code) {
     ulong word[LANES / 4], all = 0;
     *(shorts_unaligned *)word = code;
