@@ -63,7 +63,7 @@ def read_raw(
     stride : int, optional
         Headerless files only: number of bytes from one row to the next. [default: rows without padding]
     exposure : float, optional
-        Exposure time in s, which replaces the exposure time in the file. It scales the dark current that is subtracted.
+        Exposure time in s, which replaces the exposure time in the file. l3 subtracts the dark signal of this exposure time.
     gain : float, optional
         Analog gain as a multiple of the camera's gain, which replaces the gain that l3 derives from the file.
     camera : CameraModel, optional
@@ -132,7 +132,7 @@ def raw_frame(
         White balance of the camera: for each letter of the pattern, the signal above black that a grey object causes, in
         any unit. [default: the frame has no white balance]
     exposure : float, optional
-        Exposure time in s. It scales the dark current that is subtracted. [default: l3 subtracts no dark current]
+        Exposure time in s. l3 subtracts the dark signal of this exposure time. [default: l3 subtracts no dark signal]
     gain : float, optional
         Analog gain as a multiple of the camera's gain. [default: 1]
     camera : CameraModel, optional

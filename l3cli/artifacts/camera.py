@@ -19,7 +19,7 @@ from l3cli.system.limits import most_pixels
 DEFECTS = ("hot", "dead", "row", "column")
 MAX_SHADING = 16.0  # largest gain of a flat field
 MAX_COLOUR_SHADING = 0.5  # largest relative difference between the gain of a channel and the mean gain of all channels
-MIN_EXPOSURE = 1e-4  # shortest exposure time of a channel, as a fraction of the longest
+MIN_EXPOSURE = 1e-4  # shortest exposure time of a channel, as a fraction of the longest exposure time
 MAX_GAIN = 1e3  # largest gain of a channel, relative to the gain of the camera
 MAX_CHANNELS = 16  # a saturation case is stored in 16 bits, with one bit per channel
 MAX_CFA = 8  # largest number of rows or columns of the super-pixel
@@ -107,7 +107,7 @@ class FlatField:
 
 @dataclass(frozen=True)
 class Readout:
-    """Exposure time, gain and read noise of each channel. They may differ even between channels with the same filter."""
+    """Exposure time, gain and read noise of each channel. Even channels with the same filter may differ."""
 
     channel_exposure: NDArray[np.float64] = data(
         "float64", "channel", doc="exposure time, as a fraction of the longest exposure time, which is that of the frame"
@@ -234,7 +234,7 @@ class Noise:
 
     @property
     def fixed(self) -> float:
-        """Variance of the fixed-pattern noise in the dark, in (e-)². It consists of the DSNU and the column offsets."""
+        """Variance of the fixed-pattern noise in the dark, in (e-)²: the DSNU and the column offsets."""
         return self.dsnu**2 + self.column_noise**2
 
 
@@ -695,8 +695,8 @@ class CameraModel(Artifact):
 
         Row noise is an offset that is the same for all pixels of a row, and column noise is an offset that is the same for
         all pixels of a column. Column noise includes the fixed offsets of columns. Both variances are contained in the
-        constant term of `noise_terms`. They apply to a channel with a relative gain of 1. In the other channels, the
-        offsets are multiplied by the relative gain.
+        constant term of `noise_terms`. The variances apply to a channel with a relative gain of 1. In the other channels,
+        the offsets are multiplied by the relative gain.
 
         Parameters
         ----------

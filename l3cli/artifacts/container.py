@@ -1,8 +1,8 @@
 """Self-contained HDF5 files with a checksum.
 
-The first 512 bytes of such a file are the user block of HDF5. They contain the SHA-256 of all bytes that follow. l3 compares
-a file with this digest before HDF5 opens the file, because the HDF5 library may crash on damaged metadata, and the checksums
-of HDF5 protect only the values of datasets.
+The first 512 bytes of such a file are the user block of HDF5. The user block contains the SHA-256 of all bytes that follow.
+l3 compares a file with this digest before HDF5 opens the file, because the HDF5 library may crash on damaged metadata, and
+the checksums of HDF5 protect only the values of datasets.
 
 With links, external storage, virtual datasets or unknown filters, an HDF5 file can make the library read different files or
 load plug-ins. l3 rejects files with such features. l3 also rejects a dataset whose declared size is larger than its stored

@@ -112,7 +112,7 @@ class Tuned:
     )
 
     def words(self, levels: Sequence[str]) -> list[str]:
-        """Describe the tuned filters in one line, and the predicted errors at each light level in a second line.
+        """Describe the tuned filters in one line, followed by one line with the predicted errors for each light level.
 
         The line for a level contains the error before tuning, the error after tuning, and the error of the best Bayer array
         with the tuned filters.

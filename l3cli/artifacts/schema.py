@@ -49,7 +49,7 @@ def data(
     *axes : str
         Names of the axes. Without axes, the dataset is a scalar.
     unit, doc : str
-        Unit and meaning. They are stored as attributes of the dataset, and `l3 info` prints them.
+        Unit and meaning, which are stored as attributes of the dataset. `l3 info` prints both.
     default : optional
         Default of the dataclass field. The dataset is stored even if it has this value.
     optional : optional

@@ -46,8 +46,8 @@ class SpectralSmoothing:
 class ChromaSmoothing:
     """Settings for the smoothing of chroma in tables with the outputs X, Y, Z (docs/method.md#smoothed-chroma).
 
-    The chromaticity of each pixel is averaged with the chromaticities of its eight neighbours, as far as these have similar
-    luminance and chroma. The luminance of the pixel stays unchanged.
+    The chromaticity of each pixel is averaged with the chromaticities of similar pixels among its eight neighbours. Pixels
+    are similar if they have similar luminance and chroma. The luminance of the pixel stays unchanged.
     """
 
     reach: float = data("float64", doc="relative difference of luminance from which neighbours have no weight")
@@ -319,8 +319,8 @@ class TransformTable(Artifact):
     def white_signals(self) -> NDArray[np.float64] | None:
         """Signal of each channel for a white with an output Y of 1, as a fraction of full scale.
 
-        These signals are needed to raise pixels whose luminance is too low (docs/method.md#raised-pixels). They are None if
-        the illuminant or the camera is unknown, or if a channel has no signal.
+        These signals are needed to raise pixels whose luminance is too low (docs/method.md#raised-pixels). The property is
+        None if the illuminant or the camera is unknown, or if a channel has no signal.
         """
         if self.light is None or self.camera is None:
             return None

@@ -19,7 +19,7 @@ FACTOR = 1.5  # largest plausible ratio between signals per second under the sam
 # light of a monochromator fills the frame differently.
 SCALE = 3.0
 STEP = 3.0  # largest plausible ratio between the response to a monochromatic capture and the responses to both neighbours
-# largest plausible ratio for the first and last capture, compared with an extrapolation from the next two captures
+# like STEP, but for the first and last capture, which are compared with an extrapolation from the next two captures
 END = 20.0
 LEAST = 0.02  # differences below this fraction of the largest response or signal are ignored
 NEAR_TOP = 0.85  # signals above this fraction of the largest signal may be saturated
@@ -132,7 +132,7 @@ def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: A
         compared only with each other.
     """
     ratio = np.median(np.maximum(measured, 1e-9) / np.maximum(predicted, 1e-30), axis=1)
-    # If there are only two charts, the monochromatic captures decide which of them is wrong.
+    # If there are only two charts, the monochromatic captures decide which chart is wrong.
     votes = np.append(ratio, 1.0) if absolute and len(ratio) == 2 else ratio
     off = np.abs(np.log(ratio / np.median(votes)))
     if off.max() > np.log(FACTOR if votes.size > 2 else FACTOR**2):

@@ -30,7 +30,7 @@ from l3cli.frames.measurement import (
 )
 from l3cli.physics import spectra
 
-OVEREXPOSED = 1e-3  # a channel with this fraction of saturated pixels in a monochromatic capture is not used
+OVEREXPOSED = 1e-3  # a monochromatic capture is not used for a channel with at least this fraction of saturated pixels
 CUT_OFF = 0.05  # a monochromatic spectrum whose ends exceed this fraction of its peak is cut off
 Array = NDArray[np.float64]
 DEGREE = 4  # degree of the polynomial from which the flat field is computed
@@ -79,7 +79,7 @@ def measure_sensor(measurements: Measurements, each: statistics.Each = map) -> S
     measurements : Measurements
         Measurements with dark and white captures.
     each : callable
-        A function with the signature of the built-in `map`. It may use several processes.
+        Function with the signature of the built-in `map`, which may use several processes.
 
     Raises
     ------
@@ -120,8 +120,8 @@ def measure_sweep(
     """Set up the linear systems for the spectral responsivities (docs/method.md#responsivity).
 
     Each monochromatic capture yields one equation per channel, from the mean signal of the whole frame. Both sides are
-    divided by the number of photons. The fall-off of the lens is the same in all captures. It changes only the scale of the
-    responsivities, which the charts determine later.
+    divided by the number of photons. The fall-off of the lens is the same in all captures, so it changes only the scale of
+    the responsivities, which the charts determine later.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def measure_sweep(
     sensor : Sensor
         Noise and defects from the dark and white captures.
     each : callable
-        A function with the signature of the built-in `map`. It may use several processes.
+        Function with the signature of the built-in `map`, which may use several processes.
 
     Returns
     -------
@@ -430,7 +430,7 @@ def measure_polarisers(
         Noise and levels of the sensor: `Sensor` if they were measured from dark and white frames, otherwise
         `SensorFigures`.
     each : callable
-        A function with the signature of the built-in `map`. It may use several processes.
+        Function with the signature of the built-in `map`, which may use several processes.
 
     Returns
     -------
@@ -440,7 +440,7 @@ def measure_polarisers(
     Raises
     ------
     InputFileError
-        If the captures cannot be used, or contradict each other or the polarisers that the file states.
+        If the captures cannot be used, contradict each other, or contradict the polarisers that the file states.
     """
     captures, body = measurements.polariser, measurements.body
     if not captures:

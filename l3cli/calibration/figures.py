@@ -31,7 +31,7 @@ def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
     Returns
     -------
     dict
-        Name of each parameter, as in EMVA 1288, with its value and its unit. Row temporal noise, column temporal noise and
+        Value and unit of each parameter. The keys are the names in EMVA 1288. Row temporal noise, column temporal noise and
         column noise are included only if they are not zero. Calibration does not measure column noise, which is the fixed
         offset of columns, but a camera recipe may declare it.
     """

@@ -32,8 +32,9 @@ LEAST_R_SQUARED = 0.5  # if R² is lower, the description of the charts in the m
 Array = NDArray[np.float64]
 TOLERANCE = 0.1  # largest relative difference between a gain or exposure in the measurement file and its measured value
 SAME_SPEED = 1.25  # largest factor between a measured gain and the gain that the ISO speed implies
-# Temporal noise of rows or columns that is weaker than this fraction of the temporal dark noise is left out of the camera
-# model. It is not visible, but would make training slower. Stripes become visible at about twice this strength.
+# Temporal noise of rows or columns that is weaker than this fraction of the temporal dark noise is left out of the
+# camera model. Such noise is not visible, but would make training slower. Stripes become visible at about twice this
+# strength.
 LEAST_LINE_NOISE = 0.05
 CERTAIN = 4.0  # a measured gain contradicts the file only if it deviates by more than this number of standard deviations
 
@@ -46,8 +47,7 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
     measurements : Measurements
         Captures and settings from a measurement file.
     each : callable
-        A function with the signature of the built-in `map`, which applies a function to each capture. It may use several
-        processes.
+        Function with the signature of the built-in `map`, which may process several captures in parallel.
 
     Returns
     -------

@@ -45,7 +45,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DarkNoise:
-    """Results from dark frames. Except for `hot`, each attribute contains one value per channel."""
+    """Results from dark frames. The arrays contain one value per channel, except for `hot`."""
 
     black_level: Array  # DN; mean value at zero exposure time
     slope: Array  # DN/s; dark signal per second of exposure
@@ -106,13 +106,13 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
 
     The DSNU is computed from three variances:
 
-    1. The temporal variance is computed from differences between frames. It contains all noise that changes from frame to
-       frame, including row noise and column noise. The read noise is computed from this variance too.
+    1. The temporal variance is computed from differences between frames. This variance contains all noise that changes
+       from frame to frame, including row noise and column noise. The read noise is computed from this variance too.
     2. The spatial variance is the variance of the mean frame, extrapolated to zero exposure time. The variances of row means
        and column means are subtracted, because the DSNU does not include row noise and column noise. The result consists of
        the DSNU and the temporal noise that remains after averaging.
     3. The remaining temporal noise is the temporal variance without row noise and column noise, divided by the number of
-       frames. It is subtracted from the spatial variance.
+       frames. This noise is subtracted from the spatial variance.
 
     Raises InputFileError if all frames have the same exposure time, or if a capture contradicts the other captures.
     """
@@ -306,7 +306,7 @@ def prnu(
     hot : ndarray, (defect, 2)
         Row and column of the hot pixels.
     each : callable
-        A function with the signature of the built-in `map`. It may use several processes.
+        Function with the signature of the built-in `map`, which may use several processes.
 
     Returns
     -------

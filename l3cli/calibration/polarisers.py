@@ -267,8 +267,8 @@ def _check_captures(captures: Sequence[PolariserCapture], fit: PolariserFit) -> 
 def _with_reference(fit: PolariserFit, reference: str, body: Body) -> PolariserFit:
     """Return the fit with all angles shifted so that the channel `reference` has its stated angle.
 
-    The standard deviation of the angle of this channel becomes 0. It is added in quadrature to the standard deviations of
-    the remaining angles.
+    The standard deviation of the angle of this channel is added in quadrature to the standard deviations of the other
+    angles, and is itself set to 0.
     """
     if body.polarisers is None or reference not in body.channels:
         raise InputFileError(

@@ -104,7 +104,7 @@ def solve(design: Array, values: Array, delta: float) -> Array:
     design : ndarray, (capture, node)
         System matrix.
     values : ndarray, (capture,)
-        Right-hand side. It is scaled to a peak of 1 for the fit, so that the effect of `delta` does not depend on the
+        Right-hand side, which is scaled to a peak of 1 for the fit, so that the effect of `delta` does not depend on the
         channel or the unit.
     delta : float
         Smoothing weight.
@@ -502,7 +502,7 @@ def fit_gain(photons: Array, values: Array, black_level: float) -> tuple[float, 
     values : ndarray, (sample,)
         Mean value of each patch in DN.
     black_level : float
-        Black level in DN. It affects only the weights of the samples (docs/method.md#gain-and-offset).
+        Black level in DN, which affects only the weights of the samples (docs/method.md#gain-and-offset).
 
     Returns
     -------

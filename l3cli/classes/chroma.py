@@ -30,7 +30,7 @@ MAX_CHROMA_INPUT = 2**16 - 1  # channel means are clamped to this value, so that
 # %
 STARTS = 4
 WIDTH_FRACTION = 8  # number of fractional bits of the dither widths
-# dither width divided by the squared distance to the nearest different centre; a width of 1 would tint the palest
+# dither width divided by the squared distance to the nearest different centre; a ratio of 1 would tint the palest
 # paints
 DITHERED = 0.6
 # no dither between two centres if their squared distance, times the squared number of channels, is below this value
@@ -172,7 +172,7 @@ def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
 
 
 def entry(table: TransformTable, chroma: int) -> dict[str, Any]:
-    """Describe a chroma for reports and JSON: its number, and the value of each channel at its centre."""
+    """Describe a chroma for reports and JSON: the number of the chroma, and the channel values of its centre."""
     shares = chroma_centres(table.first.rule)[chroma].tolist()
     return {"chroma": chroma, "shares": dict(zip(table.channels, shares, strict=True))}
 
@@ -199,7 +199,7 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.int32]:
-    """Return the array that chroma.cl reads. It has one row per chroma, and a last row in which all weights are 1.
+    """Return the array that chroma.cl reads: one row per chroma, and a last row in which all weights are 1.
 
     Each row contains the start value of the score, the dither width, and the weights of all channels. Two weights of 16 bits
     are packed into one integer.

@@ -24,8 +24,8 @@ BEGINS, CLIPS = 0.6, 0.985
 # The fraction of the outputs that is replaced depends on the mean of the brightest channel. The fraction increases from
 # 0 at KEPT to 1 at REPLACED (fractions of full scale).
 KEPT, REPLACED = 0.85, 0.975
-# A block is uniform if the values of each channel in 3 × 3 blocks differ by at most PLAIN. It is textured if they differ by
-# TEXTURED or more (fractions of full scale).
+# A block is uniform if the values of each channel in 3 × 3 blocks differ by at most PLAIN. A block is textured if these
+# values differ by TEXTURED or more (fractions of full scale).
 PLAIN, TEXTURED = 0.12, 0.3
 WHITE_FROM = 1.25  # pixels with at least this luminance, relative to the clipped white, are rendered white
 MIN_WEIGHT = 1e-6  # smallest weight of a channel in the grey level, so that the sum of weights is never zero
@@ -57,7 +57,7 @@ class Mosaic:
 
 
 def block_sides(cfa: NDArray[np.uint8]) -> tuple[int, int]:
-    """Return the height and width of a block in pixels. They are multiples of the height and width of the CFA."""
+    """Return the height and width of a block in pixels. Both are multiples of the height and width of the CFA."""
     rows, cols = (-(-SMALLEST_BLOCK // period) * period for period in cfa.shape)
     return rows, cols
 
@@ -71,9 +71,9 @@ def limited_to_white(outputs: Array, clipped_white: Array) -> Array:
     """Limit the luminance of the outputs to the luminance of the clipped white.
 
     If all channels clip, the raw values do not contain the brightness of the pixel, and each class estimates a different
-    brightness. Without the limit, uniform white areas would look grey next to brighter pixels along edges. If the luminance
-    exceeds the limit, the colour of the pixel fades to the colour of the white, which it reaches at WHITE_FROM times the
-    limit.
+    brightness. Without the limit, uniform white areas would look grey next to brighter pixels along edges. Above the
+    limit, the colour of a pixel fades to the colour of the white. A pixel has the colour of the white from WHITE_FROM times
+    the limit.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def limited_to_white(outputs: Array, clipped_white: Array) -> Array:
 
 
 def replaced(outputs: Array, mosaic: Mosaic, response: Array, white: Array) -> Array:
-    """Replace the outputs of uniform areas with clipped channels, and then the hue of all areas with clipped channels.
+    """Correct areas in which channels clip: first the outputs of uniform areas, then the hue of all clipped areas.
 
     Parameters
     ----------
@@ -303,7 +303,7 @@ class ClippedBlocks:
 def hue_maps(means: Array, spread: Array, response: Array, white: Array, sides: tuple[int, int]) -> Array:
     """Estimate the hue of clipped blocks from unclipped blocks nearby.
 
-    A block nearby may show the same surface under more or less light. To test this, its signals are scaled to the brightness
+    A nearby block may show the same surface under more or less light. To test this, its signals are scaled to the brightness
     of the clipped block. The scaled signals must then agree with the clipped block in the channels that do not clip, and
     reach full scale in the channels that clip. Afterwards, the estimated signals of clipped blocks spread in several steps
     over uniform areas, for example over a sky.

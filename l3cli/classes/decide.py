@@ -1,6 +1,7 @@
 """Computes the class of a pixel from the statistics of its patch, in integer arithmetic.
 
-This is the reference for all renderers. They must assign every pixel to the same class, which the tests verify.
+This module is the reference for all renderers. Every renderer must assign each pixel to the same class, which the tests
+verify.
 """
 
 import numpy as np

@@ -33,6 +33,6 @@ class BasicKeys(Recipe):
     # number of chromas, including white, to which patches are assigned if no channel clips; with 0 or 1, all colours
     # share a class (docs/method.md#chroma)
     chromas: Annotated[int, msgspec.Meta(ge=0, le=MAX_CHROMAS)] = 9
-    # whether the sites alternate between the two nearest chromas where a colour lies between them; this avoids seams in
+    # whether neighbouring sites use different chromas where a colour lies between two chromas; this avoids seams in
     # tables with several layers
     chroma_dither: bool = False

@@ -119,12 +119,12 @@ def _asked(rule: TreeRule, place: int) -> NDArray[np.uint32]:
 
 
 def snippets(rule: ClassRule) -> tuple[str, ...]:
-    """Return the OpenCL files with the formulas of the features of a class rule. They are included before rule.cl."""
+    """Return the OpenCL files with the formulas of the features of a class rule. The files are included before rule.cl."""
     return tuple(module.SNIPPET for module in (*BASIC, *(module for module, _ in features_of(rule))))
 
 
 def joined(rule: ClassRule) -> str:
-    """Return OpenCL source that combines the values of the additional features. It is included in rule.cl.
+    """Return OpenCL source that combines the values of the additional features. The source is included in rule.cl.
 
     The source defines the macros COMBINATIONS (number of combinations) and WINDOW_SUMS (number of window sums, at least 1).
     If all windows have the same size, it also defines BOX_ROWS and BOX_COLUMNS. If there are additional features, it also
@@ -171,8 +171,8 @@ def kernel_macros(rule: ClassRule) -> dict[str, int]:
 def kernel_arrays(rule: ClassRule, *others: ClassRule) -> tuple[NDArray, ...]:
     """Return the arrays with the constants of the features, in the order of the kernel arguments.
 
-    `others` are the class rules of the noise sets (docs/method.md#noise-sets). They differ from `rule` only in the contrast
-    edges and in the constants of the additional features. These constants are appended to the constants of `rule`.
+    `others` are the class rules of the noise sets (docs/method.md#noise-sets). These rules differ from `rule` only in the
+    contrast edges and in the constants of the additional features. These constants are appended to the constants of `rule`.
     """
     basic = [
         np.concatenate([contrast.kernel_array(each) for each in (rule, *others)])

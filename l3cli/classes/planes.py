@@ -28,7 +28,7 @@ LUMINANCE, CHROMA = 1, [0, 2]  # index of the luminance plane Y, and indices of 
 
 @dataclass(frozen=True)
 class FixedPoint:
-    """The transforms of a layer as integers. They convert the input of the layer to its output planes."""
+    """The transforms of a layer as integers, which convert the input of the layer to output planes."""
 
     weights: NDArray[np.int16]  # (class, plane, tap): W
     intercept: NDArray[np.int64]  # (class, plane): B

@@ -36,7 +36,7 @@ def label_planes(
     first_rule : ClassRule
         Class rule of the first layer.
     *others : PlaneRule
-        Class rules of the noise sets (docs/method.md#noise-sets). They differ from `rule` only in the scale of the
+        Class rules of the noise sets (docs/method.md#noise-sets). These rules differ from `rule` only in the scale of the
         gradients. The classes are numbered consecutively: first the classes of `rule` at all sites, then the classes of each
         noise set at all sites.
 
@@ -153,7 +153,8 @@ def bilateral_change(planes: NDArray, side: int) -> NDArray[np.floating]:
 
     where d̄ is the mean of d_q over the window. The result has the shape (chroma plane, row, col) and the unit of `planes`.
     """
-    planes = planes.astype(np.result_type(planes, np.float32))  # float32 stays float32, because training uses it
+    # float32 planes, which training uses, stay float32; integers become float64
+    planes = planes.astype(np.result_type(planes, np.float32))
     padded, (_, rows, cols) = mirrored(planes, side // 2), planes.shape
     change = np.empty((2, rows, cols), planes.dtype)
     for first in range(0, rows, ROWS_AT_ONCE):

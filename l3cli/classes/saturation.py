@@ -121,7 +121,7 @@ def codes(values: NDArray[np.unsignedinteger], rule: ClassRule, order: TapOrder)
 
 
 def code_of(saturated: NDArray[np.bool_]) -> Integers:
-    """Convert flags that state whether each channel clips to saturation codes.
+    """Convert the saturation flags of channels to saturation codes.
 
     The last axis of `saturated` is the channel. The result has the remaining axes.
     """

@@ -108,7 +108,8 @@ def turn_signs(turn: NDArray[np.int64]) -> tuple[int, int]:
 def name(rule: StructureRule, number: int, site: int) -> str:
     """Return the name of a structure, such as "flat" or "strength 1 of 2, edge at 45°".
 
-    The angle of the edge is measured anticlockwise from the horizontal. It depends on the orientation of the CFA site.
+    The angle of the edge is measured anticlockwise from the horizontal. The angle depends on the orientation of the CFA
+    site.
     """
     if number == 0:
         return "flat"

@@ -1,7 +1,7 @@
 """Decision trees that classify pixels in a refinement layer (docs/method.md#trees).
 
 Each test of a tree compares a numerator with the product of a threshold and a denominator. Numerator and denominator are
-computed from the planes around a pixel, and are integers below 2³¹. They are converted to float32. The only floating-point
+computed from the planes around a pixel, and are integers below 2³¹. Both are converted to float32. The only floating-point
 operation is then one multiplication, which IEEE 754 defines exactly. The result is therefore the same on every device.
 """
 
@@ -123,7 +123,8 @@ def evidence(planes: Integers, factor: Integers, shift: Integers) -> Evidence:
 def leaves(seen: Evidence, site: Integers, rule: TreeRule) -> Integers:
     """Return the leaf that each pixel reaches in the decision tree.
 
-    `site` contains the CFA site of each pixel. It determines the orientation to which the window of the pixel is turned.
+    `site` contains the CFA site of each pixel. The CFA site determines the orientation to which the window of the pixel is
+    turned.
     """
     turned, sign = (np.array(each) for each in zip(*(turned_tests(turn) for turn in range(8)), strict=True))
     turn = rule.turns.astype(np.int64)[np.broadcast_to(site, seen.numerators.shape[1:]).ravel()]

@@ -79,14 +79,14 @@ def _divided(numerator: int, count: Integers) -> Integers:
 class TapOrder:
     """An order of the taps in the window around a site.
 
-    The taps are sorted by channel. Within a channel, the taps inside the saturation radius are first. The
-    values of a channel are then adjacent rows of an array (tap, patch), which numpy sums fastest.
+    The taps are sorted by channel. Within a channel, the taps inside the saturation radius are first. The values of a
+    channel are then adjacent rows of an array (tap, patch), which numpy sums fastest.
     """
 
     taps: Integers  # (tap,): position of each tap in the window
     channels: tuple[slice, ...]  # the taps of each channel
     inner: tuple[slice, ...]  # the taps of each channel within the saturation radius
-    windows: NDArray[np.float32]  # (sum, tap): factor by which each window sum multiplies each tap
+    windows: NDArray[np.float32]  # (sum, tap): weight of each tap in the window sums of all features
 
 
 def tap_order(rule: ClassRule, neighbours: Neighbourhoods, site: int) -> TapOrder:
@@ -106,7 +106,7 @@ def tap_order(rule: ClassRule, neighbours: Neighbourhoods, site: int) -> TapOrde
 
 
 def _tap_counts(rule: ClassRule) -> NDArray[np.float32]:
-    """Return the factor by which each window sum multiplies each tap: (sum, tap)."""
+    """Return the weight of each tap in the window sums of all features: (sum, tap)."""
     counts = np.zeros((rule.window_sums, rule.patch, rule.patch), np.float32)
     for window in rule.windows:
         down, across = slice(window.top, window.top + window.rows), slice(window.left, window.left + window.columns)

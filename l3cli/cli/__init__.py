@@ -97,7 +97,8 @@ def l3(context: click.Context) -> None:
     transforms (train) and render raw frames with the table (render). Each stage writes one HDF5 file for the next.
     """
     require_address_space()
-    if context.invoked_subcommand is None:  # this is an error, because in a script it usually means an empty variable
+    # a call without a command is an error, because in a script it usually means an empty variable
+    if context.invoked_subcommand is None:
         for line in context.get_help().splitlines():
             to_stderr(line)
         context.exit(2)

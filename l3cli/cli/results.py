@@ -15,7 +15,7 @@ from l3cli.system.files import Dated, FilesUsed, dated, require_regular, sha256
 T = TypeVar("T")
 RUN_FORMAT = 1  # version of the keys in "run"
 ERROR_KINDS = {2: "call", 3: "input", 4: "device", 130: "interrupted", 143: "terminated"}  # error type for each exit code
-# largest number of messages in the record, and of warnings, because a long sequence can cause very many
+# largest number of recorded messages, and of recorded warnings; a long sequence can cause very many
 MOST_MESSAGES = 1000
 JSON = "--json"
 

@@ -257,7 +257,8 @@ def spectra_of(moments: LightMoments, output: str, counts: str, curves: Array) -
     output, counts : str
         Values of the keys `output` and `counts` in the design recipe.
     curves : ndarray, (filter, wavelength)
-        Quantum efficiencies of the filters. They define the outputs if `output` is "bands", and are not used otherwise.
+        Quantum efficiencies of the filters. If `output` is "bands", these curves define the outputs. Otherwise they are not
+        used.
     """
     rows, weighting = wanted_outputs(moments, output, counts, curves)
     terms, number, place = moments.terms, np.maximum(moments.patches, 1.0), WEIGHTINGS.index(weighting)

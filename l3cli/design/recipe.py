@@ -51,8 +51,8 @@ class PixelRecipe(Recipe):
     """Section [pixel]: the pixel, which is the same under all filters."""
 
     camera: str = "bayer"  # camera model or camera recipe (file or name) with the sensor, the noise and the lens
-    # Quantum efficiency of the pixel with the lens but without a filter: a number, or the name of a CSV file. It is
-    # multiplied by the transmittance of each filter.
+    # Quantum efficiency of the pixel with the lens but without a filter: a number, or the name of a CSV file. l3
+    # multiplies this efficiency by the transmittance of each filter.
     bare: float | str = 0.6
     pitch_um: Positive | None = None  # this key and the keys below replace values of the camera
     well_e: Positive | None = None  # full-well capacity; l3 scales the gain so that a full well is at full scale

@@ -52,7 +52,7 @@ def fit_colour(
 ) -> Colour:
     """Fit a white balance and a colour matrix of a camera for an illuminant.
 
-    The matrix is fitted by ridge regression over measured reflectances. It reproduces a perfect white exactly.
+    The matrix is fitted by ridge regression over measured reflectances. The matrix reproduces a perfect white exactly.
 
     Parameters
     ----------
@@ -318,7 +318,7 @@ def _electrons(frame: TrainingPair, camera: CameraModel) -> Array:
 
 
 def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:
-    """Return the spectrum of a frame's illuminant, which is the first of these spectra that is available:
+    """Return the spectrum of a frame's illuminant. The first available spectrum in this list is used:
 
     1. the spectrum that is stored with the frame;
     2. the standard illuminant with the name that is stored with the frame;

@@ -30,7 +30,7 @@ Demosaic = Callable[[Array, CFA], Array]
 Direction = tuple[int, int]  # row offset and column offset
 DIRECTIONS: tuple[Direction, ...] = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right)
 # Width of the mirrored margin for band methods, in CFA periods. The margin is wider than the support of these methods,
-# because they wrap around at the border.
+# because the methods wrap around at the border.
 BAND_MARGIN_PERIODS = 4
 CODES = 255.0  # value of a perfect white in PPID, whose weights contain a constant for 8-bit values
 # σ of the Gaussian, as a multiple of the mean distance between samples of a channel. This value is best for dead leaves with

@@ -360,7 +360,7 @@ class Evaluation:
         dict
             Metrics are listed for each pipeline, under the name of the pipeline. The keys are:
 
-            * format: version of the document, 3. It increases when keys change.
+            * format: version of the document, 3. The version increases when keys change.
             * camera and outputs: name of the camera, and names of the outputs.
             * viewing: picture samples per degree of visual angle for S-CIELAB.
             * border: number of pixels at each edge that are not evaluated.

@@ -508,8 +508,8 @@ def spectral_angle(rendered: Array, target: Array) -> Array:
     Returns
     -------
     ndarray, (row, col)
-        Angle in degrees. It is NaN if the target spectrum is zero, or so small compared with the largest target spectrum
-        that it is a float32 rounding error. It is 90° if only the rendered spectrum is zero.
+        Angle in degrees. The angle is NaN if the target spectrum is zero, or so small that it is only a float32 rounding
+        error of the largest target spectrum. The angle is 90° if only the rendered spectrum is zero.
     """
     cubes = [cube.astype(np.float64) for cube in (rendered, target)]
     lengths = [np.sqrt((cube**2).sum(axis=0)) for cube in cubes]
@@ -576,6 +576,6 @@ def blurred(xyz: Array, viewing: float) -> Array:
 def half_size(viewing: float) -> int:
     """Return the half width of the S-CIELAB filters in samples.
 
-    The full width is one degree. As in ISETCam, it is rounded up to an integer. If this integer is even, it is reduced by 1.
+    The full width is one degree. As in ISETCam, the width is rounded up to an integer. An even integer is then reduced by 1.
     """
     return (int(np.ceil(viewing)) - 1) // 2

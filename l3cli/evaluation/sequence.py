@@ -161,8 +161,8 @@ STILL = 0.5
 # The following constants define still patches if there is no ideal sequence.
 DRIFT = 1.0  # L*; maximum change in the mean of a still patch from the first to the second half of the sequence
 UNCERTAIN = 3.0  # standard deviations; changes that are smaller than this may be caused by noise
-# The patches that change least are assumed to show only noise. They are the fraction QUIETEST of all patches. A still
-# patch changes at most RESTLESS times as much as these patches.
+# The patches that change least are assumed to show only noise. These patches are the fraction QUIETEST of all patches. A
+# still patch changes at most RESTLESS times as much as these patches.
 QUIETEST, RESTLESS = 0.1, 3.0
 ROUNDING = 0.1  # L*; maximum change of a pixel due to rounding
 
@@ -177,7 +177,8 @@ class FrameFigures(msgspec.Struct, forbid_unknown_fields=True):
 
     frame: int
     mean_lightness: float  # L*
-    # L*; change in the mean lightness since the previous frame, minus the same change in the ideal sequence, if any
+    # L*; change in the mean lightness since the previous frame, minus the corresponding change in the ideal sequence if
+    # there is one
     jump: float | None
     step_sigma: float | None  # L*; RMS change of the pixels of still patches since the previous frame, divided by √2
     warped_error: float | None  # L*; RMS change of the error since the previous frame, along the motion of the objects

@@ -330,8 +330,8 @@ def colour_differences(xyz: Array, of_camera: Array, white: Array) -> Array:
 def figures_of(document: dict[str, Any]) -> dict[str, dict[str, float | None]]:
     """Return MTF50 along rows, MTF50 along columns, SNR10 and `camera_delta_e` of each pipeline.
 
-    `camera_delta_e` is the CIEDE2000 difference that the uncertainty of the responsivity curves causes. It is None if the
-    curves have no uncertainty band. SNR10 is None if the curves are not absolute, or if SNR10 cannot be measured.
+    `camera_delta_e` is the CIEDE2000 difference that the uncertainty of the responsivity curves causes. This metric is None
+    if the curves have no uncertainty band. SNR10 is None if the curves are not absolute, or if SNR10 cannot be measured.
     """
     edge, grey, chart = document["edge"], document["grey"], document["chart"]
     return {

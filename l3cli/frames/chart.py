@@ -421,8 +421,8 @@ def _grids(centres: Array, areas: Array, grid: tuple[int, int]) -> list[Array]:
 def _may_be_steps(steps: Array) -> NDArray[np.bool_]:
     """Return a mask (pair) of the pairs of offsets `steps` (pair, 2, 2) that may be the basis vectors of a chart's grid.
 
-    The two offsets must have similar lengths and must be roughly perpendicular. They must not form a mirrored grid, because
-    the camera photographs the front of the chart.
+    The two offsets must have similar lengths and must be roughly perpendicular. The offsets must not form a mirrored grid,
+    because the camera photographs the front of the chart.
     """
     one, other = np.hypot(*steps.T)
     turn = np.linalg.det(steps)  # positive unless the grid is mirrored

@@ -36,7 +36,8 @@ RANGE = 2.0  # a hot pixel also exceeds its brightest neighbour by at least this
 NEXT_SIGMAS, NEXT_SHARE = 2.0, 0.1
 AROUND = [(row, col) for row in (-1, 0, 1) for col in (-1, 0, 1) if (row, col) != (0, 0)]
 Array = NDArray[np.float64]
-HOT = 5.0  # pixels of a dark frame that deviate by more standard deviations are excluded from its mean level
+# pixels that deviate by more than this number of standard deviations are excluded from the mean level of a dark frame
+HOT = 5.0
 MAD = 1.4826  # ratio of the standard deviation to the median absolute deviation of a normal distribution
 
 

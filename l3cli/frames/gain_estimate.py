@@ -43,7 +43,8 @@ PLAIN = ((0.05, 1.0), (0.01, 2.0))
 AGREE = 1.3  # a signal range is consistent with a gain if measured and predicted variance differ by a smaller factor
 LOWEST, HIGHEST = 2.0**-8, 2.0**10  # range of gains
 USUAL_EXCESS, MAX_EXCESS = 0.01**2, 25.0  # expected relative variance of texture, and maximum multiple of this variance
-MAX_SCORING_STEPS, SMALL = 50, 1e-4  # Fisher scoring: maximum number of steps, and step in the log gain at which it ends
+# Fisher scoring: maximum number of steps, and change of the log gain below which the steps end
+MAX_SCORING_STEPS, SMALL = 50, 1e-4
 # Relative standard errors: systematic error (tests/studies/test_gain_study.py), and maximum error of an accepted estimate
 SYSTEMATIC, MAX_ERROR = 0.04, 0.08
 Array = NDArray[np.float64]
@@ -214,8 +215,9 @@ def _plain(patches: _Patches, camera: CameraModel, gain: float, excess: float) -
 def _energies(whitened: Array, patches: _Patches) -> tuple[Array, Array, int]:
     """Split the variation within each patch into weak components (noise) and strong components (texture).
 
-    The components are the eigenvectors of the covariance of the pixels, without the channel means. They are estimated from
-    one half of the patches and applied to the other half, so that a patch does not influence its own components.
+    The components are the eigenvectors of the covariance of the pixels, without the channel means. The components are
+    estimated from one half of the patches and applied to the other half, so that a patch does not influence its own
+    components.
 
     Returns
     -------

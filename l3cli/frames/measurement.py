@@ -265,7 +265,7 @@ class StatedMatrix:
 
     light: str  # name of the illuminant
     assumed: bool  # whether the illuminant is an assumption, because the file states no illuminant
-    rows: dict[int, NDArray[np.float64]]  # colour code of a channel → row (3) of the matrix
+    rows: dict[int, NDArray[np.float64]]  # for the colour code of each channel: row (3) of the matrix
 
     def of(self, codes: Sequence[int | None]) -> NDArray[np.float64]:
         """Return the rows (channel, 3) of the matrix for the given colour codes. Codes that are None are skipped."""

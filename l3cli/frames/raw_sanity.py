@@ -29,7 +29,7 @@ SITES_DIFFER = 0.02
 # at least this value. In coloured scenes, the logarithm is at most 0.67.
 FAR_FROM_GREY = 0.75
 BETTER = 0.4  # a different phase is better only if its difference is below this fraction of the stated phase's difference
-ALIKE = 1.5  # two phases fit about equally well if their differences differ by at most this factor
+ALIKE = 1.5  # two phases fit about equally well if the ratio of their differences is at most this factor
 BLACK_PERCENTILE = 0.1  # percentile of a channel's values that is close to black in most pictures
 MIN_BLACK, MAX_BLACK = 1 / 64, 1 / 6  # range of the black levels of real cameras, as fractions of the white level
 # A frame may be decoded incorrectly if its roughness is at least the fraction ROUGH of full scale and SMOOTHER times the
@@ -54,7 +54,8 @@ LEAST_CHECK = 0.1
 # number of alternating fits of the super-pixel and the checkerboard, needed if the size of the squares is odd
 CHECK_FITS = 30
 TWO_GAINS = 2.0  # minimum ratio of the gains in sensors whose pairs of rows alternate between two gains
-NOISE_COLUMNS, NOISE_PERCENTILE = 8, 25  # width in pixels of the areas whose noise is measured; percentile of uniform areas
+# width in pixels of the areas whose noise is measured; percentile over the areas, which represents uniform areas
+NOISE_COLUMNS, NOISE_PERCENTILE = 8, 25
 UNCLIPPED = 0.8  # fraction of full scale; noise is measured only in areas with a lower mean
 MIN_NOISE = 0.5  # DN²; smaller variances consist mainly of rounding errors
 CONTROL = 3.0  # a difference is evidence only if it exceeds this multiple of the difference at a period that no CFA has
@@ -92,7 +93,7 @@ def phase_doubt(
     blocks = block_means(frame, cfa.shape)
     if not blocks.size or not blocks.mean() > MIN_SIGNAL * (frame.white_level - frame.black_level):
         return None
-    arrays: dict[bytes, Phase] = {}  # shifted CFA → the first phase that produces it
+    arrays: dict[bytes, Phase] = {}  # first phase that produces each shifted CFA, by the bytes of the shifted CFA
     for phase in (frame.phase, *itertools.product(range(cfa.shape[0]), range(cfa.shape[1]))):
         arrays.setdefault(shifted_cfa(cfa, phase).tobytes(), phase)
     phases = {phase: shifted_cfa(cfa, phase) for phase in arrays.values()}
@@ -242,9 +243,9 @@ def _factors(blocks: NDArray[np.float64], along: tuple[int, int]) -> NDArray[np.
 def _are_checks(means: NDArray[np.float64], period: tuple[int, ...]) -> bool:
     """Whether `means` is the product of the mean super-pixel and a checkerboard.
 
-    The checkerboard is 1 plus the product of a function of the row and a function of the column. If `means` is caused by a
-    CFA with a different period instead, the sites of the mean super-pixel are nearly equal, as for a quad Bayer CFA, or
-    `means` equals the mean super-pixel at some sites.
+    The checkerboard is 1 plus the product of a function of the row and a function of the column. A CFA with a different
+    period is not mistaken for a checkerboard: either the sites of its mean super-pixel are nearly equal, as for a quad Bayer
+    CFA, or `means` equals the mean super-pixel at some sites.
     """
     sites = _super_pixels(means, period).mean(axis=(0, 2))
     if np.ptp(sites) < CHECKED_SITES_DIFFER * sites.mean() or sites.min() <= 0:
@@ -412,9 +413,9 @@ def share_below_black(frame: RawFrame) -> float:
 def black_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> float | None:
     """Return the probable black level, in DN, of a frame whose file states a black level of 0.
 
-    If the stated level is wrong, the darkest values of all channels are at about the same level, far above 0. They differ
-    less between the channels, in relation to their mean, than the medians. If the darkest values were caused by light, they
-    would differ in proportion to the transmittances of the colour filters.
+    If the stated level is wrong, the darkest values of all channels are at about the same level, far above 0. Relative to
+    their mean, these values differ less between the channels than the medians. If the darkest values were caused by light,
+    they would differ in proportion to the transmittances of the colour filters.
 
     Returns
     -------

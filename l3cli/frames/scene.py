@@ -11,7 +11,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-MAX_TIMES_WHITE = 1e6  # maximum value relative to a perfect white; the sun reaches this value next to sunlit white paper
+# maximum value relative to a perfect white; the sun has about this value relative to sunlit white paper
+MAX_TIMES_WHITE = 1e6
 BRIGHTEST_UNLIT = 1e26  # maximum value in scenes without an illuminant, because linear pictures may have any scale
 SHOWN = 390.0, 710.0  # nm; range that all generated scenes contain, and in which fingerprints are computed
 PROJECTIONS = 8  # number of values in a fingerprint
@@ -42,10 +43,11 @@ class Polarisation:
 class Scene:
     """An image of spectral reflectances, with or without an illuminant.
 
-    `reflectance` is the radiance divided by the radiance of a perfect white. It is never negative. It may exceed 1 in
-    specular highlights (docs/method.md#simulation). Synthetic scenes, RGB pictures converted to spectra, and reflectance
-    cubes have NO_ILLUMINANT and can be simulated under any illuminant. A radiance cube that was recorded under an unknown
-    illuminant has an equal-photon illuminant. It can be simulated only under the light in which it was recorded.
+    `reflectance` is the radiance divided by the radiance of a perfect white. Reflectances are never negative, but may exceed
+    1 in specular highlights (docs/method.md#simulation). Synthetic scenes, RGB pictures converted to spectra, and
+    reflectance cubes have NO_ILLUMINANT and can be simulated under any illuminant. A radiance cube that was recorded under
+    an unknown illuminant has an equal-photon illuminant. Such a cube can be simulated only under the light in which it was
+    recorded.
 
     Raises ValueError if shapes do not match, if wavelengths do not increase, or if a value is not finite or is too large.
     """

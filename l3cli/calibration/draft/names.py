@@ -35,7 +35,7 @@ LARGEST_CROP = 960  # pixels; largest side of the crop from which the period is 
 # a smaller period is preferred if it explains at least this fraction of the variance that the best period explains
 EXPLAINED = 0.98
 SIGNIFICANT = 0.02  # smallest fraction of the variance that a filter array must explain
-EVEN = 0.05  # largest relative residual of a uniform field after a smooth fit
+EVEN = 0.05  # largest relative residual of a uniform field after the fit of a smooth surface
 TERMS = 4  # degree of the polynomial of the smooth fit
 COMMON = 12  # a value is frequent if at least this number of pixels have the value
 LEAST_CODES = 16  # smallest number of frequent values from which stretched values can be recognised
@@ -217,7 +217,7 @@ def _explained(values: Array, period: tuple[int, int]) -> float:
     """Return a measure of how well a colour filter array with the given period explains the variation of a frame.
 
     The measure is n · R² − m, where n is the number of pixels, R² is the fraction of the variance that the mean values of
-    the sites explain, and m is the number of sites. It is close to 0 for a frame without an array.
+    the sites explain, and m is the number of sites. The measure is close to 0 for a frame without an array.
     """
     rows, cols = (length // each for length, each in zip(values.shape, period, strict=True))
     if min(rows, cols) < 4:
@@ -235,7 +235,7 @@ def altered(values: NDArray[np.uint16]) -> str | None:
     step = int(np.gcd.reduce(codes))
     if step > 1 and codes.size > DRAWN:
         return f"all values are multiples of {step}, so they seem to be shifted to the left"
-    # The absence of the value above a frequent value is not due to chance.
+    # If a value is frequent, the next higher value is not missing by chance.
     common = np.flatnonzero(counts[:-1] >= COMMON)
     gaps = float(np.mean(counts[common + 1] == 0)) if common.size else 0.0
     if common.size >= LEAST_CODES and gaps > MOST_GAPS:

@@ -256,7 +256,8 @@ def terms(place: Array) -> Array:
 class _Solution:
     """The last linearisation of the model, values ≈ design @ state, and its solution.
 
-    The state is a vector of the responsivities, the glare and the coefficients of the illumination. It has a Gaussian prior.
+    The state is a vector of the responsivities, the glare and the coefficients of the illumination. The prior of the state
+    is Gaussian.
     """
 
     shots: Sequence[Shot]
@@ -457,7 +458,7 @@ def compare(shots: Sequence[Shot], index: int, among: Sequence[Prior], candidate
         The most probable common illuminant.
     deficit : float
         Natural logarithm of the ratio of two probabilities: the probability of `nearest`, divided by the probability of the
-        illuminant in `shots[index]`. It is at least 0.
+        illuminant in `shots[index]`. The deficit is at least 0.
     """
     others = {name: _likelihood(_under(shots, index, light), among) for name, light in candidates.items()}
     nearest = max(others, key=lambda name: others[name])
