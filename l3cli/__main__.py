@@ -14,12 +14,12 @@ def main() -> None:
     _open_streams()
     words = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 
-    def end(number: int, frame: object) -> None:  # no work has begun, so there is nothing to clean up
+    def end(number: int, frame: object) -> None:  # nothing must be cleaned up, because no work has begun
         os.write(2, f"l3: {words[signal.Signals(number)]}\n".encode())
         os._exit(128 + number)
 
     for each in words:
-        if signal.getsignal(each) is not signal.SIG_IGN:  # a background job may ignore Ctrl-C
+        if signal.getsignal(each) is not signal.SIG_IGN:  # background jobs ignore Ctrl-C, and must continue to do so
             signal.signal(each, end)
     from l3cli import cli
 
@@ -29,8 +29,8 @@ def main() -> None:
 def _open_streams() -> None:
     """Open the null device in place of each standard stream that is closed.
 
-    Daemons may start a program with stdin, stdout or stderr closed. A file that is opened later would get the descriptor of
-    the closed stream, and code that uses this stream would read, write or close the file instead.
+    A daemon may start a program with stdin, stdout or stderr closed. The next file that the program opens would get the
+    descriptor of the closed stream, and code that uses the stream would then read, write or close this file.
     """
     for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         try:

@@ -1,6 +1,7 @@
-"""The errors that l3 raises, with the exit code of each (docs/guarantees.md#exit-codes), and texts for error messages.
+"""Errors that l3 raises, their exit codes (docs/guarantees.md#exit-codes), and functions that format error messages.
 
-Messages write the names of parameters as ‹force›. The command line replaces them by the names of options, such as --force.
+Messages contain parameter names in angle quotes, such as ‹force›. The command line replaces each parameter name by the name
+of the option, such as --force.
 """
 
 import contextlib
@@ -21,7 +22,7 @@ class RecipeError(L3Error):
 
 
 class InputFileError(L3Error):
-    """An input file is missing, damaged or of the wrong type, or does not fit the remaining inputs."""
+    """An input file is missing, damaged or of the wrong type, or does not fit the other inputs."""
 
     exit_code = 3
 
@@ -53,8 +54,8 @@ def raised_as(kind: type[L3Error], name: object, of: type[Exception] = ValueErro
         raise kind(f"{name}: {error}{cure}") from error
 
 
-MAX_CHARACTERS = 240  # approximate largest length of a list of names in a message
-MOST_SHOWN = 40  # largest number of characters of a user's text in a message; longer texts are truncated
+MAX_CHARACTERS = 240  # approximate maximum length of a list of names in a message
+MOST_SHOWN = 40  # maximum length of a user's text in a message; longer texts are truncated
 
 
 def shortened(text: str) -> str:
@@ -63,7 +64,7 @@ def shortened(text: str) -> str:
 
 
 def listed(lines: Iterable[str]) -> str:
-    """Join names with commas for a message. If there are too many, the last names are replaced by "and N more"."""
+    """Join names with commas for a message. If the list is too long, the last names are replaced by "and N more"."""
     lines = list(lines)
     shown = [
         line for line, length in zip(lines, accumulate(map(len, lines)), strict=True) if length < 2 * MAX_CHARACTERS
@@ -72,7 +73,7 @@ def listed(lines: Iterable[str]) -> str:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Return a question such as 'did you mean "bayer"?' with the known names that are most similar to `name`.
+    """Return a question such as 'did you mean "bayer"?' that contains the known names most similar to `name`.
 
     If no known name is similar, the result is an empty string.
     """
@@ -86,7 +87,8 @@ def nearest(name: str, known: Iterable[str]) -> str:
 def suggestion(name: str, known: Iterable[str]) -> str:
     """Return the end of an error message about an unknown name.
 
-    It is the question from `nearest` or, if no known name is similar, an instruction such as "use one of a, b, c".
+    The result is the question from `nearest`. If no known name is similar, the result is an instruction such as "use one of
+    a, b, c".
     """
     known = list(known)
     if close := nearest(name, known):

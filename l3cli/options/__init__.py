@@ -1,1 +1,1 @@
-"""Options of each command, as frozen dataclasses from which the command line and the Python functions are derived."""
+"""Options of all commands, as frozen dataclasses. The command line and the Python functions are derived from them."""

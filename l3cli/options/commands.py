@@ -35,7 +35,7 @@ Paths = Given[Name | Sequence[Name], tuple[Path, ...]]
 
 @options
 class CalibrateOptions(ForceOptions, JobsOptions):
-    """Options of a calibration from a measurement file or from photos."""
+    """Options for a calibration from a measurement file or from photos."""
 
     photos: Paths = option(
         (),
@@ -96,9 +96,9 @@ class SimulateOptions(ForceOptions, WorkerOptions, SeedOptions):
 
 
 class Shares(Reader):
-    """Proportions of several training sets, as text such as "1,0.7,0.4" or as a sequence of numbers.
+    """Relative numbers of patches from several training sets, as text such as "1,0.7,0.4" or as a sequence of numbers.
 
-    At least one proportion must be above zero. The proportions need not add up to 1.
+    At least one number must be above zero. The numbers need not add up to 1.
     """
 
     number = Number(0, 1e6)

@@ -3,7 +3,7 @@
 Each option is declared once, as a field of a frozen dataclass with a reader, a default and a help text. l3 derives three
 things from the declaration: the command-line option (cli/options.py), the keyword of the Python function (api/stages.py),
 and the contribution of the option to the key by which `--resume` recognises a run. Every command imports this module first,
-so this module must not import slow modules.
+so this module must not import modules that load slowly.
 """
 
 import hashlib
@@ -42,7 +42,7 @@ class Given(Generic[TypeGiven, TypeStored]):
 
 
 class Reader:
-    """Base class of the readers, which check the value of an option and convert it to the stored type.
+    """Base class of readers. A reader checks the value of an option, and converts the value to the stored type.
 
     A value from the command line is text. A value from Python can have any type.
     """
@@ -50,7 +50,7 @@ class Reader:
     def read(self, given: Any) -> Any:
         """Check `given`, and return the value to store.
 
-        Raises ValueError if `given` is invalid. The message says how to correct the value.
+        Raises ValueError if `given` is invalid. The message states how to correct the value.
         """
         raise NotImplementedError
 
@@ -78,7 +78,8 @@ class Text(Reader):
 class File(Reader):
     """Path of an input file.
 
-    The reader does not check whether the file exists, because the message is more specific when l3 opens the file.
+    The reader does not check whether the file exists. l3 reports a missing file with a more specific message when it opens
+    the file.
     """
 
     def read(self, given: Any) -> Path:
@@ -102,7 +103,7 @@ class Recipe(File):
 
 
 class Choice(Reader):
-    """One of several permitted values, which can also be written as text, such as "16" for 16."""
+    """One of several permitted values. A value can also be written as text, such as "16" for 16."""
 
     def __init__(self, *values: Any) -> None:
         self.values = values
@@ -134,13 +135,13 @@ class Declaration:
     metavar: str | None = None
     flag: str | None = None  # name on the command line, if it differs from the name of the field
     several: bool = False  # whether the option may be repeated
-    bytes: bool = True  # whether the bytes of outputs depend on the option
+    bytes: bool = True  # whether the option affects the bytes of outputs
     shared: bool = False  # whether several commands have the option; --help lists such options last
 
     def stored(self, given: Any) -> Any:
         """Convert `given`, or the default if `given` is None, to the value to store.
 
-        The result is a tuple if the option may be repeated. It is None if both `given` and the default are None.
+        If the option may be repeated, the result is a tuple. If both `given` and the default are None, the result is None.
         """
         given = self.default if given is None else given
         if given is None:
@@ -180,7 +181,7 @@ def declarations(cls: "type[Options]") -> dict[str, Declaration]:
 
 
 def _reader_of(type: Any) -> Reader:
-    """Return the usual reader for the annotation of a field."""
+    """Return the default reader for the annotation of a field."""
     if get_origin(type) is Given:
         return _reader_of(get_args(type)[1])
     if get_origin(type) is Literal:
@@ -194,7 +195,8 @@ def _reader_of(type: Any) -> Reader:
 def options(cls: type[T]) -> type[T]:
     """Class decorator that turns a class of options into a frozen dataclass with keyword-only arguments.
 
-    Type checkers do not see that the dataclass is frozen. Otherwise, mypy would ignore the types of inherited Given fields.
+    Type checkers are not told that the dataclass is frozen, because mypy would then ignore the types of inherited Given
+    fields.
     """
     return dataclass(frozen=True, kw_only=True)(cls)
 
@@ -224,7 +226,7 @@ class Options:
     def chosen(self) -> dict[str, Any]:
         """Return the values, as JSON types, of the options that affect the bytes of outputs.
 
-        Options that are None or off are left out. Input files are also left out, because `run_key` identifies a file by its
+        Options that are None or off are omitted. Input files are also omitted, because `run_key` identifies files by their
         content.
         """
         declared = declarations(type(self)).items()
@@ -234,7 +236,7 @@ class Options:
     def inputs(self, all: bool = True) -> dict[str, tuple[Path, ...]]:
         """Return the input files of each option, by the name of the option.
 
-        If `all` is False, leave out the options that do not affect the bytes of outputs.
+        If `all` is False, options that do not affect the bytes of outputs are omitted.
         """
         read = {
             name: getattr(self, name)
@@ -251,10 +253,9 @@ class Options:
         Parameters
         ----------
         *facts
-            Additional inputs of the run, which are not options, as JSON types.
+            Additional inputs of the run that are not options, as JSON types.
         files : callable, optional
-            Function that lists the files to which the path in an option refers. [default: the files of a sequence of
-            frames]
+            Function that lists the files to which the path in an option refers. [default: the files of a frame sequence]
 
         Returns
         -------
@@ -377,8 +378,10 @@ class SchedulerOptions(Options):
             raise RecipeError("‹tls_ca›, ‹tls_cert› and ‹tls_key› need ‹scheduler›; set ‹scheduler› to its tls:// address")
 
     def cluster(self) -> "Scheduler | None":
-        """Return the scheduler, or None if no address is set. Raises an L3Error if the address or a TLS file is
-        unusable."""
+        """Return the scheduler, or None if no address is set.
+
+        Raises an L3Error if the address or a TLS file is unusable.
+        """
         if self.scheduler is None:
             return None
         from l3cli.parallel.cluster import Scheduler
@@ -395,7 +398,7 @@ class JobsOptions(Options):
 
 @options
 class WorkerOptions(JobsOptions, SchedulerOptions):
-    """Options for processes on this machine or for workers on other machines, which cannot be combined."""
+    """Options for processes on this machine and for workers on other machines. The two cannot be combined."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -43,8 +43,8 @@ class Exposure(NamedTuple):
 class ExposureReader(Reader):
     """Exposure of pictures, in one of four forms.
 
-    A number is a factor by which Y is multiplied. "auto" is the automatic exposure. "+1EV" is an exposure relative to
-    "auto". "camera" is the exposure that each file states.
+    A number is a factor by which Y is multiplied. "auto" selects automatic exposure. "+1EV" is an exposure relative to
+    "auto". "camera" selects the exposure that each file states.
     """
 
     factor, stops = Number(1e-9, 1e9, "times Y"), Number(-20, 20, "EV")

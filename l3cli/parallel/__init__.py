@@ -32,19 +32,19 @@ def one_blas_thread() -> None:
 def without_plots() -> None:
     """Prevent colour-science from importing matplotlib and pandas, which l3 does not use.
 
-    In each process that simulates or trains, these packages would double the processor time for importing colour-science,
-    from 2.4 s to 4.8 s on a slow core.
+    These packages would double the processor time for the import of colour-science, from 2.4 s to 4.8 s on a slow core. This
+    applies to every process that simulates or trains.
     """
     for name in ("matplotlib", "pandas"):
-        sys.modules.setdefault(name, None)  # type: ignore[arg-type] # with the value None, imports of the module fail
+        sys.modules.setdefault(name, None)  # type: ignore[arg-type] # an import of a module that is None fails
 
 
 def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> Iterator[R]:
     """Compute function(item) for each item in `jobs` processes, and yield the results in the order of the items.
 
-    If `jobs` is 1, the current process computes the results. Otherwise, at most 2·jobs results are stored, so that the
-    memory does not grow with the number of items. New processes are spawned, because a forked process hangs if an OpenCL
-    context exists. Each new process uses one BLAS thread.
+    If `jobs` is 1, the current process computes the results. Otherwise, at most 2·jobs results are stored at a time, so that
+    the memory does not grow with the number of items. Processes are spawned instead of forked, because a forked process
+    hangs if an OpenCL context exists. Each spawned process uses one BLAS thread.
     """
     with workers(jobs) as pool:
         yield from pool(function, items)

@@ -91,12 +91,12 @@ def workers_of(scheduler: Scheduler) -> Iterator[WorkerPool]:
         import distributed
     except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
-    # dask sets the level of each of these loggers.
+    # dask sets the level of each of these loggers separately.
     for name in ("distributed", "distributed.client", "tornado", "tornado.application", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)  # l3 reports each error in one line
     settings = {
         "distributed.comm.timeouts.connect": f"{ANSWER_SECONDS} s",
-        # For large items, dask warns that data should be scattered. But if a worker dies, the data that it stores are lost.
+        # dask recommends scattering large items. l3 sends the items directly, because scattered data are lost with a worker.
         "distributed.admin.large-graph-warning-threshold": "1 GiB",
     }
     with dask.config.set(settings):
@@ -302,7 +302,7 @@ def _worker_of(client: Any, future: Any) -> str:
     """Return the address of the worker that stores a result, for messages."""
     try:
         return str(next(iter(client.who_has([future])[future.key])))
-    except (OSError, RuntimeError, LookupError, StopIteration, CancelledError):  # the worker has gone
+    except (OSError, RuntimeError, LookupError, StopIteration, CancelledError):  # the worker has stopped
         return "of an unknown address"
 
 
@@ -357,7 +357,10 @@ def _computed(versions: dict[str, str], content: bytes) -> Any:
 
 @contextlib.contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """Create a temporary folder in a worker for the duration of the block. If the worker is killed, dask removes it."""
+    """Create a temporary folder in a worker for the duration of the block.
+
+    If the worker is killed, dask removes the folder.
+    """
     from distributed import get_worker
 
     with tempfile.TemporaryDirectory(dir=get_worker().local_directory) as folder:

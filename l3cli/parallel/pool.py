@@ -31,8 +31,8 @@ class WorkerPool:
         items : iterable
             Arguments of the function, which must be picklable.
         fits : callable, optional
-            Function of an item and its result, which returns whether the types and shapes of the result are correct. For a
-            result of a wrong type, it may raise any exception. It is called only for results from other machines, because
+            Function of an item and its result. It returns whether the types and shapes of the result are correct, and may
+            raise any exception if the type is wrong. The function is called only for results from other machines, because
             the workers there may run different code. [default: accept every result]
 
         Raises

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
-# Time limits, after an interrupt, for the current item of `prefetched`, of BackgroundTask and of WriteBehind.
+# Time limits in s, after an interrupt, for the current item of `prefetched`, of BackgroundTask and of WriteBehind.
 READ_SECONDS, WORK_SECONDS, WRITE_SECONDS = 1.0, 5.0, 25.0
 
 
@@ -65,14 +65,14 @@ def prefetched(items: Iterable[T], depth: int) -> Iterator[T]:
     finally:
         stopped.set()
         free.release()
-        with contextlib.suppress(RuntimeError):  # at interpreter exit, Python 3.14 raises it for `join`
+        with contextlib.suppress(RuntimeError):  # Python 3.14 raises RuntimeError for `join` at interpreter exit
             thread.join(READ_SECONDS)  # otherwise, a thread inside a C library could crash the program at exit
 
 
 def _while_free(items: Iterable[T], free: threading.Semaphore, stopped: threading.Event) -> Iterator[T]:
     iterator = iter(items)
     while True:
-        free.acquire()  # here and not after the item is computed, because `depth` includes unfinished items
+        free.acquire()  # before the item is computed, because `depth` includes unfinished items
         if stopped.is_set():
             return
         try:
@@ -85,7 +85,7 @@ def _while_free(items: Iterable[T], free: threading.Semaphore, stopped: threadin
 class BackgroundTask:
     """Context manager that runs `work` in a thread during the block, and waits for the thread at the end.
 
-    Errors of `work` are ignored. `work` only prepares results that the main thread needs later. If this fails, the same
+    Errors in `work` are ignored. `work` only prepares results that the main thread needs later. If `work` fails, the same
     error occurs again in the main thread.
     """
 
@@ -115,9 +115,9 @@ class WriteBehind:
     """Context manager that calls function(item) in background threads, for example to write files.
 
     At most `depth` items wait at a time, and `put` blocks while the queue is full. With one thread, the items are processed
-    in their order. At the end of the block, WriteBehind waits until all items are processed, even if the block failed. If
-    the function raises an error, the waiting items are discarded, and the next call of `put` or the end of the block raises
-    the error again. After an interrupt, only the current items are finished, in at most WRITE_SECONDS.
+    in order. At the end of the block, WriteBehind waits until all items are processed, even if the block failed. If the
+    function raises an error, the waiting items are discarded. The error is raised again by the next call of `put` or at the
+    end of the block. After an interrupt, only the current items are finished, in at most WRITE_SECONDS.
     """
 
     def __init__(self, function: Callable[[T], object], depth: int, threads: int = 1) -> None:
@@ -125,7 +125,8 @@ class WriteBehind:
         self._items: queue.Queue[Any] = queue.Queue(depth)
         self._error: BaseException | None = None
         self._complete = False  # whether all items have been put
-        # Events replace Thread.join. In Python 3.11, after an interrupted `join`, a running thread counts as ended.
+        # Events are used instead of Thread.join. In Python 3.11, a running thread counts as ended after an interrupted
+        # `join`.
         self._ended = [threading.Event() for _ in range(threads)]
         self._threads = [threading.Thread(target=self._run, args=(ended,), daemon=True) for ended in self._ended]
 

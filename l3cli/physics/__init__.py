@@ -1,1 +1,1 @@
-"""Spectra, lenses, colour spaces and displays. The functions use only arrays, and do not depend on cameras or files."""
+"""Spectra, lenses, colour spaces and displays. The functions operate on arrays, and do not depend on cameras or files."""

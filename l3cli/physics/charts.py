@@ -10,10 +10,11 @@ from l3cli.errors import RecipeError, suggestion
 from l3cli.physics import spectra
 
 CLASSIC = (4, 6)  # rows and columns of patches on the classic ColorChecker
-# Names of data sets in colour-science: two sets of spectra, and the colours that the manufacturer states for newer charts.
+# Names of data sets in colour-science: two sets of spectra, and the colours that the manufacturer states for charts since
+# 2014.
 AVERAGE, STANDARD = "BabelColor Average", "ISO 17321-1"
 SINCE_2014 = "ColorChecker24 - After November 2014"
-CHARTS = {  # name of a chart → name of its measured spectra, and name of the stated colours or None
+CHARTS = {  # name of a chart → data set of its spectra, and data set of the colours that the manufacturer states (or None)
     "classic": (AVERAGE, None),
     "classic ISO 17321": (STANDARD, None),
     "classic 2014": (AVERAGE, SINCE_2014),
@@ -24,7 +25,7 @@ NO_SPECTRA = (
     "the reflectances of this chart are not published; set chart to a CSV file with a column of wavelengths and one column "
     'of reflectances per patch, in row order: chart = "sg.csv", layout = [10, 14]'
 )
-CORRECTION_NM = 60.0  # correlation length of the correction of the spectra of newer charts, in nm
+CORRECTION_NM = 60.0  # correlation length, in nm, of the factor that adapts the spectra to newer charts
 Array = NDArray[np.floating]
 
 
@@ -33,9 +34,8 @@ def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
 
     "classic" and "passport" are charts from before November 2014. Their spectra are the average of thirty charts
     (BabelColor). The spectra of "classic ISO 17321" are from ISO 17321-1. Later charts ("classic 2014", "passport 2") have
-    different dyes, whose spectra are not published. Their spectra are computed from the average of the older charts: a
-    smooth factor of the wavelength is applied to each spectrum, so that its colour becomes the colour that the manufacturer
-    states.
+    different dyes, whose spectra are not published. For these charts, each average spectrum of the older charts is
+    multiplied by a smooth function of wavelength, so that its colour becomes the colour that the manufacturer states.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
     names : tuple of str
         Names of the patches.
     reflectance : ndarray, (patch, wavelength)
-        Reflectances, interpolated linearly. Beyond the measured range, a reflectance is constant.
+        Reflectances, interpolated linearly. Outside the measured range, the reflectances are constant.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
 
 
 def _corrected(reflectance: Array, wavelength: Array, stated: str) -> Array:
-    """Multiply each reflectance by the smoothest factor of the wavelength that results in the stated colour."""
+    """Multiply each reflectance by the smoothest function of wavelength that results in the stated colour."""
     target = _stated_xyz(stated)
     light = spectra.illuminant("D50", wavelength)
     weights = spectra.xyz_weights(wavelength) * light
@@ -84,7 +84,7 @@ def _corrected(reflectance: Array, wavelength: Array, stated: str) -> Array:
 
 @functools.cache
 def _stated_xyz(stated: str) -> Array:
-    """Return the colours (patch, 3) that the manufacturer states, as XYZ under D50, where a perfect white has Y = 1."""
+    """Return the colours (patch, 3) that the manufacturer states, as XYZ under D50. A perfect white has Y = 1."""
     colour = spectra.colour_science()
     table = colour.CCS_COLOURCHECKERS[stated]
     assert np.allclose(table.illuminant, colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D50"], atol=2e-3)

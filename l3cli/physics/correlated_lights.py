@@ -1,7 +1,6 @@
-"""Estimate the illuminant of a scene from its white point, or from the camera signals of a grey surface
-(docs/method.md#scene-white).
+"""Estimate the illuminant of a scene from its white point, or from the camera signals of a grey surface.
 
-Illuminants are modelled as black bodies or CIE daylight with a green or magenta tint.
+Illuminants are modelled as black bodies or CIE daylight with a green or magenta tint (docs/method.md#scene-white).
 """
 
 import functools
@@ -14,14 +13,14 @@ from l3cli.physics import spectra
 
 Array = NDArray[np.floating]
 
-WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # wavelengths of light, in nm, from which XYZ is computed
-# Reciprocal colour temperatures of the model illuminants in mired (10^6/K), from 25 000 K to 1600 K.
+WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # wavelengths, in nm, at which XYZ is computed
+# Reciprocal colour temperatures of the model illuminants, in mired (10^6/K), from 25 000 K to 1600 K.
 MIREDS = np.concatenate([np.arange(40.0, 250.0, 10.0), np.arange(250.0, 631.0, 10.0)])
-DAYLIGHT_MIRED = 250.0  # model illuminants up to this value (from 4000 K) are daylight; all others are black bodies
+DAYLIGHT_MIRED = 250.0  # up to this value (4000 K or more), model illuminants are daylight; above it, black bodies
 GREENS = np.arange(-0.8, 1.01, 0.1)  # tints: natural logarithm of the factor at GREEN_NM; negative values are magenta
 GREEN_NM, GREEN_WIDTH = 545.0, 45.0  # centre and width of the tint in nm, near the green line of fluorescent lamps
 SAME_MIRED = 1.0  # difference in mired (42 K at 6500 K) below which two colour temperatures look the same
-FINER = 10  # the second search divides each step of the first search into this number of steps
+FINER = 10  # number of steps into which the second search divides each step of the first search
 
 
 @dataclass(frozen=True)
@@ -31,8 +30,8 @@ class CorrelatedLight:
     xyz: NDArray[np.float64]  # (3,) XYZ of a perfect white, with Y = 1
     kelvin: float  # correlated colour temperature in K
     duv: float  # distance from the black-body locus in CIE 1960 uv; positive for greenish illuminants
-    misfit: float  # RMS difference between the logarithms of the modelled signals and of the measured signals
-    radiance: Array | None  # (wavelength,) relative photon radiance at the wavelengths of the camera; None if unknown
+    misfit: float  # RMS difference between the logarithms of the modelled and the measured signals
+    radiance: Array | None  # (wavelength,) relative photon radiance at the camera's wavelengths; None if unknown
 
 
 def radiance(mired: float, green: float, wavelength: Array) -> Array:
@@ -58,15 +57,14 @@ def radiance(mired: float, green: float, wavelength: Array) -> Array:
 
 
 def _greener(green: float, wavelength: Array) -> Array:
-    """Return the factor of the tint at each wavelength."""
+    """Return the factor by which the tint changes the radiance at each wavelength."""
     return np.asarray(np.exp(green * np.exp(-(((wavelength - GREEN_NM) / GREEN_WIDTH) ** 2))))
 
 
 def light_of_neutral(weights: Array, wavelength: Array, neutral: Array) -> CorrelatedLight:
     """Find the model illuminant that best explains the camera signals of a grey surface.
 
-    The illuminant minimises the squared differences between the logarithms of the modelled and the measured signals.
-
+    The fit minimises the squared differences between the logarithms of the modelled and the measured signals.
     Parameters
     ----------
     weights : ndarray, (channel, wavelength)
@@ -107,7 +105,7 @@ def light_of_white(white: Array, wavelength: Array) -> CorrelatedLight:
 
 
 def _nearest(weights: Array, wavelength: Array, neutral: Array) -> tuple[float, float, float]:
-    """Return the mired value, the tint and the misfit of the illuminant that best explains the signals `neutral` of grey."""
+    """Return the mired value, the tint and the misfit of the illuminant that best explains the grey signals `neutral`."""
     used = neutral > 0
     wanted = _centred(np.log(neutral[used]))
     mireds, greens = MIREDS, GREENS
@@ -140,7 +138,7 @@ def temperature(xyz: Array) -> tuple[float, float]:
     kelvin : float
         Correlated colour temperature in K, limited to 1600…25 000 K.
     duv : float
-        Distance in CIE 1960 uv. It is positive if the white is greener than a black body.
+        Distance in CIE 1960 uv. The distance is positive if the white is greener than a black body.
     """
     mireds, locus = _black_bodies()
     point = uv(xyz)
@@ -166,7 +164,7 @@ def uv(xyz: Array) -> NDArray[np.float64]:
 
 @functools.cache
 def _black_bodies() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return points of the black-body locus: the reciprocal colour temperatures in mired, and the CIE 1960 uv (point, 2)."""
+    """Return the black-body locus: reciprocal colour temperatures in mired, and CIE 1960 uv (point, 2)."""
     mireds = np.arange(MIREDS[0], MIREDS[-1] + 1, 5.0)
     lights = np.array([spectra.illuminant(f"{1e6 / each:.6f}K", WAVELENGTH) for each in mireds])
     return mireds, uv(lights @ spectra.xyz_weights(WAVELENGTH).T)

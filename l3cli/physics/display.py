@@ -17,15 +17,15 @@ from l3cli.physics.spectra import colour_science, white_point
 from l3cli.system.text import Quantity
 
 Array = NDArray[np.floating]
-XYZ = ("X", "Y", "Z")  # names of the outputs if they are CIE 1931 tristimulus values
+XYZ = ("X", "Y", "Z")  # names of outputs that are CIE 1931 tristimulus values
 CHROMATICITY = Quantity(0.001, 0.999)  # permitted range of x and y of a white
 WHITE_PERCENTILE = 99  # percentile of Y that becomes display white, as in the pictures of the L3 paper
 LUMA = np.array([0.2126, 0.7152, 0.0722])  # luminance weights of the sRGB primaries (Rec. 709)
 FLOAT_BITS = 32  # bits per value of linear pictures in floating point
 CODES = {8: np.uint8, 16: np.uint16}  # bits per code → data type
-AT_ONCE = 1 << 13  # number of colours per block whose differences are computed together, to fit into the processor cache
-TONE_LIMIT = 1e6  # linear values are clipped here before the tone curve; this is far above the value that becomes white
-PRECISION = 1e-3  # the optimisation ends when the gradient is smaller; a smaller tolerance does not change the results
+AT_ONCE = 1 << 13  # number of colours per block; all temporary arrays of a block fit into the processor cache
+TONE_LIMIT = 1e6  # linear values are clipped to this limit before the tone curve, far above the value that becomes white
+PRECISION = 1e-3  # gradient at which the optimisation ends; a smaller gradient would not change the results
 
 
 # ------------------------------------------------------------------------------------------- white and exposure
@@ -38,7 +38,7 @@ def daylight() -> Array:
 
 
 def display_white() -> Array:
-    """Return the XYZ (3,) of display white according to the rounded matrix of sRGB. It equals D65 to four digits."""
+    """Return the XYZ (3,) of display white according to the rounded sRGB matrix. The result equals D65 to four digits."""
     return np.linalg.solve(SRGB_FROM_XYZ, np.ones(3))
 
 
@@ -52,11 +52,11 @@ def white_luminance(luminance: Array) -> float:
 
 
 def white_percentile(values: Array) -> float:
-    """Return the 99th percentile of an array, or NaN if it contains NaN.
+    """Return the 99th percentile of an array, or NaN if the array contains NaN.
 
     The result equals the result of np.percentile, except for the rounding in float32, which differs between versions of
-    numpy. np.percentile is not used because it imports numpy's masked arrays, which takes 5 % of the time for rendering a
-    picture.
+    numpy. np.percentile is not used because it imports numpy's masked arrays. This import takes 5 % of the time in which a
+    picture is rendered.
     """
     flat = values.ravel()
     place = (flat.size - 1) * (WHITE_PERCENTILE / 100)
@@ -70,7 +70,10 @@ def white_percentile(values: Array) -> float:
 
 
 def exposure_scale(luminance: Array) -> float:
-    """Return the factor that maps the 99th percentile of `luminance` (row, col) to 1, or 1 if it is not positive."""
+    """Return the factor that maps the 99th percentile of `luminance` (row, col) to 1.
+
+    If the percentile is not positive, the result is 1.
+    """
     return 1.0 / white_luminance(luminance)
 
 
@@ -142,12 +145,12 @@ class Tone:
     e: float
 
     def toned(self, linear: Array) -> Array:
-        """Apply the tone curve to linear values. The result is also linear, and needs a transfer curve for display."""
+        """Apply the tone curve to linear values. The result is also linear, and must still be encoded for display."""
         x = np.clip(linear, 0.0, TONE_LIMIT)
         return np.minimum(x * (self.a * x + self.b) / (x * (self.c * x + self.d) + self.e), 1.0)
 
 
-# An approximation of the output transform of ACES, from K. Narkowicz, "ACES Filmic Tone Mapping Curve", 2016.
+# This approximation of the ACES output transform is from K. Narkowicz, "ACES Filmic Tone Mapping Curve", 2016.
 TONES = {"aces": Tone(2.51, 0.03, 2.43, 0.59, 0.14)}
 
 
@@ -231,8 +234,8 @@ def delta_e_2000(lab_a: Array, lab_b: Array) -> Array:
 def _delta_e_2000(one: Array, other: Array) -> Array:
     """Return the CIEDE2000 differences between two arrays of L*, a*, b* (3, colour), as in Sharma, Wu and Dalal (2005).
 
-    To avoid trigonometric functions, each hue is a unit vector, and the mean of two hues is the bisector of their vectors.
-    The only angle that is computed is the angle of the mean hue.
+    To avoid trigonometric functions, hues are represented by unit vectors, and the mean of two hues by the bisector of their
+    vectors. Only the mean hue is computed as an angle.
     """
     (light_1, a_1, b_1), (light_2, a_2, b_2) = one, other
     stretch = 1.5 - 0.5 * _vivid((_length(a_1, b_1) + _length(a_2, b_2)) / 2)
@@ -260,7 +263,7 @@ def _delta_e_2000(one: Array, other: Array) -> Array:
 
 
 def _length(x: Array, y: Array) -> Array:
-    """Return √(x² + y²). np.hypot is five times slower, because it avoids overflows, which colours cannot cause."""
+    """Return √(x² + y²). np.hypot is five times slower, because it prevents overflows, which cannot occur for colours."""
     return np.sqrt(x * x + y * y)
 
 
@@ -277,7 +280,7 @@ def displayed_delta_e(one: Array, other: Array) -> Array:
 
 
 def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, noise: Array | float = 0.0) -> Array:
-    """Fit a matrix M that converts inputs to outputs by least squares, with the constraint M @ known = answer.
+    """Fit a matrix M that converts inputs to outputs, by least squares with the constraint M @ known = answer.
 
     Parameters
     ----------
@@ -286,7 +289,7 @@ def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, nois
     outputs : ndarray, (surface, output)
         Wanted outputs, such as XYZ.
     known : ndarray, (input,)
-        Input that must be converted exactly, such as the signals of white.
+        Input that M must convert exactly, such as the signals of white.
     answer : ndarray, (output,)
         Output for the input `known`.
     noise : ndarray, (input,), or float
@@ -329,15 +332,15 @@ def refinement(xyz: Array, wanted: Array, white: Array) -> Array:
     """
     from scipy.optimize import minimize
 
-    goal, free = lab(wanted, white), np.linalg.svd(white[None])[2][1:]  # `free` contains two vectors orthogonal to white
+    goal, free = lab(wanted, white), np.linalg.svd(white[None])[2][1:]  # `free`: two vectors orthogonal to white
 
     def turned(changes: Array) -> Array:
         return np.eye(3) + changes.reshape(-1, 3, 2) @ free
 
-    def errors(changes: Array) -> Array:  # squared errors, which are smooth functions even at an error of 0
+    def errors(changes: Array) -> Array:  # squared errors, because they are smooth even at an error of 0
         return np.square(delta_e_2000(lab(xyz @ turned(changes).swapaxes(1, 2), white), goal)).mean(axis=1)
 
-    def sloped(change: Array) -> tuple[float, Array]:  # all steps are computed together, which is five times faster
+    def sloped(change: Array) -> tuple[float, Array]:  # computes all derivatives together, which is five times faster
         first, *others = errors(change + np.vstack([np.zeros(6), DERIVATIVE_STEP * np.eye(6)]))
         return float(first), (np.array(others) - first) / DERIVATIVE_STEP
 

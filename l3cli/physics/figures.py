@@ -1,4 +1,4 @@
-"""Names and units of the quality metrics, and whether larger values are better (docs/method.md#quality-metrics)."""
+"""Names and units of quality metrics, and whether larger values are better (docs/method.md#quality-metrics)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,17 +8,17 @@ from l3cli.system.text import figure as number
 
 @dataclass(frozen=True)
 class Figure:
-    """How a metric is displayed."""
+    """Name, unit and number format with which a metric is displayed."""
 
     heading: str  # name and unit in reports
     short: str  # heading of a column in the terminal
-    unit: str = ""  # unit for sentences, with a leading space if necessary
+    unit: str = ""  # unit after a number in sentences, with a leading space if necessary
     more_is_better: bool = False  # whether larger values are better
     digits: int = 2  # number of decimal places
 
 
-# Name of each metric → its description. Metrics of frames come first, in the order of reports. Metrics that standards define
-# for test charts follow (docs/measurement.md).
+# Metric → its display properties. Metrics of frames come first, in the order of reports. Metrics that standards define for
+# test charts follow (docs/measurement.md).
 FIGURES = {
     "mean_delta_e": Figure("mean ΔE00", "ΔE00 mean", " ΔE00"),
     "median_delta_e": Figure("median ΔE00", "median", " ΔE00"),
@@ -67,7 +67,7 @@ def known_mean(values: Sequence[float | None]) -> float | None:
 
 
 def sign(figure: str) -> float:
-    """Return 1 if larger values of a metric are better. Otherwise, or if the metric is unknown, return −1."""
+    """Return 1 if larger values of a metric are better. Return −1 if smaller values are better or the metric is unknown."""
     known = FIGURES.get(figure)
     return 1.0 if known and known.more_is_better else -1.0
 

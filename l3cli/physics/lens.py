@@ -12,7 +12,7 @@ Array = NDArray[np.floating]
 def image_distance(focal_length: float, object_distance: float) -> float:
     """Return the distance from the lens to the sensor for an object in focus: f d / (d − f).
 
-    An `object_distance` d of 0 means an object at infinity, for which the result is the focal length f.
+    If `object_distance` d is 0, the object is at infinity, and the result is the focal length f.
     """
     if object_distance > 0:
         return focal_length * object_distance / (object_distance - focal_length)
@@ -22,13 +22,13 @@ def image_distance(focal_length: float, object_distance: float) -> float:
 def magnification(focal_length: float, object_distance: float) -> float:
     """Return the magnification |m| of an object in focus: f / (d − f).
 
-    An `object_distance` d of 0 means an object at infinity, for which the result is 0.
+    If `object_distance` d is 0, the object is at infinity, and the result is 0.
     """
     return focal_length / (object_distance - focal_length) if object_distance > 0 else 0.0
 
 
 def irradiance_per_radiance(f_number: float, magnification: float) -> float:
-    """Return the ratio of the irradiance of the sensor to the radiance of the scene: π / (1 + 4 N² (1 + |m|)²).
+    """Return the ratio of sensor irradiance to scene radiance: π / (1 + 4 N² (1 + |m|)²).
 
     The ratio is in sr and applies on the optical axis. N is the f-number, and m is the magnification.
     """
@@ -36,7 +36,7 @@ def irradiance_per_radiance(f_number: float, magnification: float) -> float:
 
 
 def relative_illumination(image_distance: float, pixel_pitch: float, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the illuminance of each pixel under a uniform scene, relative to the centre of the frame (cos⁴ law).
+    """Return the illuminance of each pixel for a uniform scene, relative to the centre of the frame (cos⁴ law).
 
     The relative illuminance is (D² / (D² + r²))², where D is the image distance and r is the distance of the pixel from the
     centre.

@@ -1,4 +1,4 @@
-"""Functions for colour filter arrays (CFAs). A CFA is an array (row, col) of channel numbers that covers one period."""
+"""Functions for colour filter arrays (CFAs). A CFA is an array (row, col) of channel indices that covers one period."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -14,12 +14,12 @@ def tiled(pattern: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
 
 
 def shifted_cfa(cfa: NDArray[np.uint8], phase: tuple[int, int]) -> NDArray[np.uint8]:
-    """Shift a CFA so that it begins with its site `phase` = (row, col), the site of the first pixel of a frame."""
+    """Shift a CFA so that it starts with the site `phase` = (row, col), which is the site of the first pixel of a frame."""
     return np.roll(cfa, (-phase[0], -phase[1]), axis=(0, 1))
 
 
 def channel_reach(cfa: NDArray[np.uint8]) -> int:
-    """Return the radius, in pixels, of the smallest square window that contains all channels wherever it is placed."""
+    """Return the radius, in pixels, of the smallest square window that contains all channels at every position."""
     channels, reach = np.unique(cfa), 0
     while not all(_near(cfa == channel, reach).all() for channel in channels):
         reach += 1
@@ -27,14 +27,14 @@ def channel_reach(cfa: NDArray[np.uint8]) -> int:
 
 
 def _near(pattern: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
-    """Return, for each site of a periodic pattern, whether the square window around the site contains a True."""
+    """Return, for each site of a periodic pattern, whether the square window around the site contains a true element."""
     for axis in (0, 1):
         pattern = np.logical_or.reduce([np.roll(pattern, step, axis) for step in range(-reach, reach + 1)])
     return pattern
 
 
 def least_period(pattern: NDArray[Any]) -> NDArray[Any]:
-    """Return the smallest rectangle at the start of a pattern (row, col) that, repeated, gives the whole pattern."""
+    """Return the smallest rectangle whose repetition gives the pattern (row, col). The rectangle starts at pattern[0, 0]."""
     lengths = []
     for axis, length in enumerate(pattern.shape):
         periods = (each for each in range(1, length + 1) if length % each == 0)
@@ -43,5 +43,5 @@ def least_period(pattern: NDArray[Any]) -> NDArray[Any]:
 
 
 def array_rows(channels: Sequence[str], cfa: NDArray[np.integer], between: str = " ") -> list[str]:
-    """Return each row of a CFA as text, with `between` as the separator of the channel names."""
+    """Return each row of a CFA as text. The channel names are separated by `between`."""
     return [between.join(channels[site] for site in row) for row in cfa]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.floating]
 XY: TypeAlias = tuple[float, float]  # chromaticity x, y
 
-# colour-science also contains these two matrices, but its import would take longer than rendering a frame.
+# colour-science also contains these two matrices, but the import of colour-science takes longer than rendering a frame.
 SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])  # IEC 61966-2-1
 # Bradford matrix, which converts XYZ to cone responses.
 BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
@@ -53,7 +53,7 @@ class Space:
     primaries: tuple[XY, XY, XY]  # chromaticities of the components
     white: XY  # chromaticity of a colour with three equal components
     curve: Curve | None  # transfer curve; None if values are linear and not clipped
-    neutral: XY | None = None  # chromaticity of a white surface; None if it is `white`
+    neutral: XY | None = None  # chromaticity of a white surface; None if equal to `white`
 
     @property
     def neutral_xyz(self) -> Array:
@@ -68,7 +68,7 @@ class Space:
 
     @property
     def from_xyz(self) -> Array:
-        """Matrix (3, 3) that converts XYZ to linear values. For sRGB, it is the rounded matrix of IEC 61966-2-1."""
+        """Matrix (3, 3) that converts XYZ to linear values. For sRGB, the rounded matrix of IEC 61966-2-1 is used."""
         return SRGB_FROM_XYZ.copy() if self.name == SRGB.name else np.linalg.inv(self.to_xyz)
 
 
@@ -101,7 +101,7 @@ def chromaticity_of(xyz: Array) -> XY:
 
 
 def adaptation_matrix(white: Array, to: Array) -> Array:
-    """Return the matrix that adapts XYZ from one white to another (Bradford transform).
+    """Return the matrix of the Bradford transform, which adapts XYZ from one white to another white.
 
     Parameters
     ----------

@@ -22,9 +22,9 @@ BLACK_BODY = Quantity(500, 100_000, "K")  # permitted colour temperatures of bla
 DAYLIGHT = Quantity(4000, 25_000, "K")  # colour temperatures for which CIE daylight is defined
 # Correlated colour temperatures of CIE daylight in K, for the current value of the second radiation constant (CIE 15).
 DAYLIGHT_KELVIN = {f"D{hundreds}": hundreds * 100 * 1.4388 / 1.4380 for hundreds in (50, 55, 65, 75)}
-UNSEEN = 1e-9  # light is invisible below this fraction of the luminance of light with equal power at 555 nm
+UNSEEN = 1e-9  # light is invisible if its luminance is below this fraction of the luminance of 555 nm light of equal power
 LONGEST_NM = 20_000  # maximum wavelength of a spectrum
-SPRAGUE_STEP = 20.0  # Sprague polynomials interpolate reflectances whose bands are at most this distance apart, in nm
+SPRAGUE_STEP = 20.0  # maximum distance of bands, in nm, for the interpolation of reflectances by Sprague polynomials
 Array = NDArray[np.floating]
 
 
@@ -40,7 +40,7 @@ def colour_science() -> Any:
 
 
 def photons_from_energy(wavelength: Array, energy: Array) -> Array:
-    """Convert a spectrum (…, wavelength) from power in W to photons/s, by division by the energy of a photon."""
+    """Convert a power spectrum (…, wavelength) in W to photons/s, by division by the photon energy at each wavelength."""
     return energy * (wavelength * 1e-9) / (PLANCK * LIGHT_SPEED)
 
 
@@ -61,7 +61,7 @@ def bin_edges(wavelength: Array) -> Array:
 
 
 def bin_widths(wavelength: Array) -> Array:
-    """Return the bin width Δλ of each sample of a wavelength grid in nm, with which Σ f·Δλ is the integral of f.
+    """Return the bin width Δλ, in nm, of each sample of a wavelength grid. The sum Σ f·Δλ is the integral of a function f.
 
     A single sample has a width of 1 nm.
     """
@@ -69,15 +69,19 @@ def bin_widths(wavelength: Array) -> Array:
 
 
 def ascending(wavelength: NDArray[np.float64], values: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[Any]]:
-    """Return a wavelength grid and values (…, wavelength), both reversed if the grid is decreasing, otherwise unchanged."""
+    """Reverse a wavelength grid and its values (…, wavelength) if the grid is decreasing.
+
+    Otherwise, return both unchanged.
+    """
     falls = wavelength.size > 1 and (np.diff(wavelength) < 0).all()
     return (wavelength[::-1], values[..., ::-1]) if falls else (wavelength, values)
 
 
 def _neighbours(grid: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the indices (2, at) of the two samples of an increasing grid around each wavelength in `at`, and their weights.
+    """Return the indices of the two samples of an increasing grid around each wavelength in `at`, and their weights.
 
-    The weights (2, at) interpolate linearly. Beyond the ends of the grid, the first or the last sample has the weight 1.
+    Both results have the shape (2, at). The weights interpolate linearly. Beyond the ends of the grid, the first or the last
+    sample has the weight 1.
     """
     if grid.size == 1:
         return np.zeros((2, at.size), np.intp), np.array([[1.0], [0.0]]) * np.ones(at.size)
@@ -87,9 +91,9 @@ def _neighbours(grid: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
 
 
 def light_grid(seen: Array) -> Array:
-    """Return a wavelength grid with steps of 1 nm for an illuminant.
+    """Return a wavelength grid for an illuminant, with steps of 1 nm.
 
-    The grid covers the range of the CIE observer (360…830 nm) and the increasing wavelengths `seen` of a camera.
+    The grid covers the range of the CIE observer (360…830 nm) and the wavelengths `seen` of a camera, which are increasing.
     """
     return np.arange(np.floor(min(360.0, seen[0])), max(830.0, seen[-1]) + 1.0)
 
@@ -174,8 +178,8 @@ def average(curve: Array, source: Array, grid: Array) -> NDArray[np.float64]:
 def held_interpolation(bands: Array, wavelength: Array) -> Array:
     """Return the matrix (wavelength, band) that interpolates a reflectance and averages it over wavelength bins.
 
-    If the bands are evenly spaced in steps of at most 20 nm and there are at least six bands, the interpolation is by
-    Sprague polynomials, as in CIE 167 and colour-science. Otherwise it is linear. Beyond the first and the last band, the
+    If there are at least six bands, evenly spaced in steps of at most 20 nm, the interpolation uses Sprague polynomials, as
+    in CIE 167 and colour-science. Otherwise, the interpolation is linear. Beyond the first and the last band, the
     reflectance is constant (CIE 15).
     """
     return _held_interpolation(tuple(bands), tuple(wavelength))
@@ -198,7 +202,7 @@ def _held_interpolation(bands: tuple[float, ...], wavelength: tuple[float, ...])
 OBSERVERS = {"CIE 1931": "CIE 1931 2 Degree Standard Observer", "CIE 1964": "CIE 1964 10 Degree Standard Observer"}
 
 
-INFRARED = 740.0, 780.0, 1000.0  # wavelengths at which `near_infrared` begins, reaches its maximum, and ends, in nm
+INFRARED = 740.0, 780.0, 1000.0  # wavelengths, in nm, at which `near_infrared` starts, reaches its maximum, and ends
 LUMINOUS_WIDTH = 106.86  # integral of the CIE 1931 function ȳ, in nm
 SAMPLED = np.arange(400.0, 701.0, 10.0)  # wavelengths of spectral outputs, in nm
 # Names of spectral outputs, as in OpenEXR (Fichet, Pacanowski and Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10,
@@ -236,8 +240,8 @@ def near_infrared(wavelength: Array) -> Array:
     """Return the sensitivity of the near-infrared output at each wavelength, on the same scale as ȳ.
 
     The sensitivity rises from zero at 740 nm, the end of the visible range, to its maximum at 780 nm, the beginning of CIE
-    IR-A. It is zero beyond 1000 nm. Light with equal power at all wavelengths up to 830 nm has the same value in this output
-    as in Y.
+    IR-A. The sensitivity is zero beyond 1000 nm. Light with equal power at all wavelengths up to 830 nm has the same value
+    in this output as in Y.
     """
     band = np.clip((wavelength - INFRARED[0]) / (INFRARED[1] - INFRARED[0]), 0.0, 1.0) * (wavelength <= INFRARED[2])
     return np.asarray(band * (LUMINOUS_WIDTH / (830.0 - (INFRARED[0] + INFRARED[1]) / 2)))
@@ -246,8 +250,8 @@ def near_infrared(wavelength: Array) -> Array:
 def sampled_radiance(wavelength: Array) -> Array:
     """Return the matching functions (output, wavelength) of the spectral outputs RADIANCES.
 
-    Each output is the mean radiance in a bin of SAMPLED. It is scaled so that light with equal power at all wavelengths has
-    the same value in this output as in Y.
+    Each output is the mean radiance in a bin of SAMPLED. The scale is chosen so that light with equal power at all
+    wavelengths has the same value in each output as in Y.
     """
     return np.asarray(LUMINOUS_WIDTH * sampling_matrix(wavelength, SAMPLED) / bin_widths(wavelength))
 
@@ -283,9 +287,9 @@ USUAL_LIGHTS = 'A, D50, D65, F2, F11, LED-B3, "3200K" (a black body) and "D6000K
 
 @functools.cache
 def illuminant_names() -> tuple[str, ...]:
-    """Return the names of all illuminants whose spectra are tabulated, in alphabetical order.
+    """Return the names of all illuminants with tabulated spectra, in alphabetical order.
 
-    Three types of valid names are not included: the aliases "F1" to "F12" of FL1 to FL12, black bodies such as "3200K", and
+    Three types of valid names are not included: the aliases "F1" to "F12" for FL1 to FL12, black bodies such as "3200K", and
     daylight such as "D6000K".
     """
     return tuple(sorted(colour_science().SDS_ILLUMINANTS))
@@ -304,7 +308,7 @@ def illuminant(name: str, wavelength: Array) -> Array:
     Returns
     -------
     ndarray, (wavelength,)
-        Radiance, whose mean over the wavelengths is 1. Beyond the ends of a tabulated spectrum, the power is constant.
+        Radiance with a mean of 1 over the wavelengths. Beyond the ends of a tabulated spectrum, the power is constant.
 
     Raises
     ------
@@ -334,8 +338,8 @@ def illuminant(name: str, wavelength: Array) -> Array:
 def known_range(name: str) -> tuple[float, float]:
     """Return the first and the last wavelength, in nm, at which the spectrum of an illuminant is known.
 
-    An illuminant that is defined by a formula is known at all wavelengths, from 0 to infinity. Raises RecipeError if the
-    name is unknown.
+    The spectrum of an illuminant that is defined by a formula is known at all wavelengths, from 0 to infinity. Raises
+    RecipeError if the name is unknown.
     """
     if name in ("A", "E") or re.fullmatch(r"\d+(?:\.\d+)? ?K", name, re.ASCII):
         return 0.0, np.inf
@@ -386,7 +390,7 @@ def _illuminant_table(name: str) -> tuple[Array, Array]:
 
 
 def _daylight(temperature: float, wavelength: Array) -> Array:
-    """Return the power spectrum of CIE daylight (CIE 15) at each wavelength. `temperature` must be within DAYLIGHT."""
+    """Return the power spectrum of CIE daylight (CIE 15) at each wavelength. `temperature` must be in the range DAYLIGHT."""
     source, values = _daylight_table(temperature)
     return np.asarray(values @ _step_matrix(source, wavelength, extended=True).T)
 
@@ -430,7 +434,7 @@ COLORCHECKER_WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # wavelengths at which t
 def colorchecker(wavelength: Array) -> tuple[tuple[str, ...], Array]:
     """Return the names and the reflectances (24, wavelength) of the ColorChecker patches in ISO 17321-1, row by row.
 
-    The reflectances are interpolated linearly, and are constant beyond 380…780 nm.
+    The reflectances are interpolated linearly, and are constant outside 380…780 nm.
     """
     chart = colour_science().SDS_COLOURCHECKERS["ISO 17321-1"]
     reflectance = [np.interp(wavelength, patch.wavelengths, patch.values) for patch in chart.values()]
@@ -439,9 +443,9 @@ def colorchecker(wavelength: Array) -> tuple[tuple[str, ...], Array]:
 
 @functools.cache
 def _reflectance_tables() -> tuple[tuple[Array, Array], ...]:
-    """Return the sets of measured reflectances in colour-science that l3 uses, without the ColorChecker.
+    """Return the sets of measured reflectances that l3 uses from colour-science, except the ColorChecker.
 
-    Each set consists of its wavelengths and its reflectances (sample, wavelength).
+    Each set is a tuple of its wavelengths and its reflectances (sample, wavelength).
     """
     colour = colour_science()
     from colour.quality.cfi2017 import load_TCS_CIE2017
@@ -456,14 +460,14 @@ def _reflectance_tables() -> tuple[tuple[Array, Array], ...]:
     return tuple(tables)
 
 
-SURFACES_MEASURED = 380.0, 780.0  # range of the measured reflectances in nm; beyond this range they are constant
+SURFACES_MEASURED = 380.0, 780.0  # range of the measured reflectances in nm; outside this range, reflectances are constant
 
 
 def reflectance_library(wavelength: Array) -> Array:
     """Return measured reflectances (sample, wavelength) of surfaces, clipped to 0.003…0.999.
 
-    The values are interpolated linearly at the wavelengths, as `held_interpolation` expects. Means over wavelength bins
-    would flatten the curves (docs/method.md#procedural-scenes).
+    The reflectances are interpolated linearly at the wavelengths, as `held_interpolation` expects. Means over wavelength
+    bins would flatten the curves (docs/method.md#procedural-scenes).
     """
     library = np.concatenate(
         [[np.interp(wavelength, grid, sample) for sample in samples] for grid, samples in _reflectance_tables()]
@@ -499,8 +503,8 @@ def with_titanium_white(reflectance: Array, wavelength: Array, edge: float, widt
     """Add the absorption edge of titanium white (rutile, 3.0 eV, 413 nm) to reflectances.
 
     Below this edge, the reflectance of materials with titanium white falls within about 20 nm. In this range, the
-    sensitivities of cameras and of the eye differ. If the training scenes contained no such materials, a table would render
-    white paint as yellow.
+    sensitivities of cameras differ from the sensitivity of the eye. If the training scenes contained no such materials, a
+    table would render white paint as yellow.
 
     Parameters
     ----------
@@ -522,6 +526,6 @@ def with_titanium_white(reflectance: Array, wavelength: Array, edge: float, widt
 
 
 def kubelka_munk(absorption_per_scattering: Array) -> Array:
-    """Return the reflectance of an opaque layer of paint from its ratio of absorption to scattering, K/S (Kubelka–Munk)."""
+    """Return the reflectance of an opaque layer of paint with the ratio K/S of absorption to scattering (Kubelka–Munk)."""
     ratio = absorption_per_scattering
     return 1.0 + ratio - np.sqrt(ratio**2 + 2.0 * ratio)

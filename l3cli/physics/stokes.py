@@ -17,10 +17,10 @@ Array = NDArray[np.floating]
 STOKES = ("S1", "S0", "S2")
 IN_ORDER = ("S0", "S1", "S2")  # order in files and pictures
 FEATURES = ("DoLP", "AoLP")
-DARKEST = 1e-6  # minimum of S0 as a divisor
-MAX_CORRELATION = 0.95  # between the noise of S0 and of polarised light; estimated covariances can exceed it by chance
-MAX_DOLP_SIGMA = 0.5  # maximum possible standard deviation of values between 0 and 1
-CLEAR_SIGNAL = 12.0  # ratio of polarised light to noise above which the noise of degree and angle is Gaussian
+DARKEST = 1e-6  # minimum of S0 in divisions
+MAX_CORRELATION = 0.95  # limit of the correlation between the noise of S0 and of polarised light; estimates can exceed it
+MAX_DOLP_SIGMA = 0.5  # maximum possible standard deviation of values from 0 to 1
+CLEAR_SIGNAL = 12.0  # ratio of polarised light to its noise, above which DoLP and AoLP have Gaussian noise
 
 
 def has_stokes(outputs: Sequence[str]) -> bool:
@@ -72,7 +72,7 @@ def _weak_signal() -> tuple[Array, Array, Array]:
     length : ndarray
         Standard deviation of the length (Rice distribution), relative to the standard deviation of the components.
     angle : ndarray
-        Standard deviation of half of the direction, in radians. It is π/√12 for a vector of length 0.
+        Standard deviation of half the direction angle, in radians. For a vector of length 0, it is π/√12.
     """
     from scipy.special import i0e, i1e, ndtr  # imported here to save start-up time, because few runs need it
 
@@ -102,13 +102,13 @@ def polarisation_sigma(stokes: Array, covariance: Array) -> Array:
     Returns
     -------
     ndarray, (2, …)
-        Standard deviation of DoLP, and of AoLP in degrees, up to 180°/√12 = 52° for unpolarised light.
+        Standard deviations of DoLP and of AoLP. AoLP is in degrees, with at most 180°/√12 = 52° for unpolarised light.
 
     Notes
     -----
-    S1 and S2 are a vector with Gaussian noise. If the vector is long, its length and its direction have Gaussian noise, too.
-    If it is not longer than its noise, its length has a Rice distribution, and its direction is almost uniform. The length
-    without noise is estimated from the square of the noisy length minus the variances of S1 and S2.
+    S1 and S2 are a vector with Gaussian noise. The length and the direction of a long vector also have Gaussian noise. If
+    the vector is not longer than its noise, the length has a Rice distribution, and the direction is almost uniform. The
+    length without noise is estimated from the square of the noisy length minus the variances of S1 and S2.
     """
     strength = np.hypot(stokes[1], stokes[2])
     bright = np.maximum(stokes[0], DARKEST)
@@ -132,26 +132,26 @@ def polarisation_sigma(stokes: Array, covariance: Array) -> Array:
 
 
 def behind(stokes: Array, angle: float) -> Array:
-    """Return the intensity after an ideal polariser at `angle` degrees, from the Stokes parameters (3, …)."""
+    """Return the intensity behind an ideal polariser at `angle` degrees, from the Stokes parameters (3, …)."""
     double = 2 * np.radians(angle)
     return 0.5 * (stokes[0] + np.cos(double) * stokes[1] + np.sin(double) * stokes[2])
 
 
 def malus_matrix(angles: Sequence[float]) -> Array:
-    """Return the matrix (picture, 3) that maps S0, S1 and S2 to intensities after ideal polarisers at `angles` degrees."""
+    """Return the matrix (picture, 3) that maps S0, S1 and S2 to intensities behind ideal polarisers at `angles` degrees."""
     double = 2 * np.radians(np.asarray(angles, np.float64))
     return 0.5 * np.stack([np.ones_like(double), np.cos(double), np.sin(double)], axis=1)
 
 
 def fit_stokes(intensities: Array, angles: Sequence[float]) -> tuple[Array, Array]:
-    """Fit Stokes parameters, by least squares, to the intensities after an ideal polariser at several angles.
+    """Fit Stokes parameters to the intensities behind an ideal polariser at several angles, by least squares.
 
     Parameters
     ----------
     intensities : ndarray, (picture, …)
-        Intensity after the polariser at each angle.
+        Intensity behind the polariser at each angle.
     angles : sequence of float
-        Angles of the transmission axis in degrees, at least three different ones.
+        Angles of the transmission axis in degrees, with at least three different values.
 
     Returns
     -------
@@ -172,18 +172,18 @@ def angle_difference(degrees: Array, others: Array | float) -> Array:
 
 
 def malus(light_angle: Array, gain: Array, angle: Array, leakage: Array, light_polarisation: float) -> Array:
-    """Return the signal of each channel for light that has passed through a polariser (Malus's law).
+    """Return the signal of each channel for light that has passed through a rotating polariser (Malus's law).
 
     Parameters
     ----------
     light_angle : ndarray, (capture,)
-        Angle of the transmission axis of the polariser in front of the light, in degrees.
+        Angle, in degrees, of the transmission axis of the polariser in front of the light source.
     gain : ndarray, (channel,)
         Signal for light that is fully polarised along the transmission axis of the channel.
     angle : ndarray, (channel,)
         Angle of the transmission axis of each channel in degrees.
     leakage : ndarray, (channel,)
-        Inverse of the extinction ratio of each channel. It is 1 for a channel without a polariser.
+        Inverse of the extinction ratio of each channel, which is 1 for a channel without a polariser.
     light_polarisation : float
         Degree of linear polarisation of the light.
 

@@ -1,1 +1,1 @@
-"""Recipes: parsing of TOML files into typed values, error reporting, JSON schemas, and the recipes supplied with l3."""
+"""Recipes: TOML files as typed values, with error reports and JSON schemas, and the recipes that come with l3."""

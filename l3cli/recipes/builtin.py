@@ -1,4 +1,4 @@
-"""Find the recipes that come with l3 in configs/, and list the files with which `l3 init` fills a new folder."""
+"""Find the recipes that come with l3 in configs/, and list the files that `l3 init` writes into a new folder."""
 
 import itertools
 import os
@@ -11,10 +11,10 @@ from pathlib import Path
 from l3cli.errors import InputFileError, RecipeError, suggestion
 from l3cli.system.text import counted
 
-# Subfolder of configs/ → type of the recipes that it contains, as messages call it.
+# Subfolder of configs/ → type of its recipes in messages.
 KIND_OF_FOLDER = {"cameras": "camera", "lab": "lab", "scenes": "scene", "classes": "class", "designs": "design"}
-CURVES = "curves.csv"  # file of a new folder that contains the responsivities of the camera
-# The files of a new folder, except camera.toml: name in the new folder → path inside configs/.
+CURVES = "curves.csv"  # name of the file with the responsivities of the camera in a new folder
+# Files in a new folder, except camera.toml: name in the new folder → path in configs/.
 COMMON = {
     "lab.toml": "lab/default.toml",
     "scenes.toml": "scenes/default.toml",
@@ -27,23 +27,24 @@ COMMON = {
     "slurm.sh": "pipelines/slurm.sh",
 }
 SCENES = ("scenes.toml", "bands_scenes.toml", "unseen.toml")  # the scene recipes in COMMON
-# Pipeline file → (text, replacement) for a real camera. The pipeline then starts from the camera recipe instead of a camera
-# model that the virtual lab measured.
+# Pipeline file → (text, replacement) for a real camera. With the replacement, the pipeline starts from the camera recipe
+# instead of a camera model from the virtual lab.
 KNOWN = {
     "Makefile": ("CAMERA ?= camera.h5", "CAMERA ?= camera.toml"),
     "Snakefile": ('config.get("camera", "snakemake/camera.h5")', 'config.get("camera", "camera.toml")'),
     "slurm.sh": ("${CAMERA:-camera.h5}", "${CAMERA:-camera.toml}"),
 }
-# (text, replacement) in the scene recipe and in the class recipe, to train a table for two illuminants.
+# (text, replacement) for the scene recipe and for the class recipe. With the replacements, a table is trained for two
+# illuminants.
 LIGHTS = '["A", "D65"]'
 ILLUMINANTS = 'illuminants = ["D65"]\n', f"illuminants = {LIGHTS}\n"
 LEARNING = (
     "[learning]\n",
     f"[learning]\nlights = {LIGHTS}    # trains transforms for each illuminant; the white of a frame selects them\n",
 )
-# Cameras with scene recipes of their own: configs/scenes/NAME.toml for training and NAME_unseen.toml for tests.
+# Cameras with their own scene recipes: configs/scenes/NAME.toml for training and NAME_unseen.toml for tests.
 POLARISED = ("polarised", "polarised_colour")
-# Camera recipe → class recipe, for the cameras that do not use the class recipe `default`.
+# Camera recipe → class recipe. All other camera recipes use the class recipe `default`.
 CLASSES = {"nona_bayer_hdr": "blocks", "polarised": "polarised", "rccb": "clear", "rgbir4x4": "long_period"}
 
 
@@ -58,12 +59,12 @@ def recipe_folder() -> Path:
 
 
 def known_benchmarks() -> dict[str, Path]:
-    """Return the folder of each benchmark that comes with l3, by the name of the benchmark ("benchmark-…")."""
+    """Return the folder of each benchmark that comes with l3. The keys are names such as "benchmark-bayer"."""
     return {f"benchmark-{path.name}": path for path in sorted((recipe_folder() / "benchmarks").iterdir()) if path.is_dir()}
 
 
 def known_recipes(kind: str) -> dict[str, Path]:
-    """Return the file of each recipe in a subfolder of configs/, by the name of the recipe.
+    """Return the recipes in a subfolder of configs/, as a mapping from the name of a recipe to its file.
 
     `kind` is the name of the subfolder, such as "cameras". The result is empty if the subfolder does not exist.
     """
@@ -84,7 +85,7 @@ def find_recipe(text: str, kind: str) -> Path:
     Returns
     -------
     Path
-        Path of the recipe. The file may be missing, and the caller then fails to open it.
+        Path of the recipe. The file may not exist, so that the caller reports the missing file.
 
     Raises
     ------
@@ -108,7 +109,7 @@ def find_recipe(text: str, kind: str) -> Path:
 
 
 def starters() -> dict[str, Path]:
-    """Return the camera recipes and the benchmark folders from which `l3 init` can create a folder, by name."""
+    """Return the camera recipes and the benchmark folders from which `l3 init` can create a folder. The keys are names."""
     return known_recipes("cameras") | known_benchmarks()
 
 
@@ -137,7 +138,7 @@ def cameras_by_name(text: str = "") -> dict[str, tuple[str, ...]]:
 
 
 def known_camera(contents: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Return the pipeline files in `contents`, changed for a real camera (see KNOWN)."""
+    """Return the pipeline files in `contents` with the replacements for a real camera (see KNOWN)."""
     known = {}
     for name, (usual, recipe) in KNOWN.items():
         text = contents[name].decode()
@@ -147,9 +148,9 @@ def known_camera(contents: Mapping[str, bytes]) -> dict[str, bytes]:
 
 
 def common_files(rows: int, cols: int) -> dict[str, bytes]:
-    """Return the files that `l3 init` writes for a real camera, except the camera recipe, as file name → content.
+    """Return the files that `l3 init` writes for a real camera, except the camera recipe. The keys are file names.
 
-    The scenes are limited to `rows` × `cols` pixels, the size of the sensor.
+    Scenes are limited to `rows` × `cols` pixels, the size of the sensor.
     """
     files = {name: (recipe_folder() / source).read_bytes() for name, source in COMMON.items()}
     files |= known_camera(files) | for_lights(files)
@@ -159,8 +160,8 @@ def common_files(rows: int, cols: int) -> dict[str, bytes]:
 def for_several_lights(starter: Path) -> bool:
     """Return whether the table of a new folder is trained for several illuminants.
 
-    This is false for benchmarks, because their files specify the illuminants, and for polarisation cameras, because a table
-    with Stokes outputs supports one illuminant only.
+    The result is False for benchmarks, because their files specify the illuminants, and for polarisation cameras, because a
+    table with Stokes outputs supports only one illuminant.
     """
     return not starter.is_dir() and starter.stem not in POLARISED
 
@@ -168,7 +169,7 @@ def for_several_lights(starter: Path) -> bool:
 def for_lights(contents: Mapping[str, bytes]) -> dict[str, bytes]:
     """Return the scene recipe and the class recipe in `contents`, changed to train for the illuminants A and D65.
 
-    The recipes in configs/ use one illuminant, so that a user can combine each of them with any other recipe.
+    The recipes in configs/ use only one illuminant, so that each of them can be combined with any other recipe.
     """
     changed = {}
     for name, (before, after) in {"scenes.toml": ILLUMINANTS, "classes.toml": LEARNING}.items():
@@ -181,7 +182,7 @@ def for_lights(contents: Mapping[str, bytes]) -> dict[str, bytes]:
 def fitting_scenes(text: str, rows: int, cols: int) -> str:
     """Limit the size of every scene in the text of a scene recipe to `rows` × `cols` pixels.
 
-    The number of random scenes is increased, so that their total number of pixels does not decrease.
+    The number of random scenes is increased, so that the total number of pixels does not decrease.
     """
 
     def fitted(scene: re.Match[str]) -> str:
@@ -194,7 +195,7 @@ def fitting_scenes(text: str, rows: int, cols: int) -> str:
 
 
 def summary(starter: Path) -> str:
-    """Describe a camera recipe, or the camera of a benchmark folder, in one line.
+    """Describe a camera recipe, or the camera in a benchmark folder, in one line.
 
     The line contains the period of the CFA, the number of channels, and the first sentence of the comment at the start of
     the file.
@@ -217,7 +218,7 @@ def classes_of(camera: Path) -> str:
 
 
 def folder_files(starter: Path) -> dict[str, Path]:
-    """Return the source file of each file in a new folder, by its name in the folder."""
+    """Return the files from which a new folder is created. The keys are the file names in the new folder."""
     if starter.is_dir():
         return {path.name: path for path in sorted(starter.iterdir())}
     sources = COMMON | {"classes.toml": f"classes/{classes_of(starter)}.toml"}
@@ -228,13 +229,16 @@ def folder_files(starter: Path) -> dict[str, Path]:
 
 
 def _base(camera: Path) -> Path | None:
-    """Return the camera recipe to which the key `base` refers, or None without this key."""
+    """Return the camera recipe to which the key `base` refers, or None if the recipe has no such key."""
     named = tomllib.loads(camera.read_text(encoding="utf-8")).get("base")
     return None if named is None else camera.parent / named
 
 
 def curves_of(starter: Path) -> Path | None:
-    """Return the file with the responsivities of a camera recipe. None for a benchmark, or a recipe without such a file."""
+    """Return the file with the responsivities of a camera recipe, or None if the recipe refers to no such file.
+
+    The result is also None for a benchmark folder.
+    """
     if starter.is_dir():
         return None
     named = tomllib.loads((_base(starter) or starter).read_text(encoding="utf-8"))["responsivity"].get("file")

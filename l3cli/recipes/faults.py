@@ -1,6 +1,6 @@
 """Collect the faults of a recipe, each with the keys that cause it.
 
-This module finds values whose type or range differs from the declaration. Other modules check the meaning of the values, for
+This module finds values with a wrong type, or outside the declared range. Other modules check the meaning of the values, for
 example whether two values contradict each other. A command stops at the first fault (`refuse_first`). `l3 check` lists all
 faults.
 """
@@ -33,7 +33,7 @@ class Fault(NamedTuple):
 
 
 def fault(message: str, *keys: str | KeyPath) -> Fault:
-    """Return a fault. A key is a KeyPath, or text such as "scene.1.size", in which list entries are counted from 0."""
+    """Create a fault. A key is a KeyPath, or text such as "scene.1.size", in which list entries are counted from 0."""
     return Fault(message, tuple(_path(key) for key in keys))
 
 
@@ -42,24 +42,24 @@ def _path(key: str | KeyPath) -> KeyPath:
 
 
 def inside(faults: Iterable[Fault], *table: str | int) -> Iterator[Fault]:
-    """Convert faults of a table to faults of the recipe, by prepending the path `table` of the table to each key."""
+    """Convert faults of a table to faults of the whole recipe. The path `table` of the table is prepended to each key."""
     return (Fault(message, tuple((*table, *key) for key in keys)) for message, keys in faults)
 
 
 def refuse_first(faults: Iterable[Fault], name: object = None) -> None:
     """Raise a RecipeError for the first fault. Do nothing if `faults` is empty.
 
-    If `name` is not None, the message starts with it.
+    If `name` is not None, the message starts with `name`.
     """
     for message, _ in faults:
         raise RecipeError(message if name is None else f"{name}: {message}")
 
 
 def about_others(faults: Iterable[Fault], known: Iterable[Fault]) -> Iterator[Fault]:
-    """Yield the faults whose keys are free of earlier faults.
+    """Yield the faults that are not a consequence of an earlier fault.
 
-    A fault is left out if `known`, or a fault that was yielded before, concerns one of its keys, a table that contains the
-    key, or a value inside the key. Such a fault is probably a consequence of the earlier fault.
+    A fault is omitted if an earlier fault has the same key, a table that contains the key, or a value inside the key.
+    Earlier faults are the faults in `known` and the faults that were yielded before.
     """
     broken: set[KeyPath] = set()
     above: set[KeyPath] = set()  # tables and lists that contain broken keys
@@ -79,7 +79,7 @@ def about_others(faults: Iterable[Fault], known: Iterable[Fault]) -> Iterator[Fa
 
 
 def typed(content: dict[str, Any], recipe: type[R]) -> tuple[R | None, list[Fault]]:
-    """Convert the content of a TOML file to a recipe, and collect all values that contradict the declared types.
+    """Convert the content of a TOML file to a recipe, and collect all values that violate the declared types.
 
     Parameters
     ----------
@@ -91,8 +91,8 @@ def typed(content: dict[str, Any], recipe: type[R]) -> tuple[R | None, list[Faul
     Returns
     -------
     recipe : Recipe or None
-        The recipe, in which valid examples replace the invalid values, so that the caller can check the other values. None
-        if msgspec rejects even the repaired content.
+        The recipe. Valid examples replace the invalid values, so that the caller can check the other values. None if msgspec
+        rejects even the repaired content.
     faults : list of Fault
         The faults, in the order in which they were found. Empty if the recipe is valid.
     """
@@ -177,7 +177,7 @@ def _plain_types(kind: Any) -> list[Any]:
 
 
 def _table(kind: Any, value: Any) -> type[Recipe] | None:
-    """Return the class that is declared for a table. If several classes are permitted, the tag of the table selects one.
+    """Return the class that describes a table. If several classes are permitted, the tag of the table selects the class.
 
     The result is None if `value` is not a table, if no class is declared, or if the tag is unknown.
     """
@@ -206,7 +206,7 @@ def _entries(kind: Any, value: Any) -> dict[str, Any] | list[Any] | None:
 
 
 def example(kind: Any) -> Any:
-    """Return a valid value of a declared type, as TOML would contain it."""
+    """Return a valid value of a declared type, in the form in which TOML would contain the value."""
     if get_origin(kind) is Annotated:
         kind, *marks = get_args(kind)
         (meta,) = (mark for mark in marks if isinstance(mark, msgspec.Meta))

@@ -12,11 +12,11 @@ STRING = (
     r'|"[^"\\\n]*(?:\\.[^"\\\n]*)*"'
     r"|'[^'\n]*'"
 )
-TOKEN = re.compile(rf"{STRING}|#[^\n]*|[^\"'#.,\[\]{{}}=\n]+|.", re.DOTALL)  # a TOML token, including adjacent blanks
+TOKEN = re.compile(rf"{STRING}|#[^\n]*|[^\"'#.,\[\]{{}}=\n]+|.", re.DOTALL)  # a TOML token and adjacent blanks
 
 
 def line_of(path: KeyPath, lines: Mapping[KeyPath, int]) -> int:
-    """Return the line number of a key from the result of `key_lines`.
+    """Return the line number of a key, from the result of `key_lines`.
 
     If the key is missing, the result is the line of the innermost table around the key, or 1 if no such table exists.
     """
@@ -29,7 +29,7 @@ def key_lines(text: str) -> dict[KeyPath, int]:
 
 
 class _Scanner:
-    """Finds the line numbers of keys in one pass over the tokens. Each method reads one element of TOML."""
+    """Finds the line numbers of all keys in one pass over the tokens. Each method reads one TOML element."""
 
     def __init__(self, text: str) -> None:
         self.text, self.tokens = text, TOKEN.finditer(text)

@@ -1,4 +1,4 @@
-"""Rewrite the messages of msgspec about recipes in terms of TOML, with suggestions for misspelled words."""
+"""Rewrite error messages of msgspec for readers of TOML files, with suggestions for misspelled words."""
 
 import re
 from collections.abc import Sequence
@@ -10,12 +10,12 @@ from l3cli.errors import shortened, suggestion
 from l3cli.recipes.toml import KeyPath, Recipe, member_types, tables_in
 from l3cli.system.text import counted
 
-PATH_PART = r"\.([^.[\]`]+)|\[(\d+)\]"  # a key or an index in a path such as `$.scene[1].size` in a message of msgspec
+PATH_PART = r"\.([^.[\]`]+)|\[(\d+)\]"  # a key or an index in a path of a msgspec message, such as `$.scene[1].size`
 BOUNDS = {">=": "use at least", "<=": "use at most", ">": "use more than", "<": "use less than"}
 
 
 def plain(message: str, recipe: type[Recipe], content: Any) -> str:
-    """Rewrite a message of msgspec in terms of TOML.
+    """Rewrite an error message of msgspec for readers of TOML files.
 
     Parameters
     ----------
@@ -56,33 +56,33 @@ def plain(message: str, recipe: type[Recipe], content: Any) -> str:
 
 
 def place(message: str) -> KeyPath:
-    """Return the path of the key to which a message of msgspec refers, or of the table if a key is missing in the table."""
+    """Return the path of the key to which a msgspec message refers. For a missing key, return the path of its table."""
     what, _, where = message.partition(" - at ")
     unknown = re.findall("unknown field `(.*)`", what, re.DOTALL)
     return (*(int(number) if number else key for key, number in re.findall(PATH_PART, where)), *unknown)
 
 
 def _written(where: str) -> str:
-    """Convert a path in a message of msgspec, such as `$.scene[1].size`, to text that counts list entries from 1."""
+    """Convert a path in a msgspec message, such as `$.scene[1].size`, to text that counts list entries from 1."""
     inner = re.sub(r"^`\$\.?|`$", "", where)
     return re.sub(r"\[(\d+)\]", lambda number: f"[{int(number[1]) + 1}]", inner)
 
 
 def _value_at(content: Any, where: str) -> Any:
-    """Return the value at a path in a message of msgspec. Keys that contain a period are not supported."""
+    """Return the value at a path in a msgspec message. Keys that contain a period are not supported."""
     for key, number in re.findall(PATH_PART, where):
         content = content[int(number)] if number else content.get(key, {})
     return content
 
 
 def _keys(tables: Sequence[type[Recipe]]) -> tuple[str, ...]:
-    """Return all keys of a table that is an instance of one of the classes `tables`."""
+    """Return all keys that a table of one of the classes `tables` can contain."""
     tags = [each.__struct_config__.tag_field for each in tables if each.__struct_config__.tag_field]
     return tuple(dict.fromkeys(tags + [field.encode_name for each in tables for field in msgspec.structs.fields(each)]))
 
 
 def _values(tables: Sequence[type[Recipe]], name: str) -> tuple[str, ...]:
-    """Return all words that the key `name` permits in a table that is an instance of one of the classes `tables`."""
+    """Return all words that are permitted for the key `name` in a table of one of the classes `tables`."""
     words = [str(each.__struct_config__.tag) for each in tables if each.__struct_config__.tag_field == name]
     for each in tables:
         for field in msgspec.structs.fields(each):
@@ -94,7 +94,7 @@ def _values(tables: Sequence[type[Recipe]], name: str) -> tuple[str, ...]:
 
 
 def _tables(recipe: type[Recipe], content: Any, path: KeyPath) -> list[type[Recipe]]:
-    """Return the classes that the table at `path` of a recipe can have.
+    """Return the possible classes of the table at `path` in a recipe.
 
     If a tag such as `source` selects one of several classes, the result contains only this class. If the tag is missing or
     unknown, the result contains all classes.

@@ -1,4 +1,4 @@
-"""Derive JSON schemas (2020-12) of recipes from the declared types, for editors that check TOML files."""
+"""Derive JSON schemas (2020-12) of recipes from the declared types. Editors use the schemas to check TOML files."""
 
 import ast
 import functools
@@ -25,17 +25,17 @@ def schema_of(recipes: Sequence[type[Recipe]], title: str) -> dict[str, Any]:
     Parameters
     ----------
     recipes : sequence of type
-        Classes, one of which describes the whole file.
+        Alternative classes of the whole file.
     title : str
         Title of the schema.
 
     Returns
     -------
     dict
-        The schema, which `json.dumps` can write.
+        The schema, which can be written with `json.dumps`.
     """
     roots, tables = msgspec.json.schema_components(recipes, ref_template=PLACE)
-    # msgspec calls a table like its class. If several classes have the same name, msgspec prepends the name of the module.
+    # msgspec names a table after its class. If several classes have the same name, msgspec prepends the name of the module.
     classes = {name: kind for kind in _structures(recipes) for name in (kind.__name__, f"{kind.__module__}.{kind.__name__}")}
     for name, table in tables.items():
         if "description" in table:
@@ -61,14 +61,14 @@ def _plain(value: Any) -> Any:
         kinds = [each for each in value.pop("anyOf") if each != {"type": "null"}]
         value = (kinds[0] if len(kinds) == 1 else {"anyOf": kinds}) | value
     first, *others = value.get("prefixItems", [None])
-    if first is not None and all(each == first for each in others):  # a tuple whose entries all have the same type
+    if first is not None and all(each == first for each in others):  # a tuple with entries of one type
         del value["prefixItems"]
         value["items"] = first
     return value
 
 
 def _structures(recipes: Sequence[type[Recipe]]) -> list[type[Recipe]]:
-    """Return the classes in `recipes`, and the classes of all tables that these recipes can contain."""
+    """Return the classes in `recipes`, and the classes of all tables that such recipes can contain."""
     found = list(recipes)
     for kind in found:  # the loop also reaches the classes that are appended below
         inner = [each for field in msgspec.structs.fields(kind) for each in tables_in(field.type)]
@@ -78,7 +78,7 @@ def _structures(recipes: Sequence[type[Recipe]]) -> list[type[Recipe]]:
 
 @functools.cache
 def _comments(kind: type) -> dict[str, str]:
-    """Return the comment of each key of a class, from the lines above its declaration and the ends of its lines.
+    """Return the comment of each key of a class. The comment is above the declaration of the key or at the end of its lines.
 
     The result is empty if the source code is not available.
     """
@@ -100,7 +100,7 @@ def _comments(kind: type) -> dict[str, str]:
 
 
 def _comment_lines(source: str) -> dict[int, tuple[bool, str]]:
-    """Return, for each line with a comment, whether the line contains only the comment, and the text of the comment."""
+    """Return, for each line with a comment, whether the line contains only a comment, and the text of the comment."""
     tokens = tokenize.generate_tokens(io.StringIO(source).readline)
     return {
         token.start[0]: (token.line.strip().startswith("#"), token.string.lstrip("# "))

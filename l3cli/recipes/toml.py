@@ -1,6 +1,7 @@
 """The base class of all recipes, the types of their keys, and functions that read and write TOML.
 
-Every key is declared in a class, and an unknown key is an error. The name of a key contains the unit of its value, if any.
+Every key is declared in a class, and unknown keys are errors. If the value of a key has a unit, the key name contains the
+unit.
 """
 
 import gc
@@ -17,7 +18,7 @@ from l3cli.errors import MOST_SHOWN, InputFileError, RecipeError, shortened
 from l3cli.system.limits import read_bounded
 from l3cli.system.text import LARGEST_WHOLE
 
-MAX_NUMBER = 1e24  # largest number in a recipe; larger than any photon flux, but too small to overflow in calculations
+MAX_NUMBER = 1e24  # largest number in a recipe; exceeds any photon flux, but cannot cause an overflow in calculations
 DEEPEST = 100  # maximum depth of nested tables and lists
 MAX_COUNT = 1_000_000  # largest value of a key that counts something
 Count = Annotated[int, msgspec.Meta(ge=1, le=MAX_COUNT)]
@@ -32,10 +33,10 @@ KeyPath = tuple[str | int, ...]  # path of a value: keys and list indices (from 
 class Recipe(msgspec.Struct, forbid_unknown_fields=True):
     """Base class of recipes and of the tables in recipes. A field without a default is a required key."""
 
-    title: ClassVar[str] = "a recipe"  # the type of the file, as messages call it
+    title: ClassVar[str] = "a recipe"  # type of the file in messages
 
 
-KIND_KEYS = {  # type of file → top-level keys that no other type of file has
+KIND_KEYS = {  # type of file → top-level keys that occur only in this type of file
     "a measurement file": ("common", "sweep", "curves", "band", "photo", "prior", "datasheet", "rotator", "uncertainty"),
     "a camera recipe": ("responsivity", "noise"),
     "a lab recipe": ("defects", "spectrometer_step_nm", "wavelength_error_nm", "lamp_drift", "monitor_error", "falloff"),
@@ -49,7 +50,7 @@ KIND_KEYS = {  # type of file → top-level keys that no other type of file has
 
 
 def read_text(path: Path, title: str = Recipe.title) -> str:
-    """Return the text of a recipe file, without a byte order mark, and with Unix line ends.
+    """Return the text of a recipe file, without a byte order mark and with Unix line ends.
 
     Parameters
     ----------
@@ -74,7 +75,8 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
 
     `name` is the name of the file, for messages. The function raises a RecipeError if the text is not valid TOML.
     """
-    # No garbage is collected: where nested lists have exhausted the stack, finalizers fail, and Python prints their errors.
+    # Garbage collection is disabled. If nested lists exhaust the stack, finalizers would fail, and Python would print
+    # errors.
     collecting = gc.isenabled()
     gc.disable()
     try:
@@ -91,7 +93,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
 
 
 def toml_value(value: Any) -> str:
-    """Write a number, string, list or table as TOML. Surrogates, which file names that are not UTF-8 contain, become "?"."""
+    """Write a number, string, list or table as TOML. Surrogates, as in file names that are not UTF-8, become "?"."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{toml_key(name)} = {toml_value(each)}" for name, each in value.items()) + "}"
     if isinstance(value, Sequence) and not isinstance(value, str):
@@ -107,8 +109,8 @@ def toml_key(name: str) -> str:
 def refusals(value: Any, key: KeyPath = ()) -> Iterator[tuple[KeyPath, str]]:
     """Yield (key, message) for each value that no recipe may contain.
 
-    These values are integers beyond 64 bits, floats that are not finite or beyond ±MAX_NUMBER, strings with a null
-    character, and tables or lists that are nested more than DEEPEST levels deep.
+    Such values are integers beyond 64 bits, floats that are not finite or beyond ±MAX_NUMBER, strings with a null character,
+    and tables or lists that are nested more than DEEPEST levels deep.
     """
     if len(key) > DEEPEST:
         yield key, f"tables and lists are nested more than {DEEPEST} levels deep; use fewer levels"

@@ -1,1 +1,1 @@
-"""Tables of values over wavelength, with their units, in the file formats of instruments."""
+"""Tables of values over wavelength, with units, in the file formats of instruments."""

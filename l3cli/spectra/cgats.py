@@ -22,7 +22,7 @@ FIRST_LINE = re.compile(r"\s*(?:CGATS|SPECT\s|CTI[1-4]|CCSS|CIE\b|CMF\b|ISO28178
 TOKEN = re.compile(r'"((?:[^"]|"")*)"|([^\s"]+)')
 COMMENT = re.compile(r'^((?:[^"#]|"[^"]*")*)#.*$')
 BAND = re.compile(r"^(?:(?:SPEC|SPECTRAL|R|NM)_?)?(?:NM_?)?(\d{3,4}(?:\.\d+)?)(?:_?NM)?$", re.I)
-NAMES = ("SAMPLE_NAME", "SAMPLE_LOC", "SAMPLEID", "SAMPLE_ID")  # fields that name the sample, in order of preference
+NAMES = ("SAMPLE_NAME", "SAMPLE_LOC", "SAMPLEID", "SAMPLE_ID")  # fields that name the sample, in order of precedence
 PERCENT_ABOVE = 2.0  # a file with larger values contains percentages, because no surface reflects twice the incident light
 MEAS_TYPE_UNITS = {  # value of the keyword MEAS_TYPE → unit; all other values mean a light source
     "REFLECTIVE": "reflectance",
@@ -32,7 +32,7 @@ MEAS_TYPE_UNITS = {  # value of the keyword MEAS_TYPE → unit; all other values
 
 @dataclass
 class CgatsTable:
-    """One table of a CGATS file: the values of its keywords, the names of its fields, and the cells of its rows."""
+    """One table of a CGATS file: values of the keywords, names of the fields, and cells of the rows."""
 
     keywords: dict[str, str] = field(default_factory=dict)
     fields: list[str] = field(default_factory=list)
@@ -50,7 +50,7 @@ class Spectra:
 
 
 def is_cgats(text: str) -> bool:
-    """Return whether a text looks like a CGATS file: it has a typical first line and the marker BEGIN_DATA."""
+    """Return whether a text is probably a CGATS file: it has a typical first line and the marker BEGIN_DATA."""
     return FIRST_LINE.match(text) is not None and re.search(r"^\s*BEGIN_DATA\b", text, re.M | re.I) is not None
 
 
@@ -67,7 +67,7 @@ def read_cgats(text: str, path: Path) -> Spectra:
     Returns
     -------
     Spectra
-        One spectrum per row of the table that contains spectra. Other tables in the file are ignored.
+        One spectrum per row of the table with spectra. Other tables in the file are ignored.
 
     Raises
     ------
@@ -172,7 +172,7 @@ def _spectra(table: CgatsTable, identifier: str, path: Path) -> Spectra:
 
 
 def _grid(table: CgatsTable, named: list[float], count: int, path: Path) -> NDArray[np.float64]:
-    """Return the wavelengths in nm from the keywords of the table or, without these keywords, from the names of its fields.
+    """Return the wavelengths in nm from the keywords of the table or, if the keywords are missing, from the field names.
 
     Raises InputFileError if the keywords contradict the fields.
     """

@@ -1,8 +1,8 @@
 """Read files of spectra. `read_table` reads every format in FORMATS. Most of this module reads text tables.
 
 A text table is delimited text from a spectrometer, a spreadsheet or l3. Each row contains a wavelength and one value per
-curve. Commas, semicolons, tabs or blanks separate the columns. If the separator is a semicolon or a tab, a comma is a
-decimal point. The heading with the column names is the first line, or the last comment (#) before the numbers. The heading
+curve. Columns are separated by commas, semicolons, tabs or blanks. If the separator is a semicolon or a tab, commas are
+decimal points. The heading with the column names is the first line, or the last comment (#) before the numbers. The heading
 determines which column contains the wavelengths. The other columns may be in any order, and units in brackets are converted.
 Without a heading, the first column contains the wavelengths in nm, and the other columns must be in the order that the
 caller expects.
@@ -44,14 +44,14 @@ CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # control characters, wh
 UNIT_KEY = re.compile(
     r"^(?:y[- ]?(?:axis|unit)|(?:spectral |radiometric |measurement )?units?)\b[^:;=,\t]*[:;=,\t]\s*(.+)$", re.I
 )
-QUALITY = re.compile(r"\d{5}")  # quality code, which Photo Research instruments write before a measurement
-# A table is transposed if a row contains at least SIDEWAYS wavelengths, all of which are within the range LIGHT in nm.
+QUALITY = re.compile(r"\d{5}")  # quality code that Photo Research instruments write before a measurement
+# A table is transposed if a row contains at least SIDEWAYS wavelengths, all within the range LIGHT in nm.
 SIDEWAYS, LIGHT = 10, (150.0, 5000.0)
 WAVELENGTH = ("wavelength", "wavelengths", "lambda", "λ", "wl", "wave", "wvl", "wellenlänge")
 JAZ = {"d", "r", "s", "p"}  # columns of the Ocean Optics Jaz spectrometer: dark, reference, sample, processed result
 SEPARATORS = r"[\s_()\[\]/,]+"
 Cells = list[str]
-DigitisedCurve = tuple[str, list[tuple[float, float]]]  # name of the curve, and X (nm) and Y of each point
+DigitisedCurve = tuple[str, list[tuple[float, float]]]  # name of a curve; X (nm) and Y of each point
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class TextTable:
     heading: Cells | None  # name of each column; None if the file has no heading
     rows: list[list[float]]  # rows of equal length; empty if the file contains digitised curves
     pairs: tuple[DigitisedCurve, ...] = ()  # digitised curves
-    faults: tuple[str, ...] = ()  # faults in the digitised curves
+    faults: tuple[str, ...] = ()  # descriptions of faults in the digitised curves
 
 
 def _text_table(text: str, path: Path) -> TextTable:
@@ -171,8 +171,8 @@ def _numbers(
 ) -> tuple[list[list[float]], list[Cells]]:
     """Return the rows of numbers at the end of a file, and the lines before these rows.
 
-    Raises InputFileError if the file does not end with rows of numbers, or if rows of numbers also precede the last line of
-    text, which is then probably a damaged row.
+    Raises InputFileError if the file does not end with rows of numbers. The function also raises InputFileError if rows of
+    numbers precede the last line of text, because this line is then probably a damaged row.
     """
     numeric = [all(_is_number(cell, decimal_comma) for cell in row) for row in cells]
     start = len(cells)
@@ -202,12 +202,13 @@ def _numbers(
 
 
 def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurve, ...], tuple[str, ...]]:
-    """Return the points (X, Y) and the faults of the digitised curves in a text. Both are empty if the text has no curves.
+    """Return the digitised curves in a text (X and Y of each point), and the faults of these curves.
 
-    Programs for digitising plots write several curves in one of two forms:
+    Both results are empty if the text contains no digitised curves. Programs for digitising plots write several curves in
+    one of two forms:
 
-    1. The columns X and Y of all curves are next to each other. The heading is a line of curve names above a line X, Y, X,
-       Y, …, or a single line with a word for wavelength and a name per curve.
+    1. The columns X and Y of all curves are next to each other. The heading has two lines, with the curve names above X, Y,
+       X, Y, …, or a single line with a word for wavelength and a name per curve.
     2. The curves follow one another, each with its own heading.
     """
     numeric = [_is_number(row[0], decimal_comma) for row in cells]
@@ -222,7 +223,7 @@ def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurv
         end = heads[which + 1][0] if which + 1 < len(heads) else len(cells)
         rows = cells[number + 1 : end]
         if which + 1 < len(heads) and lettered[which + 1] and rows and not numeric[end - 1]:
-            rows.pop()  # this row contains the names of the next curves
+            rows.pop()  # the row with the names of the next curves
         names = cells[number - 1] if number and lettered[which] and not numeric[number - 1] else []
         for place, (x_head, y_head) in enumerate(pairs):
             name = (names[2 * place] if len(names) > 2 * place else "") if lettered[which] else y_head
@@ -245,7 +246,7 @@ def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurv
 
 
 def _pair_heads(row: Cells) -> list[tuple[str, str]]:
-    """Return the headings (X, Y) of each curve, or an empty list if the row is not a sequence of such headings."""
+    """Return the pair of headings (X, Y) of each curve, or an empty list if the row is not a sequence of such pairs."""
     cells = [cell for cell in row if cell]
     pairs = list(zip(cells[::2], cells[1::2], strict=False))
     if not pairs or len(cells) % 2 or any(not (_is_x(x) and not _is_x(y)) for x, y in pairs):
@@ -258,7 +259,7 @@ def _is_x(cell: str) -> bool:
 
 
 def _is_lettered(row: Cells) -> bool:
-    """Return whether a row of headings starts with X, Y. The names of the curves are then in the line above."""
+    """Return whether a row of headings starts with X, Y. The line above then contains the names of the curves."""
     return [units.split(cell)[0].casefold() for cell in row if cell][:2] == ["x", "y"]
 
 
@@ -286,7 +287,7 @@ def _upright(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
         first = [other[0] for other in spectra]
         named = len(first) > 2 and _all_numbers(first, decimal_comma)
         if named and _is_grid([_number(each, decimal_comma) for each in first]):
-            return cells  # the wavelengths are column names, so the table is already upright
+            return cells  # the wavelengths are column names, so the table has the right orientation
         names = [" ".join(filter(None, other[:labels])) for other in spectra]
         return [*cells[:number], ["nm", *names], *map(list, zip(grid, *(other[labels:] for other in spectra), strict=True))]
     return cells
@@ -331,7 +332,7 @@ def _heading(before: list[Cells], columns: int, decimal_comma: bool, path: Path)
         return last if len(last) == columns > 2 and not any(_is_number(cell, decimal_comma) for cell in last) else None
     heading = fitting[named]
     below = fitting[named + 1] if named + 1 < len(fitting) else None
-    if named and all(_bare(cell) is not None or not cell for cell in heading):  # the line contains units, below the names
+    if named and all(_bare(cell) is not None or not cell for cell in heading):  # a line of units, below the column names
         heading, below = fitting[named - 1], heading
     if below and all(_bare(cell) is not None or not cell for cell in below):
         return [_with_unit(name, _bare(unit) or "") for name, unit in zip(heading, below, strict=True)]
@@ -356,21 +357,21 @@ def is_wavelength(heading: str) -> bool:
 
 
 def _bare(cell: str) -> str | None:
-    """Return the unit, without brackets, in a cell that contains only a unit. Return None for any other cell."""
+    """Return the unit in a cell that contains only a unit, without brackets. Return None for any other cell."""
     inside = cell.strip("[]() ")
     known = units.parse(inside) is not None or units.RAW.fullmatch(inside) or inside.lower() == "a.u."
     return inside if inside and (known or re.fullmatch(r"% ?\w+", inside)) else None
 
 
 def _with_unit(name: str, unit: str) -> str:
-    """Append a unit in brackets to a column heading. The heading of the wavelengths accepts only a unit of length."""
+    """Append a unit in brackets to a column heading. A heading of wavelengths is changed only if the unit is a length."""
     if not unit or (is_wavelength(name) and units.length_nm(unit) is None):
         return name
     return f"{name} ({unit})"
 
 
 def _stated_unit(line: str) -> str | None:
-    """Return the unit of the values from a line such as "Units: µW/cm²/nm" before the table, or None for any other line."""
+    """Return the unit of the values that a line such as "Units: µW/cm²/nm" states, or None for any other line."""
     found = UNIT_KEY.match(line)
     unit = found[1].strip(' ;,\t[]"') if found else ""
     known = units.RAW.fullmatch(unit) or (units.parse(unit) is not None and units.length_nm(unit) is None)
@@ -379,11 +380,11 @@ def _stated_unit(line: str) -> str | None:
 
 MOST_ROWS = 100_000  # maximum number of wavelengths in a text table
 WIDEST_GAP = 20.0  # maximum distance between neighbouring points of a digitised curve, in nm
-PLOT_EDGE_NM = 5.0  # a curve that ends within this distance of the edge of the plot was cut off by the edge
-FOOT = 0.05  # fraction of the peak below which a curve may end inside the plot
-JITTER = 0.02  # fraction of the peak by which a digitised curve may be negative
-# Wavelengths are probably in m if the largest is below METRES, in µm if it is below MICROMETRES, and in Å if the smallest is
-# above ANGSTROMS.
+PLOT_EDGE_NM = 5.0  # a curve that ends within this distance of the edge of the plot is assumed to continue beyond the edge
+FOOT = 0.05  # a curve that ends inside the plot must end below this fraction of its peak
+JITTER = 0.02  # negative values of a digitised curve are permitted up to this fraction of the peak
+# Wavelengths are probably in m if the largest wavelength is below METRES, in µm if it is below MICROMETRES, and in Å if the
+# smallest wavelength is above ANGSTROMS.
 METRES, MICROMETRES, ANGSTROMS = 1e-3, 5.0, 2000.0
 SPDX = (".spdx", ".xml")
 SPDX_UNITS = {  # spectral quantity in an IES TM-27 file → unit
@@ -405,13 +406,13 @@ class SpectrumFormat:
 
     name: str
     suffixes: tuple[str, ...]  # in lower case; the letter case of file names is ignored
-    holds: str  # description of the contents that l3 reads, for the documentation
+    holds: str  # description of the content that l3 reads, for the documentation
     is_of: Callable[[str], bool] | None  # returns whether a text has this format; None if the suffix determines the format
-    read: Callable[[str, Path], CurveTable]  # converts the text of a file to a table; the path is for messages
+    read: Callable[[str, Path], CurveTable]  # converts the text of a file to a table; the path is used in messages
 
 
 def read_table(path: Path) -> CurveTable:
-    """Read a file of spectra in any of the FORMATS.
+    """Read a file of spectra in any format of FORMATS.
 
     Parameters
     ----------
@@ -436,7 +437,7 @@ def read_table(path: Path) -> CurveTable:
 
 
 def names_file(name: str) -> bool:
-    """Return whether the name of an illuminant, chart or transmittance is a file name: its suffix is that of a format."""
+    """Return whether the name of an illuminant, chart or transmittance is a file name, that is, has a suffix in SUFFIXES."""
     return name.lower().endswith(SUFFIXES)
 
 
@@ -463,7 +464,7 @@ def _over_wavelengths(path: Path, wavelength: Array, values: Array, names: tuple
 
 
 def _result(table: CurveTable) -> CurveTable:
-    """Remove the columns with raw readings if exactly one other column, the result of the instrument, remains.
+    """Remove columns with raw readings if exactly one other column remains. This column is the result of the instrument.
 
     Avantes, for example, writes the columns Sample, Dark and Reference in counts, and Transmittance in percent.
     """
@@ -515,8 +516,8 @@ def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Pa
     """Interpolate digitised curves to steps of 1 nm. The points of a curve may be in any order.
 
     All curves are extended to the wavelength range of the plot. A curve that ends at an edge of the plot continues with its
-    last value. A curve that ends inside the plot continues with zeros. If the curves have faults, an InputFileError that
-    lists all faults is raised.
+    last value. A curve that ends inside the plot continues with zeros. Raises InputFileError, with a list of all faults, if
+    a curve has a fault.
     """
     wrong = list(faults)
     lines = [np.array(sorted(points), np.float64).reshape(-1, 2).T for _, points in curves]
@@ -542,7 +543,7 @@ def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Pa
 def _curve_faults(name: str, line: Array, grid: Array) -> Iterator[str]:
     """Yield the faults of a digitised curve.
 
-    The rows of `line` are the X and Y of its points. `grid` contains the wavelengths of the whole plot.
+    The two rows of `line` are X and Y of the points. `grid` contains the wavelengths of the whole plot.
     """
     x, y = line
     if x.size < 2:
@@ -558,7 +559,7 @@ def _curve_faults(name: str, line: Array, grid: Array) -> Iterator[str]:
 
 
 def _spdx(_: str, path: Path) -> CurveTable:
-    """Read the spectrum in an IES TM-27-14 file. The unit follows from the spectral quantity that the file states.
+    """Read the spectrum in an IES TM-27-14 file. The spectral quantity in the file determines the unit.
 
     Raises InputFileError if the file is not valid.
     """
@@ -603,8 +604,8 @@ def other_unit(first: float, last: float) -> tuple[str, str] | None:
     Returns
     -------
     tuple of str, or None
-        A description of the fault, and the probable unit ("m", "um" or "A"). None if the wavelengths are plausible in nm,
-        or if the smallest is not positive.
+        A description of the fault, and the probable unit ("m", "um" or "A"). None if the wavelengths are plausible in nm, or
+        if the smallest wavelength is not positive.
     """
     if first <= 0 or (last >= MICROMETRES and first <= ANGSTROMS):
         return None

@@ -1,14 +1,15 @@
 """Read optical spectra from JCAMP-DX files (versions 4.24 and 5) with one block or several linked blocks.
 
-A block is a list of records `##LABEL= value`. The record with the data is XYDATA or XYPOINTS. In XYDATA, of the form
-(X++(Y..Y)), each line contains an abscissa and the ordinates that start there, in equal steps. In XYPOINTS, of the form
-(XY..XY), the data are pairs. Numbers are written as decimals (AFFN), or ordinates are compressed in one of the ASDF forms:
+A block is a list of records `##LABEL= value`. The record with the data is XYDATA or XYPOINTS. XYDATA has the form
+(X++(Y..Y)): each line contains an abscissa, the ordinate at this abscissa, and further ordinates in equal steps. XYPOINTS
+has the form (XY..XY), with pairs of numbers. Numbers are decimals (AFFN), or ordinates are compressed in one of the ASDF
+forms:
 
 =====  ==========================================================================  =======================
 PAC    signs separate the numbers: +1-2+3
 SQZ    a letter replaces the sign and the first digit                              @ A…I a…i: 0, 1…9, −1…−9
-DIF    differences; a line begins with the last ordinate of the previous line      % J…R j…r: 0, 1…9, −1…−9
-DUP    how often the preceding number occurs in succession                         S…Z s: 1…8, 9
+DIF    differences; a line starts with the last ordinate of the previous line      % J…R j…r: 0, 1…9, −1…−9
+DUP    total number of consecutive occurrences of the preceding number             S…Z s: 1…8, 9
 =====  ==========================================================================  =======================
 
 Reference: R. S. McDonald, P. A. Wilks, "JCAMP-DX: A standard form for exchange of infrared spectra in computer readable
@@ -27,7 +28,7 @@ from l3cli.spectra import units
 
 RECORD = re.compile(r"^\s*##([^=]*)=(.*)$")
 AFFN = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-PACKED = re.compile(r"[%@A-DF-Za-df-s]")  # characters that occur only in compressed numbers
+PACKED = re.compile(r"[%@A-DF-Za-df-s]")  # characters that indicate compressed numbers
 ASDF = re.compile(r"([@A-Ia-i%J-Rj-rS-Zs]|[-+]|(?=[\d.]))(\d*\.?\d*)")
 SQZ = {letter: digit for digit, letter in enumerate("@ABCDEFGHI")} | {
     letter: -digit for digit, letter in enumerate("abcdefghi", 1)
@@ -57,7 +58,7 @@ FRACTION_OF_LETTER = {  # first letter of transmittance, transmission, reflectan
 class Block:
     """One block of a JCAMP-DX file."""
 
-    records: dict[str, str] = field(default_factory=dict)  # label without blanks, dashes, slashes, underscores → value
+    records: dict[str, str] = field(default_factory=dict)  # label, without blanks and punctuation → value
     kind: str = ""  # label of the record that contains the data; empty if the block contains no data
     lines: list[str] = field(default_factory=list)  # lines of the data
 
@@ -142,7 +143,7 @@ def _blocks(text: str) -> list[Block]:
 def _figure(block: Block, label: str, comma: bool, path: Path, default: float | None = None) -> float:
     """Return the number in a record, or `default` if the record is missing.
 
-    Raises InputFileError if the record is not a number, or if it is missing and `default` is None.
+    Raises InputFileError if the record is not a number, or if the record is missing and `default` is None.
     """
     text = block.of(label).strip()
     try:
@@ -173,10 +174,10 @@ def _ordinates(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float6
 
 
 def _unpacked(lines: list[str], path: Path) -> list[float]:
-    """Return the ordinates in lines of XYDATA that are compressed (ASDF).
+    """Return the ordinates in lines of compressed XYDATA (ASDF).
 
-    If a line ends with a difference, the first ordinate of the next line must repeat the last value as a check. This
-    repetition is left out. Raises InputFileError if the two values differ.
+    If a line ends with a difference, the first ordinate of the next line must repeat the last value as a check. The result
+    does not contain this repetition. Raises InputFileError if the two values differ.
     """
     values: list[float] = []
     by_difference = False  # whether the previous number was a difference
@@ -228,7 +229,7 @@ def _pairs(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float64], 
 
 
 def _in_unit(values: NDArray[np.float64], text: str) -> tuple[NDArray[np.float64], str | None]:
-    """Return values and their unit according to `text`, the record YUNITS.
+    """Convert values to the unit that `text`, the record YUNITS, states, and return the values and their unit.
 
     Percentages of transmittance or reflectance become fractions. The unit of relative values is None.
     """

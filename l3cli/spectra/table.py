@@ -1,4 +1,4 @@
-"""Tables of spectra: select columns by name, and convert the values to the required units."""
+"""Tables of spectra, with functions that select columns by name and convert values to the required units."""
 
 import json
 import re
@@ -15,15 +15,15 @@ from l3cli.spectra import units
 
 # Plausible peak radiances in photons/s/sr/m²/nm: the smallest that a pixel can detect, and the largest that a lamp can emit.
 DIMMEST, BRIGHTEST = 1e6, 1e24
-RELATIVE = ("relative", "relative photons", "relative power")  # "units" of radiances whose scale is unknown
-AMPERES_PER_WATT = {"A": 1, "J": -1, "s": 1}  # powers of the base units in A/W
+RELATIVE = ("relative", "relative photons", "relative power")  # "units" of radiances without an absolute scale
+AMPERES_PER_WATT = {"A": 1, "J": -1, "s": 1}  # exponents of the base units in A/W
 VISIBLE = 400.0, 700.0  # visible range in nm
-# A curve is dark where it is below this fraction of its peak, inside and outside the visible range.
+# A curve is dark where it is below DARK_FRACTION of its peak, or below DARK_FRACTION_OUTSIDE outside the visible range.
 DARK_FRACTION, DARK_FRACTION_OUTSIDE = 0.01, 0.05
-NOISE = 0.01  # fraction of the peak by which the noise of a spectrometer may make values negative
+NOISE = 0.01  # due to spectrometer noise, values may be negative by up to this fraction of the peak
 COLOURS = {"r": "red", "g": "green", "b": "blue", "c": "cyan", "m": "magenta", "y": "yellow", "w": "white"}
 OTHER_NAMES = COLOURS | {name: letter for letter, name in COLOURS.items()}  # "r" → "red", "red" → "r", …
-ELECTRONVOLT_NM = spectra.PLANCK * spectra.LIGHT_SPEED / 1.602176634e-19 * 1e9  # photon energy × wavelength, in eV nm
+ELECTRONVOLT_NM = spectra.PLANCK * spectra.LIGHT_SPEED / 1.602176634e-19 * 1e9  # energy of a photon × wavelength, in eV nm
 Array = NDArray[np.float64]
 
 
@@ -36,15 +36,15 @@ class CurveTable:
     values: Array  # (column, wavelength)
     names: tuple[str, ...] | None  # column names without units; None if the file has no heading
     units: tuple[str | None, ...]  # unit of each column; None if the file does not state it
-    left_out: tuple[str, ...] = ()  # names of the columns that were not selected
+    left_out: tuple[str, ...] = ()  # names of columns in the file that are not in this table
 
     @property
     def note(self) -> str | None:
-        """A message that lists the columns that were not selected, or None if all columns were selected."""
+        """Message that lists columns of the file that are not in this table, or None if no columns are missing."""
         return f"{self.path}: columns that are not used: {', '.join(self.left_out)}" if self.left_out else None
 
     def counted(self, columns: int) -> "CurveTable":
-        """Return the table itself. Raises InputFileError if the number of columns is not `columns`."""
+        """Raise InputFileError if the number of columns is not `columns`. Otherwise, return the table."""
         if len(self.values) != columns:
             has_commas = len(self.values) == 2 * columns
             cure = "if commas are decimal points, separate columns by semicolons" if has_commas else "add or remove columns"
@@ -54,8 +54,8 @@ class CurveTable:
     def ordered(self, wanted: Sequence[str], known_as: Callable[[str], str] | None = None) -> "CurveTable":
         """Return a table with the columns in the order of `wanted`.
 
-        The columns are found by name. The table is returned unchanged if the file has no heading, or if `wanted` contains a
-        single name.
+        Columns are found by their names. If the file has no heading, or if `wanted` contains a single name, the table is
+        returned unchanged.
 
         Parameters
         ----------
@@ -83,26 +83,25 @@ class CurveTable:
         return CurveTable(self.path, self.wavelength, self.values[order], tuple(wanted), tuple(self.units[i] for i in order))
 
     def channel_columns(self, channels: Sequence[str], columns: Mapping[str, str] | None = None) -> "CurveTable":
-        """Return a table with one column per channel, in the order of `channels`. All other columns are left out.
+        """Return a table with one column per channel, in the order of `channels`. All other columns are omitted.
 
         Parameters
         ----------
         channels : sequence of str
             Names of the channels.
         columns : mapping, optional
-            Channel → name of its column, for channels whose column has a different name.
+            Channel → column name, for channels with a different column name.
 
         Returns
         -------
         CurveTable
             The selected columns. If the file has no heading, it must contain one column per channel, and the columns keep
-            their order. If `channels` contains one channel and the file one column, the name of the column is ignored.
+            their order. If `channels` contains one channel and the file contains one column, the column name is ignored.
 
         Raises
         ------
         InputFileError
-            If the file has no column for a channel, or two columns with its name, or if `columns` is set for a file without
-            a heading.
+            If the file contains no column or two columns for a channel, or if `columns` is set for a file without a heading.
         """
         columns = {known_as(channel, channels): name for channel, name in (columns or {}).items()}
         if self.names is None and columns:
@@ -129,7 +128,7 @@ class CurveTable:
         return CurveTable(self.path, self.wavelength, self.values[chosen], tuple(channels), units, tuple(left_out))
 
     def column(self, which: int | str) -> "CurveTable":
-        """Return a table with one column, which is selected by its name or by its number from 1.
+        """Return a table with a single column. `which` is the name of the column, or its number, starting at 1.
 
         Raises InputFileError if no column or more than one column has this name, or if the number is out of range.
         """
@@ -152,8 +151,8 @@ class CurveTable:
         unit : str or None
             Unit of the columns whose heading states no unit. None means photons/s/sr/m²/nm.
         absolute : bool
-            Whether the absolute scale matters. If not, units of irradiance and flux are also permitted, and the level of the
-            values is not checked.
+            Whether the absolute scale matters. If False, units of irradiance and flux are also permitted, and the magnitude
+            of the values is not checked.
 
         Returns
         -------
@@ -163,7 +162,7 @@ class CurveTable:
         Raises
         ------
         InputFileError
-            If a heading and `unit` differ, if a unit is not permitted, or if the level of the values is implausible.
+            If a heading contradicts `unit`, if a unit is not permitted, or if the magnitude of the values is implausible.
         """
         rows = []
         for values, heading in zip(self.values, self.units, strict=True):
@@ -200,7 +199,7 @@ class CurveTable:
     def _check_level(self, photons: Array, stated: bool) -> None:
         """Raise InputFileError if the peak of a column is implausible as a radiance in photons/s/sr/m²/nm.
 
-        `stated` is whether the file or the user states the unit.
+        `stated` is whether the file or the user has stated the unit.
         """
         peaks = photons.max(axis=1)
         peak = float(peaks[peaks > 0].min(initial=np.inf))
@@ -208,7 +207,7 @@ class CurveTable:
             return
         peak = peak if peak < DIMMEST else float(peaks.max())
         if not np.isfinite(peak):
-            return  # all values are zero; callers that cannot use a dark spectrum detect this
+            return  # all values are zero; callers that cannot use a dark spectrum check this themselves
         cure = "correct the stated unit" if stated else f'if the values are watts, set unit = "{units.POWER_RADIANCE}"'
         raise InputFileError(
             f"{self.path}: a radiance of {peak:.3g} {units.PHOTON_RADIANCE} is outside the plausible range of "
@@ -218,8 +217,8 @@ class CurveTable:
     def powers(self) -> Array:
         """Convert the columns (column, wavelength) to relative power per nm.
 
-        Columns in a unit with photons are divided by the wavelength. Columns without a unit are assumed to be power. Small
-        negative values become zero (see `without_noise`). Raises InputFileError if a unit is not proportional to power or to
+        Columns in photons are divided by the wavelength. Columns without a unit are assumed to be power. Small negative
+        values become zero (see `without_noise`). Raises InputFileError if a unit is proportional neither to power nor to
         photons.
         """
         rows = []
@@ -236,11 +235,10 @@ class CurveTable:
         return without_noise(np.array(rows))
 
     def shares(self) -> Array:
-        """Convert the columns (column, wavelength) to transmittances or reflectances, which are fractions in 0…1.
+        """Convert the columns (column, wavelength) to transmittances or reflectances, as fractions from 0 to 1.
 
         Columns in percent are divided by 100. Values that exceed the range 0…1 by at most NOISE are clipped. Raises
-        InputFileError if a value exceeds the range by more than NOISE, or if the unit in a heading is neither percent nor a
-        fraction.
+        InputFileError if a value exceeds the range by more than NOISE, or if a unit is neither percent nor a fraction.
         """
         for heading in filter(None, self.units):
             unit = units.parse(heading)
@@ -267,7 +265,7 @@ class CurveTable:
         Parameters
         ----------
         per_energy : bool
-            Whether the responsivities are per energy, such as A/W. Otherwise they are per photon.
+            Whether the responsivities are per energy, for example in A/W. Otherwise they are per photon.
         key : str
             Key of the recipe that contains `per_energy`, for messages.
 
@@ -333,7 +331,7 @@ class CurveTable:
 
 
 def without_noise(curves: Array) -> Array:
-    """Set small negative values, which are probably noise of a spectrometer, to zero.
+    """Set small negative values to zero. Such values are probably noise of a spectrometer.
 
     Parameters
     ----------
@@ -343,7 +341,7 @@ def without_noise(curves: Array) -> Array:
     Returns
     -------
     ndarray, (curve, wavelength)
-        The curves, in which values between 0 and −NOISE times the peak of the curve are zero. Lower values are unchanged, so
+        The curves, in which values from −NOISE times the peak of the curve to 0 are zero. Lower values are unchanged, so
         that the caller can reject the curve.
     """
     least = -NOISE * curves.max(axis=1, keepdims=True)
@@ -351,10 +349,10 @@ def without_noise(curves: Array) -> Array:
 
 
 def gaps(wavelength: NDArray[np.floating], curves: NDArray[np.floating], widest: float) -> list[tuple[float, float]]:
-    """Return the steps between wavelengths that are too wide for interpolation.
+    """Find the steps between wavelengths that are too wide for interpolation.
 
-    A step is ignored if all curves are dark at both of its ends. A curve is dark below 1 % of its peak, or below 5 % of its
-    peak for steps outside 400…700 nm.
+    A step is ignored if all curves are dark at both ends of the step. A curve is dark below 1 % of its peak. For steps
+    outside 400…700 nm, a curve is dark below 5 % of its peak.
 
     Parameters
     ----------
@@ -363,7 +361,7 @@ def gaps(wavelength: NDArray[np.floating], curves: NDArray[np.floating], widest:
     curves : ndarray, (curve, wavelength)
         Spectra or responses.
     widest : float
-        Maximum step in nm that may be interpolated.
+        Largest step, in nm, that may be interpolated.
 
     Returns
     -------
@@ -379,7 +377,7 @@ def gaps(wavelength: NDArray[np.floating], curves: NDArray[np.floating], widest:
 
 
 def _is_power(unit: units.Unit | None) -> bool:
-    """Return whether a unit is proportional to power or to photons. Percent counts as relative power. False for None."""
+    """Return whether a unit is proportional to power or to photons. Percent counts as relative power. None gives False."""
     return unit is not None and (not unit.powers or unit.powers.get("J") == 1 or unit.powers.get("photon") == 1)
 
 
@@ -400,8 +398,8 @@ def _energy_response(unit: units.Unit) -> bool | None:
 def _conversion(unit: str) -> tuple[str, float] | None:
     """Parse a unit of spectral radiance.
 
-    Return "J" and the factor that converts values to W/(sr m² nm), or "photon" and the factor that converts values to
-    photons/s/sr/m²/nm. None if `unit` is not a unit of spectral radiance.
+    Returns ("J", factor) if the factor converts values to W/(sr m² nm), or ("photon", factor) if the factor converts values
+    to photons/s/sr/m²/nm. Returns None if `unit` is not a unit of spectral radiance.
     """
     if unit in RELATIVE:
         return ("J" if unit == "relative power" else "photon", 1.0)
@@ -412,9 +410,9 @@ def _conversion(unit: str) -> tuple[str, float] | None:
 
 
 def _quantity_per(parsed: units.Unit | None, below: dict[str, int]) -> tuple[str, float] | None:
-    """Return "J" or "photon", and the factor that converts values in the unit `parsed` to values per nm.
+    """Return ("J" or "photon", factor), where the factor converts values in the unit `parsed` to values per nm.
 
-    The result is None unless `parsed` is J or photon, multiplied by base units with the powers in `below`.
+    The result is None unless `parsed` is the product of J or photon and of base units with the exponents in `below`.
     """
     for of in ("J", "photon"):
         if parsed is not None and parsed.powers == {of: 1, **below}:
@@ -433,7 +431,7 @@ def _plain(name: str) -> str:
 
 
 def _place(name: str, names: Sequence[str]) -> int | None:
-    """Return the index of the column called `name`, or None if no column or more than one column has this name.
+    """Return the index of the column `name`, or None if no column or more than one column has this name.
 
     "red" and "r" count as the same name. Letter case is ignored, unless two names differ only in their letter case.
     """
@@ -456,7 +454,7 @@ def known_as(name: str, channels: Sequence[str]) -> str:
 
 
 def _difference(given: Sequence[str], asked: Sequence[str]) -> str:
-    """Return a message about the first name in a heading that is not expected or occurs twice, with a remedy."""
+    """Describe the first name in a heading that is not expected or occurs twice, and how to correct the heading."""
     odd = next((name for name in given if name not in asked), None)
     if odd is None:
         twice = next(name for name in given if given.count(name) > 1)

@@ -33,11 +33,11 @@ SPELLINGS = {
     "−": "-",
 }
 TOKEN = re.compile(r"\s*(?:(?P<name>e-(?!\d)|[A-Za-z]+|%|(?<![\w^])1(?!\d))|(?P<power>\^?-?\d)|(?P<sign>[()/]))\s*")
-# Units of raw readings, which are not corrected for the response of the instrument
+# Units of raw readings. Raw readings include the response of the instrument.
 RAW = re.compile(r"(?:counts?|cts|adu|dn|dbm?|[mu]?v)(?:/(?:s|ms|us|nm))?", re.I)
-RAW_LAST = re.compile(r"(?:^|[\s_,])(counts?|cts|adu|dbm?|mv)$", re.I)  # a unit of raw readings, without brackets
-FRACTION_UNITS = ("reflectance", "transmittance")  # "units" of columns that contain fractions in 0…1
-RELATIVE_UNITS = ("a.u.", "au", "arb. units", "relative", "rel.", "rel")  # "units" of columns with an arbitrary scale
+RAW_LAST = re.compile(r"(?:^|[\s_,])(counts?|cts|adu|dbm?|mv)$", re.I)  # unit of raw readings at the end, without brackets
+FRACTION_UNITS = ("reflectance", "transmittance")  # "units" of columns with fractions from 0 to 1
+RELATIVE_UNITS = ("a.u.", "au", "arb. units", "relative", "rel.", "rel")  # "units" of columns without an absolute scale
 MAX_UNIT_CHARACTERS = 80  # longer texts are not parsed as units
 PHOTON_RADIANCE, POWER_RADIANCE = "photons/s/sr/m²/nm", "W/(sr m² nm)"
 
@@ -72,9 +72,9 @@ def parse(text: str) -> Unit | None:
 
 
 def below_one_slash(text: str) -> str | None:
-    """Move everything after the first slash of a unit into the denominator, as in "W/sr·m²/nm" → "W/(sr·m² nm)".
+    """Move everything after the first slash of a unit into the denominator: "W/sr·m²/nm" becomes "W/(sr·m² nm)".
 
-    The result is None if the text contains no slash, or if only brackets and slashes follow.
+    The result is None if the text contains no slash, or if the slash is followed only by brackets and slashes.
     """
     above, slash, below = text.partition("/")
     plain = re.sub(r"[/()]", " ", below)
@@ -82,9 +82,9 @@ def below_one_slash(text: str) -> str | None:
 
 
 def _product(tokens: list[re.Match[str]]) -> tuple[Unit, list[re.Match[str]]]:
-    """Parse tokens up to an unmatched closing bracket or the end. Return the unit and the remaining tokens.
+    """Parse tokens up to the end or to an unmatched closing bracket. Return the unit and the remaining tokens.
 
-    A slash applies only to the factor that follows it. Raises KeyError or IndexError if the tokens are not a unit.
+    A slash applies only to the next factor. Raises KeyError or IndexError if the tokens are not a unit.
     """
     scale, powers = 1.0, dict[str, int]()
     while tokens and tokens[0]["sign"] != ")":
@@ -116,8 +116,8 @@ def length_nm(text: str) -> float | None:
 def split(heading: str) -> tuple[str, str | None]:
     """Split a column heading such as "name (unit)", "name [unit]", "name / unit" or "name %" into name and unit.
 
-    If the heading contains no unit, the name is the whole heading and the unit is None. A unit of raw readings without
-    brackets, as in "scope counts", is returned as the unit but also remains part of the name.
+    If the heading contains no unit, the name is the whole heading, and the unit is None. If a heading ends with a unit of
+    raw readings without brackets, as in "scope counts", the name still contains the unit.
     """
     heading = heading.strip()
     name, slash, rest = heading.partition(" / ")

@@ -1,1 +1,1 @@
-"""Files, locks, signals, limits and text output. Nothing here depends on cameras or pictures."""
+"""Files, locks, signals, limits and text output. This package does not depend on cameras or pictures."""

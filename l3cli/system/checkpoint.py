@@ -43,7 +43,7 @@ class Checkpoint:
         self.items: dict[str, Any] = {}  # name of each unit → its facts
 
     def take_over(self, path: Path) -> bool:
-        """Add the units that an earlier run listed in the file `path`. An incomplete line is ignored.
+        """Add the units that an earlier run listed in the file `path`. Incomplete lines are ignored.
 
         Returns
         -------
@@ -65,9 +65,9 @@ class Checkpoint:
         return True
 
     def begin(self) -> None:
-        """Create the file with the units that are known now. After this call, `add` may append units.
+        """Create the file with all units that are known so far. Afterwards, `add` may append units.
 
-        Temporary files of this file that a killed run left are removed.
+        If a killed run left temporary files of this file, they are removed.
         """
         sweep(self.path.parent, self.path)
         write_whole(self.path, "\n".join([self.key, *map(json.dumps, self.items.items())]))
@@ -93,7 +93,7 @@ class Checkpoint:
 
 
 class PartsFolder:
-    """The folder "NAME.parts" next to an output NAME. A run stores finished parts in it until the output is complete.
+    """The folder "NAME.parts" next to an output NAME. A run stores its finished parts there until the output is complete.
 
     The file `run` in the folder contains the key of the run. Each part is a file that is renamed to its final name when it
     is complete, so every part in the folder is finished.
@@ -112,9 +112,10 @@ class PartsFolder:
         Parameters
         ----------
         resume : bool
-            Whether to continue with the parts of an earlier run with the same key. Otherwise, existing parts are removed.
+            Whether to continue with the parts of an earlier run that has the same key. Otherwise, existing parts are
+            removed.
         force : bool
-            Whether to remove the parts if `resume` is set but the parts belong to a run with a different key.
+            Whether to remove parts of a run with a different key if `resume` is set.
         is_whole : callable
             Function that returns whether the file of a part is undamaged. Damaged parts are removed.
 
@@ -207,7 +208,7 @@ def is_finished(folder: Path, key: str) -> bool:
 
 
 def refuse_other_run(folder: Path, key: str, force: bool) -> None:
-    """Raise L3Error if `folder` is not empty, unless it belongs to an interrupted run with this key or `force` is set."""
+    """Raise L3Error if `folder` is not empty, unless an interrupted run with this key wrote it or `force` is set."""
     marker = folder / UNFINISHED
     is_same = marker.is_file() and marker.read_bytes() == key.encode()
     refuse_filled_folder(folder, force or is_same)

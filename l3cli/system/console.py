@@ -141,7 +141,7 @@ class Logged(Passing):
         self._append(b"" if path.exists() else HEADING)
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """Report progress to the second console. The log contains only the start and the end."""
+        """Report progress to the second console. The log contains only the start and the end of the work."""
         self.heard("info", what if total is None else f"{what}: {total} to do")
         done, start = 0, time.monotonic()
         for item in self._console.progress(items, total, what):
@@ -150,7 +150,10 @@ class Logged(Passing):
         self.heard("info", f"{what}: {done} done in {time.monotonic() - start:.3g} s")
 
     def heard(self, level: str, message: str) -> None:
-        """Append a message to the log. If the log can no longer be written, report this once and continue without it."""
+        """Append a message to the log.
+
+        If the log can no longer be written, report this once and continue without the log.
+        """
         now = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
         if self._lost:
             return

@@ -1,7 +1,8 @@
 """Write outputs atomically, protect and identify inputs, and record the files that a stage reads and writes.
 
-A process locks (flock) the temporary files that it writes. The kernel releases such a lock when the process ends, even after
-SIGKILL. If a temporary file is not locked, the process that wrote it was therefore killed. Locks on outputs are in locks.py.
+A process locks (flock) the temporary files that it writes. The kernel releases the locks when the process ends, even after
+SIGKILL. A temporary file without a lock is therefore left over from a killed process. locks.py contains the locks on
+outputs.
 """
 
 import contextlib
@@ -29,8 +30,8 @@ class FilesUsed:
     Attributes
     ----------
     read : dict of str to dict
-        The input files of each role, such as "table". For each file, the dictionary contains its size in bytes and its
-        modification time in ns before it was read, or None if the file did not exist.
+        The input files of each role, such as "table". The value of a file is its size in bytes and its modification time in
+        ns before it was read, or None if the file did not exist.
     written : tuple of Path
         Finished output files.
     """
@@ -46,13 +47,13 @@ class FilesUsed:
 def files_to_read(roles: Mapping[str, Iterable[Path]]) -> FilesUsed:
     """Return a record of the input files of each role.
 
-    Call this function before the files are read. A file that changes during the run then differs from the record.
+    Call this function before the files are read, so that a file that changes during the run differs from the record.
     """
     return FilesUsed({role: {path: dated(path) for path in paths} for role, paths in roles.items()})
 
 
 def all_files(parts: Iterable[FilesUsed]) -> FilesUsed:
-    """Combine several records. If several records contain the same input, the last one determines its size and time."""
+    """Combine several records. If several records contain the same input, the size and time in the last record are used."""
     read: dict[str, dict[Path, Dated | None]] = {}
     written: list[Path] = []
     for part in parts:
@@ -72,7 +73,7 @@ def dated(path: Path) -> Dated | None:
 
 
 def fingerprint(path: Path) -> tuple[int, ...]:
-    """Return the size, modification time, change time and inode of a file, from which a later run can detect changes.
+    """Return the size, modification time, change time and inode of a file, with which a later run can detect changes.
 
     Programs can set the modification time of a file, but not its change time. Raises OSError if the file does not exist.
     """
@@ -82,17 +83,18 @@ def fingerprint(path: Path) -> tuple[int, ...]:
 
 TEMPORARY = re.compile(r"\.(.*)\.[0-9a-f]{8}\.l3tmp(\.[^.]*)?")
 LOCK = ".l3lock"
-# Marker files in an output folder. They contain the key of the run that has not yet completed, or has completed, the folder.
+# Marker files in an output folder. UNFINISHED and FINISHED contain the key of the run that is writing or has completed the
+# folder.
 UNFINISHED = ".l3-unfinished"
 FINISHED = ".l3-finished"
 STDIN = Path("-")
 LONGEST = 255  # maximum length of a file name, in bytes
-LONGEST_SUFFIX = 16  # maximum length of a suffix that can determine the format of a file, in bytes
+LONGEST_SUFFIX = 16  # maximum length, in bytes, of a suffix that can determine the format of a file
 NAMES = {
     stat.S_IFDIR: "folder",
     stat.S_IFIFO: "pipe",
     stat.S_IFSOCK: "socket",
-}  # file types other than regular files, as messages call them
+}  # names, in messages, of file types other than regular files
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # the disk is full, the quota is exceeded, or the file is too large
 
 
@@ -124,10 +126,10 @@ def refuse_filled_folder(path: Path, force: bool) -> None:
 def atomic_output(path: Path) -> Iterator[Path]:
     """Create a temporary file, yield its path, and rename the file to `path` if the block succeeds.
 
-    If the block fails, the temporary file is removed. The file is in the folder of `path`, which is created if necessary,
-    and has the suffix of `path`, from which libraries derive the format. The content is flushed to disk before the file is
-    renamed. The block must write into the existing file and must not replace it. Each call creates a new temporary file, so
-    several processes may write the same output.
+    If the block fails, the temporary file is removed. The temporary file is in the folder of `path`, which is created if
+    necessary, and has the suffix of `path`, because libraries derive the format from the suffix. The content is flushed to
+    disk before the file is renamed. The block must write into the existing temporary file and must not replace it. Each call
+    creates a new temporary file, so several processes may write the same output.
 
     Raises
     ------
@@ -142,7 +144,7 @@ def atomic_output(path: Path) -> Iterator[Path]:
         with blamed_on(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             temporary, descriptor = _new_temporary(path)
-        with blamed_on(path, FULL):  # an error with another number may concern an input that the block reads
+        with blamed_on(path, FULL):  # errors with other numbers may concern inputs that the block reads
             yield temporary
         with blamed_on(path):
             _put_in_place(temporary, path)
@@ -165,7 +167,7 @@ def _new_temporary(path: Path) -> tuple[Path, int]:
     while True:
         temporary = path.with_name(f".{stem}.{os.urandom(4).hex()}.l3tmp{suffix}")
         descriptor = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, initial_mode(path))
-        with contextlib.suppress(OSError):  # on storage without locks, `sweep` removes no temporary files
+        with contextlib.suppress(OSError):  # the storage does not support locks; `sweep` then removes no temporary files
             fcntl.flock(descriptor, fcntl.LOCK_EX)
         if os.fstat(descriptor).st_nlink:
             return temporary, descriptor
@@ -173,7 +175,7 @@ def _new_temporary(path: Path) -> tuple[Path, int]:
 
 
 def _hidden_name(path: Path) -> tuple[str, str]:
-    """Return the stem and the suffix that all temporary files of the output `path` have in their names."""
+    """Return the stem and the suffix in the names of all temporary files of the output `path`."""
     stem, suffix = (path.stem, path.suffix) if len(os.fsencode(path.suffix)) <= LONGEST_SUFFIX else (path.name, "")
     return shortened(stem, len(f"..01234567.l3tmp{suffix}")), suffix
 
@@ -181,7 +183,7 @@ def _hidden_name(path: Path) -> tuple[str, str]:
 def shortened(name: str, more: int) -> str:
     """Shorten `name` so that `more` bytes can be added without exceeding the maximum length of a file name.
 
-    A name that is short enough is returned unchanged. Otherwise, a digest of the name replaces its end.
+    A name that is short enough is returned unchanged. Otherwise, the end of the name is replaced by a digest of the name.
     """
     coded, longest = os.fsencode(name), LONGEST - more
     if len(coded) <= longest:
@@ -193,7 +195,8 @@ def shortened(name: str, more: int) -> str:
 def initial_mode(output: Path) -> int:
     """Return the mode (before the umask) with which the files of an output are created.
 
-    The mode grants no user more access than the file that the output replaces, but the owner can always read and write.
+    The mode permits no more access than the mode of the file that the output replaces, except that the owner can always read
+    and write.
     """
     try:
         return 0o666 & (output.stat().st_mode | 0o600)
@@ -208,7 +211,7 @@ def _put_in_place(temporary: Path, path: Path) -> None:
     try:
         _flush(path.parent)
     except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.EACCES):  # the storage cannot flush folders, or the folder is unreadable
+        if error.errno not in (errno.EINVAL, errno.EACCES):  # folders cannot be flushed, or the folder is not readable
             raise
 
 
@@ -223,7 +226,7 @@ def _flush(path: Path) -> None:
 
 @contextlib.contextmanager
 def blamed_on(path: Path, numbers: tuple[int, ...] | None = None) -> Iterator[None]:
-    """Convert an OSError in the block to an L3Error whose message says that `path` cannot be written.
+    """Convert an OSError in the block to an L3Error that states that `path` cannot be written.
 
     If `numbers` is not None, only errors with these error numbers (errno) are converted.
     """
@@ -242,10 +245,11 @@ def blamed_on(path: Path, numbers: tuple[int, ...] | None = None) -> Iterator[No
 
 
 def open_quietly(path: Path) -> int:
-    """Open a regular file in order to lock it, and return its descriptor.
+    """Open a regular file for locking, and return its descriptor.
 
-    Locks over NFS need write access. A file without write permission is opened for reading. The function never blocks and
-    does not follow symbolic links. Raises OSError if the file cannot be opened or is not a regular file.
+    The file is opened for writing, because locks over NFS need write access. If this is not permitted, the file is opened
+    for reading. The function never blocks and does not follow symbolic links. Raises OSError if the file cannot be opened or
+    is not a regular file.
     """
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
@@ -260,8 +264,8 @@ def open_quietly(path: Path) -> int:
 def sweep(folder: Path, output: Path | None = None) -> None:
     """Remove the temporary files in `folder` that no running process has locked.
 
-    If `output` is not None, only temporary files of this output are removed. Inputs of the command are never removed. A
-    missing folder is ignored.
+    If `output` is not None, only temporary files of this output are removed. Inputs of the command are never removed. If the
+    folder does not exist, nothing happens.
     """
     wanted = None if output is None else _hidden_name(output)
     for name in os.listdir(folder) if folder.is_dir() else ():
@@ -286,13 +290,13 @@ def is_ours(name: str) -> bool:
 
 # --------------------------------------------------------------------------------------------------------- inputs
 
-Identity = tuple[int, int]  # device and inode of a file, which are the same through every hard and symbolic link
-_protected: dict[Identity, Path] = {}  # input files of the command → the paths by which the user specified the files
+Identity = tuple[int, int]  # device and inode of a file; all hard and symbolic links to a file have the same identity
+_protected: dict[Identity, Path] = {}  # input files of the command → the paths that the user specified
 
 
 @contextlib.contextmanager
 def protecting(paths: Iterable[Path]) -> Iterator[None]:
-    """Protect input files during the block: `refuse_protected` then raises an error for these files, by any of their names.
+    """Protect input files during the block: `refuse_protected` then raises an error for any path that refers to these files.
 
     The path "-" stands for the file from which stdin is redirected. Paths that are not regular files are ignored.
     """
@@ -318,7 +322,7 @@ def refuse_protected(output: Path | int) -> None:
 
 
 def identity(file: Path | int) -> Identity | None:
-    """Return the device and the inode of a regular file, following links, or None if no regular file exists."""
+    """Return the device and the inode of a regular file. Links are followed. None if `file` is not a regular file."""
     try:
         state = os.stat(file)
     except OSError:
@@ -327,7 +331,7 @@ def identity(file: Path | int) -> Identity | None:
 
 
 def require_regular(path: Path, cure: str = "use a file") -> None:
-    """Raise InputFileError if `path` is not a regular file. The message ends with `cure`, which says how to correct this.
+    """Raise InputFileError if `path` is not a regular file. `cure` is the end of the message and suggests a correction.
 
     The file is not opened, because opening a pipe or a device may block forever.
     """
@@ -347,7 +351,7 @@ def _require_regular(path: Path, mode: int, cure: str) -> None:
 def open_regular(path: Path, cure: str = "use a file") -> io.BufferedReader:
     """Open a regular file for reading.
 
-    Raises InputFileError, with a message that ends with `cure`, if the file is not a regular file or cannot be read.
+    Raises InputFileError if the file is not a regular file or cannot be read. The message ends with `cure`.
     """
     require_regular(path, cure)
     try:
@@ -365,7 +369,7 @@ def open_regular(path: Path, cure: str = "use a file") -> io.BufferedReader:
 
 @contextlib.contextmanager
 def naming(path: Path, cure: str = "") -> Iterator[None]:
-    """Convert an OSError in the block to an InputFileError whose message starts with `path` and ends with `cure`."""
+    """Convert an OSError in the block to an InputFileError. Its message starts with `path` and ends with `cure`."""
     try:
         yield
     except OSError as error:
@@ -390,8 +394,8 @@ def stamp(path: Path) -> tuple[int, ...]:
 def require_same(path: Path, digest: str) -> None:
     """Raise InputFileError if the SHA-256 digest of a file is not `digest`.
 
-    Workers call this function, because the same path may refer to a different file on another machine. Each process reads
-    a file only once, unless the file changes.
+    Workers call this function, because a path may refer to a different file on another machine. Each process reads a file
+    only once, unless the file changes.
     """
     try:
         known = fingerprint(path)

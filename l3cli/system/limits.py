@@ -1,7 +1,7 @@
 """Limits on the size of inputs, and the environment variables that set these limits.
 
-Sizes are checked before memory is allocated. The additional environment variable L3_TRUST selects whether files are decoded
-in this process or in a process with limited time and memory.
+Sizes are checked before memory is allocated. The environment variable L3_TRUST selects whether files are decoded in this
+process, or in a process with limited time and memory.
 """
 
 import contextlib
@@ -20,13 +20,13 @@ ONE_BLAS_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL
 MEGAPIXELS = "L3_MEGAPIXELS"  # environment variable: maximum number of pixels of a picture or frame, in millions
 USUAL_MEGAPIXELS = 400.0
 PICTURE = Quantity(0.0001, 1e6, "megapixels")
-VALUES_A_PIXEL = 3  # a file may contain this many 32-bit values per pixel of the largest permitted picture
+VALUES_A_PIXEL = 3  # maximum number of 32-bit values in a file, divided by the maximum number of pixels
 VALUE_BYTES = 4
 SECONDS = "L3_DECODE_SECONDS"  # environment variable: maximum processor time for decoding a file, in s
 USUAL_SECONDS = 60.0
-TRUST = "L3_TRUST"  # environment variable: whether to decode files in this process, without limits of time and memory
+TRUST = "L3_TRUST"  # environment variable: whether to decode files in this process, without limits on time and memory
 YES, NO = ("1", "true", "yes", "on", "y", "t"), ("", "0", "false", "no", "off", "n", "f")
-LIBRARIES, A_CORE = 1 << 30, 16 << 20  # address space that libraries need, in bytes: in total, and in addition per core
+LIBRARIES, A_CORE = 1 << 30, 16 << 20  # address space that libraries need, in bytes: basic amount, and addition per core
 MOST_TEXT = 64 << 20  # maximum size of a recipe, measurement file, CSV table or header, in bytes
 
 
@@ -41,7 +41,7 @@ def decode_seconds() -> float:
 
 
 def require_settings() -> None:
-    """Raise RecipeError if an environment variable of this module is invalid, even if the command does not need it."""
+    """Raise RecipeError if an environment variable of this module is invalid, even if the command does not use it."""
     most_pixels(), decode_seconds(), trusted()
 
 
@@ -87,7 +87,7 @@ def require_values(name: str, shape: Iterable[int], value_bytes: int = VALUE_BYT
 
 
 def require_address_space() -> None:
-    """Raise L3Error if the address space (ulimit -v) is too small for the libraries, which could then abort or hang."""
+    """Raise L3Error if the address space (ulimit -v) is too small for the libraries, which would then abort or hang."""
     needed = LIBRARIES + A_CORE * (os.cpu_count() or 1)
     allowed = resource.getrlimit(resource.RLIMIT_AS)[0]
     if allowed != resource.RLIM_INFINITY and allowed < needed:
@@ -97,10 +97,10 @@ def require_address_space() -> None:
 
 
 def read_bounded(path: Path, cure: str = "use a text file") -> bytes:
-    """Return the bytes of a text file.
+    """Read a text file as bytes.
 
-    Raises InputFileError if the file cannot be read or is larger than MOST_TEXT. For an unreadable file, the message ends
-    with `cure`.
+    Raises InputFileError if the file cannot be read or is larger than MOST_TEXT. If the file cannot be read, the message
+    ends with `cure`.
     """
     with naming(path, cure), open_regular(path, cure) as stream:
         content = stream.read(MOST_TEXT + 1)
@@ -118,7 +118,7 @@ def trusted() -> bool:
 
 
 def trust() -> AbstractContextManager[None]:
-    """Return a context manager that sets L3_TRUST, also for processes that start during the block."""
+    """Return a context manager that sets L3_TRUST during a block, also for processes that start during the block."""
     return environment({TRUST: "1"})
 
 

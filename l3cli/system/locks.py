@@ -16,10 +16,10 @@ from l3cli.system.files import LOCK, blamed_on, initial_mode, open_quietly, refu
 
 
 class ThreadLock:
-    """A lock between the threads of a process, which is always free at the start of a forked child process.
+    """A lock between the threads of a process. The lock is always free at the start of a forked child process.
 
-    An ordinary lock that a thread of the parent holds would never be released in the child, where this thread does not
-    exist.
+    If a thread of the parent process holds an ordinary lock during a fork, this lock is never released in the child process,
+    because the thread does not exist there.
     """
 
     def __init__(self) -> None:
@@ -42,7 +42,7 @@ def sole_writer_of_file(path: Path) -> Iterator[bool]:
     Yields
     ------
     bool
-        Whether the storage supports locks. If not, other runs can write the file.
+        Whether the storage supports locks. If False, other runs can write the file.
 
     Raises
     ------
@@ -60,22 +60,22 @@ def sole_writer_of_folder(folder: Path, name: str = "", inside: tuple[str, ...] 
     """Prevent other runs from writing into `folder` during the block.
 
     The folder is created if necessary, and removed if it is empty at the end. Temporary files of killed runs and of killed
-    worker processes are removed from the folder and its subfolders `inside`.
+    worker processes are removed from the folder and from its subfolders `inside`.
 
     Parameters
     ----------
     folder : Path
         The folder.
     name : str
-        Pattern of the output files, such as a pattern of frame numbers. Runs with different patterns can write into the
-        folder at the same time. [default: only one run can write into the folder]
+        Pattern of the output file names. Runs with different patterns can write into the folder at the same time. [default:
+        only one run can write into the folder]
     inside : tuple of str
         Names of subfolders.
 
     Yields
     ------
     bool
-        Whether the storage supports locks. If not, other runs can write into the folder.
+        Whether the storage supports locks. If False, other runs can write into the folder.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def _busy(output: Path) -> L3Error:
 
 
 def _take(lock: Path, output: Path) -> int | None:
-    """Lock the lock file, and create it if necessary. Return its descriptor, or None if the storage does not support locks.
+    """Lock the file `lock`, creating it if necessary. Return its descriptor, or None if the storage does not support locks.
 
     Raises L3Error if another run holds the lock.
     """
@@ -154,8 +154,8 @@ def _take(lock: Path, output: Path) -> int | None:
 def _existing(lock: Path) -> int | None:
     """Open an existing lock file. Return its descriptor, or None if the file no longer exists.
 
-    A shared folder may contain a symbolic link or a pipe of this name. The function therefore follows no symbolic links and
-    never blocks. Raises L3Error if the file is not accessible or not a regular file.
+    In a shared folder, a symbolic link or a pipe may have the name of the lock file. The function therefore does not follow
+    symbolic links and never blocks. Raises L3Error if the file is not accessible or not a regular file.
     """
     try:
         return open_quietly(lock)
@@ -171,6 +171,6 @@ def _existing(lock: Path) -> int | None:
 
 def _let_go(lock: Path, descriptor: int) -> None:
     """Remove a lock file, and release the lock by closing its descriptor."""
-    with contextlib.suppress(FileNotFoundError, PermissionError):  # some folders permit only the owner to remove a file
+    with contextlib.suppress(FileNotFoundError, PermissionError):  # in some folders, only the owner may remove a file
         lock.unlink()
     os.close(descriptor)

@@ -1,4 +1,4 @@
-"""Check and lock the outputs of a stage before its work begins.
+"""Check and lock the outputs of a stage before the work of the stage begins.
 
 A stage fails if an output would replace an input or cannot be written. Until the stage ends, locks prevent other runs from
 writing the same outputs.
@@ -22,7 +22,7 @@ class OutputGuard(contextlib.ExitStack):
     def __init__(self, console: Console) -> None:
         super().__init__()
         self._console = console
-        # (path of an output, glob patterns of the files that l3 writes into the output if it is a folder)
+        # (path of an output, glob patterns of the files that l3 writes if the output is a folder)
         self._guarded: list[tuple[Path, tuple[str, ...]]] = []
 
     def protect(self, *inputs: Path) -> None:
@@ -31,15 +31,15 @@ class OutputGuard(contextlib.ExitStack):
         Raises
         ------
         RecipeError
-            If an output that was locked before would replace one of the files.
+            If an output that is already locked would replace one of the files.
         """
         self.enter_context(protecting(inputs))
         for path, globs in self._guarded:
             _refuse_protected(path, globs)
 
     def guard_file(self, path: Path, force: bool, recipe: bool = False) -> None:
-        """Lock an output file like `hold_file`, and raise L3Error if the file exists and `force` is not set."""
-        self.hold_file(path, recipe)  # before the check, because another run may be about to create the file
+        """Lock an output file as `hold_file` does. Raise L3Error if the file exists and `force` is not set."""
+        self.hold_file(path, recipe)  # before the check, because another run may create the file between check and lock
         refuse_existing(path, force)
 
     def hold_file(self, path: Path, recipe: bool = False) -> None:
@@ -67,7 +67,7 @@ class OutputGuard(contextlib.ExitStack):
         self.hold(sole_writer_of_file(path), path)
 
     def guard_folder(self, path: Path, force: bool, *globs: str) -> None:
-        """Lock an output folder like `hold_folder`, and raise L3Error if it is not empty and `force` is not set."""
+        """Lock an output folder as `hold_folder` does. Raise L3Error if the folder is not empty and `force` is not set."""
         self.hold_folder(path, *globs)
         refuse_filled_folder(path, force)
 
@@ -96,7 +96,7 @@ class OutputGuard(contextlib.ExitStack):
     def hold(self, lock: AbstractContextManager[bool], output: Path) -> None:
         """Acquire a lock on an output, and keep the lock until the end of the block.
 
-        The context manager `lock` yields whether the storage supports locks. If not, the console reports this.
+        The context manager `lock` yields whether the storage supports locks. If it does not, a warning is reported.
         """
         if not self.enter_context(lock):
             self._console.report(
@@ -104,7 +104,7 @@ class OutputGuard(contextlib.ExitStack):
             )
 
     def _remember(self, path: Path, *globs: str) -> None:
-        """Add an output to the list with which `protect` compares inputs that are added later.
+        """Record an output, so that `protect` can compare the output with inputs that are added later.
 
         Raises RecipeError if the output would replace a protected input or another output.
         """
@@ -115,13 +115,13 @@ class OutputGuard(contextlib.ExitStack):
 
 
 def _refuse_protected(path: Path, globs: tuple[str, ...]) -> None:
-    """Raise RecipeError if an output is a protected input, or if a file in it matches a pattern and is a protected input."""
+    """Raise RecipeError if an output is a protected input, or contains a protected input that matches a glob pattern."""
     for file in itertools.chain([path], *(path.glob(each) for each in globs)):
         refuse_protected(file)
 
 
 def refuse_unwritable(path: Path) -> None:
-    """Raise L3Error if no file or folder can be written at `path`. Folders of the path that do not exist are permitted."""
+    """Raise L3Error if no file or folder can be written at `path`. The folders in the path need not exist."""
     whole = path.absolute()
     folder = whole if whole.is_dir() else next(parent for parent in whole.parents if parent.exists())
     if not folder.is_dir():

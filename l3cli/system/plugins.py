@@ -12,10 +12,10 @@ NAME = re.compile(r"[\w.-]+")  # permitted names of entry points, which become p
 
 
 def plugins(group: str) -> dict[str, EntryPoint]:
-    """Return the entry points of a group, by name and in the order of the names.
+    """Return the entry points of a group, sorted by name.
 
-    If several packages provide an entry point with the same name, only the first one that Python finds is included. Raises
-    L3Error if a name contains characters that are not permitted, because the name becomes part of file names.
+    If several packages provide an entry point with the same name, only the first entry point that Python finds is included.
+    Raises L3Error if a name contains characters that are not permitted, because the name becomes part of file names.
     """
     found: dict[str, EntryPoint] = {}
     for entry in entry_points(group=group):
@@ -26,7 +26,7 @@ def plugins(group: str) -> dict[str, EntryPoint]:
 
 
 def package(entry: EntryPoint) -> str:
-    """Return the name and version of the package of an entry point, or "MODULE:OBJECT" if the package is unknown."""
+    """Return the name and version of the package that provides an entry point, or "MODULE:OBJECT" if it is unknown."""
     return f"{entry.dist.name} {entry.dist.version}" if entry.dist else entry.value
 
 
@@ -39,7 +39,7 @@ def described(entry: EntryPoint) -> str:
 def blamed(entry: EntryPoint) -> Iterator[None]:
     """Convert an exception in the block to an L3Error that names the entry point.
 
-    The block calls the code of the entry point, and may check its result.
+    The block calls the code of the entry point, and may also check the result of this code.
     """
     try:
         yield

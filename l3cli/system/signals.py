@@ -6,9 +6,9 @@ not interrupt three types of code:
 * The callbacks through which HDF5 writes. HDF5 would discard both the exception and the data, and the file would look
   complete although it is not.
 * The initialisation of extension modules. Modules in C++, such as pyopencl, would abort the process.
-* The import of h5py. h5py registers Python functions for type conversion with HDF5, and afterwards registers an exit handler
-  that removes these functions. An exception between the two steps would crash the process at exit, because HDF5 would call
-  the functions after the Python interpreter has ended.
+* The import of h5py. h5py registers Python functions for type conversion with HDF5, and then registers an exit handler that
+  removes these functions. An exception between the two steps would crash the process at exit, because HDF5 would call the
+  functions after the Python interpreter has ended.
 """
 
 import signal
@@ -21,7 +21,7 @@ from typing import Any, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-RETRY_SECONDS = 0.05  # delay before a signal that arrived at a wrong time is sent again
+RETRY_SECONDS = 0.05  # delay before a signal is sent again that arrived while it must not be handled
 
 HELD_BACK_IMPORT = "h5py"
 _held_back: set[CodeType] = {ExtensionFileLoader.create_module.__code__, ExtensionFileLoader.exec_module.__code__}
@@ -44,21 +44,24 @@ def heed() -> None:
 
 
 def ignore() -> None:
-    """Ignore all further signals. The program calls this function after the first signal, while it cleans up."""
+    """Ignore all further signals. The program calls this function after the first signal, before it cleans up."""
     for each in SIGNALS:
         if signal.getsignal(each) is end:
             signal.signal(each, signal.SIG_IGN)
 
 
 def leave_to_python() -> None:
-    """Restore the default handlers. The program calls this function before it exits, when no code catches exceptions."""
+    """Restore the default handlers.
+
+    The program calls this function before it exits, because nothing catches exceptions then.
+    """
     for each in SIGNALS:
         if signal.getsignal(each) is end:
             signal.signal(each, signal.SIG_DFL)
 
 
 def end(number: int, frame: FrameType | None) -> None:
-    """Handle a signal: raise its exception or, if the current code must not be interrupted, send the signal again later."""
+    """Handle a signal: raise its exception. If the running code must not be interrupted, send the signal again later."""
     while frame is not None:
         imports = frame.f_code.co_name == "<module>" and frame.f_globals.get("__name__") == HELD_BACK_IMPORT
         if imports or frame.f_code in _held_back:
@@ -81,13 +84,13 @@ def behind(error: BaseException) -> KeyboardInterrupt | None:
 
 
 def held_back_in(callback: F) -> F:
-    """Decorator that delays signals until the function returns, for functions that call a C library or are called by it."""
+    """Decorator for functions that call a C library or that a C library calls. Signals are delayed until they return."""
     _held_back.add(callback.__code__)
     return callback
 
 
 def repeat_lost(what: Any) -> None:
-    """Send a signal again if Python discarded its exception, for example in a finaliser. This is a `sys.unraisablehook`."""
+    """Send a signal again if Python discarded its exception, for example in a finaliser. Used as `sys.unraisablehook`."""
     if what.exc_type in (KeyboardInterrupt, Terminated):
         _send_again(signal.SIGTERM if what.exc_type is Terminated else signal.SIGINT)
     else:

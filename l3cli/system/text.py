@@ -1,6 +1,6 @@
 """Format numbers, lines and tables for terminals of any width, pipes and web pages, and parse numbers.
 
-The parser is stricter than Python, which also accepts 1_000, nan and non-ASCII digits.
+The number parser is stricter than Python's parser, which also accepts 1_000, nan and non-ASCII digits.
 """
 
 import math
@@ -14,7 +14,7 @@ from l3cli.errors import shortened
 GAP = "  "
 DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
 WHOLE = re.compile(r"([+-]?)0*(\d+)", re.ASCII)
-MOST_DIGITS = 40  # a longer whole number is outside every permitted range; Python cannot convert numbers with > 4300 digits
+MOST_DIGITS = 40  # longer whole numbers are outside every permitted range, and Python cannot convert more than 4300 digits
 LARGEST_WHOLE = 2**63 - 1  # largest integer that TOML, HDF5 and numpy can store
 
 
@@ -34,7 +34,7 @@ def figure(value: float, form: str) -> str:
 def tidy(value: float, digits: int = 3) -> str:
     """Format a number with `digits` significant digits. NaN becomes a dash.
 
-    Nonzero numbers below 1e-4 and numbers from 1e5 are written as powers of ten.
+    Nonzero numbers with a magnitude below 1e-4, or of at least 1e5, are written with a power of ten.
     """
     if math.isnan(value):
         return "–"
@@ -56,7 +56,7 @@ def superscript(number: int) -> str:
 
 
 def counted(number: int, what: str) -> str:
-    """Return a number with a noun, such as "1 frame" or "2 frames". The plural of the noun must end in "s"."""
+    """Format a number with a noun, for example as "1 frame" or "2 frames". The plural of the noun must end in "s"."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
@@ -76,7 +76,7 @@ def seconds_text(value: float) -> str:
 
 
 def array_lines(rows: list[list[str]]) -> list[str]:
-    """Return each row of a colour filter array, given as channel names, as a line of text with aligned columns."""
+    """Format each row of a colour filter array, given as channel names, as a line of text with aligned columns."""
     wide = max(len(name) for row in rows for name in row)
     return [" ".join(name.ljust(wide) for name in row).rstrip() for row in rows]
 
@@ -87,7 +87,7 @@ def unit(text: str) -> str:
 
 
 def short_names(paths: Iterable[Path]) -> list[str]:
-    """Return, for each path, the shortest sequence of its last parts that distinguishes it from all other paths."""
+    """Return the shortest name for each path: as many of its last parts as are needed to distinguish it from all others."""
     every = [path.absolute().parts for path in paths]
 
     def distinguished(parts: tuple[str, ...]) -> str:
@@ -105,10 +105,10 @@ def columns(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int |
     headings : sequence of str
         Headings of the columns. A heading may consist of several lines.
     rows : sequence of sequence of str
-        The cells of each row. Question marks replace characters that are not printable.
+        The cells of each row. Characters that are not printable are replaced by question marks.
     width : int, optional
-        Maximum width in characters. A wider table is split into several tables, one below the other, each of which begins
-        with the first column. [default: unlimited]
+        Maximum width in characters. A wider table is split into several tables, one below the other, which all start with
+        the first column. [default: unlimited]
 
     Returns
     -------
@@ -138,12 +138,12 @@ def _line(cells: Sequence[str], part: Sequence[int], wide: Sequence[int]) -> str
 
 
 class NoSuchNumber(ValueError):
-    """Raised if a text is not a number or is out of range. The message states the permitted range."""
+    """Raised if a text is not a number or is outside the permitted range. The message states the range."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A permitted range of numbers, including both limits, with a unit.
+    """A range of permitted numbers with a unit. Both limits are included.
 
     If `whole` is set, only whole numbers are permitted.
     """
@@ -173,7 +173,7 @@ class Quantity:
 
 
 def _whole(text: str) -> float:
-    """Convert text that matches WHOLE to an int, or to ±infinity if it has more than MOST_DIGITS digits."""
+    """Convert text that matches WHOLE to an int, or to ±infinity if the text has more than MOST_DIGITS digits."""
     match = WHOLE.fullmatch(text)
     assert match is not None
     sign, digits = match.groups()

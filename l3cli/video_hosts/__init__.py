@@ -11,8 +11,8 @@ from l3cli.errors import L3Error
 def format_error(error: Exception, dash: str = "_") -> str:
     """Convert an exception to one line of text.
 
-    If the exception is not an L3Error, the text begins with the name of its class. In parameter names such as ‹black_level›,
-    the quotation marks are removed, and `dash` replaces the underscores.
+    If the exception is not an L3Error, the text starts with the name of its class. In parameter names such as ‹black_level›,
+    the angle quotes are removed, and each underscore is replaced by `dash`.
     """
     text = str(error) if isinstance(error, L3Error) else f"{type(error).__name__}: {error}"
     return re.sub("‹(\\w+)›", lambda match: match[1].replace("_", dash), " ".join(text.split()))

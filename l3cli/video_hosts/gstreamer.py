@@ -38,7 +38,7 @@ MOSAICS = (  # caps of the input
 )
 BITS = {"RGB": 8, "RGBA64_LE": 16}  # bits per value of each output format
 PICTURES = f"video/x-raw, format=(string){{ {', '.join(BITS)} }}, colorimetry=(string)sRGB"
-SHARED = ("width", "height", "framerate", "pixel-aspect-ratio")  # fields with the same value in the input and output caps
+SHARED = ("width", "height", "framerate", "pixel-aspect-ratio")  # fields with equal values in the input and output caps
 USUAL_RATE = Fraction(30)  # frame rate, in frames/s, of streams that do not state a frame rate
 
 
@@ -49,9 +49,9 @@ def _pad(name: str, direction: Any, caps: str) -> Any:
 class L3Render(GstBase.BaseTransform):
     """GStreamer element that renders mosaics in DN, as `l3 render` renders a sequence.
 
-    The output is sRGB with 8 bits (RGB) or 16 bits (RGBA64_LE), depending on the formats that the next element accepts. On
-    an error, for example if the frames do not fit the table, the element posts a one-line error message to the application,
-    and the stream ends.
+    The output is sRGB with 8 bits (RGB) or 16 bits (RGBA64_LE), depending on the formats that the next element accepts. If
+    an error occurs, for example because the frames do not fit the table, the element posts a one-line error message to the
+    application, and the stream ends.
     """
 
     __gtype_name__ = "L3Render"
@@ -90,7 +90,7 @@ class L3Render(GstBase.BaseTransform):
     def __init__(self) -> None:
         super().__init__()
         self._mosaics: Any = None  # l3cli.api.frames.Mosaics while the element runs, otherwise None
-        self._reported = ""  # latest error message; the same message is not posted again if GStreamer tries several caps
+        self._reported = ""  # latest error message, which is posted only once, even if GStreamer tries several caps
         self._picture: Any = None  # function that renders the next frame
         self._source: Any = None  # memory layout of the input frames
         self._target: Any = None  # memory layout of the output frames
@@ -101,7 +101,7 @@ class L3Render(GstBase.BaseTransform):
         self._reported = ""
         try:
             self._mosaics = self._opened()
-        except Exception as error:  # GStreamer would print the traceback of an uncaught exception and continue
+        except Exception as error:  # otherwise, GStreamer would print a traceback and continue
             return self._failed(error)
         return True
 
@@ -177,7 +177,7 @@ class L3Render(GstBase.BaseTransform):
         return Gst.FlowReturn.OK
 
     def _failed(self, error: Exception) -> bool:
-        """Post an error message to the application, unless it is the same as the previous message. Return False."""
+        """Post an error message to the application, unless it is equal to the previous message. Return False."""
         text = format_error(error, "-")
         if text != self._reported:
             self._reported, code = text, Gst.ResourceError.FAILED
@@ -186,7 +186,7 @@ class L3Render(GstBase.BaseTransform):
 
 
 class _Layout:
-    """Memory layout and frame rate of a stream, according to its caps.
+    """Memory layout and frame rate of a stream, from its caps.
 
     If the caps contain no frame rate, the rate is USUAL_RATE. The constructor raises a RecipeError if the stream is
     interlaced.
@@ -213,8 +213,8 @@ class _Layout:
     def pixels(self, buffer: Any, content: Any) -> Any:
         """Return the frame in a buffer as an array (row, col, channel), without copying the data.
 
-        If the buffer has video metadata, the metadata determine the stride and the offset. Otherwise, the caps determine
-        them. Raises a RecipeError if the buffer is too small.
+        The stride and the offset are taken from the video metadata of the buffer or, if the buffer has no video metadata,
+        from the caps. Raises a RecipeError if the buffer is too small.
         """
         import numpy as np
 

@@ -1,8 +1,10 @@
 """A VapourSynth filter that renders clips of raw frames to RGB.
 
-from l3cli.video_hosts.vapoursynth import render
+    from l3cli.video_hosts.vapoursynth import render
 
-picture = render(core.bs.VideoSource("raw.mkv"), "table.h5", bits=16)
+    picture = render(core.bs.VideoSource("raw.mkv"), "table.h5", bits=16)
+
+The parameters of `render` are described in docs/video.md#vapoursynth.
 """
 
 import os
@@ -33,7 +35,7 @@ def render(
 ) -> Any:  # fmt: skip
     """Render a clip of mosaics with a table.
 
-    An automatic exposure and an estimated white are computed from the first frame and applied to the whole clip. VapourSynth
+    Automatic exposure and an estimated white are computed from the first frame and applied to the whole clip. VapourSynth
     can therefore request frames in any order and from any thread. Only one frame is rendered at a time. The function renders
     the first frame immediately, so that errors occur before the clip is played.
 
@@ -61,8 +63,8 @@ def render(
     backend, device : str, optional
         Renderer and OpenCL device, as in `l3 render`.
     temporal : bool, default False
-        Whether to filter the frames over time, as with `l3 render --temporal`. The result does not depend on the order in
-        which frames are requested. If frames are requested out of order, up to 255 earlier frames are filtered first.
+        Whether to reduce noise over time, as with `l3 render --temporal`. The result does not depend on the order in which
+        frames are requested. If frames are requested out of order, up to 255 earlier frames are filtered first.
 
     Returns
     -------
@@ -72,7 +74,7 @@ def render(
     Raises
     ------
     vapoursynth.Error
-        If the clip, a file or a parameter is not valid. The message has one line.
+        If the clip, a file or a parameter is invalid. The message has one line.
     """
     try:
         _require_mosaics(clip)
