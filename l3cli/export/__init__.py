@@ -1,1 +1,1 @@
-"""Export to other software: profiles of a camera, and a table as C source or as plain arrays."""
+"""Export to other software: camera models as profiles, and tables as C source or as plain arrays."""

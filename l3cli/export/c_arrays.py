@@ -20,7 +20,7 @@ from l3cli.export.wordlengths import ShortWords
 from l3cli.rendering.opencl import layout
 from l3cli.rendering.reference import white_scale
 
-TAP_GROUP = 16  # zero weights pad the number of taps to a multiple of this number, so that loops have no remainder
+TAP_GROUP = 16  # weights are padded with zeros to a multiple of this number of taps, so that loops have no remainder
 TYPES = {  # dtype → C type
     "int8": "int8_t",
     "uint8": "uint8_t",
@@ -31,11 +31,11 @@ TYPES = {  # dtype → C type
     "float32": "float",
 }
 PER_LINE = 20  # numbers per line of an array
-PER_STRING = 4000  # bytes per string literal, of which C99 compilers must support 4095
-# The text of each byte in a string literal: printable ASCII characters as they are, and all other bytes in octal. "?" is
-# also written in octal, because two question marks begin a trigraph.
+PER_STRING = 4000  # bytes per string literal; C99 compilers must support 4095 bytes
+# The text of each byte in a string literal: printable ASCII characters are unchanged, and all other bytes are octal. "?" is
+# also octal, because two question marks start a trigraph.
 CHARACTERS = tuple(chr(b) if 32 <= b < 127 and chr(b) not in '"\\?' else f"\\{b:03o}" for b in range(256))
-SHORT_TOP = 2**15 - 1  # largest 16-bit word of a weight
+SHORT_TOP = 2**15 - 1  # largest weight in a 16-bit word
 
 
 @dataclass(frozen=True)
@@ -45,13 +45,13 @@ class Array:
     name: str
     values: NDArray
     axes: str  # comment above the array: its meaning, and its axes in parentheses
-    # Whether the array is flattened to one axis, and its bytes are written as string literals. Long arrays are packed,
-    # because compilers parse strings fifty times faster than numbers.
+    # Whether the array is flattened, and its bytes are written as string literals. Long arrays are packed, because compilers
+    # parse strings fifty times faster than numbers.
     packed: bool = False
 
     @property
     def local(self) -> bool:
-        """Whether the array is static in l3_table.c, because no other file uses it."""
+        """Whether the array is static in l3_table.c because no other file uses it."""
         return not self.name.startswith("l3_")
 
     @property
@@ -66,11 +66,11 @@ class Array:
 
     @property
     def alias(self) -> list[str]:
-        """Line with a macro that maps the name of a packed array to its values. Empty if the array is not packed."""
+        """A line with a macro that maps the name of a packed array to its values. Empty if the array is not packed."""
         return [f"#define {self.name} {self.name}_data.value"] if self.packed else []
 
     def public(self) -> list[str]:
-        """Return the lines of l3_table.h that declare the array."""
+        """Return the lines that declare the array in l3_table.h."""
         return [f"extern {self.declaration};", *self.alias]
 
     def lines(self) -> Iterator[str]:
@@ -91,8 +91,8 @@ def filled(taps: int) -> int:
 def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[Array], list[str]]:
     """Return the arrays of l3_table.c, and the lines of C that follow the arrays.
 
-    If `short` is not None, it contains the weights of the last layer as integers, which are written as 16-bit words.
-    Otherwise, the weights of the last layer are written as floats.
+    If `short` is None, the weights of the last layer are written as floats. Otherwise, the integer weights in `short` are
+    written as 16-bit words.
     """
     rule, neighbours = table.first.rule, neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
     arrays = [
@@ -152,9 +152,9 @@ def _last_floats(table: TransformTable) -> list[Array]:
 
 
 def _ratio_weights(taps: NDArray) -> list[Array]:
-    """Return a list with one array, which contains the weights of the colour ratios and of the bilateral chroma.
+    """Return a list with the array of the weights for the colour ratios and for the bilateral chroma.
 
-    The taps of these weights follow the window taps. If the layer has no such taps, the list is empty.
+    These taps follow the window taps. If the layer has no such taps, the list is empty.
     """
     return [Array("l3_ratio_weights", taps, "(class, output, tap)", packed=True)] if taps.size else []
 
@@ -268,7 +268,7 @@ def _fill(taps: NDArray) -> NDArray:
 
 
 def _some(edges: NDArray) -> NDArray:
-    """Return `edges` or, if `edges` is empty, an array with one edge that is not used, because C has no empty arrays."""
+    """Return `edges`. If `edges` is empty, return an array with one unused edge, because C has no empty arrays."""
     return edges if edges.size else np.zeros((1, *edges.shape[1:]), edges.dtype)
 
 
@@ -280,7 +280,7 @@ def _strings(values: NDArray) -> Iterator[str]:
 
 
 def _rows(values: NDArray) -> Iterator[str]:
-    """Yield the lines of C with the numbers of an array, with braces around the elements of all axes but the first."""
+    """Yield lines of C with the numbers of an array. Braces enclose the elements of all axes except the first axis."""
     if values.ndim > 1:
         for each in values:
             rows = list(_rows(each))
@@ -288,7 +288,7 @@ def _rows(values: NDArray) -> Iterator[str]:
             rows[-1] = rows[-1].rstrip(",") + "},"
             yield from rows
         return
-    if values.dtype.kind == "f":  # nine digits reproduce a float32 exactly
+    if values.dtype.kind == "f":  # nine significant digits reproduce a float32 exactly
         numbers = [f"{value:.8e}f" if value else "0.0f" for value in values.astype(np.float32).tolist()]
     else:
         numbers = [f"{value}{'u' if values.dtype == np.uint32 else ''}" for value in values.tolist()]

@@ -26,7 +26,7 @@ from l3cli.system.text import printable
 
 FORMAT, VERSION = "l3 table as arrays", 2
 TABLE_FIELDS = ("bits", "black_level", "white_level", "outputs", "output_unit", "white_point", "channels", "cfa")
-LEFT_OUT = ("samples", "condition")  # fields of layers that document the training and are not needed for rendering
+LEFT_OUT = ("samples", "condition")  # fields of layers that document the training and are not used for rendering
 
 FORMULAS = {
     "class": "(((site * levels + level) * contrasts + contrast) * combinations + combination) * kinds + kind",
@@ -139,7 +139,7 @@ LEAST_DOC = (
 
 
 def folder_files(table: TransformTable) -> dict[str, bytes]:
-    """Return the contents of all files of an exported table, by file name.
+    """Return the content of each file of an exported table. The keys are file names.
 
     Raises InputFileError if the table has layers that this version of l3 does not support.
     """
@@ -200,12 +200,12 @@ def _set(arrays: "_Arrays", table: TransformTable) -> dict[str, Any]:
 
 
 class _Arrays:
-    """Collects the files of arrays, and their descriptions for table.json."""
+    """Collects files with arrays, and the descriptions of these files for table.json."""
 
     def __init__(self) -> None:
         self.files: dict[str, bytes] = {}
         self.entries: list[dict[str, Any]] = []
-        # Prefix of the names of the arrays of an additional set of transforms. An array of such a set is left out if it is
+        # Prefix of the array names of an additional set of transforms. An array of an additional set is omitted if it is
         # equal to the array of the main set.
         self.prefix = ""
 
@@ -224,7 +224,7 @@ class _Arrays:
     def add_fields(self, prefix: str, instance: Any, names: tuple[str, ...] | None = None) -> dict[str, Any]:
         """Add the arrays of a dataclass. Return its scalars and texts, each with its unit and its description.
 
-        `names` limits the fields. None means all fields.
+        `names` selects the fields. If `names` is None, all fields are included.
         """
         values = {}
         for name, spec in declared(type(instance)):
@@ -245,7 +245,7 @@ def _file(name: str) -> str:
 
 
 def _layer(arrays: _Arrays, number: int, layer: Any) -> dict[str, Any]:
-    """Add the arrays of a layer and of its class rule, and return the scalars of both for table.json."""
+    """Add the arrays of a layer and of its class rule. Return the scalars of both for table.json."""
     prefix, rule = f"layer{number}/", layer.rule
     kind = next(iter(rule_fields(rule))) if number else "mosaic"
     entry: dict[str, Any] = {"reads": "planes" if number else "mosaic", "rule": kind}
@@ -266,7 +266,7 @@ def _layer(arrays: _Arrays, number: int, layer: Any) -> dict[str, Any]:
 
 
 def _derived(arrays: _Arrays, table: TransformTable) -> None:
-    """Add the arrays that l3 computes from a table before it renders, such as the number of taps of each channel."""
+    """Add the arrays that l3 computes from a table before rendering, such as the number of taps of each channel."""
     neighbours = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
     for name, values, doc in (
         ("count", neighbours.count, "number of taps of each channel in the patch of a site"),
@@ -318,14 +318,17 @@ def _study(words: Words, costs: tuple[Cost, ...]) -> dict[str, Any]:
 
 
 def _clipped_white(table: TransformTable) -> dict[str, Any]:
-    """Return the entry of table.json with the XYZ of the darkest white that clips every channel. Empty if it is unknown."""
+    """Return the entry of table.json with the XYZ of the darkest white that clips every channel.
+
+    The result is empty if the table does not contain this white.
+    """
     return {} if table.clipped_white is None else {"clipped_white": table.clipped_white.tolist()}
 
 
 def _white_scale(table: TransformTable) -> dict[str, Any]:
-    """Return the entry of table.json with the factor that converts each channel from DN to the luminance of a white.
+    """Return the entry of table.json with the factors that convert DN of each channel to the luminance of a white.
 
-    The result is empty if the table has no values for white.
+    The result is empty if the table does not contain the signals of white.
     """
     return {} if table.white_signals is None else {"white_scale": white_scale(table).tolist()}
 

@@ -30,15 +30,15 @@ VISIBLE = (380.0, 780.0)  # visible range in nm
 # Minimum response of each channel to grey, as a fraction of the response of the most sensitive channel. Below this limit,
 # the signal of a channel is almost only noise, and no colour matrices are computed.
 DIMMEST = 1e-4
-TYPICAL = 0.2  # signal at which the matrices balance noise against colour errors, as a fraction of the signal of white
+TYPICAL = 0.2  # signal, as a fraction of white, for which the matrices are optimised with respect to noise and colour errors
 DIGITS = 5  # number of decimals of the matrices in files
-BLACK_BODIES = (2200, 2500, 2856, 3200, 3600)  # colour temperatures of the white-balance curve below daylight, in K
-DAYLIGHTS = (4500, 5000, 5500, 6500, 7500, 8600)  # colour temperatures of the white-balance curve in daylight, in K
-NOISE_LEVELS = 64  # a noise profile is fitted at this number of signals from 1 DN (at 16 bits) to the white level
+BLACK_BODIES = (2200, 2500, 2856, 3200, 3600)  # colour temperatures, in K, of the white-balance curve for black bodies
+DAYLIGHTS = (4500, 5000, 5500, 6500, 7500, 8600)  # colour temperatures, in K, of the white-balance curve for daylight
+NOISE_LEVELS = 64  # number of signals, from 1 DN (at 16 bits) to the white level, to which a noise profile is fitted
 MIN_COLOURS = 3  # minimum number of channels with different responsivities for colour matrices
-# Responsivities are scaled to a sum of 1. The number of their singular values above this fraction of the largest one is the
-# number of different responsivities. Equal channels whose curves have measurement errors of 5 % reach 0.03, and the third
-# value of RCCG is 0.2.
+# The responsivities of each channel are scaled to a sum of 1. The number of different responsivities is the number of
+# singular values above this fraction of the largest singular value. For equal channels whose curves have measurement errors
+# of 5 %, the smaller singular values reach 0.03. For RCCG, the third singular value is 0.2.
 DIFFERENT = 0.05
 RGB = ({"r", "red"}, {"g", "green"}, {"b", "blue"})  # names of red, green and blue channels
 SIGNAL_BITS = 16  # bit depth of the signals in tuning files
@@ -58,9 +58,9 @@ DCP, RASPBERRY_PI, PI_5, SIMPLE = "dcp.json", "libcamera_rpi.json", "libcamera_p
 
 ILLUMINANTS = {"A": "StdA", "D65": "D65"}  # illuminants of a DCP in order of colour temperature → names in dcamprof
 SIMPLE_DARKEST = 2**15 - 1  # maximum black level in a tuning file for the simple pipeline
-RAWTOACES = np.arange(380.0, 781.0, 5.0)  # wavelengths of the curves in rawtoaces, in nm
-ALSC_TEMPERATURE = 5000  # colour temperature of the shading tables in K; libcamera uses a single table at any temperature
-SMOOTHNESS = 0.003  # weight of the squared second differences of a shading table, relative to its squared errors
+RAWTOACES = np.arange(380.0, 781.0, 5.0)  # wavelengths of the curves for rawtoaces, in nm
+ALSC_TEMPERATURE = 5000  # colour temperature of the shading tables in K; libcamera uses a single table at all temperatures
+SMOOTHNESS = 0.003  # weight of the squared second differences in the fit of a shading table, relative to the squared errors
 Array = NDArray[np.floating]
 
 
@@ -69,7 +69,7 @@ class Target(NamedTuple):
 
     name: str  # name in libcamera
     cells: tuple[int, int]  # rows and columns of the shading tables
-    # Maximum rows and columns of the grid, which extends from edge to edge of the frame, and in which the ISP interpolates.
+    # Maximum rows and columns of the grid between whose points the ISP interpolates. The grid spans the whole frame.
     vertices: tuple[int, int]
 
 
@@ -90,7 +90,7 @@ class LightMatrices:
     """Colour matrices of a camera with n channels for one illuminant."""
 
     neutral: Array  # (n,) signals of a grey surface, scaled to a maximum of 1
-    colour: Matrix  # (n, 3) converts XYZ under the illuminant (white has Y = 1) to channels (maximum of white is 1)
+    colour: Matrix  # (n, 3) converts XYZ under the illuminant (white: Y = 1) to channels (white: maximum of 1)
     forward: Matrix  # (3, n) converts white-balanced channels to the XYZ of the surface under D50
     correction: Matrix  # (3, n) converts white-balanced channels to the linear sRGB of the surface under D65
 
@@ -117,9 +117,9 @@ def light_matrices(camera: CameraModel, light: str) -> LightMatrices | None:
 
 
 def _colours_of(camera: CameraModel) -> int:
-    """Return the number of channels whose responsivities differ in more than a factor.
+    """Return the number of channels with different responsivities. Scaled copies of a responsivity do not count.
 
-    For example, it is 1 for a monochrome camera with four polarisers, and 3 for a Bayer array with two exposures.
+    For example, the number is 1 for a monochrome camera with four polarisers, and 3 for a Bayer array with two exposures.
     """
     curves = camera.electron_weights
     values = np.linalg.svd(curves / np.maximum(curves.sum(axis=1, keepdims=True), 1e-30), compute_uv=False)
@@ -127,7 +127,7 @@ def _colours_of(camera: CameraModel) -> int:
 
 
 def _colour_matrix(xyz: Array, white: Array, channels: Array, neutral: Array) -> Matrix:
-    """Fit the ColorMatrix (n, 3), so that the colour errors of its pseudo-inverse, which raw converters apply, are small."""
+    """Fit the ColorMatrix (n, 3) so that its pseudo-inverse, which raw converters apply, has small colour errors."""
     start = fit_through(xyz, channels, white, neutral)
     ours = refinement(channels @ np.linalg.pinv(start).T, xyz, white)
     values = np.round(start @ np.linalg.inv(ours), DIGITS)
@@ -142,7 +142,7 @@ def _matrix_to(space: Array, balanced: Array, noise: Array, wanted: Array, white
     start = fit_through(balanced, wanted, np.ones(balanced.shape[1]), white, noise)
     values = np.round(space @ refinement(balanced @ start.T, wanted, white) @ start, DIGITS)
     largest = np.abs(values).argmax(axis=1)
-    # Rounding changes the sums of the rows. The largest value of each row is corrected, so that white remains exact.
+    # Rounding changes the sums of the rows. The largest value in each row is corrected so that white remains exact.
     values[np.arange(3), largest] += np.round(space @ white, DIGITS) - values.sum(axis=1)
     values = np.round(values, DIGITS)
     return _judged(values, balanced @ values.T @ np.linalg.inv(space).T, wanted, white)
@@ -154,7 +154,7 @@ def _judged(values: Array, xyz: Array, wanted: Array, white: Array) -> Matrix:
 
 
 def _grid(camera: CameraModel) -> Array:
-    """Return a wavelength grid in nm that covers the visible range and the wavelengths of the camera."""
+    """Return a wavelength grid in nm that covers the visible range and the wavelength range of the camera."""
     low, high = min(camera.wavelength[0], VISIBLE[0]), max(camera.wavelength[-1], VISIBLE[1])
     return np.arange(STEP_NM * np.floor(low / STEP_NM), high + STEP_NM / 2, STEP_NM)
 
@@ -165,7 +165,7 @@ def _responses(camera: CameraModel, light: str) -> tuple[Array, Array]:
     Returns
     -------
     white : ndarray, (n,)
-        Signals of a white surface, scaled to a maximum of 1. All are 0 if the camera does not respond to the illuminant.
+        Signals of white, scaled to a maximum of 1. All signals are 0 if the camera does not respond to the illuminant.
     balanced : ndarray, (surface, n)
         Signals of measured surfaces, divided by the signals of white.
     """
@@ -185,7 +185,7 @@ def _colours(camera: CameraModel, library: Array, light: str) -> tuple[Array, Ar
 
 
 def errors(matrices: LightMatrices) -> dict[str, dict[str, Any]]:
-    """Return the matrices and their colour errors as JSON types, by the name of the matrix.
+    """Return the matrices and their colour errors as JSON types. The keys are the names of the matrices.
 
     The errors are the mean, the 95th percentile and the maximum of CIEDE2000 over measured surfaces. The result also
     contains the L*a*b* of the surface with the largest error.
@@ -219,8 +219,8 @@ def temperature_curve(camera: CameraModel, order: tuple[int, int, int]) -> Array
     Returns
     -------
     ndarray, (temperature, 3), or None
-        Temperature in K, r/g and b/g, for black bodies and daylight. None if the signal in g is almost 0. Also None if r/g
-        does not decrease or b/g does not increase with the temperature, because libcamera searches along the curve.
+        Temperature in K, r/g and b/g, for black bodies and daylight. None if the signal in g is almost 0, or if r/g does not
+        decrease and b/g does not increase monotonically with temperature, because libcamera searches along the curve.
     """
     names = [f"{kelvin}K" for kelvin in BLACK_BODIES] + [f"D{kelvin}K" for kelvin in DAYLIGHTS]
     greys = np.array([_responses(camera, name)[0] for name in names])
@@ -279,7 +279,7 @@ def shading_tables(field: FlatField, order: tuple[int, int, int], target: Target
     Returns
     -------
     green, red, blue : ndarray, (row, col)
-        Gain of g, and gains of r and b relative to the gain of g. The smallest value of each table is 1.
+        Gain of g, and the gains of r and b relative to the gain of g. The smallest value in each table is 1.
     """
     ends = field.grid_row[-1] + 1, field.grid_col[-1] + 1
     fine = [length * _middles(4 * vertices) - 0.5 for length, vertices in zip(ends, target.vertices, strict=True)]
@@ -293,7 +293,7 @@ def shading_tables(field: FlatField, order: tuple[int, int, int], target: Target
 def _fit(cells: int, vertices: int) -> Array:
     """Return the matrix (cell, sample) that fits the values of cells to gains along one axis of the frame.
 
-    The gains are sampled at four points per vertex of the ISP's grid. The fit is by regularised least squares.
+    The gains are sampled at four points per vertex of the ISP's grid. The fit is a regularised least-squares fit.
     """
     places, middles = _middles(4 * vertices), _middles(cells)
     corners = np.linspace(0, 1, vertices)
@@ -304,12 +304,12 @@ def _fit(cells: int, vertices: int) -> Array:
 
 
 def _middles(count: int) -> Array:
-    """Return the centres of `count` equal parts of the interval 0…1."""
+    """Return the centres of `count` equal parts of the interval from 0 to 1."""
     return (np.arange(count) + 0.5) / count
 
 
 def rgb_order(channels: Sequence[str]) -> tuple[int, int, int] | None:
-    """Return the indices of the channels r, g and b, or None if the camera has any other set of channels."""
+    """Return the indices of the channels r, g and b. Return None if the camera has other channels."""
     colours = [next((index for index, each in enumerate(RGB) if name.casefold() in each), None) for name in channels]
     if len(colours) != len(RGB) or set(colours) != {0, 1, 2}:
         return None
@@ -317,7 +317,7 @@ def rgb_order(channels: Sequence[str]) -> tuple[int, int, int] | None:
 
 
 def bayer_order(channels: Sequence[str], cfa: NDArray[np.integer]) -> tuple[int, int, int] | None:
-    """Return the indices of the channels r, g and b if the CFA is a 2×2 Bayer array with g on a diagonal, otherwise None."""
+    """Return the indices of r, g and b if the CFA is a 2×2 Bayer array with g on a diagonal. Otherwise, return None."""
     order = rgb_order(channels)
     if order is None or cfa.shape != (2, 2):
         return None
@@ -327,9 +327,9 @@ def bayer_order(channels: Sequence[str], cfa: NDArray[np.integer]) -> tuple[int,
 
 
 def datasheet(camera: CameraModel) -> list[Row]:
-    """Return the rows of the data sheet of a camera, with the columns quantity, channel, value, unit and source.
+    """Return the rows of the data sheet of a camera: quantity, channel, value, unit and source.
 
-    The channel is empty if a quantity applies to the whole camera. The source of a value is "measured", "declared" (stated
+    If a quantity applies to the whole camera, the channel is empty. The source of a value is "measured", "declared" (stated
     by the user in the measurement file) or "recipe".
     """
     optics, source = camera.optics, "recipe" if camera.fit is None else "measured"
@@ -365,7 +365,7 @@ def _polariser_rows(camera: CameraModel, peaks: NDArray[np.integer], given: str)
     """Return the rows of the data sheet with the angles and the finite extinction ratios of the polarisers.
 
     `peaks` contains the index of the peak wavelength of each channel. `given` is the source of values that were not
-    measured. Measured values have 95 % bands. The result is empty for a camera without polarisers.
+    measured. Measured values have 95 % bands. If the camera has no polarisers, the result is empty.
     """
     polarisers, fit = camera.polarisers, camera.fit.polarisers if camera.fit else None
     rows: list[Row] = []
@@ -386,7 +386,7 @@ def _polariser_rows(camera: CameraModel, peaks: NDArray[np.integer], given: str)
 
 
 def _declared(name: str, camera: CameraModel) -> bool:
-    """Return whether a quantity was not measured, but was copied from a data sheet or assumed to be 0."""
+    """Return whether a quantity was copied from a data sheet or assumed to be 0, instead of being measured."""
     known = DECLARED_AS.get(name, name)
     return known in camera.declared or (name in NOISE and "noise" in camera.declared)
 
@@ -394,16 +394,17 @@ def _declared(name: str, camera: CameraModel) -> bool:
 class Exported(NamedTuple):
     """Files that describe a camera to other software."""
 
-    files: dict[str, str]  # file name → contents
+    files: dict[str, str]  # file name → content
     errors: dict[str, dict[str, dict[str, Any]]]  # illuminant → name of a matrix → its colour errors (see `errors`)
-    note: str | None  # states which files could not be written, and why; None if all files are included
+    note: str | None  # message about files that could not be created, with the reason; None if all files are included
 
 
 def export(camera: CameraModel) -> Exported:
-    """Create the files that describe a camera to other software: responsivities, data sheet, DCP profile and tuning files.
+    """Create files that describe a camera to other software: responsivities, data sheet, DCP profile and tuning files.
 
     The DCP profile and the tuning files contain colour matrices, which require at least three channels with different
-    responsivities. Tuning files also require a Bayer array. If files are left out, the note of the result states the reason.
+    responsivities. Tuning files also require a Bayer array. If a file cannot be created, the note in the result states the
+    reason.
     """
     camera = replace(camera, name=printable(camera.name))  # the name may contain unprintable bytes
     files = {**_curves(camera), DATASHEET: _datasheet_csv(camera)}
@@ -434,7 +435,7 @@ def export(camera: CameraModel) -> Exported:
 def _curves(camera: CameraModel) -> dict[str, str]:
     """Return two files with the relative responsivities per energy: a CSV file, and a JSON file for rawtoaces.
 
-    The CSV file contains the wavelengths of the camera. The responsivities are scaled to a maximum of 1.
+    The CSV file has the wavelengths of the camera. The responsivities are scaled to a maximum of 1.
     """
     curves = camera.responsivity * camera.wavelength
     curves = curves / curves.max()
@@ -461,9 +462,9 @@ def _curves(camera: CameraModel) -> dict[str, str]:
 def _dcp_json(camera: CameraModel, known: Mapping[str, LightMatrices]) -> str:
     """Return a DCP in the JSON format of `dcamprof json2dcp`, with matrices for ILLUMINANTS.
 
-    Two additional keys are not part of a DCP. Channels lists the names of the channels: r, g, b if the camera has exactly
-    these channels, otherwise the channels in the order of the camera. AsShotNeutral contains the signals of a grey surface
-    under each illuminant, for use in DNG files.
+    Two additional keys are not part of a DCP. "Channels" lists the channel names: r, g, b if the camera has exactly these
+    channels, otherwise all channels in the order of the camera. "AsShotNeutral" contains the signals of a grey surface under
+    each illuminant, for use in DNG files.
     """
     planes = list(rgb_order(camera.channels) or range(len(camera.channels)))
     lights = [known[light] for light in ILLUMINANTS]
@@ -482,7 +483,7 @@ def _raspberry_pi_json(
 ) -> str:
     """Return a tuning file (version 2.0, JSON) for the Raspberry Pi pipelines of libcamera.
 
-    libcamera and picamera2 read the file under the name SENSOR.json.
+    libcamera and picamera2 expect the file name SENSOR.json.
 
     Parameters
     ----------
@@ -491,11 +492,11 @@ def _raspberry_pi_json(
     corrections : mapping of int to ndarray, (3, 3)
         Colour temperature in K, in increasing order → colour correction matrix.
     curve : ndarray, (temperature, 3), or None
-        Result of `temperature_curve`. If it is None, the file contains no curve for the white balance.
+        Result of `temperature_curve`. If `curve` is None, the file contains no white-balance curve.
     order : tuple of int
         Indices of the channels r, g and b.
     target : Target
-        Image signal processor, for which the shading tables are computed if the camera has a flat field.
+        Image signal processor. It determines the size of the shading tables, which require a flat field.
     """
     flat = {"priors": [{"lux": 0, "prior": [2000, 0.0, 13000, 0.0]}]}  # a flat prior, because the illuminance is unknown
     awb: dict[str, Any] = {"bayes": 0}
@@ -568,7 +569,7 @@ def _datasheet_csv(camera: CameraModel) -> str:
 
 
 def _json(value: Any, indent: int = 0) -> str:
-    """Convert a value to ASCII JSON, indented by two spaces per level. A list that contains only numbers is on one line."""
+    """Convert a value to ASCII JSON, indented by two spaces per level. A list of numbers is written on one line."""
     inner = " " * (indent + 2)
     if isinstance(value, dict):
         lines = [f"{inner}{json.dumps(key)}: {_json(each, indent + 2)}" for key, each in value.items()]

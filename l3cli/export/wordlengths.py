@@ -33,24 +33,24 @@ from l3cli.rendering.reference import (
     smoothed_chroma,
 )
 
-# Rows and columns of the test vector. It is wider than a block of pixels in the C source, and its width is not a multiple of
-# common CFA periods.
+# Rows and columns of the test vector. The test vector is wider than a block of pixels in the C source. Its width is not a
+# multiple of common CFA periods.
 VECTOR_SHAPE = (40, 150)
 VECTOR_SEED = 3
-MOST_OUTPUT_FRACTION = 12  # largest number of fractional bits of a 16-bit output, which gives a range of ±8
+MOST_OUTPUT_FRACTION = 12  # maximum number of fractional bits of a 16-bit output, for a range of ±8
 OUTPUT_TOP = 2**15 - 1  # largest 16-bit output
 HIGH_BITS = 12  # number of bits in the high part of a value, including the sign
-# Maximum of a weight before rounding, and maximum of a sum of products. The sum leaves a margin, because the low part of the
-# value and the rounding constant are added later.
+# Maximum of a weight before rounding, and maximum of a sum of products. The maximum of the sum leaves a margin for the low
+# part of the value and for the rounding constant, which are added later.
 MAX_WEIGHT, MAX_SUM = 2.0**15 - 8, 2.0**31 - 2**26
 MAX_FRACTION = 24
-# Assumed correlation R of the values of two taps: exp(−distance / REACH), where the distance is in pixels. R is multiplied
-# by OTHER for taps of different channels. NOISE is added to the correlation of a tap with itself.
+# Assumed correlation R between the values of two taps: exp(−distance / REACH), with the distance in pixels. For taps of
+# different channels, R is multiplied by OTHER. NOISE is added to the correlation of a tap with itself.
 REACH, OTHER, NOISE = 8.0, 0.8, 0.2
-LENGTHS = (8, 10, 12, 14, 16)  # word lengths, in bits, whose accuracy is measured
-SHAPE, SEED = (64, 256), 4  # (rows, columns) and seed of the mosaic for which the accuracy is measured
-ENOUGH_PSNR_DB = 60.0  # sufficient PSNR, which corresponds to an RMS error of 0.001 for a peak of 1
-Scale = Literal["class", "table"]  # whether each class has its own binary point, or the whole table has one binary point
+LENGTHS = (8, 10, 12, 14, 16)  # word lengths, in bits, for which the accuracy is measured
+SHAPE, SEED = (64, 256), 4  # (rows, columns) and seed of the mosaic with which the accuracy is measured
+ENOUGH_PSNR_DB = 60.0  # sufficient PSNR; corresponds to an RMS error of 0.001 for a peak of 1
+Scale = Literal["class", "table"]  # whether each class or the whole table has a binary point
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Vector:
     outputs: NDArray[np.float32]  # (output, row, col)
 
     def files(self) -> dict[str, bytes]:
-        """Return the arrays as the contents of little-endian files in row-major order, by file name."""
+        """Return the arrays as the content of little-endian files in row-major order. The keys are file names."""
         return {
             "test_raw.bin": self.raw.astype("<u2").tobytes(),
             "test_labels.bin": self.labels.astype("<u4").tobytes(),
@@ -100,11 +100,11 @@ def make_vector(table: TransformTable) -> Vector:
 class ShortWords:
     """Transforms of the last layer as 16-bit words. The taps are in the same order as in the table."""
 
-    # (class, output, tap) Weights with at most 16 bits. Only the largest weight of a window may have more bits.
+    # (class, output, tap) integer weights. All have at most 16 bits, except the largest weight of a window.
     whole: NDArray[np.int32]
     intercept: NDArray[np.int32]  # (class, output)
     fraction: NDArray[np.uint8]  # (class, output) number of fractional bits of the weights, minus `split`
-    split: int  # number of bits in the low part of a value
+    split: int  # number of bits in the low part of an input value
 
     def in_floats(self, table: TransformTable) -> NDArray[np.float32]:
         """Convert the words back to float weights (class, output, tap) for the last layer of the table."""
@@ -115,8 +115,9 @@ class ShortWords:
 def output_fraction(table: TransformTable) -> int:
     """Return the number of fractional bits of the 16-bit outputs of a table, at most 12.
 
-    The clipped white uses at most half of the range, because pixels beside edges can be brighter. It is much brighter than
-    white if some channels clip long after others, for example beside pixels without a filter.
+    The clipped white may use at most half of the range of an output, because pixels next to edges can be brighter than the
+    clipped white. The clipped white is much brighter than white if some channels clip much later than other channels, for
+    example in arrays with unfiltered pixels.
     """
     if table.clipped_white is None:
         return MOST_OUTPUT_FRACTION
@@ -124,12 +125,12 @@ def output_fraction(table: TransformTable) -> int:
 
 
 def split_of(table: TransformTable) -> int:
-    """Return how many bits the low part has when the last layer splits its input values into a high and a low part."""
+    """Return the number of bits in the low part of an input value. The last layer splits values into two parts."""
     return PLANE_TOP.bit_length() + 1 - HIGH_BITS if table.later else max(0, table.bits - HIGH_BITS)
 
 
 def offset_of(table: TransformTable) -> int:
-    """Return the offset that the last layer subtracts from each input value."""
+    """Return the offset that the last layer subtracts from its input values."""
     return 0 if table.later else raw_middle(table.bits)
 
 
@@ -141,14 +142,14 @@ def short_words(table: TransformTable) -> ShortWords:
     """
     split, offset = split_of(table), offset_of(table)
     layer, black = table.layers[-1], 0.0 if table.later else table.black_level - offset
-    # The unit of these weights is one step of an output per step of an input value.
+    # These weights are in output steps per step of an input value.
     steps = 2 ** output_fraction(table)
     weights = layer.weights.astype(np.float64) * (_value_step(table) * steps)
     intercept = layer.intercept.astype(np.float64) * steps - black * weights.sum(axis=-1)
     values = PLANE_TOP if table.later else max(2**table.bits - 1 - offset, offset)
     size = np.abs(weights)
     windows = weights.shape[-1] - (table.later[-1].ratio_taps if table.later else 0)
-    # Bilateral chroma is a difference between two values, so it can be twice as large as a value.
+    # Bilateral chroma is the difference between two values, and can therefore be twice as large as a value.
     twice = size[..., windows + RATIO_TAPS[1] :].sum(axis=-1)
     sums = (size.sum(axis=-1) + twice) * values + np.abs(intercept)
     second = np.sort(size[..., :windows], axis=-1)[..., -2:].min(axis=-1)
@@ -176,10 +177,10 @@ def _value_step(table: TransformTable) -> float:
 
 
 def _likenesses(table: TransformTable) -> list[tuple[NDArray[np.bool_], NDArray[np.float64]]]:
-    """For each group of classes in the last layer, return the assumed correlation R (tap, tap) between the window taps.
+    """Return the assumed correlation R (tap, tap) between window taps, for each group of classes in the last layer.
 
     In the first layer, the classes of each CFA site are a group. In a refinement layer, all classes are one group. Each item
-    of the result consists of a mask of the classes in the group and the matrix R of the group.
+    of the result is a tuple: a mask of the classes in the group, and the matrix R of the group.
     """
     layer = table.layers[-1]
     if table.later:
@@ -193,8 +194,8 @@ def _likenesses(table: TransformTable) -> list[tuple[NDArray[np.bool_], NDArray[
 def _likeness(source: NDArray[np.int64], other: float) -> NDArray[np.float64]:
     """Return the assumed correlation R (tap, tap) between the taps of square windows.
 
-    `source` contains the channel or the plane of each tap. The correlation of taps with different sources is multiplied by
-    `other`.
+    `source` contains the channel or the plane of each tap. If two taps have different sources, their correlation is
+    multiplied by `other`.
     """
     side = math.isqrt(len(source) if other else np.count_nonzero(source == source[0]))
     row, column = np.divmod(np.arange(len(source)) % side**2, side)
@@ -204,17 +205,17 @@ def _likeness(source: NDArray[np.int64], other: float) -> NDArray[np.float64]:
 
 
 def _rounded(weights: NDArray[np.float64], likeness: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Round weights (class, output, tap) to integers, so that the error eᵀ R e is small.
+    """Round weights (class, output, tap) to integers so that the error eᵀ R e is small.
 
-    e is the vector of the rounding errors of all taps, and R is `likeness`. Starting from the nearest integers, the function
-    repeatedly changes the weight with which the error decreases most.
+    e is the vector of the rounding errors of all taps, and R is `likeness`. The function starts with the nearest integers.
+    In each step, it changes the weight that reduces the error most.
     """
     flat = weights.reshape(-1, weights.shape[-1])
     whole = np.rint(flat)
     slope = (whole - flat) @ likeness  # half of the derivative of eᵀ R e with respect to each weight
     own = np.diag(likeness)
     for _ in range(2 * flat.shape[1]):
-        change = own - 2 * np.abs(slope)  # change of eᵀ R e if a weight changes by 1 in the better direction
+        change = own - 2 * np.abs(slope)  # change of eᵀ R e if a weight changes by 1 in the direction that reduces the error
         tap = change.argmin(axis=1)
         moved = np.flatnonzero(change[np.arange(len(flat)), tap] < -1e-9)
         if not moved.size:
@@ -251,7 +252,7 @@ class Cost:
 
 
 def in_words(weights: NDArray[np.float32], bits: int, scale: Scale) -> Words:
-    """Convert weights (class, output, tap) to fixed point with `bits` bits, at most 16."""
+    """Convert weights (class, output, tap) to fixed point with a word length of `bits`, at most 16."""
     largest = np.abs(weights).max(axis=(1, 2)).astype(np.float64)
     if scale == "table":
         largest[:] = largest.max()
@@ -262,9 +263,9 @@ def in_words(weights: NDArray[np.float32], bits: int, scale: Scale) -> Words:
 
 
 def word_costs(table: TransformTable) -> tuple[Cost, ...]:
-    """Measure the accuracy of fixed-point weights for each word length in LENGTHS and for each type of binary point (Scale).
+    """Measure the accuracy of fixed-point weights for each word length in LENGTHS, and for both types of `Scale`.
 
-    The outputs of a random mosaic with fixed-point weights are compared with its outputs with float weights.
+    The outputs of a random mosaic with fixed-point weights are compared with the outputs with float weights.
     """
     weights = table.layers[-1].weights
     outputs = _outputs(table)
@@ -286,9 +287,9 @@ def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
     psnr : float
         PSNR of the rounded outputs in dB, for a peak of 1. The errors include all steps after the last layer: the
         replacement of clipped areas, the limit of the luminance, and the smoothing of chroma. If the table has coarse
-        chroma, they also include the rounding of coarse chroma, which affects two of the three outputs.
+        chroma, the errors also include the rounding of coarse chroma, which affects two of the three outputs.
     worst : float
-        Largest error of an output before it is rounded, in steps of a rounded output.
+        Largest error of an output before rounding, in steps of a rounded output.
     """
     outputs, step = _outputs(table), 2.0 ** -output_fraction(table)
     expected, short = outputs(table.layers[-1].weights), outputs(words.in_floats(table))
@@ -314,7 +315,7 @@ def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
 def chosen_words(table: TransformTable, costs: tuple[Cost, ...]) -> Words:
     """Convert the weights of the last layer to the shortest words with a PSNR of at least ENOUGH_PSNR_DB.
 
-    Each class has its own binary point. If no word length in `costs` reaches this PSNR, the longest is used.
+    Each class has its own binary point. If no word length in `costs` reaches this PSNR, the longest word length is used.
     """
     enough = [cost.bits for cost in costs if cost.scale == "class" and cost.psnr >= ENOUGH_PSNR_DB]
     return in_words(table.layers[-1].weights, min(enough, default=LENGTHS[-1]), "class")

@@ -22,9 +22,10 @@ from l3cli.report.validation import BANDS, photo_lead, photo_subsections, table_
 from l3cli.system.text import counted, tidy, unit
 
 CELL_HEIGHT, MAX_CELL_WIDTH = 44, 104  # height and maximum width of a filter in the drawing of the array, in px
-HEADROOM = 1.06  # ratio of the upper end of the axis to the maximum of the curves, which leaves space for labels
-MAX_LABEL_CHARACTERS = 24  # maximum total length of the channel names for which the curves are labelled
-# A point of the photon transfer is saturated if its variance is below this fraction of the variance on the fitted line.
+HEADROOM = 1.06  # upper end of an axis, divided by the maximum of the curves; the margin is for labels
+MAX_LABEL_CHARACTERS = 24  # curves are labelled if the names of all channels together have at most this many characters
+# A point of the photon transfer curve is saturated if its variance is below this fraction of the variance on the fitted
+# line.
 SATURATED_VARIANCE = 0.9
 Array = NDArray[np.floating]
 LINEAR_RANGE = (0.05, 0.95)  # range of the linear fit, as a fraction of the saturation capacity
@@ -45,9 +46,8 @@ def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> S
     ----------
     camera : CameraModel
         The camera.
-    figures : dict
-        Output of `l3 calibrate --json` for this camera, with the additional key "shortfall". Its value is the reason why the
-        model is not reliable, or an empty string.
+        Output of `l3 calibrate --json` for this camera, with the additional key "shortfall". Its value states why the model
+        is not reliable, or is an empty string.
     name : str
         Name of the file that contains the model.
 
@@ -55,7 +55,7 @@ def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> S
     -------
     Section
         Subsections about the sensor, the responsivities and the noise. If the model was measured, subsections with the data
-        sheet, the polarisers, the photos and the validation are added, as far as these measurements exist.
+        sheet, the polarisers, the photos and the validation follow, provided that these measurements exist.
     """
     parts = [
         Subsection("Sensor and colour filter array", (Figures((array_figure(camera),)), _facts(camera))),
@@ -97,7 +97,7 @@ def _lead(camera: CameraModel, figures: dict[str, Any]) -> str:
 
 
 def drift_note(camera: CameraModel) -> str:
-    """Return a sentence, with a leading space, about an unexpected lamp drift. Empty if the measurements show none."""
+    """Return a sentence, with a leading space, about an unexpected lamp drift. Empty if no drift was detected."""
     if camera.fit is None or camera.fit.drift is None:
         return ""
     return (
@@ -107,16 +107,15 @@ def drift_note(camera: CameraModel) -> str:
 
 
 def polariser_figure(camera: CameraModel, fit: PolariserFit) -> Figure:
-    """Plot the signals behind the rotating polariser and the fitted curves of Malus's law.
+    """Plot the signals behind a rotating polariser, and the fitted curves of Malus's law.
 
-    The signals are divided by the brightness of the light in each capture, so that a single curve fits all captures of a
-    channel.
+    The signals are divided by the brightness of the light in each capture, so that one curve per channel fits all captures.
     """
     law = fit.gain, fit.angle, fit.leakage, fit.light_polarisation
     light = np.linspace(0.0, 180.0, 181)
     curves, bright = malus(light, *law), fit.brightness[:, None]
     largest = curves.max()
-    unit_signal = (fit.predicted / bright).sum() / malus(fit.light_angle, *law).sum()  # signal at a value of 1, in DN/s
+    unit_signal = (fit.predicted / bright).sum() / malus(fit.light_angle, *law).sum()  # DN/s per unit of Malus's law
     curves, signal = curves / largest, fit.measured / bright / unit_signal / largest
     plot = Plot(
         spanning("angle of the rotating polariser (°)", light),
@@ -145,7 +144,7 @@ def polariser_figure(camera: CameraModel, fit: PolariserFit) -> Figure:
 def array_figure(camera: CameraModel) -> Figure:
     """Draw one period of the colour filter array.
 
-    Each site shows the name of its channel. The background has the colour of daylight behind the filter.
+    Each site contains the name of its channel, on a background in the colour of daylight behind the filter.
     """
     rows, cols = camera.cfa.shape
     light = colours.channel_light(camera)
@@ -193,7 +192,7 @@ def _facts(camera: CameraModel) -> Table:
 def _declared_from(camera: CameraModel) -> str:
     """State the origin of the values that were not measured.
 
-    They are from the data sheet or, in a model from photos without dark frames, 0.
+    Such values are from the data sheet. In a model from photos without dark frames, they are assumed to be 0.
     """
     return "not measured, assumed to be 0" if "dark current" in camera.declared else "from the data sheet"
 
@@ -204,7 +203,7 @@ def _declared_from(camera: CameraModel) -> str:
 def responsivity_figures(camera: CameraModel) -> tuple[Figure, ...]:
     """Plot the responsivities of the channels.
 
-    If the camera has confidence bands, the plot includes the bands, and a second figure shows their half widths.
+    If the camera has confidence bands, the plot includes the bands, and a second figure shows the half widths of the bands.
     """
     label = "quantum efficiency (e⁻/photon)" if camera.absolute else "relative responsivity (1)"
     upper, measured = camera.responsivity + camera.responsivity_band, bool(camera.responsivity_band.any())
@@ -227,7 +226,8 @@ def responsivity_figures(camera: CameraModel) -> tuple[Figure, ...]:
 def _band_figure(camera: CameraModel) -> Figure:
     """Plot the half widths of the confidence bands.
 
-    This separate plot is needed because the bands of a good calibration are too narrow to be visible around the curves.
+    The bands are shown in a separate plot, because the bands of a good calibration are too narrow to be visible around the
+    curves.
     """
     shares = 100 * camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     plot = Plot(spanning("wavelength (nm)", camera.wavelength), spanning("half width (% of peak)", shares, zero=True))
@@ -273,7 +273,7 @@ def _noise_blocks(camera: CameraModel, figures: dict[str, Any]) -> tuple[Block, 
 
 
 def transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
-    """Plot the photon transfer: temporal variance against mean signal. The slope of a channel's line is its system gain."""
+    """Plot the temporal variance against the mean signal (photon transfer). The slope of each line is the system gain."""
     mean, variance = noise.photon_transfer_mean, noise.photon_transfer_variance
     plot = Plot(
         spanning("mean signal above black (DN)", mean, zero=True), spanning("temporal variance (DN²)", variance, zero=True)
@@ -282,7 +282,7 @@ def transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
     for channel, key in enumerate(keys):
         gain = float(noise.conversion_gain[channel])
         dark = (gain * float(noise.read_noise[channel])) ** 2 + QUANTISATION
-        end = float(mean[int(variance[:, channel].argmax()), channel])  # above this signal, the channel saturates
+        end = float(mean[int(variance[:, channel].argmax()), channel])  # the channel saturates above this signal
         plot.line(np.array([0.0, end]), np.array([dark, dark + gain * end]), key.colour, key.mark, 1.2)
         plot.dots(mean[:, channel], variance[:, channel], key.colour, colours.MARKS[key.mark], series=key.label)
     gains = ", ".join(
@@ -297,7 +297,7 @@ def transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
 
 
 def data_sheet(camera: CameraModel, noise: NoiseFit) -> Subsection:
-    """Build the EMVA 1288 data sheet of a camera: the operation point, the values of each channel, and plots."""
+    """Build the EMVA 1288 data sheet of a camera: the operation point, the values of each channel, and the plots."""
     plots = (transfer_figure, linearity_figure, deviation_figure, snr_figure)
     figures = Figures(tuple(plot(camera, noise) for plot in plots))
     blocks = (operation_point(camera, noise), figures_table(camera, noise), Text(MEANINGS), figures)
@@ -325,7 +325,7 @@ def operation_point(camera: CameraModel, noise: NoiseFit) -> Table:
 
 
 def figures_table(camera: CameraModel, noise: NoiseFit) -> Table:
-    """Make a table of the EMVA 1288 quantities, with one column per channel."""
+    """Make a table of EMVA 1288 quantities, with one column per channel."""
     gain, capacity = noise.conversion_gain, noise.saturation_capacity
     least = sensitivity_threshold(noise.read_noise, gain)
     peak = camera.responsivity.argmax(axis=1)
@@ -361,7 +361,7 @@ def figures_table(camera: CameraModel, noise: NoiseFit) -> Table:
 
 
 def _line_noise_rows(noise: NoiseFit) -> list[tuple[str, Array]]:
-    """Return the noise of rows and columns, which is the same for all channels, if it is significant."""
+    """Return the table rows for significant row and column noise. All channels have the same value."""
     found = {
         "row": (noise.row_temporal_noise, noise.row_temporal_noise_error),
         "column": (noise.column_temporal_noise, noise.column_temporal_noise_error),
@@ -376,7 +376,7 @@ def _line_noise_rows(noise: NoiseFit) -> list[tuple[str, Array]]:
 
 
 def _lit(camera: CameraModel, noise: NoiseFit, channel: int) -> tuple[Array, Array, Array]:
-    """Fit a straight line to the signal of a channel as a function of the exposure time.
+    """Fit a straight line to the signal of a channel against the exposure time.
 
     Returns
     -------
@@ -385,8 +385,8 @@ def _lit(camera: CameraModel, noise: NoiseFit, channel: int) -> tuple[Array, Arr
     signal : ndarray, (exposure,)
         Mean signal above the dark signal, in DN.
     line : ndarray, (exposure,)
-        Values of the line in DN. The fit minimises the relative deviations of the signals within LINEAR_RANGE. All values
-        are NaN if fewer than two signals are within this range.
+        Values of the line in DN. The fit minimises the relative deviations of the signals within LINEAR_RANGE. If fewer than
+        two signals are within this range, all values are NaN.
     """
     gain = noise.conversion_gain[channel]
     order = np.argsort(noise.exposure, kind="stable")
@@ -416,7 +416,7 @@ def linearity_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
 
 
 def deviation_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
-    """Plot the relative deviation of the mean signal from the fitted line against the signal."""
+    """Plot the relative deviation of the mean signal from the fitted line, against the signal."""
     keys, drawn = colours.channel_keys(camera), []
     for channel in range(len(keys)):
         _, signal, line = _lit(camera, noise, channel)
@@ -444,8 +444,8 @@ def deviation_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
 def snr_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
     """Plot the temporal signal-to-noise ratio against the signal in electrons.
 
-    The points are measured. The lines are computed from the read noise and the gain of each channel. The dotted line
-    represents an ideal sensor, which has photon noise only.
+    The points are measured. The solid lines are computed from the read noise and the gain of each channel. The dotted line
+    is an ideal sensor with photon noise only.
     """
     most = float(noise.saturation_capacity.max())
     electrons = np.geomspace(most * SNR_CURVE_START, most, 60)

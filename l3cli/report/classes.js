@@ -10,7 +10,7 @@ function chosenFrom(title, names) {
   return [list, written("label", `${title} `, list)];
 }
 
-// Returns the text of a class in the list: its percentage of the frame, then the features in which classes of the layer differ.
+// Returns the entry for a class in the list: its percentage of the frame, then the features in which classes of the layer differ.
 function listed(view, layer, index) {
   const words = Object.entries(layer.classes[index]).filter(([name]) => layer.varying.has(name));
   return [share(view, layer, index), ...words.map(([name, text]) => `${name} ${text}`)].join(" · ");
@@ -47,7 +47,7 @@ function browse(block, view) {
   places.addEventListener("change", list);
   classes.addEventListener("change", show);
   block.append(written("div", layerLabel, placeLabel, classLabel), reading);
-  // The list has thousands of lines. It is built when the reader opens it.
+  // The list has thousands of entries, so it is created only when the reader expands this section.
   block.addEventListener("toggle", list, { once: true });
   block.hidden = false;
 }

@@ -16,20 +16,20 @@ from l3cli.report.parts import Key
 Array = NDArray[np.floating]
 
 
-# Luminance of all lines as a fraction of white. The contrast ratio to both a white page and a dark page is above 4.
+# Luminance of all lines, as a fraction of white. The contrast ratio is above 4 on a white page and on a dark page.
 LINE_LUMINANCE = 0.18
 MARKS = {"line": "dot", "dashed": "plus", "dotted": "cross"}  # line style of a channel → mark of its points
-# Two colours are easily confused if the sum of the absolute differences of their 8-bit sRGB values is below this limit.
+# Two colours are too similar if the sum of the absolute differences of their 8-bit sRGB values is below this limit.
 CONFUSABLE_DIFFERENCE = 170
 
 
 def channel_light(camera: CameraModel) -> NDArray[np.float64]:
-    """Compute a colour for each channel: the colour of daylight (D65) whose spectrum is multiplied by the responsivity.
+    """Compute a display colour for each channel, from the spectrum of daylight (D65) multiplied by the responsivity.
 
     Returns
     -------
     ndarray, (channel, 3)
-        Linear sRGB, with a maximum of 1 per channel. A channel that does not respond to visible light is grey (0.5).
+        Linear sRGB, with a maximum of 1 in each row. A channel that does not respond to visible light is grey (0.5).
     """
     seen = camera.responsivity * spectra.illuminant("D65", camera.wavelength)
     linear = np.maximum(seen @ spectra.xyz_weights(camera.wavelength).T @ SRGB_FROM_XYZ.T, 0.0)
@@ -52,7 +52,7 @@ def channel_keys(camera: CameraModel) -> tuple[Key, ...]:
 
 
 def point_keys(camera: CameraModel) -> tuple[Key, ...]:
-    """Return one legend entry per channel, with the colour and the mark of its points instead of its line."""
+    """Return one legend entry per channel, like `channel_keys`, but with the mark of its points instead of a line style."""
     return tuple(replace(key, mark=MARKS[key.mark]) for key in channel_keys(camera))
 
 
@@ -76,7 +76,7 @@ def hex_colour(linear: Array) -> str:
 
 
 def ink_on(linear: Array) -> str:
-    """Return black or white, as #rrggbb, for text on the background `linear` (linear sRGB)."""
+    """Return black or white, as #rrggbb, for text on the background colour `linear` (linear sRGB)."""
     return "#000000" if float(linear @ LUMA) > LINE_LUMINANCE else "#ffffff"
 
 

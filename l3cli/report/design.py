@@ -14,7 +14,7 @@ from l3cli.report.camera import array_figure, responsivity_figures
 from l3cli.report.drawing import Plot, spanning
 from l3cli.report.parts import Figure, Figures, Gallery, Jpeg, Picture, Section, Subsection, Table, Text
 
-TABLE_ROWS, DRAWN_ARRAYS = 20, 5  # maximum number of arrays in the table, and in drawings
+TABLE_ROWS, DRAWN_ARRAYS = 20, 5  # maximum number of arrays in the table, and maximum number of drawn arrays
 ENLARGEMENT = 4  # magnification of the crops
 MARKS = ("line", "dashed", "dotted", "line")  # line styles of successive arrays in plots
 
@@ -54,7 +54,7 @@ def design_section(design: Design, name: str, jpeg: Jpeg) -> Section:
 
 
 def _figure(design: Design, place: int) -> Figure:
-    """Draw an array. The caption states its rank and its predicted errors."""
+    """Draw an array. The title is its rank, and the caption states its predicted errors."""
     drawn = array_figure(design.camera(design.patterns[place], design.efficiency))
     errors = ", ".join(f"{level} {error:.2f}" for level, error in zip(design.levels, design.predicted[place], strict=True))
     title = f"{place + 1}{' (Bayer)' if place == design.bayer else ''}"
@@ -62,7 +62,7 @@ def _figure(design: Design, place: int) -> Figure:
 
 
 def _sensitivity(design: Design) -> Table:
-    """Make a table that shows, for each filter, how a shift by 5 nm changes the error of the best array."""
+    """Make a table of the change in the error of the best array, if a filter is shifted by 5 nm."""
     used = design.patterns[0].split()
     changes = zip(design.filters, design.sensitivity, strict=True)
     rows = tuple((name, f"{100 * change:+.2f}") for name, change in changes if name in used)
@@ -81,7 +81,7 @@ def _over_light(design: Design) -> Figure:
 
 
 def _groups(design: Design) -> Table:
-    """Make a table of the predicted errors of the best array and the Bayer array, by contrast, brightness and hue."""
+    """Make a table of the predicted errors of the best array and of the Bayer array, by contrast, brightness and hue."""
     places, rows = design.best(1), []
     for kind in itertools.chain(*KINDS):
         shares = design.share * [kind in group.split() for group in design.groups]
@@ -99,7 +99,7 @@ def _two_levels(truth: Truth) -> list[int]:
 
 
 def _pictures(design: Design, truth: Truth, level: int, jpeg: Jpeg) -> Gallery:
-    """Show crops of one light level: the ideal picture, the arrays with the lowest measured errors, and the Bayer array."""
+    """Show crops at one light level: the ideal picture, the arrays with the lowest measured errors, and the Bayer array."""
     errors = truth.measured[:, level, 0]
     bayer = [truth.trained.index(design.patterns[design.bayer])] if design.bayer >= 0 else []
     crops = {"ideal": truth.ideals[level]}

@@ -1,4 +1,4 @@
-// Saves a plot with its legend as an SVG file, in the colours of a white page. If scripts are disabled, readers can save only CSV.
+// Saves a plot with its legend as an SVG file, in the colours of a white page. If scripts are disabled, readers can only save CSV.
 {
   const [sheet] = document.styleSheets;
   const paper = sheet.cssRules[0].style;

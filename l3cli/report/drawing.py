@@ -1,7 +1,7 @@
 """Draw plots as inline SVG. Coordinates are in pixels, and a drawing is 440 px wide.
 
 l3 draws plots without a plotting library for two reasons. First, the plots use the colours and the font of the page, so that
-the same plot suits a light page, a dark page and print. Second, the same numbers always result in the same bytes.
+the same plot suits a light page, a dark page and print. Second, equal numbers always result in identical bytes.
 """
 
 import itertools
@@ -18,15 +18,15 @@ from l3cli.system.text import superscript
 Array = NDArray[np.floating]
 WIDTH, HEIGHT = 440, 300  # size of a plot in px
 LEFT, RIGHT, TOP, BOTTOM = 58, 10, 10, 44  # margins around the axes in px
-# SVG path of each mark, starting at the position of the point
+# SVG path of each mark, relative to the position of the point
 MARKS = {"dot": "h0", "plus": "m-3,0h6m-3,-3v6", "cross": "m-2.3,-2.3l4.6,4.6m0,-4.6l-4.6,4.6"}
 DASHES = {"line": "", "dashed": ' stroke-dasharray="6 4"', "dotted": ' stroke-dasharray="2 3"'}
 SERIES = ("var(--one)", "var(--two)", "var(--three)", "var(--four)")  # CSS colours of the series in `Plot.curves`
 CHARACTER_WIDTH = 6.8  # mean width of a character in px, at a font size of 12 px
-WIDE_CHARACTER_WIDTH = 7.7  # mean width of a character in px, in a wide font, for which labels must also fit
+WIDE_CHARACTER_WIDTH = 7.7  # mean width of a character, in px, in a wide font; labels must fit even in a wide font
 ASCENT, DESCENT = 10.0, 3.5  # extent of a text line above and below its baseline, in px
 LABEL_CLEARANCE = 2.5  # minimum distance between a label and lines, marks or other labels, in px
-SAMPLE_SPACING = 1.5  # spacing, in px, of the points that represent a line in tests for overlap with labels
+SAMPLE_SPACING = 1.5  # spacing, in px, of the points that represent a line when overlaps with labels are detected
 LABEL_DISTANCES = (5.0, 7.0, 10.0, 16.0, 24.0)  # distances of a label from its point in px, in order of preference
 # Directions (right, down) of a label from its point, in order of preference
 LABEL_DIRECTIONS = ((0, -1), (1, 0), (-1, 0), (0, 1), (1, -1), (-1, -1), (1, 1), (-1, 1))
@@ -46,7 +46,7 @@ class Axis:
     def place(self, values: Array | float) -> Array:
         """Convert values to positions along the axis, where 0 is the lower end and 1 is the upper end.
 
-        On a logarithmic axis, values below a thousandth of the lower end, including 0, are raised to this limit.
+        On a logarithmic axis, all values below a thousandth of the lower end, including 0, are raised to this limit.
         """
         values = np.asarray(values, dtype=np.float64)
         if not self.log:
@@ -55,7 +55,7 @@ class Axis:
         return np.log(least / self.low) / np.log(self.high / self.low)
 
     def ticks(self) -> list[float]:
-        """Return round numbers within the range of the axis, for its ticks."""
+        """Return the values at the ticks, which are round numbers within the range of the axis."""
         if not self.log:
             return _round_steps(self.low, self.high)
         decades = range(int(np.floor(np.log10(self.low))), int(np.ceil(np.log10(self.high))) + 1)
@@ -67,7 +67,7 @@ class Axis:
 
 
 def spanning(label: str, values: Iterable[float] | Array, zero: bool = False, log: bool = False) -> Axis:
-    """Make an axis whose range contains all finite values and a small margin.
+    """Create an axis whose range contains all finite values and a small margin.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def spanning(label: str, values: Iterable[float] | Array, zero: bool = False, lo
         Values that will be drawn. A logarithmic axis ignores values that are not positive. If no values remain, the range is
         0…1, or 0.1…1 for a logarithmic axis.
     zero : bool
-        Whether to include zero in the range. If no value is negative, the axis then begins at zero, without a margin.
+        Whether to include zero in the range. If no value is negative, the axis then starts at zero, without a margin.
     log : bool
         Whether the scale is logarithmic.
 
@@ -106,9 +106,9 @@ def _round_steps(low: float, high: float) -> list[float]:
 
 
 def tick_text(value: float) -> str:
-    """Format the number next to a tick.
+    """Format the number at a tick.
 
-    Nonzero numbers with a magnitude below 0.001 or of at least 100 000 are written as multiples of a power of ten.
+    Nonzero numbers with a magnitude below 0.001, or of at least 100 000, are written with a power of ten.
     """
     if value and not 1e-3 <= abs(value) < 1e5:
         power = int(np.floor(np.log10(abs(value)) + 1e-9))
@@ -120,8 +120,9 @@ def tick_text(value: float) -> str:
 class Plot:
     """An SVG plot with an x axis and a y axis.
 
-    Lines and marks outside the range of the axes are cut off. Most drawing methods have an argument `series`. If it is set,
-    the coordinates are added to the data of the figure under this name. The reader of the report can save these data as CSV.
+    Lines and marks outside the range of the axes are clipped. Most drawing methods have an argument `series`. If `series` is
+    set, the coordinates are added to the data of the figure under this name. The reader of the report can save these data as
+    CSV.
     """
 
     def __init__(self, x: Axis, y: Axis, height: int = HEIGHT, square: bool = False) -> None:
@@ -179,7 +180,7 @@ class Plot:
         return self
 
     def cells(self, x: Array, y: Array, width: float, height: float, colour: str, opacity: float) -> "Plot":
-        """Draw boxes of equal size. `x`, `y` are their lower left corners. `width` and `height` are in units of the axes."""
+        """Draw boxes of equal size, with their lower left corners at `x`, `y`. Width and height are in units of the axes."""
         corners = list(zip(self._points(x, y), self._points(x + width, y + height), strict=True))
         self._places.take([corner for pair in corners for corner in pair], joined=False)
         path = "".join(f"M{a:.1f},{b:.1f}H{c:.1f}V{d:.1f}H{a:.1f}z" for (a, b), (c, d) in corners)
@@ -187,7 +188,7 @@ class Plot:
         return self
 
     def label(self, x: float, y: float, text: str) -> "Plot":
-        """Add a label near a point. The label is omitted if it would cover a line, a mark or a label at every position."""
+        """Add a label near a point. The label is omitted if every position would cover a line, a mark or another label."""
         ((a, b),) = self._points(np.array([x]), np.array([y]))
         self._labels.append((a, b, text))
         return self
@@ -206,9 +207,9 @@ class Plot:
         series : mapping of str to (ndarray, ndarray)
             Name of each series → its coordinates x and y. Empty series are skipped.
         marks : sequence of str
-            Line styles (keys of DASHES), which the series use in turn.
+            Line styles (keys of DASHES). If there are more series than styles, the styles repeat.
         size : float
-            Diameter of the dots in pixels. If it is 0, no dots are drawn.
+            Diameter of the dots in pixels. With 0, no dots are drawn.
         width : float
             Width of the lines in pixels.
 
@@ -228,7 +229,7 @@ class Plot:
         return tuple(keys)
 
     def points(self, keys: Sequence[Key], x: Array, y: Array, used: NDArray[np.bool_]) -> None:
-        """Draw the points of all channels. The colour and the mark of a point show its channel.
+        """Draw the points of all channels. The colour and the mark of a point indicate its channel.
 
         Parameters
         ----------
@@ -237,7 +238,7 @@ class Plot:
         x, y : ndarray, (…, channel)
             Coordinates.
         used : ndarray of bool, (…, channel)
-            Which points to draw.
+            Mask of the points to draw.
         """
         for channel, key in enumerate(keys):
             of_channel = used[..., channel]
@@ -266,7 +267,7 @@ class Plot:
         return sheet(WIDTH, height + TOP + BOTTOM, self._frame() + inner, finding)
 
     def _placed_labels(self) -> list[str]:
-        """Draw the labels. This must be the last step, because labels must not cover other parts of the drawing."""
+        """Draw the labels. This is the last step, because labels must not cover other parts of the drawing."""
         placed = ((self._places.place(x, y, text), text) for x, y, text in self._labels)
         return [
             f'<text class="mark" x="{place[0]:.1f}" y="{place[1]:.1f}" text-anchor="{place[2]}">{escape(text)}</text>'
@@ -279,7 +280,10 @@ class Plot:
             self._rows += zip(itertools.repeat(series), x.ravel().tolist(), y.ravel().tolist(), strict=False)
 
     def _points(self, x: Array, y: Array) -> list[tuple[float, float]]:
-        """Convert values to pixel coordinates. Points farther than two axis lengths outside the plot are moved closer."""
+        """Convert values to pixel coordinates.
+
+        Points more than two axis lengths outside the plot are moved to this limit.
+        """
         width, height = self._inner
         across = np.clip(self._x.place(x), -2, 3) * width
         down = (1 - np.clip(self._y.place(y), -2, 3)) * height
@@ -304,7 +308,7 @@ class Plot:
 
 
 def _axis_labels(x_label: str, y_label: str, centre: float, below: str, middle: float) -> str:
-    """Draw the labels of both axes: the x label at (`centre`, `below`), and the rotated y label at the height `middle`."""
+    """Draw the x label at the position (`centre`, `below`), and the rotated y label at the height `middle`."""
     turned = f'transform="rotate(-90 13 {middle:.0f})"'
     return (
         f'<text x="{centre:.0f}" y="{below}" text-anchor="middle">{escape(x_label)}</text>'
@@ -324,7 +328,7 @@ def sheet(width: float, height: float, inside: str, finding: str, fixed_size: bo
     finding : str
         Text for screen readers.
     fixed_size : bool
-        Whether to show the drawing at its size in pixels. Otherwise, the page scales it to the width of a column.
+        Whether to show the drawing at its size in pixels. Otherwise, the page scales the drawing to the width of a column.
     """
     label = escape(finding)
     size = f' width="{width:g}" height="{height:g}"' if fixed_size else ""
@@ -340,7 +344,7 @@ def box(x: float, y: float, width: float, height: float, colour: str, opacity: f
 
 
 def heat(shares: Array, rows: Sequence[str], columns: Sequence[str], x_label: str, y_label: str, finding: str) -> Markup:
-    """Draw a matrix as a heat map, in which the opacity of a cell represents its value.
+    """Draw a matrix as a heat map. The opacity of a cell represents its value.
 
     Parameters
     ----------
@@ -383,7 +387,7 @@ def heat(shares: Array, rows: Sequence[str], columns: Sequence[str], x_label: st
 
 
 class Places:
-    """Records which positions in a plot are covered by lines, marks and labels, and finds free positions for labels."""
+    """Records the positions in a plot that are covered by lines, marks and labels, and finds free positions for labels."""
 
     def __init__(self, width: float, height: float) -> None:
         self._width, self._height = width, height
@@ -397,7 +401,7 @@ class Places:
         self._taken.append(array)
 
     def place(self, x: float, y: float, text: str) -> Place | None:
-        """Find a free position for a label near a point, and mark it as covered.
+        """Find a free position for a label near a point, and mark the position as covered.
 
         Parameters
         ----------
@@ -409,7 +413,7 @@ class Places:
         Returns
         -------
         tuple or None
-            x and y of the baseline of the text, and its text-anchor. None if no free position near the point exists.
+            x and y of the baseline of the text, and its text-anchor. None if no position near the point is free.
         """
         for reach in LABEL_DISTANCES:
             for across, down in LABEL_DIRECTIONS:
@@ -454,6 +458,6 @@ class Places:
 
 
 def _between(start: Array, end: Array) -> Array:
-    """Return points (point, 2) on the line from `start` to `end`, at most SAMPLE_SPACING apart."""
+    """Return points (point, 2) on the line from `start` to `end`, with a spacing of at most SAMPLE_SPACING."""
     count = int(np.ceil(np.hypot(*(end - start)) / SAMPLE_SPACING)) + 1
     return start + np.linspace(0.0, 1.0, count)[:, None] * (end - start)

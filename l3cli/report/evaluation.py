@@ -1,7 +1,7 @@
-"""The two sections of a report about an evaluation: the section at the top of the page, and a section with all metrics.
+"""Two sections of a report about an evaluation: the section at the top of the page, and the section with all metrics.
 
 The top section shows pictures of a few frames, a summary and the mean metrics. The other section lists the metrics for each
-illuminant, level, gain and class. In both sections, "ours" means the table that is evaluated.
+illuminant, level, gain and class. In both sections, "ours" means the evaluated table.
 """
 
 from typing import Any
@@ -35,14 +35,14 @@ NYQUIST = 0.5  # cycles/pixel
 
 
 def standard_blocks(standards: dict[str, Any], height: int) -> tuple[Block, ...]:
-    """Show the metrics that standards define for test charts: plots of MTF and SNR, a table, and an explanation.
+    """Show the metrics that standards define for test charts, with plots of MTF and SNR, a table and an explanation.
 
     Parameters
     ----------
     standards : dict
         Value of the key "standards" in the output of `l3 evaluate --json`.
     height : int
-        Number of rows of the camera's pictures, with which MTF50 is converted to line widths per picture height.
+        Number of rows of the camera's pictures. It is used to convert MTF50 to line widths per picture height.
     """
     edges, grey = standards["edge"], standards["grey"]
     figures = [_edge_figure(edges[across], DIRECTIONS[across]) for across in edges]
@@ -162,16 +162,16 @@ GAIN_MEANING = (
     "simulated again with this noise. The exposure time is shortened in proportion to the gain."
 )
 
-ERROR_KEY = (  # legend of the error maps from l3cli.evaluation.pictures
+ERROR_KEY = (  # legend of the error maps that l3cli.evaluation.pictures creates
     Key("ΔE00 in the error map: 0", "#000000", "box"),
     Key("2.5", "#460a6e", "box"),
     Key("5", "#be285a", "box"),
     Key("7.5", "#f58c1e", "box"),
     Key("10 or more", "#ffffff", "box"),
 )
-SAME_LUMINANCE = 0.01  # relative difference up to which luminances count as equal, because users round values in lux
-FRAMES_SHOWN = 3  # number of frames in the top section: the median, the worst and the best frame
-Pictures = dict[int, dict[str, Pixels]]  # index of a frame → picture of each pipeline, "ideal" picture and "error" map
+SAME_LUMINANCE = 0.01  # relative difference below which luminances count as equal, because users round values in lux
+FRAMES_SHOWN = 3  # number of frames in the top section: the median frame, the worst frame and the best frame
+Pictures = dict[int, dict[str, Pixels]]  # index of a frame → name → picture (a pipeline, "ideal", or the error map "error")
 
 
 def evaluation_section(document: dict[str, Any], names: tuple[str, str], height: int) -> Section:
@@ -189,7 +189,7 @@ def evaluation_section(document: dict[str, Any], names: tuple[str, str], height:
     Returns
     -------
     Section
-        Metrics over all frames, by level, by class, and from standards. The metrics by gain are included if the camera model
+        Metrics over all frames, by level, by class, and from standards. Metrics by gain are included if the camera model
         contains the noise at several analog gains.
     """
     parts = [
@@ -211,7 +211,7 @@ def luminance_section(
     Parameters
     ----------
     curves : dict of str to list of (name, luminances, values)
-        Metric → for each camera, its name, the luminances in cd/m² and the values of the metric.
+        Metric → (name, luminances in cd/m², values of the metric) of each camera.
     sentences : dict of str to list of str
         Metric → sentences that state which camera is better in which range of luminance.
 
@@ -240,7 +240,7 @@ def luminance_section(
 
 
 def main_of(document: dict[str, Any]) -> str:
-    """Return the name of the main metric of an evaluation, such as "mean_delta_e". It is the first metric of each frame."""
+    """Return the name of the main metric of an evaluation, such as "mean_delta_e": the first metric of the first frame."""
     return str(next(iter(document["frames"][0][OURS])))
 
 
@@ -253,7 +253,7 @@ def summary(document: dict[str, Any]) -> str:
 
 
 def main_figure(figures: dict[str, float], figure: str) -> str:
-    """Format the value of the main metric. The PSNR follows in parentheses if `figures` contains it."""
+    """Format the value of the main metric, followed by the PSNR in parentheses if `figures` contains the PSNR."""
     return figure_text(figure, figures[figure]) + (f" ({number(figures['psnr'], '.1f')} dB)" if "psnr" in figures else "")
 
 
@@ -305,7 +305,7 @@ def _texts(values: dict[str, float], figures: tuple[str, ...]) -> tuple[str, ...
 def _grouped(
     document: dict[str, Any], caption: str, heading: str, counts: str, entries: list[tuple[str, dict[str, Any]]]
 ) -> Table:
-    """Make a table of the main metric, with one row per group of frames or pixels, and one column per pipeline.
+    """Make a table of the main metric, with one row per group of frames or pixels and one column per pipeline.
 
     Parameters
     ----------
@@ -342,7 +342,7 @@ def _level_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
 def _gain_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
     """Plot the main metric against the analog gain.
 
-    With several illuminants, each curve is the metric of the table under one illuminant. With a single illuminant, each
+    If the evaluation has several illuminants, each curve is the metric of the table under one illuminant. Otherwise, each
     curve is the metric of one pipeline.
     """
     groups, figure = document["by_gain"], main_of(document)
@@ -373,13 +373,14 @@ def _gain_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
 def level_middles(entries: list[dict[str, Any]]) -> np.ndarray:
     """Return a positive level between the bounds "from" and "to" of each entry, for a logarithmic axis.
 
-    The level is the geometric mean of the bounds. Lower bounds are first raised to at least half of the upper bound.
+    The level is the geometric mean of the two bounds. A lower bound below half of the upper bound is first raised to this
+    half.
     """
     return np.array([np.sqrt(max(entry["from"], entry["to"] / 2) * entry["to"]) for entry in entries])
 
 
 def _curves(document: dict[str, Any], entries: list[dict[str, Any]], at: np.ndarray, title: str, label: str) -> Figure:
-    """Plot the main metric of every pipeline against the levels `at` of the entries."""
+    """Plot the main metric of each pipeline against the levels `at`, which belong to the entries."""
     figure = main_of(document)
     values = {name: np.array([entry[name][figure] for entry in entries]) for name in document["pipelines"]}
     everything = np.concatenate(list(values.values()))
@@ -415,34 +416,34 @@ def _class_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
 def lit_as(luminance: float, at: float | None) -> bool:
     """Return whether the luminance of a frame in cd/m² equals `at`, with a relative tolerance of SAME_LUMINANCE.
 
-    The result is true for every frame if `at` is None.
+    If `at` is None, the result is True for every frame.
     """
     return at is None or abs(luminance / at - 1) < SAME_LUMINANCE
 
 
 def brightness(frame: dict[str, Any]) -> str:
-    """Format the luminance of a frame for a caption, with a leading comma. Empty if the luminance is not shown."""
+    """Format the luminance of a frame for a caption, with a leading comma. Empty if the frame has no scene fingerprint."""
     if frame["shown"] is None:
         return ""
     return f", {tidy(frame['luminance'])} cd/m² ({tidy(np.pi * frame['luminance'])} lux)"
 
 
 def shown_frames(document: dict[str, Any], at: float | None = None) -> list[int]:
-    """Choose the frames that the top section of a report shows.
+    """Choose the frames for the top section of a report.
 
     Parameters
     ----------
     document : dict
         Output of `l3 evaluate --json`.
     at : float, optional
-        Luminance in cd/m². Only frames with this luminance are chosen, and at least one such frame must exist. [default:
-        choose among all frames]
+        Luminance in cd/m². Only frames with this luminance are chosen. At least one frame must have this luminance.
+        [default: choose from all frames]
 
     Returns
     -------
     list of int
-        Indices of the frames. The first is the frame with the median of the table's main metric. If at most FRAMES_SHOWN
-        frames are available, all other frames follow, from the worst to the best. Otherwise the worst and the best frame
+        Indices of the frames. The first frame has the median of the table's main metric. If the remaining frames number
+        fewer than FRAMES_SHOWN, all of them follow, from the worst to the best. Otherwise, the worst and the best frame
         follow.
     """
     figure = main_of(document)
@@ -465,7 +466,7 @@ def front_section(
     document : dict
         Output of `l3 evaluate --json`.
     pictures : dict
-        Pictures of the frames that `shown_frames` returned, in the same order.
+        Pictures of the frames that `shown_frames` chose, in the same order.
     title : str
         Title of the section.
     anchor : str
@@ -527,7 +528,7 @@ def _in_frames(figure: str, won: int, count: int) -> str:
 def _comparison(
     document: dict[str, Any], index: int, pictures: dict[str, Pixels], anchor: str, limit: int, jpeg: Jpeg
 ) -> Comparison:
-    """Build the comparison of one frame. It shows the picture of the table, the ideal, the baselines, and the error map."""
+    """Build the comparison of one frame: the picture of the table, the ideal, the baselines, and the error map."""
     frame = document["frames"][index]
     light = f"{frame['illuminant']}{brightness(frame)}"
     title = f"Frame {index + 1}: {frame['scene']}, {light}, level {frame['level']:.3f}"

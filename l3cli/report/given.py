@@ -1,4 +1,4 @@
-"""The input files of a report, and the choice of the training sets on which each table is evaluated."""
+"""The input files of a report, and the selection of the training sets on which each table is evaluated."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,12 +22,14 @@ class Entry:
     name: str  # name of the file on the page
     path: Path
     sha256: str
-    artifact: Artifact  # content of the file; for a training set, only its description without the frames
+    artifact: Artifact  # content of the file; for a training set, only the description without frames
 
     @property
     def array(self) -> tuple[Any, ...]:
-        """Key that identifies the channels and the colour filter array of the artifact. Empty for a design, which contains
-        many arrays."""
+        """Key that identifies the channels and the colour filter array of the artifact.
+
+        The key is empty for a design, which contains many arrays.
+        """
         if isinstance(self.artifact, Design):
             return ()
         of: Any = self.artifact.camera if isinstance(self.artifact, TrainingSet) else self.artifact
@@ -37,7 +39,7 @@ class Entry:
 class Pair(NamedTuple):
     """A table and a training set on which the report evaluates the table.
 
-    Both have the same CFA, and the table was not trained on the set.
+    The table and the training set have the same CFA, and the table was not trained on the set.
     """
 
     table: Entry
@@ -55,7 +57,7 @@ class Given:
     sequence_sums: dict[str, str]  # file name in `sequences` → SHA-256 of the file
 
     def of(self, kind: type[A]) -> list[tuple[Entry, A]]:
-        """Return all entries whose artifact is an instance of `kind`, together with the artifact."""
+        """Return each entry whose artifact is an instance of `kind`, together with the artifact."""
         return [(entry, entry.artifact) for entry in self.entries if isinstance(entry.artifact, kind)]
 
     @property
@@ -70,7 +72,7 @@ class Given:
 
     @property
     def arrays(self) -> list["Given"]:
-        """The artifacts, grouped by colour filter array. Designs and sequences are left out."""
+        """The artifacts, grouped by colour filter array. Designs and sequences are omitted."""
         keys = dict.fromkeys(entry.array for entry in self.entries)
         return [Given([entry for entry in self.entries if entry.array == key], {}, {}) for key in keys if key]
 
@@ -90,7 +92,7 @@ def role_of(given: Given, frames: Entry) -> str:
 
 
 def cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
-    """Return each distinct camera in the training sets, with the name of the first file that contains this camera."""
+    """Return each distinct camera in the training sets, with the name of the first file that contains the camera."""
     cameras: list[tuple[str, CameraModel]] = []
     for entry, head in given.of(TrainingSet):
         if not any(equal(head.camera, camera) for _, camera in cameras):
@@ -99,7 +101,7 @@ def cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
 
 
 def lead_without_evaluation(given: Given) -> str:
-    """Return the first paragraph of a report in which no table is evaluated. It says which file the user can add."""
+    """Return the first paragraph of a report without evaluated tables. The paragraph states which file the user can add."""
     if given.sequences:
         return sequence_summary(given.sequences)
     if not given.of(TransformTable):

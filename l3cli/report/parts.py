@@ -1,8 +1,8 @@
 """The parts of a report as data classes, and the conversion of a report to an HTML page.
 
 A report is a list of sections, and a section contains tables, figures and pictures. The template page.html converts the
-sections to a self-contained HTML page. Pictures are embedded as data URIs of limited size. The script downloads.js lets the
-reader save a drawing as an SVG file.
+sections to a self-contained HTML page. Pictures are embedded as data URIs of limited size. With the script downloads.js, the
+reader can save a drawing as an SVG file.
 """
 
 import base64
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.schema import Stage
 from l3cli.physics.display import displayed, srgb_codes, white_luminance
 
-# Matches a cell that contains a number or a range of numbers. A column whose cells all match is right-aligned.
+# Matches cells that contain a number or a range of numbers. A column is right-aligned if all its cells match.
 NUMBER = re.compile(r"^(?=.*[0-9])[−+]?[0-9.,–×⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+$")
 
 
@@ -68,10 +68,10 @@ class Figure:
 
     title: str
     svg: Markup
-    finding: str  # caption, which is also the text for screen readers; states the main result with numbers
+    finding: str  # caption, also used as the text for screen readers; states the main result with numbers
     legend: tuple[Key, ...] = ()
     narrow: bool = False  # whether the page must not enlarge the drawing
-    data: Data | None = None  # numbers that the reader can save as a CSV file
+    data: Data | None = None  # numbers in the drawing, which the reader can save as a CSV file
 
 
 @dataclass(frozen=True)
@@ -114,17 +114,17 @@ class Comparison:
     title: str
     pictures: tuple[Picture, ...]
     key: tuple[Key, ...] = ()  # legend of the error map
-    size: tuple[int, int] = (0, 0)  # rows and columns of the frame before its pictures were reduced
+    size: tuple[int, int] = (0, 0)  # rows and columns of the frame, before the pictures were reduced
 
     @property
     def width(self) -> int:
-        """Maximum width on the screen in pixels, because strongly enlarged frames look blurred."""
+        """Maximum width on the screen in pixels. Without a limit, small frames would be enlarged until they look blurred."""
         return max(3 * self.pictures[0].cols, 480)
 
 
 @dataclass(frozen=True)
 class Front:
-    """The comparison at the top of a page, with the main metrics next to the pictures."""
+    """The comparison at the top of a page, with the main metrics beside the pictures."""
 
     kind: ClassVar[str] = "front"
     comparison: Comparison
@@ -136,13 +136,13 @@ class Front:
 
 @dataclass(frozen=True)
 class PixelPicker:
-    """A crop of a frame. The reader selects a pixel of the crop to see its classes and transforms."""
+    """A crop of a frame. If the reader selects a pixel of the crop, the page shows its classes and transforms."""
 
     kind: ClassVar[str] = "pixels"
     anchor: str  # HTML anchor of the comparison that shows the whole frame
     text: str
     pictures: tuple[Picture, ...]
-    packed: str  # classes and transforms, encoded by the function pixels.packed
+    packed: str  # classes and transforms, in the encoding of the function pixels.packed
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Details:
-    """A long text, for example a recipe, which is hidden until the reader opens it."""
+    """A long text, for example a recipe, which is hidden until the reader expands it."""
 
     kind: ClassVar[str] = "details"
     title: str
@@ -175,7 +175,7 @@ class Subsection:
 
 @dataclass(frozen=True)
 class Section:
-    """Subsections under a second-level heading. `lead` is the first paragraph, which summarises the section."""
+    """Subsections under a second-level heading. The first paragraph, `lead`, summarises the section."""
 
     title: str
     lead: str
@@ -184,9 +184,9 @@ class Section:
 
 Array = NDArray[np.floating]
 Pixels = NDArray[np.uint8]
-# A JPEG encoder: converts an 8-bit sRGB picture (row, col, 3), with a quality from 1 to 100, to the bytes of a JPEG file.
+# A JPEG encoder. It converts an 8-bit sRGB picture (row, col, 3) and a quality from 1 to 100 to the bytes of a JPEG file.
 Jpeg = Callable[[Pixels, int], bytes]
-# Pairs of a reduction factor and a JPEG quality, from the best to the worst.
+# (reduction factor, JPEG quality), from the best to the worst.
 JPEG_ATTEMPTS = (
     (1, 92),
     (1, 85),
@@ -208,12 +208,12 @@ def thumbnail(target: Array, white: Array) -> Pixels:
     target : ndarray, (3, row, col)
         XYZ of the target.
     white : ndarray, (3,)
-        XYZ of the white, which is adapted to D65.
+        XYZ of white, which is adapted to D65.
 
     Returns
     -------
     ndarray of uint8, (row, col, 3)
-        sRGB picture, whose longer side usually has at most THUMBNAIL pixels. The 99th percentile of Y becomes white.
+        sRGB picture. Its longer side usually has at most THUMBNAIL pixels. The 99th percentile of Y becomes white.
     """
     step = max(1, -(-max(target.shape[1:]) // THUMBNAIL))
     small = reduced(np.moveaxis(target, 0, -1), step)
@@ -221,19 +221,19 @@ def thumbnail(target: Array, white: Array) -> Pixels:
 
 
 def reduced(pixels: Array | Pixels, step: int) -> Array | Pixels:
-    """Reduce a picture to the means of squares of pixels.
+    """Reduce a picture by averaging squares of pixels.
 
     Parameters
     ----------
     pixels : ndarray, (row, col, channel)
         The picture.
     step : int
-        Side of the squares in pixels. Incomplete squares at the right edge and at the lower edge are cut off.
+        Side of the squares in pixels. Incomplete squares at the right and lower edges are discarded.
 
     Returns
     -------
     ndarray, (row, col, channel)
-        Mean of each square. A picture smaller than one square is returned unchanged, as is any picture if `step` is 1.
+        Mean of each square. If `step` is 1, or if the picture is smaller than one square, the picture is returned unchanged.
     """
     rows, cols = (max(1, length // step) for length in pixels.shape[:2])
     if step == 1 or min(pixels.shape[:2]) < step:
@@ -242,11 +242,10 @@ def reduced(pixels: Array | Pixels, step: int) -> Array | Pixels:
 
 
 def fitted(pixels: Pixels, limit: int, jpeg: Jpeg) -> tuple[str, tuple[int, int]]:
-    """Encode a picture as a JPEG data URI whose size is limited.
+    """Encode a picture as a JPEG data URI of limited size.
 
-    The function uses the first reduction factor and quality in JPEG_ATTEMPTS with which the picture fits the limit. If none
-    fits, it uses the last.
-
+    The function uses the first reduction factor and quality in JPEG_ATTEMPTS with which the picture does not exceed the
+    limit. If the picture always exceeds the limit, the last reduction factor and quality are used.
     Parameters
     ----------
     pixels : ndarray of uint8, (row, col, 3)
@@ -305,7 +304,7 @@ def render_page(title: str, lead: str, sections: list[Section]) -> str:
 
 
 def file_stem(title: str) -> str:
-    """Convert a title to a file name, without a suffix, that is valid on all operating systems."""
+    """Convert a title to a file name without suffix. The name is valid on all operating systems."""
     return re.sub("[^a-z0-9]+", "-", title.lower())[:MAX_FILE_NAME].strip("-") or "figure"
 
 
@@ -355,6 +354,6 @@ def _stages(name: str, stages: tuple[Stage, ...]) -> Subsection:
 
 
 def _digests(role: str, digests: list[str]) -> str:
-    """List at most four input files of a role, such as "camera". Each file is shown as 12 digits of its SHA-256."""
+    """List at most four input files of a role, such as "camera". A file is represented by 12 digits of its SHA-256."""
     more = f" … ({len(digests)} files)" if len(digests) > 4 else ""
     return " ".join((role, *(digest[:12] for digest in digests[:4]))) + more

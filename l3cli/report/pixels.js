@@ -1,5 +1,5 @@
-// Shows the class and the transform of the selected pixel in each layer. The reader selects a pixel with a click or with the arrow
-// keys. The module pixels.py encodes the data.
+// Shows the class and the transform of the selected pixel in each layer. The reader selects a pixel by a click or with the arrow
+// keys. pixels.py encodes the data.
 const drawn = (name, attributes, ...inside) => {
   const node = document.createElementNS(document.querySelector("svg").namespaceURI, name);
   for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
@@ -37,7 +37,7 @@ async function unpacked(text) {
 const PANEL = 117; // px; approximate side of a drawn window
 const rounded = (value) => Number(value.toPrecision(2)).toString().replace("-", "−");
 
-// Draws a window as a square of cells, with its name above. `fill` returns the colour, the opacity and the text of each tap.
+// Draws a window as a square of cells, with a name above it. `fill` returns the colour, the opacity and the text of each tap.
 function panel(side, name, x, y, fill) {
   const cell = Math.round(PANEL / side);
   const group = drawn("g", { transform: `translate(${x} ${y})` });
@@ -53,7 +53,7 @@ function panel(side, name, x, y, fill) {
   return [group, side * cell];
 }
 
-// Draws the transform of a class. If the layer reads the mosaic, there is a single row of windows, otherwise one row per output.
+// Draws the transform of a class. If the layer reads the mosaic, all windows are in one row. Otherwise, there is one row per output.
 function transform(view, layer, index, site) {
   const { side, planes } = layer;
   const [mosaic, gap, items, findings] = [planes.length === 1, 12, [], []];
@@ -100,7 +100,7 @@ function transform(view, layer, index, site) {
 
 const layerTitle = (number) => (number ? `Layer ${number + 1}, reads the outputs of layer ${number}` : "Layer 1, reads the mosaic");
 
-// Describes a class in words and shows its transform, if the page contains it.
+// Describes a class in words, and shows its transform if the page contains the transform.
 function classed(view, number, index, site) {
   const layer = view.layers[number];
   const list = document.createElement("dl");
@@ -164,7 +164,7 @@ async function pick(block) {
       move(row + step * way[0], col + step * way[1]);
     });
   }
-  // The picture of the whole frame shows an outline of the crop. A click inside the outline also selects a pixel.
+  // The picture of the whole frame contains an outline of the crop. A click inside the outline also selects a pixel.
   const whole = document.getElementById(`with-${block.dataset.frame}`).closest(".comparison");
   const [height, width] = whole.dataset.size.split(" ").map(Number);
   for (const each of whole.querySelectorAll(".view")) {

@@ -1,4 +1,4 @@
-"""Encode a crop of a frame in which the reader of a report can inspect the class and the transform of each pixel.
+"""Encode a crop of a frame, in which the reader of a report can inspect the class and the transform of each pixel.
 
 The data of the crop are embedded in the page. The script pixels.js shows the class and the transform of a pixel, and
 classes.js lists all classes in the data.
@@ -35,7 +35,7 @@ from l3cli.report.colours import channel_light, hex_colour
 from l3cli.report.parts import Jpeg, Picture, PixelPicker, Pixels
 
 Array = NDArray[np.floating]
-# Rows and columns of the crop, in order of preference.
+# Rows and columns of the crop, from the preferred size to the smallest size.
 CROP_SIZES = (
     (192, 256),
     (144, 192),
@@ -45,7 +45,7 @@ CROP_SIZES = (
     (24, 32),
 )
 JPEG_QUALITY = 95  # JPEG quality of the pictures of the crop
-CROP_STEPS = 8  # the possible positions of the crop divide its range along each side of the frame into this number of steps
+CROP_STEPS = 8  # number of equal steps in which the crop is moved along each axis of the frame to find its best position
 WEIGHT_SCALE = 127  # integer that represents the largest weight
 PLANES = ("X − aY", "Y", "Z − bY")  # input planes of refinement layers in tables with three outputs
 COMPONENTS = ("first component", "mean", "second component")  # input planes of the refinement layer in spectral tables
@@ -60,11 +60,11 @@ class Layer:
 
     side: int  # side of the window in pixels
     planes: tuple[str, ...]  # names of the input planes, in the order of the taps; ("mosaic",) in the first layer
-    labels: NDArray[np.integer]  # (row, col) class of each pixel, as an index along the axis (class)
+    labels: NDArray[np.integer]  # (row, col) class of each pixel, as an index along the class axis
     words: tuple[dict[str, str], ...]  # (class,) description of each feature of the class
     patches: Array  # (class,) number of training patches; 0 if the class was filled from a neighbour
     pixels: NDArray[np.integer]  # (class,) number of pixels of the class in the whole frame
-    weights: Array  # (class, output, tap) weights of the first classes; the last classes may have none
+    weights: Array  # (class, output, tap) weights of the first classes; the last classes may have no weights
 
     @property
     def cropped(self) -> int:
@@ -95,17 +95,17 @@ def crop_of(
 ) -> tuple[Crop, str]:
     """Choose the crop of a frame that contains the most classes, and encode the crop for the page.
 
-    The crop has the largest size in CROP_SIZES whose encoding fits `limit`. Up to `more` characters are used for additional
-    classes, which do not occur in the crop. The additional classes are the first of these sets that fits: all other classes
-    of the table, the other classes of the frame, or no classes. They are sorted by their frequency in the frame. The
-    remaining characters of `more` are used for weights of the additional classes.
+    The crop has the largest size in CROP_SIZES with which the encoded crop fits `limit`. Up to `more` characters are used
+    for additional classes, which do not occur in the crop. The additional classes are the first of three sets that fits: all
+    other classes of the table, the other classes of the frame, or no classes. They are sorted by their frequency in the
+    frame. The remaining characters of `more` are used for weights of the additional classes.
 
     Parameters
     ----------
     table : TransformTable
         The table.
     camera : CameraModel
-        Camera from which the display colours of the channels are computed.
+        Camera, for the display colours of the channels.
     labels : list of ndarray, (row, col)
         Class of every pixel of the frame, one array per layer.
     limit : int
@@ -158,10 +158,10 @@ def _crop(
     area : tuple of slice
         Rows and columns of the crop.
     others : {"none", "frame", "all"}
-        Additional classes: none, the other classes of the frame, or all other classes of the table. They are sorted by their
-        frequency in the frame.
+        Additional classes: none, the other classes of the frame, or all other classes of the table. The additional classes
+        are sorted by their frequency in the frame.
     letters : int
-        Maximum number of characters per layer for the weights of additional classes. The most frequent classes come first.
+        Maximum number of characters per layer for the weights of additional classes. Frequent classes have precedence.
     """
     layers = []
     for layer, worded, of in zip(table.layers, words, labels, strict=True):
@@ -172,7 +172,7 @@ def _crop(
         seen, indices = np.unique(of[area], return_inverse=True)
         order = np.argsort(-pixels, kind="stable")
         order = order[~np.isin(order, seen) & ((others == "all") | (pixels[order] > 0) & (others == "frame"))]
-        # Base64 needs 4 characters for 3 bytes, and weights are almost incompressible.
+        # Base64 needs 4 characters for 3 bytes. Compression is ignored, because weights are almost incompressible.
         room = letters * 3 // 4 // (layer.weights.shape[1] * (taps + 4))
         classes = np.concatenate([seen, order])
         layers.append(
@@ -190,10 +190,10 @@ def _crop(
 
 
 def _words(table: TransformTable, layer: MosaicLayer | PlaneLayer) -> Callable[[int], dict[str, str]]:
-    """Return a function that converts the index of a class of the layer to a description of its features."""
+    """Return a function that converts the index of a class in the layer to a description of its features."""
     every = np.arange(len(layer.weights))
     sites = layer.rule.split(every).site.tolist()
-    # In the first layer, classes that differ only in the site have the same description.
+    # In the first layer, classes that differ only in their site have the same description.
     within = layer.rule.within_site(every).tolist() if isinstance(layer, MosaicLayer) else every.tolist()
 
     @functools.cache
@@ -217,12 +217,12 @@ def richest(labels: NDArray[np.integer], size: tuple[int, int]) -> tuple[int, in
     labels : ndarray, (row, col)
         Class of every pixel of the frame.
     size : tuple of int
-        Numbers of rows and columns of the crop. They may exceed the size of the frame.
+        Numbers of rows and columns of the crop, which may exceed the size of the frame.
 
     Returns
     -------
     tuple of int
-        First row and first column of the crop. If several positions are equally good, the first is returned.
+        First row and first column of the crop. If several positions are equally good, the first position is returned.
     """
     best, most = (0, 0), -1
     room = [max(0, whole - part) for whole, part in zip(labels.shape, size, strict=True)]
@@ -275,7 +275,7 @@ def _numbers(layer: Layer) -> bytes:
 
 
 def picker(anchor: str, crop: Crop, text: str, pictures: dict[str, Pixels], scene: str, jpeg: Jpeg) -> PixelPicker:
-    """Build the part of the page in which the reader selects a pixel.
+    """Build the block of the page in which the reader selects a pixel.
 
     Parameters
     ----------
@@ -286,7 +286,7 @@ def picker(anchor: str, crop: Crop, text: str, pictures: dict[str, Pixels], scen
     text : str
         The crop, encoded with `packed`.
     pictures : dict of str to ndarray, (row, col, 3)
-        Name of each picture → picture of the whole frame.
+        Name → picture of the whole frame.
     scene : str
         Name of the scene, for the alternative texts.
     jpeg : callable

@@ -16,12 +16,12 @@ from l3cli.system.text import counted, tidy
 
 Array = NDArray[np.floating]
 
-FIGURE_OF = {"DoLP": "mean_dolp_error", "AoLP": "aolp_rmse", "S0": "psnr_s0"}  # metric in the captions of each map
+FIGURE_OF = {"DoLP": "mean_dolp_error", "AoLP": "aolp_rmse", "S0": "psnr_s0"}  # map → metric in its captions
 TITLES = {"DoLP": "Degree of linear polarisation", "AoLP": "Angle of linear polarisation", "S0": "Intensity"}
-SCALES = (0.1, 0.2, 0.5, 1.0)  # degrees of polarisation at which the scale of a map can end
-BRIGHT_QUANTILE = 0.99  # fraction of the pixels of the ideal whose degree is within the scale
-KEY_STEPS = 4  # number of intervals of a colour key
-Maps = dict[str, dict[str, Pixels]]  # for each map, the picture of each pipeline and of the ideal
+SCALES = (0.1, 0.2, 0.5, 1.0)  # possible upper ends of the DoLP scale
+BRIGHT_QUANTILE = 0.99  # fraction of the pixels of the ideal picture whose DoLP is within the scale
+KEY_STEPS = 4  # number of intervals in a colour key
+Maps = dict[str, dict[str, Pixels]]  # map → pipeline or "ideal" → picture
 
 
 def polarisation_maps(target: Array, planes: dict[str, Array], outputs: tuple[str, ...]) -> tuple[Maps, float]:
@@ -41,7 +41,7 @@ def polarisation_maps(target: Array, planes: dict[str, Array], outputs: tuple[st
     dict
         For each map, the 8-bit sRGB picture (row, col, 3) of each pipeline and of the ideal.
     float
-        Degree of polarisation at the end of the colour scale of DoLP. At this degree, the colours of AoLP are brightest.
+        Upper end of the DoLP scale. At this DoLP, the colours of the AoLP map are brightest.
     """
     stokes = {name: stokes_of(of, outputs).astype(np.float64) for name, of in {**planes, "ideal": target}.items()}
     ideal = stokes["ideal"]
@@ -69,13 +69,13 @@ def polarisation_section(
     document : dict
         Output of `l3 evaluate --json`.
     maps : dict
-        Index of each frame that `shown_frames` returned, in the same order → result of `polarisation_maps` for the frame.
+        Index of each frame that `shown_frames` chose, in the same order → result of `polarisation_maps` for the frame.
     title : str
         Title of the section.
     anchor : str
         Prefix of the HTML anchors of the comparisons.
     limit : int
-        Maximum size of all pictures together, in bytes.
+        Maximum total size of all pictures in bytes.
     jpeg : callable
         JPEG encoder, see `parts.Jpeg`.
     """
@@ -104,7 +104,7 @@ def polarisation_section(
 def _comparison(
     document: dict[str, Any], index: int, kind: str, maps: tuple[Maps, float], anchor: str, limit: int, jpeg: Jpeg
 ) -> Comparison:
-    """Build the comparison of one map of a frame: ours, the ideal, and the other pipelines."""
+    """Build the comparison of one map of a frame: the table ("ours"), the ideal, and the other pipelines."""
     frame, (pictures, scale) = document["frames"][index], maps
     title = f"{kind}, frame {index + 1}: {frame['scene']}, {frame['illuminant']}{brightness(frame)}"
     figure, made = FIGURE_OF[kind], []
@@ -121,7 +121,7 @@ def _comparison(
 def _key(kind: str, scale: float) -> tuple[Key, ...]:
     """Return the colour key of a map.
 
-    The colours in the key for angles are drawn for the degree of polarisation at the end of the DoLP scale.
+    The AoLP colours in the key are computed for the DoLP at the upper end of the DoLP scale.
     """
     if kind == "S0":
         return ()

@@ -20,7 +20,7 @@ SEQUENCE_METRICS = {  # metric of a whole sequence → heading of its column
     "psnr": "PSNR (dB)",
     "mean_delta_e": "mean ΔE00",
 }
-FRAME_METRICS = {  # metric of a frame → title of its plot, label of the y axis, and whether the y axis begins at 0
+FRAME_METRICS = {  # metric of a frame → title of its plot, label of the y axis, and whether the y axis starts at 0
     "step_sigma": ("Noise over time", "temporal σ of L* in still patches", True),
     "jump": ("Flicker over time", "jump of mean L* since the previous frame", False),
     "warped_error": ("Error along the motion", "warped error (L*)", True),
@@ -38,9 +38,9 @@ MEANINGS = (
 
 
 def sequence_section(documents: Documents) -> Section:
-    """Build the section that compares evaluated sequences.
+    """Build the section that compares several evaluated sequences.
 
-    The section contains a table with the metrics of each sequence, and plots of the metrics of frames with one line per
+    The section contains a table with the metrics of each sequence, and plots of the metrics of each frame with one line per
     sequence. A plot is omitted if no sequence has the metric.
     """
     rows = tuple(
@@ -74,7 +74,7 @@ def _cell(figure: str, value: float | None) -> str:
 
 
 def _known(documents: Documents, figure: str) -> bool:
-    """Return whether any frame of any sequence has a value of the metric `figure`."""
+    """Return whether any frame in any sequence has a value for the metric `figure`."""
     return any(frame[figure] is not None for document in documents.values() for frame in document["frames"])
 
 

@@ -40,7 +40,7 @@ UNKNOWN_SCENES = (
 DIFFERENT_SCENES = (
     "frames with equal names show different scenes or illuminants; simulate all training sets with the same recipe and seed"
 )
-# Names of scene and illuminant, and the luminance. They identify the same frame in several training sets.
+# (scene name, illuminant name, luminance), which identifies the same frame in several training sets.
 Place = tuple[str, str, str]
 
 
@@ -66,8 +66,7 @@ def shared_places(sides: list[Side]) -> list[Place]:
     """Find the frames that all tables have in common.
 
     Frames match if they have the same scene name, illuminant name and luminance, and if their fingerprints belong to the
-    same scene and illuminant. A frame without a fingerprint matches every frame.
-
+    same scene and illuminant. A frame without a fingerprint matches any frame with the same names and luminance.
     Parameters
     ----------
     sides : list of Side
@@ -76,7 +75,7 @@ def shared_places(sides: list[Side]) -> list[Place]:
     Returns
     -------
     list of Place
-        Names of scene and illuminant, and luminance, of each common frame, in the order of the frames of the first table.
+        Scene name, illuminant name and luminance of each common frame, in the order of the frames of the first table.
     """
     return [place for place in _alike(sides) if _one_scene(_shown(sides, place))]
 
@@ -88,7 +87,7 @@ def _alike(sides: list[Side]) -> list[Place]:
 
 
 def _shown(sides: list[Side], place: Place) -> list[Any]:
-    """For each table, return the fingerprint of the frame with the given scene, illuminant and luminance.
+    """Return, for each table, the fingerprint of the frame with the given scene, illuminant and luminance.
 
     The fingerprint is None if it is unknown.
     """
@@ -96,7 +95,7 @@ def _shown(sides: list[Side], place: Place) -> list[Any]:
 
 
 def _one_scene(shown: list[Any]) -> bool:
-    """Return whether all fingerprints, except those that are None, belong to the same scene and illuminant."""
+    """Return whether all known fingerprints (not None) belong to the same scene and illuminant."""
     known = [each for each in shown if each]
     return all(shown_alike(known[0], each) for each in known[1:])
 
@@ -115,7 +114,7 @@ def shared_frame(sides: list[Side], at: float | None = None) -> list[int]:
     -------
     list of int
         Index of the frame in the evaluation of each table. Empty if the tables have no frame in common, or if ΔE00 is not
-        the main metric of every table, which is the case if the outputs of a table are not colours.
+        the main metric of every table, because the outputs of a table are not colours.
     """
     figures, first = {main_of(side.document) for side in sides}, sides[0]
     places = [
@@ -138,7 +137,7 @@ def side_by_side_section(
     sides : list of Side
         The evaluated tables.
     index : list of int
-        Result of `shared_frame`: index of the frame to show, for each table.
+        Index of the frame to show, for each table, from `shared_frame`.
     pictures : list of dict
         For each table, the pictures of this frame by name. Empty if `index` is empty.
     limit : int
@@ -168,7 +167,7 @@ def _frames(side: Side, places: list[Place]) -> list[dict[str, Any]]:
 
 
 def _mean(side: Side, places: list[Place], pipeline: str, figure: str) -> float | None:
-    """Average a metric over the frames that `places` identifies, or over all frames if `places` is empty.
+    """Return the mean of a metric over the frames that `places` identifies, or over all frames if `places` is empty.
 
     The result is None if no frame has the metric.
     """
@@ -204,15 +203,15 @@ def _verdict(sides: list[Side], shared: list[Place]) -> str:
 
 
 def _title(side: Side, sides: list[Side]) -> str:
-    """Return the name of the table, with the name of the training set if the table was evaluated on several sets."""
+    """Return the name of a table. If the table was evaluated on several training sets, append the name of the set."""
     alone = [each.name for each in sides].count(side.name) == 1
     return side.name if alone else f"{side.name} on {side.frames}"
 
 
 def _frame_block(sides: list[Side], index: list[int], pictures: list[dict[str, Pixels]], limit: int, jpeg: Jpeg) -> Block:
-    """Show a frame as rendered with each table, and the ideal picture.
+    """Show one frame as rendered with each table, and the ideal picture.
 
-    If all pictures have the same size, the block compares the pictures with a slider.
+    If all pictures have the same size, the reader can compare them with a slider.
     """
     frames = [side.document["frames"][at] for side, at in zip(sides, index, strict=True)]
     shown = [

@@ -1,4 +1,4 @@
-// Overlays two pictures of a frame, with a slider between them. If scripts are disabled, the pictures are shown side by side.
+// Overlays two pictures of a frame, with a slider between them. If scripts are disabled, all pictures are shown side by side.
 for (const block of document.querySelectorAll(".comparison")) {
   const [other, cut] = block.querySelectorAll("select, input");
   const panes = [...block.querySelectorAll(".panes figure")];

@@ -32,26 +32,26 @@ from l3cli.system.text import counted, tidy
 Array = NDArray[np.floating]
 MAX_PICTURES = 24  # maximum number of frames whose targets are shown as pictures
 LEVEL_EDGES = np.geomspace(1e-3, 1.0, 37)  # edges of the bins of the raw signal, as fractions of full scale
-SATURATED = 0.985  # raw values from this fraction of full scale are saturated (docs/method.md#saturation-cases)
+SATURATED = 0.985  # raw values of at least this fraction of full scale are saturated (docs/method.md#saturation-cases)
 CELL_SIZE = 0.01  # width and height of a cell in the chromaticity diagram, in units of x and y
 CELLS_PER_SIDE = 100  # number of cells along x and along y
-MIN_RELATIVE_LUMINANCE = 1e-4  # pixels below this fraction of the luminance of white are not counted in the diagram
+MIN_RELATIVE_LUMINANCE = 1e-4  # pixels with less than this fraction of the luminance of white are not in the diagram
 
 
 @dataclass
 class Survey:
     """Statistics of a training set, collected in one pass over its frames."""
 
-    # caption, alternative text and sRGB picture (row, col, 3) of some frames
+    # (caption, alternative text, sRGB picture (row, col, 3)) of some frames
     pictures: list[tuple[str, str, NDArray[np.uint8]]] = field(default_factory=list)
     levels: list[Array] = field(default_factory=list)  # for each channel, the number of pixels in each bin of LEVEL_EDGES
     below: int = 0  # number of pixels below the first bin
     saturated: int = 0  # number of saturated pixels
-    pixels: int = 0  # number of all pixels
+    pixels: int = 0  # total number of pixels
     sizes: Counter = field(default_factory=Counter)  # size of a frame → number of frames
     lights: dict = field(default_factory=dict)  # illuminant → (white, luminance in cd/m², exposure in s) of each frame
     chromaticity: Array = field(default_factory=lambda: np.zeros((CELLS_PER_SIDE, CELLS_PER_SIDE)))  # (x, y) pixel counts
-    pairs: int = 0  # number of real frames that are paired with a target
+    pairs: int = 0  # number of real frames, each of which is paired with a target
 
 
 def training_section(reader: TrainingSetReader, name: str, role: str, limit: int, jpeg: Jpeg) -> Section:
@@ -64,7 +64,7 @@ def training_section(reader: TrainingSetReader, name: str, role: str, limit: int
     name : str
         Name of the file.
     role : str
-        Sentences about the tables that were trained or evaluated on the training set. May be empty.
+        Sentences about the tables that were trained or evaluated on the training set, or an empty string.
     limit : int
         Maximum total size of all pictures in bytes.
     jpeg : callable
@@ -112,7 +112,10 @@ def survey_of(reader: TrainingSetReader) -> Survey:
 
 
 def _count_levels(survey: Survey, frame: TrainingPair, camera: CameraModel) -> None:
-    """Add the raw values of a frame to the histograms of the channels. Values above white count in the last bin."""
+    """Add the raw values of a frame to the histograms of the channels.
+
+    Values above the white level count in the last bin.
+    """
     signal = (frame.raw.astype(np.float64) - camera.black_level) / (camera.white_level - camera.black_level)
     rows, cols = camera.cfa.shape
     for (row, col), channel in np.ndenumerate(camera.cfa):
@@ -124,7 +127,7 @@ def _count_levels(survey: Survey, frame: TrainingPair, camera: CameraModel) -> N
 
 
 def _count_colours(survey: Survey, frame: TrainingPair) -> None:
-    """Add the chromaticities of a target to the histogram, without very dark pixels (MIN_RELATIVE_LUMINANCE)."""
+    """Add the chromaticities of a target to the histogram, except very dark pixels (MIN_RELATIVE_LUMINANCE)."""
     total = frame.target.sum(axis=0)
     bright = (frame.target[1] > MIN_RELATIVE_LUMINANCE * frame.white[1]) & (total > 0)
     x, y = (frame.target[part][bright] / total[bright] for part in (0, 1))
@@ -163,7 +166,7 @@ def _light_blocks(head: TrainingSet, survey: Survey) -> tuple[Block, ...]:
 
 
 def _range(values: list[float]) -> str:
-    """Format the smallest and the largest value as a range, or as a single number if both look the same."""
+    """Format the smallest and the largest value as a range, or as a single number if both have the same text."""
     low, high = tidy(min(values)), tidy(max(values))
     return low if low == high else f"{low}–{high}"
 
@@ -193,7 +196,7 @@ def _level_figure(camera: CameraModel, survey: Survey) -> Figure:
 def _chromaticity_figure(survey: Survey) -> Figure:
     """Plot the chromaticities of the targets in the CIE 1931 diagram.
 
-    The opacity of a cell shows its fraction of all pixels, with one step of opacity per factor of ten.
+    The opacity of a cell represents its fraction of all pixels, with one step of opacity per factor of ten.
     """
     plot = Plot(Axis("CIE 1931 x (1)", -0.04, 0.84), Axis("CIE 1931 y (1)", 0, 0.9), height=434)
     wavelength, locus = colours.spectral_locus()
@@ -248,7 +251,7 @@ def _cover(shares: Array, triangle: Array) -> tuple[float, float]:
     Returns
     -------
     inside : float
-        Fraction of all pixels whose cell is inside the triangle.
+        Fraction of all pixels in cells inside the triangle.
     covered : float
         Fraction of the cells inside the triangle that contain at least one pixel.
     """

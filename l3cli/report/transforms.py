@@ -16,8 +16,8 @@ from l3cli.system.text import tidy
 
 Array = NDArray[np.floating]
 DECADE_OPACITIES = (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # opacity of cells with 1–9, 10–99, … patches
-MAX_NAME_CHARACTERS = 22  # names with more characters do not fit next to a drawing and are replaced by numbers
-MAX_MAPS = 3  # maximum number of outputs whose weights are drawn; the other outputs are left out
+MAX_NAME_CHARACTERS = 22  # longer names do not fit next to a drawing and are replaced by numbers
+MAX_MAPS = 3  # maximum number of outputs whose weights are drawn
 
 
 def transform_section(
@@ -30,11 +30,11 @@ def transform_section(
     table : TransformTable
         The table.
     light : ndarray, (channel, 3), optional
-        Display colours of the channels in linear sRGB. None if the report contains no camera; filters are then drawn without
-        colour.
+        Display colours of the channels in linear sRGB. If the report contains no camera, `light` is None, and filters are
+        drawn without colour.
     insight : dict
         Output of `l3 info --json` for the table.
-    class_name : callable
+        Function that converts the index of a class to a description.
         Function that converts the index of a class to its description.
     name : str
         Name of the file.
@@ -76,7 +76,7 @@ def _refinement_table(insight: dict[str, Any]) -> Table:
 
 
 def _structures(layer: dict[str, Any]) -> str:
-    """Describe the classes of a refinement layer for unsaturated pixels: tree leaves, or edge strengths and directions."""
+    """Describe the classes of unsaturated pixels in a refinement layer: tree leaves, or edge strengths and directions."""
     if "leaves" in layer:
         return f"{layer['leaves']} leaves of a tree of depth {layer['depth']}"
     return (
@@ -85,7 +85,7 @@ def _structures(layer: dict[str, Any]) -> str:
 
 
 def level_middles(table: TransformTable) -> Array:
-    """Return a positive value between the bounds of each level, as a fraction of full scale, for logarithmic axes."""
+    """Return a positive value between the bounds of each level, as a fraction of full scale, for a logarithmic axis."""
     bounds = level.bounds(table)
     lower = np.maximum(bounds[:-1], bounds[1:] / 2)
     return np.sqrt(np.maximum(lower * bounds[1:], 1e-8))
@@ -95,7 +95,7 @@ def level_middles(table: TransformTable) -> Array:
 
 
 def _population_blocks(table: TransformTable, insight: dict[str, Any]) -> tuple[Block, ...]:
-    """Draw the number of training patches by level and kind (chroma or saturation case), and by level and site."""
+    """Draw the number of training patches by level and kind (chroma or saturation case), and by level and CFA site."""
     samples = table.first.rule.by_feature(table.first.samples)
     levels = [tidy(value, 1) for value in level.bounds(table)[1:]]
     kinds, sites = (
@@ -119,7 +119,10 @@ def _population_blocks(table: TransformTable, insight: dict[str, Any]) -> tuple[
 
 
 def kind_names(insight: dict[str, Any]) -> list[str]:
-    """Return the names of the kinds (chromas and saturation cases), with numbers if a name is too long for a drawing."""
+    """Return the names of the kinds (chromas and saturation cases).
+
+    If a name is too long for a drawing, number the names.
+    """
     names = [kind["name"] for kind in insight["kinds"]]
     return (
         [f"{number}: {name}" for number, name in enumerate(names)] if max(map(len, names)) > MAX_NAME_CHARACTERS else names
@@ -127,9 +130,9 @@ def kind_names(insight: dict[str, Any]) -> list[str]:
 
 
 def _contrast(table: TransformTable, contrast: int) -> str:
-    """Return the part of a title that explains the lowest or the highest contrast, such as ", the flattest".
+    """Return the part of a title that describes the lowest or the highest contrast, such as ", the flattest".
 
-    The result is empty for any other contrast, or if there is only one contrast.
+    The result is empty for all other contrasts, and if the table has only one contrast.
     """
     if table.first.rule.contrasts == 1:
         return ""
@@ -137,7 +140,10 @@ def _contrast(table: TransformTable, contrast: int) -> str:
 
 
 def _population(counts: Array, rows: list[str], levels: list[str], title: str, y_label: str) -> Figure:
-    """Draw a heat map of the number of patches `counts` (row, level), with one step of opacity per factor of ten."""
+    """Draw a heat map of the number of patches `counts` (row, level).
+
+    The opacity increases by one step per factor of ten.
+    """
     decade = np.clip(np.floor(np.log10(np.maximum(counts, 1))), 0, len(DECADE_OPACITIES) - 1).astype(int)
     shares = np.where(counts > 0, np.array(DECADE_OPACITIES)[decade], 0.0)
     filled = int((counts > 0).sum())
@@ -160,7 +166,7 @@ def _kinds_table(insight: dict[str, Any]) -> Table:
 
 
 def _feature_tables(insight: dict[str, Any]) -> tuple[Table, ...]:
-    """Make a table for each additional class feature. It lists the number of patches for each value of the feature."""
+    """Make one table per additional class feature, with the number of patches for each value of the feature."""
     return tuple(
         Table(f"Patches by {name}", (name, "patches"), tuple((each["name"], f"{each['patches']:.0f}") for each in values))
         for name, values in insight.get("features", {}).items()
@@ -187,9 +193,9 @@ def chosen_classes(table: TransformTable) -> list[int]:
     """Choose the classes of the first layer whose transforms are drawn.
 
     For the most frequent channel, the function chooses a dark and a bright level, each with the lowest and the highest
-    contrast. For at most seven other channels, it chooses a medium level with the highest contrast. For each of these
+    contrast. For up to seven other channels, it chooses a medium level with the highest contrast. For each of these
     combinations, it returns the unsaturated class with the most training patches at the first site of the channel.
-    Combinations without training patches are left out.
+    Combinations without training patches are omitted.
 
     Returns
     -------
@@ -247,7 +253,7 @@ def _maps(table: TransformTable, light: Array | None, index: int, name: str) -> 
 
 
 def _weights_data(table: TransformTable, index: int) -> Data:
-    """List all weights of a class, with the output, the position in the patch and the channel of each weight."""
+    """List all weights of a class, each with its output, its position in the patch and its channel."""
     patch, channel = table.first.rule.patch, taps(table, index)
     rows = tuple(
         (table.outputs[output], str(tap // patch), str(tap % patch), table.channels[channel[tap]], float(weight))
@@ -257,7 +263,7 @@ def _weights_data(table: TransformTable, index: int) -> Data:
 
 
 def _weight_map(weights: Array, left: float, top: float, cell: float) -> list[str]:
-    """Draw the weights of one output as cells, in orange for positive weights and in blue for negative weights."""
+    """Draw the weights of one output as cells. Positive weights are orange, and negative weights are blue."""
     largest = float(np.abs(weights).max()) or 1.0
     items = []
     for (row, col), weight in np.ndenumerate(weights):
@@ -271,7 +277,7 @@ def _weight_map(weights: Array, left: float, top: float, cell: float) -> list[st
 
 
 def taps(table: TransformTable, index: int) -> Integers:
-    """Return the channel (tap,) of each tap in the window of a class of the first layer."""
+    """Return the channel (tap,) of each tap in the window of a class in the first layer."""
     return window_channels(table.cfa, table.first.rule.patch)[table.first.rule.split(index).site]
 
 
@@ -279,7 +285,10 @@ def taps(table: TransformTable, index: int) -> Integers:
 
 
 def _noise_figures(table: TransformTable) -> Figures:
-    """Plot the median noise gain of trained unsaturated classes against the level. Empty if no such class exists."""
+    """Plot the median noise gain of trained unsaturated classes against the level.
+
+    Empty if the table has no such classes.
+    """
     rule, gains = table.first.rule, np.sqrt((table.first.weights.astype(np.float64) ** 2).sum(axis=2))
     gain = rule.by_feature(gains)[..., rule.kinds_of(0), :]
     trained = rule.by_feature(table.first.samples)[..., rule.kinds_of(0)] > 0
@@ -314,14 +323,14 @@ def _noise_figures(table: TransformTable) -> Figures:
 
 
 def _medians(values: Array, chosen: NDArray[np.bool_]) -> Array:
-    """Return the median of the `chosen` values (site, level, …) at each level. It is NaN if no value is chosen."""
+    """Return the median of the `chosen` values (site, level, …) at each level, or NaN if no value is chosen at a level."""
     return np.array(
         [np.median(values[:, at][chosen[:, at]]) if chosen[:, at].any() else np.nan for at in range(values.shape[1])]
     )
 
 
 def _gain_tables(table: TransformTable, insight: dict[str, Any]) -> tuple[Table, ...]:
-    """Make tables of the noise gain, of the gain for uniform areas, and of the classes with the highest noise gain."""
+    """Make tables of the noise gain, of the gain in uniform areas, and of the classes with the highest noise gain."""
     flat = tuple(
         (output, *(tidy(gains[channel]) for channel in table.channels)) for output, gains in insight["dc_gain"].items()
     )

@@ -22,24 +22,24 @@ from l3cli.system.text import counted, tidy, unit
 
 Array = NDArray[np.floating]
 PATCHES_PER_ROW = 6
-MAX_CHARTS = 4  # maximum number of charts drawn for a calibration
+MAX_CHARTS = 4  # maximum number of charts that are drawn for a calibration
 PATCH_GAP, TEXT_HEIGHT = 10.0, 18.0  # distance between patches, and height of the text below each patch, in px
 
 
 def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array], errors: dict[str, Array]) -> Figure:
-    """Draw the patches of a chart. Each patch shows two colours side by side, with their difference (ΔE00) below.
+    """Draw the patches of a chart. Each patch shows two colours side by side, with their ΔE00 below.
 
     Parameters
     ----------
     title : str
         Title of the figure.
     names : tuple of str
-        Names of the pictures from which the left halves and the right halves of the patches are taken.
+        Names of the two pictures: the source of the left halves and the source of the right halves.
     pair : tuple of ndarray, (patch, 3)
         Colours of the left halves and of the right halves, in linear sRGB.
     errors : dict of str to ndarray, (patch,)
-        Name of a picture → ΔE00 of each patch between this picture and the picture in the left halves. It must contain
-        `names[1]`, whose values are drawn. The values of all other pictures appear only in the caption and in the data.
+        Name of a picture → ΔE00 of each patch between this picture and the picture in the left halves. The values for
+        `names[1]` are required and are drawn. The values for all other pictures appear only in the caption and in the data.
     """
     side = (WIDTH - 2 - PATCH_GAP * (PATCHES_PER_ROW - 1)) / PATCHES_PER_ROW
     main, items = errors[names[1]], []
@@ -73,7 +73,7 @@ def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array]
 
 
 def patches_table(errors: dict[str, Array]) -> Table:
-    """Make a table of the ΔE00 of each patch, with one column per picture. `errors` has the format of `patches_figure`."""
+    """Make a table of the ΔE00 of each patch, with one column per picture. For `errors`, see `patches_figure`."""
     rows = tuple((name, *(f"{float(of[patch]):.2f}" for of in errors.values())) for patch, name in enumerate(PATCH_NAMES))
     return Table("ΔE00 of each patch", ("patch", *errors), rows)
 
@@ -81,8 +81,8 @@ def patches_table(errors: dict[str, Array]) -> Table:
 def calibration_figures(camera: CameraModel, fit: ChartFit) -> tuple[Figure, ...]:
     """Draw the measured and the predicted colours of the first MAX_CHARTS charts of a calibration.
 
-    One matrix per chart converts the channels to colours. A chart is omitted if its illuminant is not a named illuminant or
-    if it is not a ColorChecker with 24 patches, because the ideal colours of its patches are then unknown.
+    One matrix per chart converts channels to colours. The matrix requires the ideal colours of the patches. A chart is
+    therefore omitted if its illuminant is not a named illuminant, or if it is not a ColorChecker with 24 patches.
     """
     figures = []
     for light, measured, predicted in zip(fit.illuminants[:MAX_CHARTS], fit.measured, fit.predicted, strict=False):
@@ -135,7 +135,7 @@ def validation_blocks(camera: CameraModel, fit: Fit, figures: dict[str, Any]) ->
     -------
     tuple of Block
         Plots of predictions, residuals and smoothing, drawings of charts, and tables of the errors for each chart and for
-        each illumination band. Blocks without data are left out, and the result may be empty.
+        each illumination band. Blocks without data are omitted, so the result may be empty.
     """
     graphs: list[Figure] = []
     if fit.validation is not None:
@@ -153,7 +153,7 @@ def validation_blocks(camera: CameraModel, fit: Fit, figures: dict[str, Any]) ->
 
 
 def table_of(caption: str, heading: str, rows: dict[str, dict[str, float]]) -> Table:
-    """Convert a part of the output of `l3 calibrate --json` to a table: `rows` maps names to numbers by column title."""
+    """Convert a part of the output of `l3 calibrate --json` to a table. `rows` contains, for each name, title → number."""
     titles = tuple(next(iter(rows.values())))
     body = tuple(
         (name, *(f"{row[title]:.5f}" if title.startswith("R²") else tidy(row[title], 4) for title in titles))
@@ -163,7 +163,7 @@ def table_of(caption: str, heading: str, rows: dict[str, dict[str, float]]) -> T
 
 
 def _prediction_figures(camera: CameraModel, fit: Fit) -> list[Figure]:
-    """Plot the measured values, and their residuals, against the predicted values. Empty if no value was used."""
+    """Plot the measured values, and their residuals, against the predicted values. Empty if no values were used."""
     assert fit.validation is not None
     measured, predicted = fit.validation.measured, fit.validation.predicted
     used = np.ones(measured.shape, bool) if fit.chart is not None or fit.series is None else fit.series.used
@@ -190,7 +190,7 @@ def _prediction_figures(camera: CameraModel, fit: Fit) -> list[Figure]:
 
 
 def _smoothing_figure(sweep: SweepFit) -> list[Figure]:
-    """Plot the cross-validated error against the smoothing δ. Empty if fewer than two values of δ were tried."""
+    """Plot the cross-validated error against the smoothing δ. Empty if fewer than two values of δ were tested."""
     tried = sweep.smoothing > 0
     if tried.sum() < 2:
         return []
@@ -238,7 +238,7 @@ def photo_subsections(camera: CameraModel, fit: PhotoFit, figures: dict[str, Any
 
 
 def photo_lead(fit: PhotoFit, figures: dict[str, Any]) -> str:
-    """Return a summary of the fit, with the uncertainty of the responsivities and of the colours."""
+    """Summarise the fit to photos, with the uncertainty of the responsivities and of the colours."""
     curve, colours = (max(row[title] for row in figures["channels"].values()) for title in BANDS)
     many = "one photo" if len(fit.names) == 1 else f"{len(fit.names)} photos"
     return (
@@ -265,7 +265,7 @@ def _photos(figures: dict[str, Any]) -> Table:
 
 
 def _lights(figures: dict[str, Any]) -> Text:
-    """State for each photo whether the illuminant that the user specified fits the patches."""
+    """State, for each photo, whether the illuminant that the user specified fits the patches."""
     words = []
     for name, photo in figures["photos"].items():
         if photo["guessed"]:
@@ -314,7 +314,7 @@ def _reading(figures: dict[str, Any]) -> tuple[Text, Text]:
 
 
 def _patches(fit: PhotoFit, index: int, keys: tuple[Key, ...]) -> tuple[Figure, Figure]:
-    """Plot the measured against the predicted signals of the patches in one photo, and the residual of each patch."""
+    """Plot measured against predicted signals of the patches in one photo, and the residual of each patch."""
     used = fit.used[index]
     brightest = np.where(used, fit.measured[index], 0.0).max(axis=0)
     brightest = np.where(brightest > 0, brightest, 1.0)

@@ -33,7 +33,7 @@ static void keep_row(const Smoothing *s, int row, int rows, int columns, const L
     }
 }
 
-/* Writes X and Z of a row, of which `stride` is the distance between X, Y and Z in memory. */
+/* Writes X and Z of a row. `stride` is the distance between X, Y and Z in memory. */
 static void smooth_row(const Smoothing *s, int row, int rows, int columns, ptrdiff_t stride, L3Output *to) {
     static const int down[NEIGHBOURS] = {-1, -1, 1, 1, -REACHED, REACHED, 0, 0};
     static const int right[NEIGHBOURS] = {-1, 1, -1, 1, 0, 0, -REACHED, REACHED};
@@ -64,7 +64,7 @@ static void smooth_row(const Smoothing *s, int row, int rows, int columns, ptrdi
 }
 
 #ifdef L3_LEAST_REACH
-/* Returns the least luminance of a pixel according to the raw values around it, in steps of an output. */
+/* Returns the smallest permitted luminance of a pixel, computed from the raw values around the pixel, in steps of an output. */
 static float least_luminance(const uint16_t *padded, int row, int x, int rows, int columns, int phase_row, int phase_column) {
     const ptrdiff_t span = padded_span(columns);
     const int bottom = smaller(row + L3_LEAST_REACH, rows - 1), right = smaller(x + L3_LEAST_REACH, columns - 1);

@@ -57,7 +57,7 @@ static void measure_block(const uint16_t *padded, int y, int x, int rows, int co
     made[L3_CHANNELS] = whole ? (float)widest / (L3_WHITE_LEVEL - L3_BLACK_LEVEL) : -1;
 }
 
-/* Estimates the brightness of signals (channel), of which some may be clipped. A white has a brightness of 1. */
+/* Estimates the brightness of signals (channel). Some of the signals may be clipped. A white has a brightness of 1. */
 static float grey_level(const float *signal) {
     float total = 0, weights = 0, most = 0, every = 1;
     for (int c = 0; c < L3_CHANNELS; c++) {

@@ -34,7 +34,7 @@ static void average_planes(const int32_t *restrict from, int rows, int columns, 
             }
 }
 
-/* Replaces each block with the mean of similar blocks among 3 x 3 blocks, which are 2^step blocks from each other. */
+/* Replaces each block with the mean of similar blocks in a grid of 3 x 3 blocks with a spacing of 2^step blocks. */
 static void soften_blocks(const float *restrict from, int step, int rows, int columns, float *restrict to) {
     const ptrdiff_t plane = (ptrdiff_t)rows * columns;
     const int spacing = 1 << step;

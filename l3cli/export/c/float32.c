@@ -25,7 +25,7 @@ static Ring ring_in(Room *room, uint64_t values) {
 static inline void keep(const Ring *ring, size_t at, int32_t value) { ring->value[at] = (float)value - L3_VALUE_OFFSET; }
 static inline void keep_nothing(const Ring *ring, size_t at) { ring->value[at] = 0; }
 
-/* Sum of products, in sixteen independent partial sums, so that compilers can vectorise the loop. */
+/* Computes a sum of products. Sixteen independent partial sums permit compilers to vectorise the loop. */
 static inline float dot(const float *restrict a, const float *restrict b, int taps) {
     float part[16] = {0}, eight[8], four[4];
     for (int t = 0; t < taps; t += 16)

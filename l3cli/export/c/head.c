@@ -7,7 +7,7 @@
  * Right shifts of negative numbers must be arithmetic, as in all common compilers. */
 #include "l3.h"
 
-#define DIAMETER (2 * L3_RADIUS)                   /* number of padding rows (or columns) on both sides together */
+#define DIAMETER (2 * L3_RADIUS)                   /* total number of padding rows (or columns) on both sides */
 #define SPREAD (2 * L3_SATURATION_RADIUS + 1)      /* number of rows (or columns) in which saturation is tested */
 #define SITES (L3_CFA_ROWS * L3_CFA_COLUMNS)
 #define MASKS (L3_BLOCK + L3_CFA_COLUMNS)          /* length of a mask, from which a block can be read at any CFA phase */
@@ -18,7 +18,7 @@ static int modulo(int value, int period) { return (value % period + period) % pe
 
 /* ---------------------------------------------------------------------------------------------------------------- borders */
 
-/* Returns the index of the sample that replaces sample `wanted`: the sample with the same CFA phase nearest to the mirror image. */
+/* Returns the index of the sample that replaces sample `wanted`: the sample of equal CFA phase that is nearest to the mirror image. */
 static int mirrored(int wanted, int length, int period) {
     if (length < period) return clamped(wanted, 0, length - 1);
     int mirror = wanted < 0 ? -wanted : wanted >= length ? 2 * (length - 1) - wanted : wanted;

@@ -1,5 +1,5 @@
 /* Converts outputs to an 8-bit sRGB picture, without a mathematical library. The 8-bit value is the number of thresholds that a linear
- * value reaches. A table of bins, of which none contains two thresholds, makes the search fast. */
+ * value reaches. The search uses a table of bins. No bin contains more than one threshold. */
 #include "l3_picture.h"
 
 #define STEP (1.0f / (float)(1 << L3_OUTPUT_FRACTION)) /* step of an output */
@@ -24,7 +24,7 @@ const L3White l3_white = {
     {$matrix},
 };
 
-/* Rounds to the nearest integer, and halves to even. */
+/* Rounds to the nearest integer. Halves are rounded to even integers. */
 static uint16_t rounded(double value) {
     const uint16_t nearest = (uint16_t)(value + 0.5);
     return (uint16_t)(nearest - (nearest - value == 0.5 && nearest % 2 == 1));
@@ -42,7 +42,7 @@ void l3_balance(const uint16_t *raw, int rows, int columns, int phase_row, int p
         }
 }
 
-/* Converts a float to an integer that has the same order. */
+/* Converts a float to an integer, so that the integers have the same order as the floats. */
 static uint32_t ordered(float value) {
     const union { float value; uint32_t bits; } same = {value};
     return same.bits & 0x80000000u ? ~same.bits : same.bits | 0x80000000u;
@@ -72,7 +72,7 @@ static float ranked(const L3Output *values, ptrdiff_t count, uint32_t rank) {
     return unordered(prefix);
 }
 
-/* Whether there is a clipped pixel near a pixel. */
+/* Whether a clipped pixel is near a pixel. */
 static int near_clipped(const uint16_t *raw, int rows, int columns, int y, int x) {
     const int radius = L3_SATURATION_RADIUS;
     for (int r = y > radius ? y - radius : 0; r <= y + radius && r < rows; r++)

@@ -6,8 +6,8 @@
  * A transform is a dot product of consecutive values. The latest rows are therefore stored column by column. Let S be the number of
  * values per pixel (1 in the mosaic, 3 in planes) and P the side of the window. The values of padded row k and padded column p begin at
  * ring[(p * P + k) * S], and the patch of row y and column x begins at ring[(x * P + y) * S]. In the next row, every patch begins S
- * values later. The new values of column p overwrite the oldest values of column p + 1, which are no longer needed. The taps are padded
- * with zero weights to a multiple of 16. */
+ * values later. The new values of column p overwrite the oldest values of column p + 1, which are no longer needed. The number of taps
+ * is padded with zero weights to a multiple of 16. */
 
 typedef struct {
     const int16_t *weights;   /* (class, plane, tap) */

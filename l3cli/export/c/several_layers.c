@@ -6,7 +6,7 @@ typedef struct {
     size_t ring_values;
     int16_t *fixed_ring; /* ring buffer of all layers except the last */
     Ring ring;           /* ring buffer of the last layer */
-    int32_t *planes[2];  /* (plane, row, column) planes that a layer reads and planes that it writes, in turn */
+    int32_t *planes[2];  /* (plane, row, column) planes that a layer reads, and planes that the layer writes; exchanged after each layer */
     int32_t *sums;       /* (plane, padded column) sums over the rows of the window in the last layer */
     CoarseChroma coarse;
     Clipping clipping;

@@ -63,7 +63,7 @@ static inline int32_t scaled(int32_t difference, int32_t factor, int32_t shift, 
     return below > -top ? below : -top;
 }
 
-/* Weighted sums of a quantity over 5 x 5 pixels, with the weights 1 2 3 2 1 in both directions. The last row is k. */
+/* Computes weighted sums of a quantity over 5 x 5 pixels, with the weights 1 2 3 2 1 in both directions. The last row is k. */
 static void weigh_wide(const Gradients *g, int q, int k, int columns, int32_t *restrict to) {
     const int32_t *restrict a = quantity_row(g, q, k - 4), *restrict b = quantity_row(g, q, k - 3);
     const int32_t *restrict c = quantity_row(g, q, k - 2), *restrict d = quantity_row(g, q, k - 1);
@@ -73,7 +73,7 @@ static void weigh_wide(const Gradients *g, int q, int k, int columns, int32_t *r
     for (int x = 0; x < columns; x++) to[x] = down[x] + 2 * down[x + 1] + 3 * down[x + 2] + 2 * down[x + 3] + down[x + 4];
 }
 
-/* Weighted sums over 3 x 3 pixels of the rows a, b and c, with the weights 1 2 1 in both directions. The first column is x + first. */
+/* Computes weighted sums over 3 x 3 pixels of the rows a, b and c, with the weights 1 2 1 in both directions. The first column is x + first. */
 static void weigh_near(const Gradients *g, const int32_t *restrict a, const int32_t *restrict b, const int32_t *restrict c, int first,
                        int columns, int32_t *restrict to) {
     int32_t *restrict down = g->down;

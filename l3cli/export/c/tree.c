@@ -166,8 +166,8 @@ static void find_leaves(const TreeEvidence *e, const L3Tree *tree, uint32_t leaf
     }
 }
 
-/* Computes the classes of the row for which the sums were computed last. `first_labels` are its classes in the first layer. The sums
- * after the last column are undefined and not used. */
+/* Computes the classes of the row for which the sums were computed last. `first_labels` contains the classes of this row in the first
+ * layer. The sums after the last column are undefined and not used. */
 static void label_row(const Gradients *g, const L3PlaneLayer *layer, int k, int columns, const uint32_t *first_labels,
                       uint32_t *labels) {
     for (int x = 0; x < columns; x += TOGETHER) {
