@@ -66,7 +66,7 @@ class FlatField:
     """Gains that correct shading: they make the image of an evenly lit white target uniform.
 
     Each channel has its own gains, relative to the middle of the frame. The gains are known at the points of a grid that
-    covers the whole sensor. Between these points, l3 interpolates them linearly.
+    covers the whole sensor. Between these points, l3 interpolates the gains linearly.
     """
 
     grid_row: NDArray[np.float64] = data(
@@ -293,7 +293,8 @@ class AnalogGains:
 
 @dataclass(frozen=True)
 class Optics:
-    """Geometry of the lens (docs/method.md#optics). Its transmittance is part of the responsivity of the camera."""
+    """Geometry of the lens (docs/method.md#optics). The transmittance of the lens is part of the responsivity of the
+    camera."""
 
     focal_length: float = data("float64", unit="m", doc="focal length")
     f_number: float = data("float64", unit="1", doc="focal length / aperture diameter")
@@ -371,7 +372,7 @@ class CameraModel(Artifact):
         Quantum efficiency in e-/photon, including lens, filters and fill factor. If `absolute` is false, the
         responsivities are relative, with a peak of 1.
     responsivity_band : ndarray, (channel, wavelength)
-        Half width of the 95 % confidence band of `responsivity`, or 0 if it was not measured.
+        Half width of the 95 % confidence band of `responsivity`, or 0 if the band is unknown.
     absolute : bool
         Whether `responsivity` is a quantum efficiency.
     gain : float
@@ -610,8 +611,8 @@ class CameraModel(Artifact):
     def output_unit(self) -> float:
         """Luminance × exposure time, in cd s/m², that corresponds to an output of 1 in tables for this camera.
 
-        If the sensitivities of the channels differ by at most a factor of 4, this is `saturation_exposure`. Otherwise it is
-        a quarter of the exposure that saturates the least sensitive channel (docs/method.md#exposures).
+        If the sensitivities of the channels differ by at most a factor of 4, the unit is `saturation_exposure`. Otherwise
+        the unit is a quarter of the exposure that saturates the least sensitive channel (docs/method.md#exposures).
         """
         return self.saturation_exposure * max(1.0, 0.25 / float(self.sensitivity.min()))
 

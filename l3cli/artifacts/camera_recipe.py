@@ -138,7 +138,7 @@ def settings_from(channel: Mapping[str, ChannelRecipe], channels: Sequence[str],
 
 
 def readout_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], read_noise: float) -> Readout | None:
-    """Return the readout that the sections [channel.NAME] of a recipe describe. The sections must not have `channel_faults`.
+    """Return the readout that the sections [channel.NAME] of a recipe describe. `channel_faults` must have found no fault.
 
     Channels without the key `read_noise_e` have the read noise `read_noise`, in e-. The result is None if the recipe has no
     section [channel.NAME], or if these sections describe polarisers but no differences in readout.
@@ -163,7 +163,7 @@ def polarisers_of(
     Parameters
     ----------
     channel : mapping of str to ChannelRecipe
-        Sections [channel.NAME], which must not have `channel_faults`.
+        Sections [channel.NAME] in which `channel_faults` has found no fault.
     channels : sequence of str
         Names of all channels.
     wavelength : ndarray, (wavelength,)
@@ -274,7 +274,7 @@ class GainRecipe(Recipe):
 def gains_of(recipe: GainRecipe | None, read_noise: float) -> AnalogGains | None:
     """Return the analog gains that the section [gain] describes, or None without this section.
 
-    The section must not have `gain_faults`. `read_noise` is the read noise at sensor.gain_dn_per_e, in e-.
+    `gain_faults` must have found no fault in the section. `read_noise` is the read noise at sensor.gain_dn_per_e, in e-.
     """
     if recipe is None:
         return None
@@ -406,7 +406,7 @@ def _filters(recipe: CameraRecipe) -> list[str]:
 
 
 def read_recipe(path: Path) -> tuple[CameraRecipe, Path]:
-    """Read a camera recipe. If it has a base, the result is the base recipe with a shifted array and a new name.
+    """Read a camera recipe. If the recipe has a base, the result is the base recipe with a shifted array and a new name.
 
     Returns
     -------
@@ -596,7 +596,7 @@ def parse_cfa(cfa: CfaRecipe, name: str) -> NDArray[np.uint8]:
     Raises
     ------
     RecipeError
-        If the array has `cfa_faults`. The message begins with `name`.
+        If `cfa_faults` finds a fault. The message begins with `name`.
     """
     refuse_first(cfa_faults(cfa), name)
     rows = [row.split() for row in cfa.pattern]

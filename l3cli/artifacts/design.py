@@ -339,7 +339,7 @@ class Design(Artifact):
 
     @property
     def crossings(self) -> list[str]:
-        """One sentence for each dose of light at which an array becomes better, or worse, than the best Bayer array."""
+        """Sentences with the exposures (cd s/m²) at which an array becomes better or worse than the best Bayer array."""
         lines: list[str] = []
         bayer = self.map_error[[self.mapped.index(self.patterns[self.bayer])]] if self.bayer >= 0 else self.map_error
         for name, over in zip(self.mapped, self.map_error / bayer - 1, strict=True):

@@ -92,7 +92,7 @@ class CoarseChroma:
 
 @dataclass(frozen=True)
 class Clipping:
-    """Linear response that renders uniform areas with clipped channels (docs/method.md#uniform-clipped-areas)."""
+    """Response that renders uniform areas in which channels clip (docs/method.md#uniform-clipped-areas)."""
 
     response: NDArray[np.float64] = data(
         "float64",
@@ -182,7 +182,8 @@ class PlaneLayer:
 
 
 def rule_fields(rule: PlaneRule) -> dict[str, Any]:
-    """Return the class rule as a keyword argument of PlaneLayer: `structure` or `tree`, depending on its type."""
+    """Return a class rule as a keyword argument of PlaneLayer. The keyword is `structure` or `tree`, depending on the type
+    of the rule."""
     return {"structure" if isinstance(rule, StructureRule) else "tree": rule}
 
 

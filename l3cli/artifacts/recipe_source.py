@@ -52,7 +52,7 @@ class RecipeSource:
             faults.append(Fault(self.plain(error), keys))
 
     def plain(self, error: L3Error | OSError) -> str:
-        """Return the message of an error, without the name of the recipe at its start."""
+        """Return the message of an error, without the name of the recipe at the start of the message."""
         if isinstance(error, OSError):
             return f"{shortened(str(error.filename))}: {error.strerror}; specify a different file"
         return re.sub(rf"^{re.escape(str(self.path))}(:\d+)?: ", "", str(error))

@@ -95,7 +95,7 @@ def _write_scales(group: h5py.Group, kind: type, known: Coordinates) -> None:
 
 
 def _new_scale(group: h5py.Group, axis: str, length: int, known: tuple[Any, Spec] | None) -> h5py.Dataset:
-    """Create a dimension scale for an axis if no declared dataset has the name of the axis.
+    """Create a dimension scale for an axis without a declared dataset of the same name.
 
     The scale contains the coordinates in `known` if their number is `length`. Otherwise, the scale only states the length.
     """

@@ -270,7 +270,7 @@ def _means(response: Array, body: Body, channel: int) -> tuple[Array, Array, Arr
 
 
 def _by_cell(site: Array) -> Array:
-    """Divide a picture into equal cells, at most CELLS rows and columns, and return the mean of each cell."""
+    """Divide a picture into at most CELLS × CELLS equal cells, and return the mean of each cell."""
     starts = [
         np.linspace(0, length, min(length, most) + 1).astype(int) for length, most in zip(site.shape, CELLS, strict=True)
     ]
@@ -556,7 +556,7 @@ def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
     Returns
     -------
     rates : ndarray, (filter, patch, channel)
-        Signal per second in DN/s, fitted to all unsaturated captures behind a filter. NaN if all are saturated.
+        Signal per second in DN/s, fitted to all unsaturated captures behind a filter. NaN if all captures are saturated.
     predicted : ndarray, (capture, patch, channel)
         Signal in DN, predicted from the other captures behind the same filter. 0 if there is no prediction.
     used : ndarray of bool, (capture, patch, channel)

@@ -61,7 +61,8 @@ def estimate_drift(
     For each chart and channel, the logarithm of measured signal / predicted signal is a linear function of the unknown
     drifts of all captures. The drifts are assumed to be normally distributed, with an exponential correlation between
     captures. The prior of the logarithm of the standard deviation of the drift is uniform. The returned deviation is the
-    square root of the posterior mean of the variance. With few charts, it is larger than the most probable deviation.
+    square root of the posterior mean of the variance. With few charts, the returned deviation is larger than the most
+    probable deviation.
     """
     steps, count = len(sweep.values), len(charts.values)
     order = np.arange(steps + count)

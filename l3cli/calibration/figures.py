@@ -60,7 +60,8 @@ def line_errors(camera: CameraModel) -> dict[str, tuple[float, str]]:
     Returns
     -------
     dict
-        Half-width of the interval and its unit, by name for tables. Noise that is zero or was not measured is omitted.
+        Half-width and unit of each interval. The keys are the names in the tables. Noise that is zero or was not measured is
+        omitted.
     """
     fit, noise = camera.fit.noise if camera.fit else None, camera.noise
     if fit is None:

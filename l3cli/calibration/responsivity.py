@@ -52,7 +52,7 @@ class Sweep:
 
 
 def node_grid(lights: list[tuple[Array, Array]]) -> Array:
-    """Return the centres of the hat functions, which cover all spectra, in nm. The spacing is NODE_STEP.
+    """Return the centres in nm of hat functions that cover all spectra. The spacing is NODE_STEP.
 
     `lights` contains each spectrum as a pair (wavelength in nm, radiance).
     """
@@ -313,8 +313,8 @@ def from_sweep(table: SweepTable, body: Body) -> Array:
 def without_fit(curve: SweepTable | FinishedCurves, body: Body, light_error: float, wavelength_error: float) -> Curves:
     """Convert a sweep table or finished curves to relative responsivities with a highest peak of 1.
 
-    The confidence bands are computed from the declared errors of brightness and wavelength. An error of 0 means
-    that the error is unknown. The bands are then 0.
+    The confidence bands are computed from the declared errors of brightness and wavelength. If one of these errors is 0
+    (unknown), the bands are 0.
     """
     relative = from_sweep(curve, body) if isinstance(curve, SweepTable) else curve.responsivity
     curves = Curves(curve.wavelength, relative, np.zeros_like(relative))
@@ -355,7 +355,8 @@ def efficiency(curves: Curves, fit: Fit, gain: float, body: Body) -> tuple[Array
 def check_efficiency(responsivity: Array, odd: tuple[str, ...] = ()) -> None:
     """Raise InputFileError if a quantum efficiency exceeds 1.
 
-    `odd` contains descriptions of implausible captures. If there are any, the message asks the user to check the first.
+    `odd` contains descriptions of implausible captures. If `odd` is not empty, the message asks the user to check the first
+    of these captures.
     """
     peak = float(responsivity.max())
     if peak > 1.0:
@@ -366,7 +367,7 @@ def check_efficiency(responsivity: Array, odd: tuple[str, ...] = ()) -> None:
 
 
 def likely_mistake(peak: float) -> str:
-    """Return the advice to check the units, with the mistakes that would explain an implausible peak quantum efficiency."""
+    """Return advice to check the units, with the mistakes that would explain an implausible peak quantum efficiency."""
     likely = [mistake for mistake, factor in MISTAKES.items() if USUAL[0] <= peak / factor <= USUAL[1]]
     general = "the units of radiances (photons/s/sr/m²/nm), exposure times, pixel_pitch_um and f_number"
     return f"check {general}" + (f"; perhaps {' or '.join(likely)}" if likely else "")

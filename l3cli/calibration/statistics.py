@@ -1,7 +1,7 @@
 """Statistics of frames, and the search for defective pixels.
 
 Histograms, means and temporal variances are computed for each channel, without defective pixels. The parameter `each` is a
-function with the signature of the built-in `map`, which applies a function to each capture. It may use several processes.
+function with the signature of the built-in `map`, which applies a function to each capture and may use several processes.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -26,8 +26,7 @@ from l3cli.classes.windows import Integers, Neighbourhoods
 
 CHROMA_FRACTION = 4  # number of fractional bits of a channel mean in the chroma scores
 MAX_CHROMA_INPUT = 2**16 - 1  # channel means are clamped to this value, so that the scores fit into 32 bits
-# number of k-means runs, of which the best is used; one run in ten is so poor that the S-CIELAB error would rise by 10
-# %
+# number of k-means runs, of which the best is used; one run in ten would increase the S-CIELAB error by 10 %
 STARTS = 4
 WIDTH_FRACTION = 8  # number of fractional bits of the dither widths
 # dither width divided by the squared distance to the nearest different centre; a ratio of 1 would tint the palest
@@ -75,7 +74,7 @@ def choose_chromas(
     seed : int
         Seed of the random starts.
     white : ndarray, (channel,), optional
-        Channel values of a white. If all are positive, the colour of this white is the last centre.
+        Channel values of a white. If all values are positive, the colour of this white is the last centre.
 
     Returns
     -------
@@ -134,7 +133,7 @@ def chroma_widths(rule: ClassRule) -> NDArray[np.int32]:
     A pixel uses its second nearest chroma centre only if the score of this centre exceeds the lowest score by less than the
     dither width. The dither width of a chroma is DITHERED times the squared distance between its centre and the nearest
     different centre. Its unit is 1/256 of a score for channel means that add up to 1. The width is 0 if the rule does not
-    dither, and also if the nearest different centre is so close that greys would flicker between the two.
+    dither, and also if the nearest different centre is so close that greys would flicker between the two centres.
     """
     centres = chroma_centres(rule)
     distance = ((centres[:, None] - centres[None]) ** 2).sum(axis=2)
@@ -153,7 +152,7 @@ def stored_black_level(camera: CameraModel, shift: int) -> int:
 def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
     """Return the chroma of each pixel.
 
-    The chroma of a saturated pixel is also computed, but its class does not depend on it.
+    The chroma of saturated pixels is also computed, but does not affect their classes.
     """
     above_black = np.clip((statistics.scaled >> (16 - CHROMA_FRACTION)) - rule.chroma_black_level, 0, MAX_CHROMA_INPUT)
     # The scores are below 2⁵³ and therefore exact in float64. Matrix multiplication is faster with floats, for which numpy

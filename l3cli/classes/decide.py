@@ -49,7 +49,7 @@ def label_mosaic(
     Returns
     -------
     ndarray, (row, col)
-        Class index of each pixel. The index counts the classes of all sites.
+        Class index of each pixel. Classes are numbered consecutively over all sites.
     """
     statistics = mosaic_statistics(values, rule, neighbourhoods(cfa, rule.patch, channels), cfa, phase)
     return rule.on_site(labels(rule, statistics), statistics.site)

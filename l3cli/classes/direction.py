@@ -85,7 +85,8 @@ def inner_span(span: int) -> int:
 def boxes(patch: int, period: int, inner: int) -> tuple[Window, ...]:
     """Return the boxes from which the differences along the four axes are computed.
 
-    If a box would have to be centred between two pixels, there are two boxes instead, at both neighbouring positions.
+    If the centre of a box would be between two pixels, two boxes with centres at the two neighbouring positions replace the
+    box.
     """
     span = patch - period
     inner_edge, outer_edge = (span - inner) // 2, (span + inner) // 2

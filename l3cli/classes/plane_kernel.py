@@ -143,8 +143,8 @@ def joined(rule: ClassRule) -> str:
 def combination_function(rule: ClassRule) -> str:
     """Return the source of the OpenCL function `combination_of`, which computes the index of a combination.
 
-    It calls the functions in the snippets of the features. A value that is too large is replaced by the last value of the
-    feature.
+    `combination_of` calls the functions in the snippets of the features. A value that is too large is replaced by the last
+    value of the feature.
     """
     lines = [
         "INLINE uints combination_of(const ints *sum, uints level, __global const int *constants) {",

@@ -43,7 +43,7 @@ def label_planes(
     Returns
     -------
     ndarray, (row, col)
-        Class index of each pixel. The index counts the classes of all sites.
+        Class index of each pixel.
     """
     place = first_rule.split(first)
     scale = place.level + first_rule.levels * (place.site // len(rule.turns)) if others else place.level

@@ -51,7 +51,7 @@ def make_rule(
     observed : mapping of str to ndarray, optional
         Statistics of the pilot patches, as returned by `decide.observe_patches`. None if there are no pilot patches yet.
     spared_cases : int
-        Number of saturation cases, not counting case 0, in which every colour filter has a channel that does not clip.
+        Number of saturation cases, except case 0, in which each colour filter has a channel that does not clip.
 
     Raises
     ------

@@ -65,10 +65,9 @@ def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[in
 
 
 def spared_cases(case_of_code: NDArray[np.uint16], filters: Sequence[int]) -> int:
-    """Count the cases, not counting case 0, in which every colour filter still has a channel that does not clip.
+    """Count the saturation cases, except case 0, in which each colour filter has at least one channel that does not clip.
 
-    `choose_cases` assigns the numbers 1, 2, 3… to these cases. `filters` contains the index of the colour filter of each
-    channel.
+    `choose_cases` numbers these cases from 1. `filters` contains the index of the colour filter of each channel.
     """
     lost = lost_filters(np.arange(len(case_of_code)), filters) > 0
     return int(case_of_code[lost].min(initial=case_of_code.max() + 1)) - 1 if case_of_code.any() else 0

@@ -185,7 +185,7 @@ def turned_axes(turn: int) -> tuple[bool, int, int]:
 
 
 def _local(values: Integers) -> NDArray[np.integer]:
-    """Return the weighted sums over 3 × 3 values. The margin of `values` must be one pixel wider than these sums need."""
+    """Return the weighted sums over 3 × 3 values, without using the outermost rows and columns of `values`."""
     return sums(_inner(values, 1), NEAR)
 
 

@@ -48,8 +48,7 @@ NO_THREAD = "can't start new thread"  # message of Python's RuntimeError if no t
 
 
 class Pipeline(click.Group):
-    """The group of all commands, in the order of the pipeline. The module of a command is imported when the command is
-    called."""
+    """The group of all commands, in the order of the pipeline. Modules of commands are imported on demand."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -129,7 +128,7 @@ def run(arguments: list[str]) -> int:
 def _called(arguments: list[str], record: Record, results: list[Result]) -> int:
     """Run the command, and return its exit code.
 
-    The result of the command is appended to `results`. It is printed as text, unless --json is set.
+    The result of the command is appended to `results`, and printed as text unless --json is set.
     """
     try:
         result: Any = l3.main(arguments, prog_name="l3", standalone_mode=False, obj=record)

@@ -127,7 +127,8 @@ def of(options: type[Options], *modes: Callable[[Any], Any]) -> Callable[[F], F]
 
 
 def output(what: str, required: bool = True, metavar: str = "FILE") -> Callable[[F], F]:
-    """Return a decorator that adds the option -o/--output to a command. `what` is its help text, without full stop."""
+    """Return a decorator that adds the option -o/--output to a command. `what` is the help text of the option, without full
+    stop."""
     return click.option("-o", "--output", type=FILE, required=required, metavar=metavar, help=f"{what}.")
 
 

@@ -96,7 +96,7 @@ class Record:
 def _file(path: Path, at: Dated | None, console: Console) -> dict[str, Any]:
     """Return the path, the size and the SHA-256 of a file.
 
-    If the path is not a regular file, the size and the digest are None. If the file has changed since `at`, they are also
+    If the path is not a regular file, the size and the digest are None. If the file has changed since `at`, both are also
     None, and a warning is printed.
     """
     size, digest = None, None

@@ -40,7 +40,8 @@ UNNAMED = ("A", "D50", "D55", "D65", "D75", "E", "FL2", "FL11")  # candidates if
 class Colour:
     """White balance and colour matrix of a camera for one illuminant.
 
-    They convert photo-electrons per second to outputs relative to a perfect white of 1 cd/m², which is 1 in all outputs.
+    The white balance and the matrix convert photo-electrons per second to outputs. A perfect white of 1 cd/m² is 1 in all
+    outputs.
     """
 
     balance: Array  # (channel,): white-balance factors; 0 for channels that do not respond to white

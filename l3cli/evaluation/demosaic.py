@@ -32,7 +32,7 @@ DIRECTIONS: tuple[Direction, ...] = tuple((down, right) for down in (-1, 0, 1) f
 # Width of the mirrored margin for band methods, in CFA periods. The margin is wider than the support of these methods,
 # because the methods wrap around at the border.
 BAND_MARGIN_PERIODS = 4
-CODES = 255.0  # value of a perfect white in PPID, whose weights contain a constant for 8-bit values
+CODES = 255.0  # value of a perfect white in PPID; a constant in the weights of PPID is meant for 8-bit values
 # σ of the Gaussian, as a multiple of the mean distance between samples of a channel. This value is best for dead leaves with
 # a five-band CFA.
 SIGMA_SAMPLES = 0.55
@@ -91,7 +91,7 @@ def band_baselines(cfa: CFA) -> dict[str, Demosaic]:
 
 
 def stokes_baselines(cfa: CFA) -> dict[str, Demosaic]:
-    """Return the demosaicking method, by name, for the channels of a monochrome polarisation camera."""
+    """Return the demosaicking method for a monochrome polarisation camera. The key is the name of the method."""
     return {"bilinear": bilinear} if occurs_once(cfa) else {"basic": interpolate}
 
 

@@ -67,7 +67,7 @@ def edge_sharpness(plane: Array) -> Sharpness:
     Raises
     ------
     EdgeError
-        If the picture contains no such edge, or if it is too narrow for the edge profile.
+        If the picture contains no such edge, or if the picture is too narrow for the edge profile.
 
     Notes
     -----

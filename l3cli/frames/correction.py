@@ -199,7 +199,7 @@ class HotTest:
 
     @classmethod
     def of(cls, camera: CameraModel) -> "HotTest":
-        """Return the test for a camera. The noise of its noisiest channel is used for all channels."""
+        """Return the test for a camera. The noise of the noisiest channel is used for all channels."""
         rows, cols = camera.cfa.shape
         constant, linear, quadratic = camera.noise_terms(channel=np.arange(len(camera.channels)))
         noisiest = float(np.max(constant)), float(np.max(linear))  # the terms differ between channels with different gains
@@ -317,7 +317,8 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
     Raises
     ------
     InputFileError
-        If the frames differ in these properties, if the mean level is clipped, or if there are no frames.
+        If the frames differ in size, phase, orientation or exposure time, if the mean level is clipped, or if there are no
+        frames.
     """
     kind: tuple[object, ...] = ()
     first, total, squares, count = None, np.zeros(1), 0.0, 0

@@ -39,7 +39,8 @@ class NoiseLeft:
     cell: tuple[int, int]  # rows and columns of pixels in a cell
 
     def below(self, limits: Sequence[float], shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Count, for each pixel (row, col), how many of the `limits` its remaining noise fraction does not exceed.
+        """Count, for each pixel (row, col), the `limits` that are not smaller than the remaining noise fraction of the
+        pixel.
 
         `shape` contains the numbers of rows and columns of the frame.
         """
@@ -110,7 +111,8 @@ class RawFrame:
         return levelled
 
     def rescaled(self, black_level: float, white_level: float, bits: int) -> "RawFrame":
-        """Convert the frame like `at_levels`, but return it unchanged if it has these levels and no dark current.
+        """Convert the frame like `at_levels`, but return the frame unchanged if it already has these levels and no dark
+        current.
 
         In this case, values may exceed `bits` bits.
         """

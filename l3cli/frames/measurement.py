@@ -110,7 +110,8 @@ class ChartCapture(Capture):
 
 @dataclass(frozen=True)
 class BandCapture(ChartCapture):
-    """Frames of a ColorChecker behind a narrow-band filter, with one of several exposures. The radiance may be relative."""
+    """Frames of a ColorChecker behind a narrow-band filter, all with the same exposure time. The radiance may be
+    relative."""
 
 
 @dataclass(frozen=True)

@@ -111,8 +111,9 @@ def _mipi(bits: int) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
 def _gige(bits: int) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
     """Return the layout of a GigE Vision packing: the bytes per group, and the bit fields of each pixel.
 
-    A group contains two pixels in three bytes. The first and the last byte contain the upper 8 bits of a pixel each. The
-    middle byte contains the lower bits of the first pixel from bit 0, and the lower bits of the second pixel from bit 4.
+    A group contains two pixels in three bytes. The first byte contains the upper 8 bits of the first pixel. The last byte
+    contains the upper 8 bits of the second pixel. The middle byte contains the lower bits of the first pixel from bit 0, and
+    the lower bits of the second pixel from bit 4.
     """
     low = bits - 8
     return 3, ((Piece(0, 0, 8, low), Piece(1, 0, low, 0)), (Piece(2, 0, 8, low), Piece(1, 4, low, 0)))

@@ -230,10 +230,9 @@ def _super_pixels(means: NDArray[np.float64], period: tuple[int, ...]) -> NDArra
 
 
 def _factors(blocks: NDArray[np.float64], along: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the mean of each row, relative to the mean of all rows at the same position in the super-pixel.
+    """Return the mean of each row or column, relative to all rows or columns at the same position in the super-pixel.
 
-    `along` contains the axes of `blocks` over which a row is averaged, (2, 3). If it is (0, 1), the result describes the
-    columns instead.
+    `along` contains the axes of `blocks` that are averaged: (2, 3) for means of rows, or (0, 1) for means of columns.
     """
     lines = blocks.mean(axis=along, keepdims=True)
     mean = lines.mean(axis=0 if along == (2, 3) else 2, keepdims=True)
@@ -388,7 +387,7 @@ def _same_sites(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
 def _far_from_grey(
     blocks: NDArray[np.float64], array: NDArray[np.uint8], neutral: Sequence[float] | NDArray[np.floating] | None
 ) -> float:
-    """Return the deviation of the mean of a frame from grey, which is the range of ln(signal / signal of grey).
+    """Return the deviation of a frame from grey: the range of ln(mean signal / signal of grey) over the channels.
 
     The result is 0 if `neutral` is None or contains values that are not positive.
     """
@@ -453,14 +452,15 @@ def smoother_reading(readings: Iterable[tuple[str, NDArray[np.uint16], int]], cf
     Returns
     -------
     str
-        Option that selects the smoothest decoding, or "" if the decoding in use is plausible or no decoding is far smoother.
+        Option that selects the smoothest decoding. The result is "" if the first decoding is plausible, or if no decoding is
+        much smoother.
     """
     each = iter(readings)
     _, values, bits = next(each)
     rough = roughness(values, bits, cfa)
     if rough < ROUGH:
         return ""
-    # If one byte of every 16-bit word is 0, exchanging the bytes always gives a smoother picture. This is no evidence.
+    # If no value exceeds 255, exchanging the bytes always gives a smoother picture, even if their order was correct.
     found = [(roughness(other, bits, cfa), name) for name, other, bits in each if bits < 16 or other.max() >= 256]
     least, name = min(found, default=(rough, ""))
     return name if least * SMOOTHER < rough else ""

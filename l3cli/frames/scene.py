@@ -87,8 +87,8 @@ class Scene:
     def fingerprint(self) -> NDArray[np.float64]:
         """Numbers that identify the scene and do not depend on the camera.
 
-        The numbers are PROJECTIONS projections of the reflectances in the wavelength range SHOWN, or of all bands if no band
-        is in this range.
+        The numbers are projections of the reflectances in the wavelength range SHOWN, or of all bands if no band is in this
+        range.
         """
         inside = (self.wavelength >= SHOWN[0]) & (self.wavelength <= SHOWN[1])
         return _projections(self.reflectance, inside | (not inside.any()))
@@ -111,7 +111,7 @@ class ChannelPicture:
 
     @functools.cached_property
     def fingerprint(self) -> NDArray[np.float64]:
-        """Numbers that identify the picture: PROJECTIONS projections of the signals."""
+        """Numbers that identify the picture: projections of the signals."""
         return _projections(self.signal, np.ones(self.signal.shape[2], bool))
 
 

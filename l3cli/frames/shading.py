@@ -49,7 +49,7 @@ class Shading:
         taken : tuple of ndarray
             Index arrays that select the pixels of all patches.
         rows, cols : ndarray
-            Rows and columns of the frame. The centres of the patches are all combinations of these rows and columns.
+            Rows and columns of the centres of the patches. Each combination of a row and a column is a centre.
 
         Returns
         -------
@@ -113,7 +113,7 @@ def shading_of_gain(gain: NDArray[np.floating], period: tuple[int, ...]) -> Shad
 def interpolation(lines: NDArray[np.floating], places: NDArray[Any]) -> NDArray[Any]:
     """Return the weights (place, line) for linear interpolation between grid lines at increasing positions `lines`.
 
-    There must be at least two lines. Outside their range, values are extrapolated linearly.
+    There must be at least two lines. Outside the range of the lines, values are extrapolated linearly.
     """
     above = np.clip(np.searchsorted(lines, places, side="right"), 1, lines.size - 1)
     part = (places - lines[above - 1]) / (lines[above] - lines[above - 1])

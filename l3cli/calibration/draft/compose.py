@@ -42,7 +42,7 @@ PITCH = "µm; distance between pixels, from the data sheet"
 LEAST_CHARTS = 2  # smallest number of charts from which gain and offset can be fitted
 CORNERS = [[10, 10], [240, 10], [240, 170], [10, 170]]  # example of the corners of a chart: column and row in pixels
 SHARING = ("[[mono]]", "[[band]]")  # types of captures to which the section [common] applies
-SEVERAL = 2  # if this number of captures lack a key, the draft contains the key once, in [common]
+SEVERAL = 2  # if at least this number of captures lack a key, the draft contains the key once, in [common]
 EXAMPLE_SPECTRUM = "spectra/mono.csv"
 PAIR = 2  # smallest number of frames from which noise can be measured
 Mosaic = NDArray[np.floating]
@@ -418,7 +418,7 @@ class Composer:
 
         The illuminant of a photo is a matching measured spectrum or, if there is none, the illuminant in the file name. If
         both are missing, a comment explains the key `light`. Dark frames with the same exposure time are added to the photo.
-        If there are none and the black level is unknown, they are added as a TODO.
+        If the folder contains no such dark frames and the black level is unknown, a TODO asks for dark frames.
         """
         out, seen = self.out, self.seen
         for group in self.charts:

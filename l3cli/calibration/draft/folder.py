@@ -304,7 +304,8 @@ def _nothing(tables: Sequence[Spectra]) -> str:
 def _body(out: DraftText, names: list[str] | None, columns: int) -> None:
     """Add the sections [sensor], [cfa] and [optics] with keys that the user must fill in.
 
-    `names` are the channel names in the heading of the table, if it has a heading. `columns` is the number of its columns.
+    `names` are the channel names in the heading of the table, or None if the table has no heading. `columns` is the number
+    of columns in the table.
     """
     out.table("[sensor]")
     for key, example, what in SENSOR:
@@ -323,7 +324,7 @@ def _body(out: DraftText, names: list[str] | None, columns: int) -> None:
 def _photodiode(out: DraftText, sweep: Spectra, tables: Sequence[Spectra]) -> None:
     """Add the key `photodiode`, whose table must have one column and cover the wavelengths of the sweep.
 
-    If there is no such table, the key is added as a TODO. If there are several, the first is assumed.
+    If there is no such table, the key is added as a TODO. If there are several such tables, the first is assumed.
     """
     grid = sweep.table.wavelength
     single = [table for table in tables if table is not sweep and len(table.table.values) == 1]

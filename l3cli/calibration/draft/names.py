@@ -40,8 +40,8 @@ TERMS = 4  # degree of the polynomial of the smooth fit
 COMMON = 12  # a value is frequent if at least this number of pixels have the value
 LEAST_CODES = 16  # smallest number of frequent values from which stretched values can be recognised
 MOST_GAPS = 0.25  # in unprocessed data, the next higher value is missing for at most this fraction of the frequent values
-# A frame is a drawing if more than the fraction PLAIN of its pixels with intermediate values equal their neighbours,
-# and if its values span more than DRAWN (DN).
+# A frame is a drawing if its values span more than DRAWN (DN), and if more than the fraction PLAIN of the pixels between the
+# minimum and the maximum equal their neighbours.
 PLAIN, DRAWN = 0.8, 8
 Array = NDArray[np.floating]
 

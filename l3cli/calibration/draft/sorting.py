@@ -128,8 +128,8 @@ def sort_frames(frames: Sequence[Frame], scale: Scale, notes: list[str]) -> list
 def _kind(frame: Frame, scale: Scale, notes: list[str]) -> str:
     """Determine the type of a frame's capture, as in `Group.kind`.
 
-    If the name of the frame contains no type, the content of the frame determines it. A note is added if a frame with "dark"
-    in its name is bright.
+    If the name of the frame contains no type, the type is determined from the content of the frame. A note is added if a
+    frame with "dark" in its name is bright.
     """
     name, black = frame.name, float(scale.black.mean())
     signal = frame.summary.level - scale.black
@@ -168,10 +168,10 @@ def _alike(members: Sequence[Frame], scale: Scale) -> Iterable[list[Frame]]:
 def with_plain_kinds(groups: Sequence[Group], scale: Scale, notes: list[str]) -> list[Group]:
     """Classify each capture of the type "plain" as white or monochromatic, and add a note about the result.
 
-    l3 searches for the largest set of unclipped captures under one illuminant, measured by the number of frames. If no
-    capture is known to be white by its name, and if this set contains at least LEAST_WHITES captures, the captures in the
-    set are white. All other unclipped captures are monochromatic. A clipped capture has no usable colour, so it has the type
-    of the preceding plain capture.
+    l3 searches for the set of unclipped captures under one illuminant that contains the most frames. The captures in this
+    set are white if there are at least LEAST_WHITES of them, and if no name of a capture states that the capture is white.
+    All other unclipped captures are monochromatic. A clipped capture has no usable colour, so it has the type of the
+    preceding plain capture.
     """
     plain = [group for group in groups if group.kind == "plain"]
     if not plain:
@@ -244,8 +244,8 @@ def guess_array(steps: Sequence[Group], scale: Scale, period: tuple[int, int]) -
 def _names(peaks: Sequence[float]) -> list[str]:
     """Return a name for each channel.
 
-    A single channel is "w", and three channels are "r", "g" and "b". Otherwise the names contain the peak wavelengths, for
-    example "nm550". `peaks` contains the peak wavelength of each channel in nm.
+    The name of a single channel is "w", and the names of three channels are "r", "g" and "b". Otherwise the names contain
+    the peak wavelengths, for example "nm550". `peaks` contains the peak wavelength of each channel in nm.
     """
     if len(peaks) == 1:
         return ["w"]
@@ -382,8 +382,8 @@ def _in_order(
 def _steps_in_order(steps: Sequence[Group], scale: Scale) -> list[int]:
     """Return the number of the monochromator step of each capture, from 0.
 
-    An unclipped capture that follows a clipped capture belongs to the same step, because it repeats this capture with a
-    shorter exposure.
+    An unclipped capture that follows a clipped capture belongs to the same step, because the second capture repeats the
+    first with a shorter exposure.
     """
     forward = (not scale.clipped(step) or scale.clipped(before) for before, step in itertools.pairwise(steps))
     return list(itertools.accumulate(forward, initial=0))

@@ -109,7 +109,7 @@ def placed(prior: Prior, places: Sequence[int], channels: int) -> Prior:
     prior : Prior
         Prior of some of the channels.
     places : sequence of int
-        Index in the result of each channel of `prior`. All other channels of the result have the smooth prior.
+        For each channel of `prior`, its index in the result. All other channels of the result have the smooth prior.
     channels : int
         Number of channels of the result.
     """
@@ -208,7 +208,7 @@ class Posterior:
     covariance: Array  # (channel · wavelength, channel · wavelength): covariance of the responsivity
     glare: Array  # (shot, channel): offset that glare adds to all patches, in DN
     illumination: Array  # (shot, term): coefficients of the illumination terms
-    error: float  # relative error of patch values in addition to noise, such as wrong reflectances
+    error: float  # relative error of patch values besides noise, for example because of wrong reflectances
     evidence: float  # natural logarithm of the probability of the values, up to a constant
     predicted: tuple[Array, ...]  # for each shot, (patch, channel): predicted value in DN
 
@@ -488,8 +488,8 @@ def unsure_of_light(
 ) -> Posterior:
     """Widen the covariance of a posterior to account for the uncertainty of a guessed illuminant.
 
-    The responsivities are estimated under each probable illuminant and scaled to the same sum. Their scatter around the
-    posterior is added to the covariance.
+    The responsivities are estimated under each probable illuminant and scaled to the same sum. The scatter of these
+    estimates around the posterior is added to the covariance.
 
     Parameters
     ----------

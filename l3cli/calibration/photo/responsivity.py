@@ -413,7 +413,7 @@ def curves_of_matrices(matrices: Sequence[ColourMatrix], prior: Prior) -> Curves
     """Return the most probable responsivities of a camera with these colour matrices, with 95 % confidence bands.
 
     The matrices predict the values of the patches of a ColorChecker. The responsivities are then estimated from these values
-    as from photos.
+    in the same way as from photos.
     """
     reflectance = spectra.colorchecker(WAVELENGTH)[1]
     shots = [_shot(matrix, reflectance) for matrix in matrices]
