@@ -671,8 +671,8 @@ class CameraModel(Artifact):
         noise, left, span = self.noise, self.noise_left, self.white_level - self.black_level
         if not dark < span:
             raise ValueError(
-                f"the dark current alone saturates the pixels of camera {self.name}, because it adds {dark:.4g} DN to a "
-                f"range of {span:.4g} DN; check the exposure time"
+                f"the dark current alone saturates the pixels of camera {self.name}, because the dark signal is {dark:.4g} "
+                f"DN but full scale is only {span:.4g} DN; check the exposure time"
             )
         stretch, prnu = span / (span - dark), noise.prnu**2
         gain: Any = self.gain

@@ -158,7 +158,7 @@ def open_content(content: bytes) -> h5py.File:
     Raises ValueError if the bytes do not match the digest in the user block.
     """
     if content[:BLOCK] != _user_block(hashlib.sha256(memoryview(content)[BLOCK:]).hexdigest()):
-        raise ValueError("the bytes do not agree with the digest in the user block")
+        raise ValueError("the contents do not match the digest in the user block")
     return h5py.File(io.BytesIO(content), "r")
 
 
@@ -235,9 +235,7 @@ def require_within_file(path: Path, dataset: h5py.h5d.DatasetID) -> Stored:
     stored = Stored(where, dataset.shape, dataset.dtype, dataset.get_storage_size(), created)
     claimed = prod(stored.shape) * stored.dtype.itemsize
     if claimed > SMALL_BYTES + MAX_COMPRESSION * stored.size and stored.filters <= KNOWN_FILTERS:
-        raise InputFileError(
-            f"{path}: the declared size of dataset {where} is larger than its stored data allow; create the file again"
-        )
+        raise InputFileError(f"{path}: dataset {where} declares more values than the file contains; create the file again")
     return stored
 
 

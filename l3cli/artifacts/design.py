@@ -67,7 +67,7 @@ class LightMoments:
         check(self)
         entries = self.mean.shape[-1] + SOFT.stop + self.terms
         if self.moment.shape[-2:] != (entries, entries) or not self.patches.sum() > 0:
-            raise ValueError("the shape of the moments does not agree with the number of taps, targets and terms")
+            raise ValueError("the shape of the moments does not match the number of taps, targets and terms")
 
     @property
     def terms(self) -> int:
@@ -260,7 +260,7 @@ class Design(Artifact):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (self.patterns and -1 <= self.bayer < len(self.patterns) and self.error.min(initial=0) >= 0):
-            raise ValueError("a design must contain arrays, and errors must not be negative")
+            raise ValueError("a design must contain at least one array, and errors must not be negative")
 
     @property
     def summary(self) -> str:

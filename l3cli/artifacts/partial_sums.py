@@ -257,7 +257,7 @@ class PartialSumsReader:
         sums: Any = store.read_fields(where, SUMS[type(self.head)], self._path)
         if (sums.moments.shape, sums.noise.shape, sums.count.shape) != self.head.shapes:
             raise InputFileError(
-                f"{self._path}: the sums in {where.name} do not agree with the class rule; create the file again"
+                f"{self._path}: the sums in {where.name} do not match the class rule; create the file again"
             )
         return sums
 

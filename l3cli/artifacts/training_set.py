@@ -39,9 +39,11 @@ class LightSpectrum:
     def __post_init__(self) -> None:
         check(self)
         if not (self.wavelength.size > 1 and self.wavelength[0] > 0 and (np.diff(self.wavelength) > 0).all()):
-            raise ValueError("wavelength of an illuminant must contain at least two values, positive and increasing")
+            raise ValueError("the wavelengths of an illuminant must be at least two positive, increasing values")
         if not self.radiance.min() >= 0 < self.radiance.max():
-            raise ValueError("radiance of an illuminant must not be negative, and must be positive at some wavelength")
+            raise ValueError(
+                "the radiance of an illuminant must not be negative, and must be positive at one or more wavelengths"
+            )
 
 
 def white_signal(light: LightSpectrum, camera: CameraModel, output_unit: float | None = None) -> NDArray[np.float64]:

@@ -370,7 +370,7 @@ def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
     defects = result["defects"]
     if defects:
         shown = " ".join(f"({row}, {col})" for row, col in defects[:SHOWN]) + (" …" if len(defects) > SHOWN else "")
-        lines.append(f"left out {len(defects)} hot and dead pixels (row, column): {shown}")
+        lines.append(f"ignored {len(defects)} hot and dead pixels (row, column): {shown}")
     return lines + _correction_lines(result) + _curve_lines(result["curves"], width)
 
 

@@ -28,7 +28,7 @@ def calibrate(measurements: Path | None, output: Path, options: DraftOptions) ->
         return _draft(options.draft, measurements, output, options)
     if options.camera is not None:
         raise click.UsageError(
-            "--camera works only with --draft, because a measurement file describes its camera; leave --camera out"
+            "--camera works only with --draft, because a measurement file describes its camera; remove --camera"
         )
     from l3cli.calibration import figures
     from l3cli.io.raw.files import is_photo
@@ -53,6 +53,6 @@ def _draft(folder: Path, measurements: Path | None, output: Path, options: Draft
     given = [name for name in ("photos", "light", "truth", "accept") if getattr(options, name)]
     if measurements is not None or given:
         name = "MEASUREMENTS.toml" if measurements is not None else f"--{given[0].removesuffix('s')}"
-        raise click.UsageError(f"--draft only writes a measurement file and does not calibrate; leave {name} out")
+        raise click.UsageError(f"--draft only writes a measurement file and does not calibrate; remove {name}")
     files = draft(folder, output, options)
     return Result({"measurements": str(output)}, files=files)

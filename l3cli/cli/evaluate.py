@@ -59,10 +59,12 @@ def evaluate(table: Path | None, frames: Path | None, options: SequenceOptions) 
 
 def _sequence(sequence: Path, table: Path | None, options: SequenceOptions) -> Result:
     if table is not None or options.pictures is not None or options.rivals:
-        raise click.UsageError("--sequence evaluates pictures; leave TABLE.h5, TRAINING.h5, --pictures and --rival out")
+        raise click.UsageError(
+            "--sequence cannot be combined with TABLE.h5, TRAINING.h5, --pictures or --rival; remove them"
+        )
     for name in ("backend", "viewing", "force"):
         if click.get_current_context().get_parameter_source(name) is not ParameterSource.DEFAULT:
-            raise click.UsageError(f"--{name} cannot be used with --sequence; leave --{name} out")
+            raise click.UsageError(f"--{name} cannot be used with --sequence; remove --{name}")
     from l3cli.stages.evaluation import evaluate_sequence
 
     figures, files = evaluate_sequence(sequence, options)

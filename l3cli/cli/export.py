@@ -39,7 +39,7 @@ def export(artifact: Path, output: Path, options: ExportOptions) -> Result:
         return Result({"files": names}, files=files)
     if of_tables := options.chosen():
         flag = declarations(ExportOptions)[next(iter(of_tables))].flag or next(iter(of_tables))
-        raise RecipeError(f"‹{flag}› works only for transform tables, but {artifact} is a camera; leave ‹{flag}› out")
+        raise RecipeError(f"‹{flag}› works only for transform tables, but {artifact} is a camera; remove ‹{flag}›")
     matrices, files = export_camera(artifact, output, options)
     text = (lambda: show(*matrix_lines(matrices, terminal.width()))) if matrices else None
     return Result({"matrices": matrices}, text, files=files)

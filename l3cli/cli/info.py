@@ -91,7 +91,7 @@ def _lines(content: dict[str, Any]) -> list[str]:
 def _verified(file: Path, verification: "Verification") -> list[str]:
     """Return one line about the data of an artifact, and one line per role of its input files."""
     intact = verification.intact
-    whole = f"all bytes agree with the digest; {intact.datasets} datasets can be read"
+    whole = f"the contents match the digest; {intact.datasets} datasets can be read"
     lines = [f"{file}: {intact.kind}, format version {intact.version}: {whole}"]
     for link in verification.links:
         names = ", ".join(link.given[:4]) + (" …" if len(link.given) > 4 else "")

@@ -55,10 +55,10 @@ def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options
         if single := next((each for each in options.photos if each.suffix in (".h5", ".toml")), None):
             what, make = ("design", start_designed) if single.suffix == ".h5" else ("recipe", start_recipe)
             if len(options.photos) + len(named) != 2:
-                raise click.UsageError(f"--from needs exactly one {what} and one folder; leave all further arguments out")
+                raise click.UsageError(f"--from needs exactly one {what} and one folder; remove the other arguments")
             if of_photos:
                 option = f"--{of_photos[0].replace('_', '-')}"
-                raise click.UsageError(f"{option} works only with raw files, not with a {what}; leave {option} out")
+                raise click.UsageError(f"{option} works only with raw files, not with a {what}; remove {option}")
             return Result({"folders": [str(named[0])]}, files=make(single, named[0], options))
         made, files = start_from([*options.photos, *named[:-1]], named[-1], options)
         return Result({"folders": [str(each) for each in made]}, files=files)

@@ -44,7 +44,7 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
     Example: l3 render table.h5 frame.dng -o picture.png
     """
     if click.get_current_context().ensure_object(Record).as_json and output == Path("-"):
-        raise click.UsageError("--json and -o - both write to stdout; specify an output file or leave --json out")
+        raise click.UsageError("--json and -o - both write to stdout; specify an output file or remove --json")
     from l3cli.io.isolated import start
     from l3cli.io.raw.files import is_photo, needs_isolation
 
@@ -102,5 +102,5 @@ def _table(document: dict[str, Any]) -> None:
         counts = [str(clip["frames"]), rate, str(clip["left_out"]), str(len(clip["warnings"]))]
         rows.append([clip["clip"], clip["output"], *counts, clip["state"]])
     states = ", ".join(f"{document[f'clips_{state}']} {state}" for state in ("rendered", "kept", "failed"))
-    total = f"clips: {states}; frames: {document['frames']}, {document['left_out']} left out"
-    show_table([], ["clip", "output", "frames", "frames/s", "left out", "warnings", ""], rows, total)
+    total = f"clips: {states}; frames: {document['frames']}, {document['left_out']} skipped"
+    show_table([], ["clip", "output", "frames", "frames/s", "skipped", "warnings", ""], rows, total)

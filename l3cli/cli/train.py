@@ -41,7 +41,7 @@ def train(files: tuple[Path, ...], output: Path, options: ShardOptions) -> Resul
 
     chosen = options.chosen() != ShardOptions().chosen() or options.inputs() or options.shard or options.scheduler
     if options.merge and chosen:
-        raise click.UsageError("--merge reads classes, shares and seed from the shards; leave these options out")
+        raise click.UsageError("--merge reads classes, shares and seed from the shards; remove these options")
     if options.first and not options.shard:
         raise click.UsageError("--first works only with --shard; add --shard I/N")
     if options.shard:

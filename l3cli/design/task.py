@@ -170,7 +170,7 @@ class Task:
         filters, counts = self.choice(pattern)
         every = every_array(pattern.shape, filters, counts, self.allowed) if self.allowed(filters) else []
         if every == []:
-            raise RecipeError(f"{where}: every array of this shape has {shortage}, or increase the shape")
+            raise RecipeError(f"{where}: every array of this shape has {shortage}, or enlarge the shape")
         return every
 
     def bayer(self, filters: Sequence[int]) -> list[Cfa]:

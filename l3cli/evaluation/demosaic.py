@@ -151,7 +151,9 @@ def _interpolated_by(entry: EntryPoint, method: Callable[[Array], Array], mosaic
         planes = np.asarray(method(mosaic), np.float64)
         shape = (int(cfa.max()) + 1, *mosaic.shape)
         if planes.shape != shape or not np.isfinite(planes).all():
-            raise ValueError(f"the result has the shape {planes.shape}, but must be finite and have the shape {shape}")
+            raise ValueError(
+                f"the result must contain only finite values and have the shape {shape}; its shape is {planes.shape}"
+            )
     return planes
 
 

@@ -203,7 +203,7 @@ class Evaluation:
             raise RecipeError(
                 "‹rival› needs a table with the outputs X, Y, Z, but this table has the outputs "
                 f"{', '.join(table.outputs)}; "
-                "leave ‹rival› out"
+                "remove ‹rival›"
             )
         self._rivals = tuple(rivals)
         for name in self.pipelines:

@@ -83,11 +83,12 @@ class RawFrame:
             raise ValueError(f"{self.name}: a raw frame must be an array (row, column) of 16-bit values")
         if not self.black_level < self.white_level:
             raise ValueError(
-                f"{self.name}: the black level {self.black_level:g} is not below the white level {self.white_level:g}"
+                f"{self.name}: the black level of {self.black_level:g} DN is not below the white level of "
+                f"{self.white_level:g} DN"
             )
         if not self.black_level + self.dark < self.white_level:
             raise ValueError(
-                f"{self.name}: the dark current of {self.dark:g} DN reaches the white level {self.white_level:g}"
+                f"{self.name}: the dark signal of {self.dark:g} DN reaches the white level of {self.white_level:g} DN"
             )
 
     @property

@@ -63,7 +63,7 @@ class Scene:
     def __post_init__(self) -> None:
         bands = self.wavelength.size
         if self.polarisation is not None and self.polarisation.ratio.shape[:2] != self.reflectance.shape[:2]:
-            raise ValueError(f"scene {self.name}: the polarisation and the reflectances differ in their numbers of pixels")
+            raise ValueError(f"scene {self.name}: the polarisation and the reflectances have different numbers of pixels")
         if self.reflectance.ndim != 3 or self.reflectance.shape[2] != bands:
             raise ValueError(
                 f"scene {self.name}: reflectances with the shape {self.reflectance.shape} do not match {bands} wavelengths"
@@ -79,7 +79,7 @@ class Scene:
         brightest = BRIGHTEST_UNLIT if self.illuminant is NO_ILLUMINANT else MAX_TIMES_WHITE
         if float(np.max(self.reflectance, initial=0.0)) > brightest:
             raise ValueError(
-                f"scene {self.name}: some values exceed {brightest:g} times white, which no light reaches; check the value "
+                f"scene {self.name}: some values exceed {brightest:g} times white, which is implausible; check the value "
                 "of white"
             )
 

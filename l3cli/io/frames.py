@@ -278,19 +278,19 @@ def list_captures(folder: Path) -> CaptureFolder:
             )
         suffix, name = path.suffix.lower(), path.relative_to(folder).as_posix()
         if re.search("[\ud800-\udfff]", name):  # a measurement file cannot contain names that are not UTF-8
-            notes[f"{suffix}: the file names are not UTF-8 text; left out"] += 1
+            notes[f"{suffix}: the file names are not UTF-8 text; skipped"] += 1
             continue
         kind = BY_SUFFIX.get(suffix)
         if suffix in SUFFIXES:
             tables.append(name)
         elif suffix in DEVELOPED:
-            notes[f"{suffix}: developed pictures contain no raw values; left out"] += 1
+            notes[f"{suffix}: developed pictures contain no raw values; skipped"] += 1
         elif kind is None:
             continue
         elif kind.wants_geometry:
-            notes[f"{suffix}: headerless files state no size or packing (save them as TIFF); left out"] += 1
+            notes[f"{suffix}: headerless files do not state their size or packing (save the frames as TIFF); skipped"] += 1
         elif not kind.holds_frame:
-            notes[f"{suffix}: sequences and data files are not single frames; left out"] += 1
+            notes[f"{suffix}: sequences and data files are not single frames; skipped"] += 1
         else:
             frames.append(name)
     return CaptureFolder(
@@ -343,7 +343,7 @@ def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, Cur
             if Path(name).suffix.lower() in PROSE and not _has_numbers(folder.folder / name):
                 continue
             reason = str(error).removeprefix(f"{folder.folder / name}: ").removeprefix(f"{folder.folder / name} ")
-            notes.append(f"{name}: not a table of spectra ({reason}); left out")
+            notes.append(f"{name}: not a table of spectra ({reason}); skipped")
     return found
 
 

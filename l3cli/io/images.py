@@ -16,15 +16,17 @@ from l3cli.io.tags import UPRIGHT, flip_of
 from l3cli.system.limits import VALUE_BYTES, require_picture
 
 EXPOSURE_TIME = "ExposureTime"  # name of the Exif tag in OpenImageIO
+USE_PICTURE, USE_RAW = "use a TIFF, PNG or OpenEXR file", "use a TIFF or PNG file"  # ends of messages about unreadable files
 
 
 @isolated("OpenImageIO")
-def read_image(path: Path) -> tuple[NDArray, tuple[str, ...]]:
+def read_image(path: Path, cure: str = USE_PICTURE) -> tuple[NDArray, tuple[str, ...]]:
     """Read the pixels (row, col, channel) of a picture in the stored data type, and the names of its channels.
 
-    Raises InputFileError if the file cannot be read, is too large, or contains several pictures.
+    Raises InputFileError if the file cannot be read, is too large, or contains several pictures. If the file is not a
+    picture, the message ends with `cure`.
     """
-    with opened(path) as (source, spec):
+    with opened(path, cure) as (source, spec):
         return pixels_of(path, source, spec), tuple(spec.channelnames)
 
 
@@ -38,7 +40,7 @@ def picture_flip(path: Path) -> int:
 @isolated("OpenImageIO")
 def picture_size(path: Path) -> tuple[int, int]:
     """Read the numbers of rows and columns from the header of a picture. Raises InputFileError if the header is invalid."""
-    with opened(path) as (_, spec):
+    with opened(path, USE_PICTURE) as (_, spec):
         return spec.height, spec.width
 
 
@@ -62,13 +64,13 @@ def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[Any], float | N
 
 
 @contextlib.contextmanager
-def opened(path: Path) -> Iterator[tuple[Any, Any]]:
+def opened(path: Path, cure: str = USE_RAW) -> Iterator[tuple[Any, Any]]:
     """Open a picture with OpenImageIO, and yield its ImageInput and ImageSpec. The file is closed after the block.
 
     Raises InputFileError if OpenImageIO cannot read the file, or if the file contains several pictures or a picture that is
-    too large.
+    too large. If the file is not a picture, the message ends with `cure`.
     """
-    with contextlib.closing(open_image(path)) as source:
+    with contextlib.closing(open_image(path, cure)) as source:
         spec = source.spec()
         require_bearable(path, spec)
         require_whole_stack(path, spec, 1)
@@ -82,15 +84,16 @@ def opened(path: Path) -> Iterator[tuple[Any, Any]]:
         yield source, spec
 
 
-def open_image(path: Path) -> Any:
-    """Return the OpenImageIO ImageInput of a file. Raises InputFileError if OpenImageIO cannot read the file."""
+def open_image(path: Path, cure: str = USE_RAW) -> Any:
+    """Return the OpenImageIO ImageInput of a file.
+
+    Raises InputFileError, with a message that ends with `cure`, if OpenImageIO cannot read the file.
+    """
     import OpenImageIO as oiio
 
     source = oiio.ImageInput.open(str(path))
     if source is None:
-        raise InputFileError(
-            f"{path} is not a picture that l3 can read ({_reason(oiio.geterror(), str(path))}); use a TIFF or PNG file"
-        )
+        raise InputFileError(f"{path} is not a picture that l3 can read ({_reason(oiio.geterror(), str(path))}); {cure}")
     return source
 
 

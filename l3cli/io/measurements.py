@@ -102,7 +102,8 @@ class MeasurementFiles:
         for file, before in self.stamps.items():
             if stamp(file) != before:
                 raise InputFileError(
-                    f"{file} changed while l3 was reading it; run the command again when no program writes to the file"
+                    f"{file} changed while l3 was reading it; run the command again when no other program is writing to the "
+                    "file"
                 )
         return Stage("calibrate", options, self.recipe, digests)
 

@@ -524,7 +524,9 @@ def _video(path: Path) -> DecodedVideo:
 
 def _require_colours(path: Path, context: Any) -> None:
     if not (context.pix_fmt or "").startswith(("yuv", "gbr", "bgr", "rgb")):
-        raise InputFileError(f"{path} has the pixel format {context.pix_fmt or 'unknown'}; use a colour video")
+        raise InputFileError(
+            f"{path} is not a colour video (pixel format {context.pix_fmt or 'unknown'}); use a colour video"
+        )
 
 
 _open: dict[Path, InTurn] = {}

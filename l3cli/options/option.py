@@ -317,7 +317,7 @@ class Shard(Pair):
         index, count = super().read(given)
         if not 1 <= index <= count:
             most = max(count, 1)
-            raise ValueError(f"{index}/{count} does not exist; use a shard from 1/{most} to {most}/{most}")
+            raise ValueError(f"there is no shard {index}/{count}; use a shard from 1/{most} to {most}/{most}")
         return index, count
 
 

@@ -413,7 +413,7 @@ def at_luminance(radiance: Array, wavelength: Array, luminance: float) -> Array:
     if not seen > UNSEEN * (matching_weights(np.ones_like(wavelength), wavelength) @ radiance):
         ends = f"{wavelength.min():g}…{wavelength.max():g} nm"
         raise InputFileError(
-            f"light at {ends} has no luminance, but l3 computes the exposure from it; include wavelengths from 380 to 780 nm"
+            f"the light at {ends} has no luminance, so l3 cannot compute an exposure; use a spectrum from 380 to 780 nm"
         )
     return radiance * (luminance / seen)
 

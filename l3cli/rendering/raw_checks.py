@@ -151,8 +151,8 @@ def other_phase(frame: RawFrame, table: TransformTable) -> str:
         return ""
     fitting = " or ".join(f"{row},{col}" for row, col in doubt.phases)
     return (
-        "the stated phase of the colour filter array is wrong, because the sites of one channel differ by "
-        f"{doubt.stated:.1%} on average; use ‹phase› {fitting}, which reduces the difference to {doubt.least:.1%}"
+        "the stated phase of the colour filter array is wrong, because sites of the same channel differ by "
+        f"{doubt.stated:.1%} on average; set ‹phase› {fitting}, which reduces the difference to {doubt.least:.1%}"
     )
 
 
@@ -171,7 +171,7 @@ def _other_array(frame: RawFrame, table: TransformTable) -> str:
     known = {name: parse_cfa(each, name) for name, each in known_arrays().items()}
     return (
         "the frame has a different colour filter array from the table, probably "
-        f"{' or '.join(doubt.likely(known)[:2])}, because the sites of one colour differ by {doubt.differ:.0%}; train a "
+        f"{' or '.join(doubt.likely(known)[:2])}, because sites of the same colour differ by {doubt.differ:.0%}; train a "
         "table for this array (see ‹pattern› of l3 init)"
     )
 

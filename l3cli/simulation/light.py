@@ -851,8 +851,8 @@ def require_seen(bands: Array, target: Target, camera: CameraModel) -> None:
     if seen.max() < LEAST_SEEN:
         raise ValueError(
             f"the bands at {bands[0]:g}…{bands[-1]:g} nm cover only {seen.max():.1%} of the spectral "
-            f"weight of the target ({', '.join(target.outputs[:3])}); check the unit of the wavelengths, or leave the "
-            "scene out"
+            f"weight of the target ({', '.join(target.outputs[:3])}); check the unit of the wavelengths, or remove the "
+            "scene from the recipe"
         )
 
 

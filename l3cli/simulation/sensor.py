@@ -238,7 +238,7 @@ def _noisy_by(
         signal = np.array(entry.load()(electrons.copy(), time, camera, rng), np.float32)
         if signal.shape != electrons.shape or not np.isfinite(signal).all():
             raise ValueError(
-                f"the noise model returned an array of the shape {signal.shape}; return finite electrons of the shape "
+                f"the noise model returned an array of shape {signal.shape}; return finite numbers of electrons, in shape "
                 f"{electrons.shape}"
             )
     return signal

@@ -228,7 +228,7 @@ class CurveTable:
                 raw = units.RAW.fullmatch(heading) is not None
                 why = ", because it includes the response of the instrument" if raw else ""
                 raise InputFileError(
-                    f'{self.path}: "{heading}" is not a unit of power per nm{why}; use "W/nm" or a unit with photons'
+                    f'{self.path}: "{heading}" is not a unit of power per nm{why}; use "W/nm" or a photon unit'
                 )
             photons = unit is not None and "photon" in unit.powers
             rows.append(values / self.wavelength if photons else values)
@@ -244,13 +244,14 @@ class CurveTable:
             unit = units.parse(heading)
             if heading not in (*units.RELATIVE_UNITS, *units.FRACTION_UNITS) and (unit is None or unit.powers):
                 raise InputFileError(
-                    f'{self.path}: "{heading}" is not a fraction of light; use fractions, or "(%)" for percent'
+                    f'{self.path}: "{heading}" is not a unit of transmittance or reflectance; write fractions, or the unit '
+                    '"(%)"'
                 )
         shares = self.values * np.array([[_share(heading)] for heading in self.units])
         shares = np.where((shares >= -NOISE) & (shares <= 1 + NOISE), shares.clip(0, 1), shares)
         if shares.min() < 0 or shares.max() > 1:
             percent = (
-                'append "(%)" to the column names if the values are percent'
+                'append "(%)" to the column names if the values are percentages'
                 if 1 < shares.max() <= 100
                 else "correct the values"
             )
@@ -308,12 +309,15 @@ class CurveTable:
             if heading in units.RELATIVE_UNITS or (per_energy and unit is None):
                 what = f'"{heading}"' if heading else "a responsivity per energy without a unit"
                 raise InputFileError(
-                    f'{self.path}: {what} is not a quantum efficiency; append "(A/W)" or "(e-/photon)" to the column names, '
-                    "or set responsivity.peak_efficiency"
+                    f'{self.path}: {what} does not determine a quantum efficiency; append "(A/W)" or "(e-/photon)" to the '
+                    "column names, or set responsivity.peak_efficiency"
                 )
             if per_energy:
                 if unit is None or unit.powers != AMPERES_PER_WATT:
-                    raise InputFileError(f'{self.path}: "{heading}" is not "A/W"; set responsivity.peak_efficiency')
+                    raise InputFileError(
+                        f'{self.path}: the unit is "{heading}" instead of "A/W"; write the curves in A/W, or set '
+                        "responsivity.peak_efficiency"
+                    )
                 values = values * unit.scale * ELECTRONVOLT_NM / self.wavelength
             rows.append(values)
         return np.array(rows)

@@ -74,7 +74,7 @@ def calibrate(
         )
     if light is not None and measurements is not None:
         raise RecipeError(
-            "‹light› applies only to photos, because a measurement file contains its own illuminants; leave ‹light› out"
+            "‹light› applies only to photos, because a measurement file contains its own illuminants; remove ‹light›"
         )
     with OutputGuard(console) as guard:
         guard.protect(*photos, *filter(None, [measurements, truth]))

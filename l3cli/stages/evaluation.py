@@ -421,7 +421,7 @@ class FrameRenderers:
         mix = mix_for(self._table, white_of(frame)) if self._table.lights else None
         if mix and frame.illuminant not in self._reported:
             self._reported.add(frame.illuminant)
-            self._console.info(f"frames under {frame.illuminant}: transforms of {described(self._table, mix)}")
+            self._console.info(f"frames under {frame.illuminant}: using the transforms for {described(self._table, mix)}")
         if mix not in self._made:
             if len(self._made) == MAX_RENDERERS:
                 del self._made[next(iter(self._made))]

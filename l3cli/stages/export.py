@@ -133,16 +133,16 @@ def export_table(table: Path, output: Path, options: ExportOptions) -> tuple[lis
     form, words, prefix, which = options.form or "c", options.words, options.prefix, options.which
     white, console = options.white, options.console
     if form != "c" and (words or prefix is not None):
-        raise RecipeError(f"‹{'words' if words else 'prefix'}› applies only to C source; leave this option out")
+        raise RecipeError(f"‹{'words' if words else 'prefix'}› applies only to C source; remove this option")
     if which and form == "folder":
-        raise RecipeError("‹set› applies only to C source, because a folder of arrays contains both sets; leave ‹set› out")
+        raise RecipeError("‹set› applies only to C source, because a folder of arrays contains both sets; remove ‹set›")
     with OutputGuard(console) as guard:
         guard.protect(table)
         guard.hold_folder(output)
         transforms = load(TransformTable, table)
         if white is not None and not transforms.lights and (form != "c" or transforms.outputs != XYZ):
             raise RecipeError(
-                f"‹white› {white} needs transforms for single illuminants, which {table} does not contain; leave ‹white› out"
+                f"‹white› {white} needs transforms for single illuminants, which {table} does not contain; remove ‹white›"
             )
         if white is not None or form != "folder":  # a folder without ‹white› contains the transforms of all illuminants
             transforms = mixed(transforms, light_mix_of_given(white, transforms, mix_for, console))
@@ -154,7 +154,7 @@ def export_table(table: Path, output: Path, options: ExportOptions) -> tuple[lis
         low = next((each for each in transforms.noises if each.noise and each.noise.noise_left < 1), None)
         if which == "low-noise" and low is None:
             raise RecipeError(
-                f"{table} has only one set of transforms; leave ‹set› out, or train a table with learning.noise_left"
+                f"{table} has only one set of transforms; remove ‹set›, or train a table with learning.noise_left"
             )
         if low and form != "folder" and which is None:
             console.report(

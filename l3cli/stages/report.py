@@ -432,7 +432,7 @@ def plot(judged: Sequence[Judgement], output: Path, options: CheckOptions) -> No
     if output.suffix != ".html":
         raise RecipeError(f"‹plot› {output} is not the name of an HTML page; use a file name that ends in .html")
     if not paths:
-        raise RecipeError(f"‹plot› {output} needs a camera recipe without faults; correct the recipe, or leave ‹plot› out")
+        raise RecipeError(f"‹plot› {output} needs a camera recipe without faults; correct the recipe, or remove ‹plot›")
     with OutputGuard(options.console) as guard:
         guard.protect(*(file for each in judged for file in (each.path, *each.files)))
         guard.protect(*(file for path in paths for file in camera_files(path)))

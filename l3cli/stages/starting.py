@@ -258,7 +258,7 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> tu
         if len(cameras) > 1 and (given := [name for name in SINGLE_CAMERA_OPTIONS if getattr(options, name) is not None]):
             raise RecipeError(
                 f"‹{given[0]}› applies to one camera, but the raw files are from {len(cameras)} cameras; use the raw files "
-                f"of one camera, or leave ‹{given[0]}› out"
+                f"of one camera, or remove ‹{given[0]}›"
             )
         places = _places(folder, list(cameras))
         made = {
@@ -395,7 +395,7 @@ def _sorted_by_camera(files: Sequence[Path], listed: set[Path], console: Console
         except InputFileError as error:
             if path not in listed:
                 raise
-            console.report(f"left out: {error}")
+            console.report(f"skipped: {error}")
             continue
         cameras.setdefault(facts.camera, []).append((path, facts))
     if not cameras:
@@ -571,8 +571,8 @@ def _another_array(body: Body, doubt: ArrayDoubt) -> str:
     likely = doubt.likely({name: array_named(name)[1] for name in (*known_arrays(), NONA)})
     named = " or ".join(f'"{each}"' if "/" in each else each for each in likely[:2])
     return (
-        f"the file states the CFA {stated}, but pixels at sites of one colour differ by {doubt.differ:.0%}; set ‹pattern› "
-        f"{named} or the rows of the actual CFA, or ‹pattern› {stated} if the file is right"
+        f"the file states the CFA {stated}, but pixels at sites of the same colour differ by {doubt.differ:.0%}; set "
+        f"‹pattern› {named} or the rows of the actual CFA, or ‹pattern› {stated} if the file is right"
     )
 
 
@@ -585,8 +585,8 @@ def _misplaced(body: Body, doubt: PhaseDoubt) -> str:
     if doubt.by_grey:
         why = f"but the mean colour of the picture fits the white balance of the file only if the CFA is {pattern}"
     else:
-        least = f"and with {pattern} by only {doubt.least:.1%}"
-        why = f"but with this CFA pixels of one channel differ by {doubt.stated:.1%}, {least}"
+        least = f"and with the CFA {pattern} by only {doubt.least:.1%}"
+        why = f"but with this CFA, pixels of the same channel differ by {doubt.stated:.1%}, {least}"
     other = f", or {others} if the colours are wrong" if others else ""
     return f"the file states the CFA {stated[1]}, {why}; set ‹phase› {best}{other}, or 0,0 if the file is right"
 

@@ -147,8 +147,8 @@ class PartsFolder:
         is_same = self._run.is_file() and self._run.read_bytes() == self.key.encode()
         if resume and not is_same and self._run.is_file() and not force:
             raise RecipeError(
-                f"{self.folder} is from a run with another recipe, camera, seed or version; "
-                "leave ‹resume› out or add ‹force›"
+                f"{self.folder} is from a run with a different recipe, camera, seed or version; "
+                "remove ‹resume› or add ‹force›"
             )
         if not (resume and is_same):
             self.remove()

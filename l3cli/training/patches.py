@@ -124,7 +124,7 @@ def patches_of(
         rows, cols = frame.raw.shape
         raise InputFileError(
             f"the frame of scene {frame.scene} ({rows}×{cols} pixels) is smaller than a patch ({side}×{side} pixels); "
-            "leave the scene out"
+            "remove the scene from the recipe"
         )
     if isinstance(frame, TrainingFrame):
         grey = round(achromatic * count) if colourless is not None else 0
@@ -301,7 +301,8 @@ def _centres(frame: TrainingFrame, side: int, count: int, rng: np.random.Generat
     free = maximum_filter(frame.ignored.mask, side, mode="nearest")[side // 2 :, side // 2 :][:rows, :cols] == 0
     if not free.any():
         raise InputFileError(
-            f"the frame of scene {frame.scene} has no {side}×{side} window free of ignored pixels; leave the scene out"
+            f"the frame of scene {frame.scene} has no {side}×{side} window free of ignored pixels; remove the scene from "
+            "the recipe"
         )
     places = np.flatnonzero(free)[(even_places(count, 1, rng)[:, 0] * np.count_nonzero(free)).astype(np.int64)]
     return np.stack(np.unravel_index(places, free.shape)) + side // 2

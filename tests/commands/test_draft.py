@@ -267,9 +267,9 @@ def test_what_is_no_raw_frame_is_distinguished(lab: Path, tmp_path: Path, l3: L3
     (folder / "notes.txt").write_text("The lamp was warm.\n")
     code, _, err = l3("calibrate", "--draft", folder, "-o", tmp_path / "M.toml")
     assert code == 0
-    assert any("developed.tif has 3 channels of uint8" in line and line.endswith("left out") for line in err.splitlines())
-    assert "1 × .jpg: developed pictures contain no raw values; left out" in err
-    assert "left out labels.png, which seems to be a mask or a drawing, because it has no noise" in err
+    assert any("developed.tif has 3 channels of uint8" in line and line.endswith("skipped") for line in err.splitlines())
+    assert "1 × .jpg: developed pictures contain no raw values; skipped" in err
+    assert "skipped labels.png, which seems to be a mask or a drawing, because it has no noise" in err
     assert "colour filter array differs (96×256, for example white_other.tif)" in err
     assert "1 frame: all values are multiples of 16" in err
     assert "of the frequent values, the next higher value never occurs" in err

@@ -140,7 +140,7 @@ def test_pictures_that_do_not_fit_are_left_out_if_asked(
     code, out, err = l3(*call, folder / "some.h5", "--skip-bad")
     assert (code, out) == (1, "")
     assert [name for name in "abcdef" if f"{name}.png" in err] == ["b", "d", "e", "f"]
-    assert "2 frames; 4 scenes left out" in err.splitlines()[-1]
+    assert "2 frames; 4 scenes skipped" in err.splitlines()[-1]
     for name in "bdef":
         (folder / f"{name}.png").unlink()
     assert l3(*call, folder / "whole.h5", "--skip-bad", "--quiet") == (0, "", "")

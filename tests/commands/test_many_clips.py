@@ -65,7 +65,7 @@ def test_each_clip_is_rendered_as_if_alone(l3: L3, tmp_path: Path, table: Path, 
     assert (code, err) == (0, "")
     assert names(tmp_path / "out") == sorted(PLACES)
     lines = out.splitlines()
-    assert lines[-1] == f"clips: 5 rendered, 0 kept, 0 failed; frames: {4 * COUNT + 1}, 0 left out"
+    assert lines[-1] == f"clips: 5 rendered, 0 kept, 0 failed; frames: {4 * COUNT + 1}, 0 skipped"
     assert [line.split()[0] for line in lines[1:-1]] == [str(shots / name) for name in NAMES]
     for name, place in zip(NAMES, PLACES, strict=True):
         alone, many = tmp_path / "alone" / place, tmp_path / "out" / place

@@ -151,13 +151,13 @@ MISTAKES = """
     2 render table.h5 raw.tif -o new.mp4 --bits 32
         write a .tif or .exr
     2 render table.h5 raw.tif -o new.mp4 --space rec2020
-        videos are always sRGB; leave --space out
+        videos are always sRGB; remove --space
     2 render table.h5 raw.tif -o new.exr --white A
         --space
     2 render table.h5 raw.tif -o new.png --space sRGB
         did you mean "srgb"?
     2 render table.h5 raw.tif -o new.dng --space srgb
-        leave --space out
+        remove --space
     2 render table.h5 raw.tif -o new.dng --bits 32
         remove --bits
     2 render table.h5 raw.tif -o new.png --remosaic bayer
@@ -265,7 +265,7 @@ MISTAKES = """
     2 calibrate -o new.h5
         --photo
     2 calibrate lab/MEASUREMENTS.toml --light A -o new.h5
-        leave --light out
+        remove --light
     2 calibrate lab/MEASUREMENTS.toml --camera bayer -o new.h5
         --camera works only with --draft
     2 calibrate --draft lab -o new.h5
@@ -277,9 +277,9 @@ MISTAKES = """
     3 calibrate --draft lab/spectra -o new.toml
         neither a sweep nor responsivities; add a table
     2 calibrate --draft lab -o new.toml --photo a.dng
-        leave --photo out
+        remove --photo
     2 calibrate --draft lab lab/MEASUREMENTS.toml -o new.toml
-        leave MEASUREMENTS.toml out
+        remove MEASUREMENTS.toml
     2 calibrate --draft lab --camera fiveband -o new.toml
         but the frames have
     2 simulate scenes.toml --camera camera.h5 -o new.h5 --tls-ca raw.tif --tls-cert raw.tif --tls-key raw.tif
@@ -349,7 +349,7 @@ MISTAKES = """
     2 evaluate table.h5
         or --sequence
     2 evaluate table.h5 --sequence unseen
-        leave TABLE.h5
+        cannot be combined with TABLE.h5
     2 evaluate --sequence unseen --viewing 60
         --viewing cannot be used with --sequence
     3 evaluate --sequence nothing
@@ -361,9 +361,9 @@ MISTAKES = """
     3 compare list.json
         not an evaluation
     2 export table.h5 -o new --set low-noise
-        has only one set of transforms; leave --set out
+        has only one set of transforms; remove --set
     2 export table.h5 -o new --to folder --set low-noise
-        a folder of arrays contains both sets; leave --set out
+        a folder of arrays contains both sets; remove --set
     2 export table.h5 -o new --prefix 1
         use a letter from a to z
     2 export table.h5 -o new --prefix test

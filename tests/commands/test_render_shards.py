@@ -55,7 +55,7 @@ def test_broken_frames_of_other_shards_are_theirs(l3: L3, tmp_path: Path, still_
     code, _, err = l3(*call, "2/2")
     assert (code, "frame_2.tif" in err) == (0, False)
     code, _, err = l3(*call, "1/2")
-    assert (code, "1 of 4 frames left out" in err) == (1, True)
+    assert (code, "1 of 4 frames failed and were skipped" in err) == (1, True)
     assert len(files(tmp_path / "out")) == COUNT - 1
 
 

@@ -18,7 +18,7 @@ from tests.helpers.runs import Runs
 from tests.helpers.sequences import COUNT, FAST, RGGB, RUN, frames, pictures, write_stack
 from tests.helpers.tables import with_first
 
-ANOTHER = "leave --resume out"  # of a run whose inputs or options are others
+ANOTHER = "remove --resume"  # of a run whose inputs or options are others
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def test_a_missing_frame_stops_the_run_before_any_work(runs: Runs) -> None:
     code, out, err = runs("--skip-bad", source=pattern)
     assert (code, out, err.count("\n")) == (1, "", 2)
     assert "9" in err
-    assert "1 of 5 frames left out" in err
+    assert "1 of 5 frames failed and were skipped" in err
     assert list(pictures(runs.out)) == [f"frame_{number:02d}.png" for number in (7, 8, 10, 11)]
 
 

@@ -80,9 +80,7 @@ def test_resuming_reads_what_it_needs_and_gives_the_same_bytes(
     assert l3(*call, "-o", tmp_path / "out")[0] == 3
     assert len(pictures(tmp_path / "out")) == broken
     frame.write_bytes(content)
-    assert (
-        "leave --resume out" in l3(*(word for word in call if word != "--temporal"), "-o", tmp_path / "out", "--resume")[2]
-    )
+    assert "remove --resume" in l3(*(word for word in call if word != "--temporal"), "-o", tmp_path / "out", "--resume")[2]
     taken = filtered_places(monkeypatch)
     assert l3(*call, "-o", tmp_path / "out", "--resume") == (0, "", "")
     assert taken == [*range(max(0, broken // 4 * 4 - 1), COUNT)]  # its chunk, and what leads in

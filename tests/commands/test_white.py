@@ -287,7 +287,7 @@ def test_transforms_of_the_nearest_of_several_lights_are_taken(
     """As if the table had these alone, from Python too."""
     code, _, err = l3("render", several, warm, "--white", given, "-o", tmp_path / "a.png", *FAST)
     assert code == 0
-    assert "transforms of A" in err
+    assert "transforms for A" in err
     table = load(TransformTable, several)
     save(mixed(table, Mix(0, 1, 0.0)), tmp_path / "mixed.h5")
     assert l3("render", tmp_path / "mixed.h5", warm, "--white", "3200K", "-o", tmp_path / "b.png", *FAST)[0] == 0
@@ -303,7 +303,7 @@ def test_transforms_of_the_nearest_of_several_lights_are_taken(
 def test_what_is_exported_is_not_balanced_and_mixed(l3: L3, several: Path, tmp_path: Path) -> None:
     code, _, err = l3("export", several, "-o", tmp_path, "--to", "folder", "--white", "3200K")
     assert code == 0
-    assert "white 3200K: transforms of 81 % A, 19 % D65" in err
+    assert "white 3200K: using the transforms for 81 % A, 19 % D65" in err
 
 
 def test_a_sequence_is_rendered_by_the_light_of_its_first_frame(
@@ -315,10 +315,10 @@ def test_a_sequence_is_rendered_by_the_light_of_its_first_frame(
     (tmp_path / "clip.bin").write_bytes(frames.astype("<u2").tobytes())
     call = ("--white", "30,40", "--exposure", "1", *FAST, "-o")
     code, _, err = l3("render", several, tmp_path / "clip.npy", *call, tmp_path / "files" / "####.png")
-    assert (code, "transforms of A, for all frames" in err) == (0, True)
+    assert (code, "transforms for A, for all frames" in err) == (0, True)
     with stdin_of(tmp_path / "clip.bin"):
         code, _, err = l3("render", several, "-", "--size", "60x160", *call, tmp_path / "stream" / "####.png")
-    assert (code, "transforms of A, for all frames" in err) == (0, True)
+    assert (code, "transforms for A, for all frames" in err) == (0, True)
     for files in zip(*(sorted((tmp_path / name).glob("[!.]*")) for name in ("files", "stream")), strict=True):
         one, other = (read_image(file)[0] for file in files)
         np.testing.assert_array_equal(one, other)

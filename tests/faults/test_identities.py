@@ -121,7 +121,7 @@ def test_a_simulation_is_not_resumed_with_other_files_behind_its_recipes(
     assert l3(*call)[0] == 3
     content = (desk / changed).read_bytes()
     (desk / changed).write_bytes(content[::-1] if changed == "cube.img" else content.replace(b",0.6", b",0.5"))
-    assert "leave --resume out" in refused(2, *call, "--resume")
+    assert "remove --resume" in refused(2, *call, "--resume")
 
 
 def test_a_name_is_compared_by_what_it_leads_to(tmp_path: Path) -> None:

@@ -162,7 +162,7 @@ def test_frames_of_another_run_are_given_up_by_force(folder: Path, l3: L3) -> No
     whole = contents()
     shutil.rmtree("out")
     kill(f"{line} --seed 1", "artifacts.container", "open_file", 1)
-    assert "leave --resume out or add --force" in l3(*line.split(), "--resume")[2]
+    assert "remove --resume or add --force" in l3(*line.split(), "--resume")[2]
     assert l3(*line.split(), "--resume", "--force") == (0, "", "")
     assert contents() == whole
 

@@ -81,7 +81,7 @@ def test_defective_pixels_are_listed_and_left_out(mean_lab: Path, fine_bayer_rec
     np.testing.assert_array_equal(camera.fit.noise.defects, known)
     code, out, _ = l3("calibrate", mean_lab / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5", "--force")
     assert code == 0
-    assert "left out 40 hot and dead pixels (row, column): (" in out
+    assert "ignored 40 hot and dead pixels (row, column): (" in out
     assert "too-long.tif: saturated in g" in out
 
 

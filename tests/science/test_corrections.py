@@ -260,8 +260,8 @@ def test_resume_knows_the_camera(flawed: Path, l3: L3) -> None:
     assert l3(*call, "--camera", flawed / "camera.h5")[0] == 3
     camera = load(CameraModel, flawed / "camera.h5")
     save(replace(camera, defects=None), flawed / "other.h5")
-    assert "leave --resume out" in l3(*call, "--camera", flawed / "other.h5", "--resume")[2]
-    assert "leave --resume out" in l3(*call, "--resume")[2]
+    assert "remove --resume" in l3(*call, "--camera", flawed / "other.h5", "--resume")[2]
+    assert "remove --resume" in l3(*call, "--resume")[2]
     (flawed / "frames/3.npy").unlink()
     np.save(flawed / "frames/3.npy", np.load(flawed / "frames/0.npy"))
     assert l3(*call, "--camera", flawed / "camera.h5", "--resume")[0] == 0

@@ -367,7 +367,7 @@ def test_other_than_three_outputs_get_one_layer(tmp_path: Path, l3: L3) -> None:
     for further in (("-o", whole), ("--shard", "1/1", "-o", sums)):
         code, _, err = l3(*run, *further)
         assert code == 0, err
-        assert "the refinement layers of the recipe are left out" in err
+        assert "the refinement layers of the recipe are skipped" in err
     assert l3("train", "--merge", sums, "-o", first)[0] == 0
     assert l3(*run, "--shard", "1/1", "--first", first, "--force", "-o", sums)[0] == 0
     assert l3("train", "--merge", sums, "-o", table)[0] == 0

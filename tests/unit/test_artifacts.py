@@ -141,7 +141,7 @@ def plain_hdf5(path: Path) -> None:
         (lambda root: root.pop("noise"), "the group noise is missing"),
         (with_gain("much"), "dataset gain has the type"),
         (with_gain(h5py.ExternalLink("/etc/passwd", "/")), "the dataset gain is a link"),
-        (of_size, "is larger than its stored data allow"),
+        (of_size, "declares more values than the file contains"),
         (of_shape, "responsivity"),
         (of_history, "history"),
     ],

@@ -263,5 +263,5 @@ def test_a_dataset_cannot_pass_for_an_empty_scale(folder: Path, tmp_path: Path) 
         del root["responsivity"]
         root.create_dataset("responsivity", (5, 2**40), "f8").make_scale("responsivity")
     container.seal(path)
-    with pytest.raises(InputFileError, match="is larger than its stored data allow"):
+    with pytest.raises(InputFileError, match="declares more values than the file contains"):
         load(CameraModel, path)

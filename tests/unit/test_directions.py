@@ -185,7 +185,7 @@ def test_training_reports_what_it_does_without(tmp_path: Path, l3: L3) -> None:
     assert l3("simulate", scenes, "--camera", camera, "-o", tmp_path / "training.h5")[0] == 0
     code, _, err = l3("train", tmp_path / "training.h5", "--classes", classes, "-o", tmp_path / "table.h5")
     assert code == 0, err
-    assert "the class feature direction is left out, because patches of 5×5 pixels are too small for this feature" in err
+    assert "the class feature direction is not used, because patches of 5×5 pixels are too small for this feature" in err
 
 
 def with_feature(table: TransformTable, feature: Feature) -> TransformTable:

@@ -10,6 +10,7 @@ import tifffile
 
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.training_set import TrainingFrame, open_training_set
+from l3cli.errors import InputFileError
 from l3cli.frames.scene import PolarisedPictures
 from l3cli.io.scenes import polariser, stokes
 from l3cli.physics.stokes import STOKES, stokes_of
@@ -299,6 +300,13 @@ def test_pictures_that_differ_are_refused(refused: Refused, tmp_path: Path) -> N
         assert "90.png" in refused(3, *call)
     (folder / "90.png").write_text("no picture")
     assert "90.png" in refused(3, *call)
+
+
+def test_the_message_about_an_unreadable_stokes_file_lists_formats_that_are_read(tmp_path: Path) -> None:
+    """Stokes parameters can be negative, so a PNG file never contains them."""
+    (tmp_path / "wall.exr").write_text("no picture")
+    with pytest.raises(InputFileError, match=r"wall\.exr .*OpenEXR, TIFF or \.npy"):
+        stokes.read(tmp_path / "wall.exr")
 
 
 @pytest.mark.parametrize("source", ["polariser", "stokes"])

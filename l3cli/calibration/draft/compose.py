@@ -225,7 +225,7 @@ class Composer:
         self.whites, self.darks = seen.groups_of("white"), seen.groups_of("dark")
         if self.steps and self.bands:  # a file can contain only one of the two, and monochromatic captures are more accurate
             seen.notes.append(
-                f"left out {len(self.bands)} captures of a chart behind filters, because there are monochromatic captures"
+                f"skipped {len(self.bands)} captures of a chart behind filters, because there are monochromatic captures"
             )
             self.bands = []
 
@@ -352,7 +352,7 @@ class Composer:
                 found[id(group)] = corners
             elif group.kind == "structured":
                 self.charts.remove(group)
-                seen.notes.append(f"left out {group.first.name.path}, which contains neither a uniform field nor a chart")
+                seen.notes.append(f"skipped {group.first.name.path}, which contains neither a uniform field nor a chart")
         return found
 
     def _corners(self, corners: sorting.Corners | None, path: str) -> None:

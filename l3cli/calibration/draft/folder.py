@@ -23,7 +23,7 @@ from l3cli.frames.measurement import DIODE, CaptureFolder, RawFile
 from l3cli.system.text import counted
 
 SAMPLED = 6  # number of frames from which the period of the filter array is estimated
-LEFT_OUT = "; left out"  # end of each note about a file that is not used
+SKIPPED = "; skipped"  # end of each note about a file that is not used
 MOST_NOTED = 12  # if more files are rejected, the remaining files share one note
 LIGHT = re.compile(r"light[ _]+(?!diode)(.+)", re.IGNORECASE)  # heading of a column with the values of a channel in a sweep
 USUAL = {1: ["y"], 3: ["r", "g", "b"]}  # assumed names of the channels, for each number of columns
@@ -86,7 +86,7 @@ def survey(
     """
     facts = _facts(listing, notes, reading)
     if not facts:
-        reason = f": {notes[0].removesuffix(LEFT_OUT)}" if notes else ""
+        reason = f": {notes[0].removesuffix(SKIPPED)}" if notes else ""
         cure = "" if "; " in reason else "; specify a folder with the captures of a camera"  # the reason may contain a cure
         raise InputFileError(f"{listing.folder} contains no raw frame{reason}{cure}")
     used = _frames_of_one_sensor(facts, notes)
@@ -131,14 +131,14 @@ def _facts(listing: CaptureFolder, notes: list[str], reading: Reading) -> list[_
         try:
             raw = reading.read(path)
         except L3Error as error:
-            refused.append(str(error).replace(f"{listing.folder / path}", path) + LEFT_OUT)
+            refused.append(str(error).replace(f"{listing.folder / path}", path) + SKIPPED)
             continue
         rows, cols = raw.values.shape
         fits = raw.values.nbytes < room
         room -= raw.values.nbytes if fits else 0
         mean = float(raw.values.mean())
         facts.append(_Fact(path, (rows, cols), mean, raw if fits else replace(raw, values=raw.values[:0].copy())))
-    notes += first_lines(refused, MOST_NOTED, "left out {} more files")
+    notes += first_lines(refused, MOST_NOTED, "skipped {} more files")
     return facts
 
 
@@ -151,7 +151,7 @@ def _frames_of_one_sensor(facts: Sequence[_Fact], notes: list[str]) -> list[_Fac
             others = [fact for fact in facts if fact.sensor == sensor]
             rows, cols = others[0].shape
             notes.append(
-                f"left out {len(others)} of {len(facts)} frames, because their size or colour filter array differs "
+                f"skipped {len(others)} of {len(facts)} frames, because their size or colour filter array differs "
                 f"({rows}×{cols}, for example {others[0].path}); make a separate draft for these frames"
             )
     return [fact for fact in facts if fact.sensor == usual]
@@ -183,7 +183,7 @@ def _summarised(facts: Sequence[_Fact], period: tuple[int, int], notes: list[str
     for fact in reading.progress(facts, len(facts), "frames"):
         raw = fact.raw if fact.raw.values.size else reading.read(fact.path)
         if drawn(raw.values):
-            refused.append(f"left out {fact.path}, which seems to be a mask or a drawing, because it has no noise")
+            refused.append(f"skipped {fact.path}, which seems to be a mask or a drawing, because it has no noise")
             continue
         if change := altered(raw.values):
             changed[change] += 1

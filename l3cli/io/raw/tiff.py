@@ -104,7 +104,8 @@ def _require_frames(path: Path, spec: Any, count: int) -> None:
     # More channels than MOST_CHANNELS are frames, because tifffile by default describes the frames of a stack as channels.
     if (channels and 1 < int(channels[1]) <= MOST_CHANNELS) or re.match(r"""\{.*"axes": "[A-Z]*C[A-Z]*\"""", text):
         raise InputFileError(
-            f"{path}: according to the image description, the pages are channels of a picture; save raw frames as pages"
+            f"{path}: according to the image description, the pages are the channels of one picture; save one raw frame per "
+            "page"
         )
     frame_axes(str(path), (count, spec.height, spec.width))
 

@@ -60,5 +60,5 @@ def _planes(path: Path) -> tuple[NDArray, list[str]]:
     if suffix in bands.TIFF:
         values, labels, _ = bands.read_tiff(path)
         return values, labels
-    pixels, names = read_image(path)
+    pixels, names = read_image(path, "use an OpenEXR, TIFF or .npy file")
     return pixels, list(names)

@@ -223,6 +223,6 @@ def require_noise(camera: CameraModel | None) -> CameraModel:
         )
     if camera.noise.lines:
         raise RecipeError(
-            "‹temporal› would mistake the temporal noise of the camera's rows and columns for motion; leave ‹temporal› out"
+            "‹temporal› would mistake the temporal noise of the camera's rows and columns for motion; remove ‹temporal›"
         )
     return camera

@@ -58,8 +58,8 @@ class PictureCheckpoint(Checkpoint):
         earlier = self.path if self.path.is_file() else self.finished
         if earlier.is_file() and not self.take_over(earlier) and not force:
             raise RecipeError(
-                f"{output} contains pictures of a run with another table, other inputs or other options; leave ‹resume› "
-                "out, or add ‹force›"
+                f"{output} was written by a run with a different table, different inputs or different options; remove "
+                "‹resume› or add ‹force›"
             )
         self._unseen = {name for name in self.items if self.is_ours(self.path.with_name(name))}
 

@@ -196,7 +196,7 @@ def _refuse_folder(folder: Path, options: RenderOptions) -> None:
             "videos"
         )
     if options.uncertainty is not None:
-        raise RecipeError("‹uncertainty› works only for a single frame; render one frame, or leave ‹uncertainty› out")
+        raise RecipeError("‹uncertainty› works only for a single frame; render one frame, or remove ‹uncertainty›")
     destination_of(folder / f"clip.{options.format}", options.format, video_choice(options), options.shard)
     refuse_unwritable(folder)
 

@@ -240,27 +240,27 @@ def _refuse_misplaced(destination: Destination, options: RenderOptions) -> None:
             name = "exposure" if options.white is None else "white"
             raise RecipeError(
                 f"‹{name}› has no effect on a floating-point file, which contains the unchanged outputs; add ‹space›, or "
-                f"leave ‹{name}› out"
+                f"remove ‹{name}›"
             )
         if options.deflicker:
             raise RecipeError(
                 "‹deflicker› has no effect on a floating-point file, which contains the unchanged outputs; add ‹space›, or "
-                "leave ‹deflicker› out"
+                "remove ‹deflicker›"
             )
     if options.tone is not None and (destination.linear or destination.raw):
-        raise RecipeError("‹tone› applies only to display images, but the output is linear; leave ‹tone› out")
+        raise RecipeError("‹tone› applies only to display images, but the output is linear; remove ‹tone›")
     if space not in (None, "srgb") and not destination.one_by_one:
-        raise RecipeError("‹space› applies only to pictures, because videos are always sRGB; leave ‹space› out")
+        raise RecipeError("‹space› applies only to pictures, because videos are always sRGB; remove ‹space›")
     if space is not None and destination.raw:
-        raise RecipeError("‹space› cannot be used for DNG files, which have their own colour space; leave ‹space› out")
+        raise RecipeError("‹space› cannot be used for DNG files, which have their own colour space; remove ‹space›")
     if options.remosaic is not None and not destination.raw:
-        raise RecipeError("‹remosaic› applies only to DNG files; leave ‹remosaic› out, or write a .dng")
+        raise RecipeError("‹remosaic› applies only to DNG files; remove ‹remosaic›, or write a .dng")
     if options.resume and destination.kind == "stream":
-        raise RecipeError("‹resume› cannot continue an output to stdout; leave ‹resume› out, or write a file")
+        raise RecipeError("‹resume› cannot continue an output to stdout; remove ‹resume›, or write a file")
     if options.uncertainty is not None and options.uncertainty.suffix.lower() != ".exr":
         raise RecipeError(f"‹uncertainty› {options.uncertainty} is not an .exr file; use a file name that ends in .exr")
     if options.uncertainty is not None and options.temporal:
-        raise RecipeError("‹uncertainty› cannot be combined with ‹temporal›; leave one of these options out")
+        raise RecipeError("‹uncertainty› cannot be combined with ‹temporal›; remove one of these options")
 
 
 def _refuse_polarisation(table: TransformTable, destination: Destination, options: RenderOptions) -> None:
@@ -270,17 +270,15 @@ def _refuse_polarisation(table: TransformTable, destination: Destination, option
     if not has_stokes(table.outputs):
         raise RecipeError(
             f"‹show› {options.show} needs a table with the outputs S1 and S2, but the outputs are "
-            f"{', '.join(table.outputs)}; leave ‹show› out, or use a table for a camera with polarisers"
+            f"{', '.join(table.outputs)}; remove ‹show›, or use a table for a camera with polarisers"
         )
     if destination.linear or destination.raw:
-        raise RecipeError(
-            f"‹show› makes pictures for display, but {destination.path} contains linear values; leave ‹show› out"
-        )
+        raise RecipeError(f"‹show› makes pictures for display, but {destination.path} contains linear values; remove ‹show›")
     exposed = options.exposure.factor is not None or bool(options.exposure.stops)
     given = {"white": options.white, "space": options.space, "tone": options.tone, "deflicker": options.deflicker}
     for name, value in [*given.items(), ("exposure", exposed)]:
         if value:
-            raise RecipeError(f"‹{name}› has no effect on pictures of polarisation; leave ‹{name}› or ‹show› out")
+            raise RecipeError(f"‹{name}› has no effect on pictures of polarisation; remove ‹{name}› or ‹show›")
 
 
 # ------------------------------------------------------------------------------------------------------------- inputs
@@ -369,11 +367,11 @@ def _refuse_frames(sequence: FrameSequence, destination: Destination, table: Tra
     """
     if options.deflicker and sequence.stills and destination.pictures:
         raise RecipeError(
-            f"‹deflicker› applies only to sequences, but {sequence.what} is not a sequence; leave ‹deflicker› out"
+            f"‹deflicker› applies only to sequences, but {sequence.what} is not a sequence; remove ‹deflicker›"
         )
     if options.uncertainty is not None:
         if sequence.count != 1:
-            raise RecipeError("‹uncertainty› works only for a single frame; render one frame, or leave ‹uncertainty› out")
+            raise RecipeError("‹uncertainty› works only for a single frame; render one frame, or remove ‹uncertainty›")
         from l3cli.rendering.uncertainty import require_known_noise  # imported here to save start-up time
 
         require_known_noise(table)
@@ -441,7 +439,7 @@ def light_mix_of_given(white: str | None, table: TransformTable, choice: Choice,
         return None
     light_mix = choice(table, given.light.xyz)
     assert light_mix is not None
-    console.info(f"white {white}: transforms of {described(table, light_mix)}")
+    console.info(f"white {white}: using the transforms for {described(table, light_mix)}")
     return light_mix
 
 

@@ -122,7 +122,7 @@ def _light_mix_of_first(source: WhiteSource, job: Job, sequence: FrameSequence) 
     light_mix = nearest_for(job.table, white.light.xyz)
     assert light_mix is not None
     extent = "" if is_single else ", for all frames"
-    console.info(f"{frame.name}: white {source.about}: transforms of {described(job.table, light_mix)}{extent}")
+    console.info(f"{frame.name}: white {source.about}: using the transforms for {described(job.table, light_mix)}{extent}")
     return light_mix, frames
 
 
@@ -179,7 +179,7 @@ def _temporal_filters(job: Job, table: TransformTable) -> Chunks:
     console if there is only one frame.
     """
     if job.sequence.count == 1:
-        job.options.console.warn("‹temporal› has no effect on a single frame; render a sequence, or leave ‹temporal› out")
+        job.options.console.warn("‹temporal› has no effect on a single frame; render a sequence, or remove ‹temporal›")
     try:
         return Chunks(filters(job.options.backend, table, **job.engine))
     except DeviceError:

@@ -50,7 +50,7 @@ class Tally:
         elif not job.sequence.stills:
             console.info(f"{path}: {self.done} frames, {self.done / self.seconds:.3g} per second")
         if self.failures:
-            console.report(f"l3: {self.failures} of {self.done + self.failures} frames left out")
+            console.report(f"l3: {self.failures} of {self.done + self.failures} frames failed and were skipped")
 
 
 class WhiteReport:

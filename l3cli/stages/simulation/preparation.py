@@ -315,10 +315,10 @@ def fitting(
     if not skip_bad:
         count = sum(map(len, files))
         if len(bad) == 1:
-            raise InputFileError(f"{bad[0]}, or leave the scene out with ‹skip_bad›" if count > 1 else str(bad[0]))
+            raise InputFileError(f"{bad[0]}, or skip the scene with ‹skip_bad›" if count > 1 else str(bad[0]))
         cures = dict.fromkeys(str(error).partition("; ")[2] for error in bad)
         why = listed(str(error).partition("; ")[0] for error in bad)
-        cure = ", ".join([*filter(None, cures), "or leave these scenes out with ‹skip_bad›"])
+        cure = ", ".join([*filter(None, cures), "or skip these scenes with ‹skip_bad›"])
         raise InputFileError(f"{len(bad)} of {count} scenes cannot be used: {why}; {cure}")
     readable = [[path for path in paths if path not in errors] for paths, errors in zip(files, refused, strict=True)]
     synthetic = any(not isinstance(source, FileSource) for source in run.recipe.scene)

@@ -131,7 +131,7 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
                     _assemble(stored, head, output, console)  # last, so that the pictures exist if the training set exists
             for folder in folders:
                 mark_finished(folder, key)
-        left_out = f"; {bad} scene{'s' if bad > 1 else ''} left out" if bad else ""
+        left_out = f"; {bad} scene{'s' if bad > 1 else ''} skipped" if bad else ""
         console.info(f"{output}: {counted(total, 'frame')}{left_out}{'; already finished' if stands else ''}")
         return Simulated(total, bad, used.and_wrote(output, *pictures))
 

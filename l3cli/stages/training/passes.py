@@ -59,7 +59,7 @@ def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
         sites = "×".join(map(str, run.head.camera.cfa.shape))
         patch = run.recipe.classes.patch
         execution.console.report(
-            f"the class feature {name} is left out, because patches of {patch}×{patch} pixels are too small for this "
+            f"the class feature {name} is not used, because patches of {patch}×{patch} pixels are too small for this "
             f"feature with a CFA of {sites} sites; set a larger classes.patch to use the feature"
         )
     patches = pilot_patches(run.patches)
