@@ -76,7 +76,7 @@ def draw_scene(size, rng):
 
 
 def draw_spectrum(rng):
-    """Return a random reflectance (wavelength) between 0 and 1. One in four is grey, and the others have a step or a band."""
+    """Return a random reflectance (wavelength) between 0 and 1. One in four is grey. The others have a step or a band."""
     height, floor = rng.uniform(0.1, 0.9), rng.uniform(0.02, 0.1)
     if rng.random() < 0.25:
         return np.full(WAVELENGTH.size, height)

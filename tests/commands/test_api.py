@@ -1,4 +1,4 @@
-"""`import l3cli as l3`: the commands as functions, with artifacts and arrays, and the bytes of the commands."""
+"""The Python API does the same as the commands, writes the same bytes, and returns artifacts and arrays."""
 
 import doctest
 import inspect

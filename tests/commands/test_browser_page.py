@@ -1,4 +1,4 @@
-"""A table as a page that renders raw files in the browser: classes and pictures of the reference, forms of DNG, refusals."""
+"""A table exported as a browser page: classes and pictures equal the reference, and unsupported DNG files are rejected."""
 
 import base64
 import dataclasses

@@ -1,4 +1,4 @@
-"""l3 calibrate with photos of a chart: what it writes and says, and one line for every mistake."""
+"""`l3 calibrate` with photos of a chart: outputs, messages, and one line for each mistake."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Measurements that cannot be used: one line that names the culprit, the right exit code, and nothing written."""
+"""Measurements that cannot be used: one line that names the culprit, the right exit code, and no output."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""l3 check: every fault of a recipe at once, each with its line; what a recipe without faults means."""
+"""`l3 check`: all faults of a recipe with their lines, and the summary of a recipe without faults."""
 
 import json
 import re

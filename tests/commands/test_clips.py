@@ -1,4 +1,4 @@
-"""Clips as files: `l3 simulate` of scenes with a motion, and what it refuses of them."""
+"""Clips: `l3 simulate` with moving scenes, and errors in the motion settings."""
 
 import json
 import re

@@ -1,5 +1,7 @@
-"""Many machines: a real dask scheduler and two workers on loopback give the bytes of a single process, also when one is
-killed; what goes wrong with them is one line within bounded time."""
+"""Cluster: a dask scheduler with two workers produces the same bytes as a single process, even if a worker is killed.
+
+Every error is reported in one line within a limited time.
+"""
 
 import contextlib
 import logging

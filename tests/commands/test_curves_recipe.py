@@ -1,4 +1,4 @@
-"""A camera recipe with curves from a CSV file: as people write them, and what is wrong with them in one line each."""
+"""Camera recipes with curves from a CSV file: common layouts are read, and each mistake is reported in one line."""
 
 import shutil
 from collections.abc import Callable

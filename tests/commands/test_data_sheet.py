@@ -1,4 +1,4 @@
-"""The data sheet in a report on a measured camera: the figures that `l3 calibrate` gives, and the standard's plots."""
+"""The data sheet in the report on a measured camera: the values of `l3 calibrate`, and the plots of EMVA 1288."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""l3 render --deflicker: pictures of a lamp that flickers are equally bright, whatever else happens in the sequence."""
+"""`l3 render --deflicker`: all pictures of a scene with a flickering lamp have equal brightness."""
 
 import itertools
 import os

@@ -1,4 +1,4 @@
-"""l3 design: moments of scenes and designs, the same bytes for any jobs and after a stop; wrong recipes in one line."""
+"""`l3 design`: the same bytes for any number of jobs and after an interruption, and one line for each wrong recipe."""
 
 import contextlib
 import io

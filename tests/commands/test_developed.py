@@ -1,4 +1,4 @@
-"""`l3 render -o a.dng`: frames of any array that LibRaw takes for a camera's own, with the colours of our pictures."""
+"""`l3 render -o a.dng`: LibRaw reads the DNG files of any array, with the same colours as the rendered pictures."""
 
 import dataclasses
 from pathlib import Path

@@ -1,5 +1,7 @@
-"""DNG: simulated frames that other developers open and that render as the frames themselves; every tag and opcode that
-changes pixels is read, refused in its words or warned of, as docs/raw-files.md says."""
+"""DNG files: other software opens simulated frames, and tags and opcodes that change pixels are applied or reported.
+
+docs/raw-files.md describes each tag and opcode.
+"""
 
 import dataclasses
 import re

@@ -1,4 +1,4 @@
-"""l3 calibrate --draft: a folder of captures, named as labs name them, gives their measurement file."""
+"""`l3 calibrate --draft`: a folder of captures with names that are common in labs yields a measurement file."""
 
 import re
 import shutil

@@ -1,4 +1,4 @@
-"""`l3 evaluate`: the keys it promises, pictures, bands, classes; one line for every wrong call."""
+"""`l3 evaluate`: documented keys, pictures, bands, classes, and one line for each wrong call."""
 
 import contextlib
 import dataclasses

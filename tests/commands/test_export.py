@@ -1,4 +1,4 @@
-"""l3 export: what other software is to read, held to its documented structure and to the camera behind it."""
+"""`l3 export` of cameras: the files have the documented structure and agree with the camera."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""l3 export of transform tables: what is written, what is refused."""
+"""`l3 export` of transform tables: written files and rejected calls."""
 
 import ctypes
 import dataclasses

@@ -1,4 +1,4 @@
-"""What a first-time user meets: l3 alone, recipes by name, pictures of any size."""
+"""First use: l3 without arguments, recipes by name, and pictures of any size."""
 
 import shutil
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Frames of several analog gains: how each is known, and which commands take the transforms for it."""
+"""Frames with different analog gains: sources of the gain, and commands that use the transforms for a gain."""
 
 import dataclasses
 import json

@@ -1,4 +1,4 @@
-"""Cameras without filters, and tables of luminance: trained, rendered, judged and reported in grey."""
+"""Cameras without filters and tables for luminance: training, rendering, evaluation and reports in grey."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The GStreamer element: pixels of `l3 render`, caps that are agreed on, errors on the bus."""
+"""The GStreamer element: the same pixels as `l3 render`, negotiated caps, and errors on the bus."""
 
 import json
 import subprocess

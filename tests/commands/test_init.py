@@ -1,4 +1,4 @@
-"""l3 init: what it makes, and every camera recipe from its folder to a picture, small."""
+"""`l3 init`: created files, and a small picture from the folder of every camera recipe."""
 
 import json
 import tomllib

@@ -1,4 +1,4 @@
-"""l3 init --from: cameras by their raw files, from the folder that is made to a picture of the photo itself."""
+"""`l3 init --from`: cameras from raw files, and a picture of the raw file from the created folder."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""--json: every command prints one object, results and how it ran, whatever happens."""
+"""`--json`: every command prints one object with results and run information, even after an error."""
 
 import hashlib
 import json

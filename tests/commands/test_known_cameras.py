@@ -1,4 +1,4 @@
-"""l3 init of cameras by name: 52 whose measured curves come with l3."""
+"""`l3 init` of cameras by name: the 52 cameras whose measured curves come with l3."""
 
 import json
 import os

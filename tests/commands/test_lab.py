@@ -1,4 +1,4 @@
-"""The virtual lab writes what a camera would give, as a lab would keep it."""
+"""The virtual lab writes captures as a real lab would store them."""
 
 import re
 import tomllib

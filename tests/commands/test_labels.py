@@ -1,4 +1,4 @@
-"""Pictures carry on how the frame was taken and say what they were made from, and nothing of when and where."""
+"""Metadata of pictures: shooting data and origin are included, and time and place are not included."""
 
 import hashlib
 import shutil

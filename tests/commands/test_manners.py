@@ -1,5 +1,4 @@
-"""How the commands behave towards people: help, completion, progress, names suggested, tables that fit, warnings, logs, what
-every command promises about outputs, seeds and mistakes."""
+"""Behaviour that users see in all commands: help, completion, progress, suggestions, warnings, logs, outputs and seeds."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Many clips in one call, and the same call again: each rendered once, what is wrong with one is left at that one."""
+"""Many clips in one call, and repeated calls: each clip is rendered once, and an error affects only its own clip."""
 
 import contextlib
 import io

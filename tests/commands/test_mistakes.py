@@ -1,7 +1,7 @@
-"""Typical mistakes of every command: one line that names the culprit and the cure, the right exit code, and nothing done.
+"""Typical mistakes in every command: one line that names the culprit and the fix, the right exit code, and no output.
 
-MISTAKES holds exit codes and calls, below each words of the answer. The desk they are made at has the files of a whole
-pipeline beside some that are none of them.
+MISTAKES contains the exit code, the call, and words of the message. The calls are made in a folder that contains the files
+of a whole pipeline, and other files.
 """
 
 import dataclasses

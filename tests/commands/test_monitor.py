@@ -1,4 +1,4 @@
-"""`monitor` of monochromatic captures as a table of readings: what it says is what numbers in the file say."""
+"""`monitor` of monochromatic captures: a table of readings has the same effect as numbers in the measurement file."""
 
 import re
 import shutil

@@ -1,5 +1,7 @@
-"""Formats of astronomy, capture programs and laboratories: SER, uncompressed AVI, y4m and MATLAB files are read; others are
-named, each with what to give instead."""
+"""File formats of astronomy, capture programs and laboratories: supported formats are read.
+
+For any other format, the message names the format and suggests an alternative.
+"""
 
 import itertools
 import struct

@@ -1,4 +1,4 @@
-"""The pages of a TIFF: frames where a sequence is rendered, refused where one picture is wanted; frames into one .tif."""
+"""Multi-page TIFF files: pages are frames of a sequence, and are rejected as single pictures. Output of several pages."""
 
 import io
 import json

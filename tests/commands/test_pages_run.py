@@ -1,6 +1,7 @@
-"""What README and the pages of docs/ show is run: each command in a folder where the files that it names lie, Python, TOML.
+"""The commands, Python code and TOML text on the pages of docs/ and in the README are run.
 
-Every block of a page starts in a folder of its own. A command that cannot be run here says why (NOT_HERE).
+Every block of a page runs in its own folder, which contains the files that the block names. NOT_HERE gives the reason for
+each command that cannot be run in a test.
 """
 
 import os

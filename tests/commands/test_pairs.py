@@ -1,4 +1,4 @@
-"""Real pairs: a raw file and its picture enter a training set, and training takes them at their CFA phase only."""
+"""Real pairs: a raw file and a picture become part of a training set, and training uses them only at their CFA phase."""
 
 import re
 import shutil

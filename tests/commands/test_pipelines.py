@@ -1,4 +1,4 @@
-"""The pipelines that l3 init lays down, run as users run them: make, Slurm's job arrays, Snakemake, a batch of videos."""
+"""The pipelines that `l3 init` creates: make, Slurm job arrays, Snakemake and batches of videos, run as users run them."""
 
 import contextlib
 import os

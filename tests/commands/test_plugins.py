@@ -1,4 +1,4 @@
-"""Baselines and noise models of installed packages, as docs/python.md shows them; a rival's pictures."""
+"""Baselines and noise models from installed packages, as in docs/python.md, and pictures of rival pipelines."""
 
 import json
 import shutil

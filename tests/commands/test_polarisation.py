@@ -1,4 +1,4 @@
-"""Polarisation cameras from the scenes to pictures, files and figures."""
+"""Polarisation cameras, from scenes to pictures, files and metrics."""
 
 import json
 import re

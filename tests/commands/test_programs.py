@@ -1,4 +1,4 @@
-"""Recipes of docs/programs.md in the programs that they are for, against what l3 itself makes of the same frames."""
+"""The recipes of docs/programs.md, run in the programs that they are for and compared with l3."""
 
 import re
 import shutil

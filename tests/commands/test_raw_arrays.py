@@ -1,4 +1,4 @@
-"""Raw files state their colour filter array: codes, phases, DNG, and camera raws by LibRaw."""
+"""The colour filter array stated in raw files: codes, phases, DNG files, and camera raw files read by LibRaw."""
 
 import dataclasses
 from collections.abc import Callable

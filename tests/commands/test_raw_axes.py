@@ -1,4 +1,4 @@
-"""Arrays of frames in HDF5, FITS, .npy, TIFF and MATLAB files: which axes are which, and values of any number type."""
+"""Arrays of frames in HDF5, FITS, .npy, TIFF and MATLAB files: order of the axes, and number types."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Raw files of the field: packed dumps, graymaps, FITS."""
+"""Raw formats: packed dumps, graymaps and FITS files."""
 
 import dataclasses
 import re

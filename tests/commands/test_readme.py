@@ -1,4 +1,4 @@
-"""README and docs/ hold what they say: commands are complete, what is shown is what is printed, what is named is there."""
+"""README and docs/: commands are complete, printed output is correct, and named files exist."""
 
 import glob
 import re

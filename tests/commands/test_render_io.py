@@ -1,4 +1,4 @@
-"""`l3 render` and its files: raw files in, pictures out, and one clear line for everything that cannot be."""
+"""Files of `l3 render`: raw inputs, picture outputs, and one clear line for each error."""
 
 import dataclasses
 import time

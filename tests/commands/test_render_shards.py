@@ -1,4 +1,4 @@
-"""l3 render --shard: parts of a sequence, each by itself, are the pictures of one run."""
+"""`l3 render --shard`: separately rendered parts of a sequence equal the pictures of a single run."""
 
 from pathlib import Path
 

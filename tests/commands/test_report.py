@@ -1,4 +1,4 @@
-"""`l3 report`: which artifacts it takes, what it says of each, and what it refuses."""
+"""`l3 report`: accepted artifacts, the content of their sections, and rejected files."""
 
 import re
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""`l3 report` of tables of several colour filter arrays: side by side where they have the same frames, else apart."""
+"""`l3 report` of tables for several colour filter arrays: side by side for equal frames, otherwise in separate sections."""
 
 import dataclasses
 import html

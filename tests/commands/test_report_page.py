@@ -1,4 +1,4 @@
-"""The page that `l3 report` makes: its sections, figures, drawings, downloads; foreign names; how a browser paints it."""
+"""The page of `l3 report`: sections, figures, drawings, downloads, unusual names, and the display in a browser."""
 
 import itertools
 import os

@@ -1,4 +1,4 @@
-"""Pixels of a report's picture: what is packed of their classes and transforms, and what a browser shows of it."""
+"""The pixel viewer of a report: packed classes and transforms, and the display in a browser."""
 
 import base64
 import dataclasses

@@ -1,4 +1,4 @@
-"""Sequences that break off: frames that are missing or broken, and runs that resume what another has left."""
+"""Interrupted sequences: missing or broken frames, and runs that resume an earlier run."""
 
 import contextlib
 import os

@@ -1,4 +1,4 @@
-"""`l3 evaluate --sequence`: what it takes, prints and refuses."""
+"""`l3 evaluate --sequence`: accepted inputs, output, and rejected calls."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""Sequences in, numbered pictures out: every kind of input, order and numbers, exposure in time."""
+"""Sequences as inputs and numbered pictures as outputs: all types of input, order, numbers, and exposure over time."""
 
 import subprocess
 import sys

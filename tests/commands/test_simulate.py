@@ -1,4 +1,4 @@
-"""`l3 simulate`: from recipe to file, the same bytes whatever happens; one line for every wrong recipe."""
+"""`l3 simulate`: the same bytes for the same recipe, and one line for each wrong recipe."""
 
 import dataclasses
 import json

@@ -1,4 +1,4 @@
-"""Pictures say what they are: colour spaces, checked against colour-science; profiles, read by Little CMS."""
+"""Colour spaces of pictures: values compared with colour-science, and profiles read by Little CMS."""
 
 import dataclasses
 import io

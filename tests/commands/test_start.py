@@ -1,4 +1,4 @@
-"""What `l3 render` of one frame imports, compiles and starts: no more than it needs."""
+"""Start of `l3 render` with one frame: no unnecessary imports, compilations or processes."""
 
 import json
 import os

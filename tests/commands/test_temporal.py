@@ -1,4 +1,4 @@
-"""l3 render --temporal: sequences, videos and stills, resumed runs, frames that do not go together."""
+"""`l3 render --temporal`: sequences, videos, stills, resumed runs, and frames that cannot be blended."""
 
 import dataclasses
 from pathlib import Path

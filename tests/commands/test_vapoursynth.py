@@ -1,4 +1,4 @@
-"""The VapourSynth filter: pixels of `l3 render`, in any order and from many threads; mistakes are one line."""
+"""The VapourSynth filter: the same pixels as `l3 render` in any order and from many threads, and one line per mistake."""
 
 import random
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Videos: raw ones in, encoded ones and y4m out, with their colour tags, whole or not at all."""
+"""Videos: raw videos as inputs, encoded videos and y4m as outputs, colour tags, and no partial outputs."""
 
 import dataclasses
 import functools

@@ -1,4 +1,4 @@
-"""docs/green-webcam.md: from raw photos to tuning files, for a simulated camera whose lens loses light by colour."""
+"""docs/green-webcam.md for a simulated camera with colour shading: from raw photos to tuning files."""
 
 import json
 import re

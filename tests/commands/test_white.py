@@ -1,4 +1,4 @@
-"""l3 render --white: the file's, a grey's, estimated, by name; right and wrong calls, sequences, resumed runs, Python."""
+"""`l3 render --white`: white from the file, a grey area, an estimate or a name, in stills, sequences and resumed runs."""
 
 import contextlib
 import dataclasses

@@ -1,4 +1,4 @@
-"""Foreign files are decoded by an isolated process, within limits of time and memory, that reaches nothing else."""
+"""Foreign files are decoded in an isolated process with limits of time and memory."""
 
 import dataclasses
 import os

@@ -1,5 +1,8 @@
-"""Endurance: over many small frames memory is flat, no file stays open and the rate is steady. A few hundred frames here;
-`make soak` has 20 000 through each mode of l3 render and 2 000 through l3 simulate."""
+"""Endurance: over many small frames, memory and speed stay constant and no file stays open.
+
+These tests use a few hundred frames. `make soak` runs 20 000 frames through each mode of `l3 render` and 2000 through
+`l3 simulate`.
+"""
 
 import dataclasses
 import io

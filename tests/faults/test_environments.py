@@ -1,4 +1,4 @@
-"""Where a command runs: closed streams, small and foreign disks, other locales, odd file names, odd variables."""
+"""Environments of a command: closed streams, small disks, other file systems and locales, odd file names and variables."""
 
 import os
 import shutil

@@ -1,5 +1,8 @@
-"""Nothing lost, nothing half-written: every stage killed at random moments, on full and read-only disks, with inputs that
-vanish or are cut short, twice at a time. A few of each here; `make soak` has forty kills a stage."""
+"""Every stage is killed at random times, runs on full and read-only disks, with vanishing or truncated inputs, and twice.
+
+No data may be lost and no output may be incomplete. These tests kill each stage a few times. `make soak` kills each stage
+forty times.
+"""
 
 import contextlib
 import fcntl

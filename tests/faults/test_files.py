@@ -1,4 +1,4 @@
-"""Outputs: whole or not at all, one writer at a time, remains of the dead removed and what the living write left alone."""
+"""Outputs are complete or absent, have one writer at a time, and remains of dead processes are removed."""
 
 import errno
 import fcntl

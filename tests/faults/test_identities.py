@@ -1,4 +1,4 @@
-"""Inputs are never replaced: outputs are compared with all that is read, by what the files are and not by their names."""
+"""Inputs are never replaced: outputs are compared with all inputs by file identity and not by name."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""A byte that has changed is detected, wherever it lies; a history is compared with its inputs."""
+"""Every changed byte of an artifact is detected, and the history of an artifact is compared with its inputs."""
 
 import dataclasses
 import json

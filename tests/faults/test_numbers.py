@@ -1,4 +1,4 @@
-"""Numbers have ranges and units have names; both are checked when they are parsed, with the nearest right answer said."""
+"""Ranges of numbers and names of units are checked during parsing, and messages suggest a valid value."""
 
 import re
 import subprocess

@@ -1,4 +1,4 @@
-"""What would harm is refused before it is allocated, followed, or printed: bombs, endless texts, links, names."""
+"""Harmful inputs are rejected before memory is allocated or links are followed: bombs, endless texts, links and names."""
 
 import dataclasses
 import json

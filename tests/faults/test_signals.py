@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM while commands work: one line, exit code 130 or 143, no process left, nothing half-written."""
+"""Ctrl-C and SIGTERM: one line, exit code 130 or 143, no remaining process, and no incomplete output."""
 
 import os
 import signal

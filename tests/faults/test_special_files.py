@@ -1,4 +1,4 @@
-"""Pipes, sockets, devices, folders and broken links are refused before they are opened: nobody waits for a writer."""
+"""Pipes, sockets, devices, folders and broken links are rejected before they are opened, so that no command hangs."""
 
 import os
 import socket

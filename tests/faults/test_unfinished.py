@@ -1,4 +1,4 @@
-"""Pictures beside a training set or an evaluation: a run that is killed among them is finished by the next."""
+"""Pictures of a training set or an evaluation: the next run completes the pictures of a killed run."""
 
 import importlib
 import os

@@ -1,4 +1,4 @@
-"""Calibration finds a camera whose truth is known, and says so when measurements cannot be used."""
+"""Calibration recovers a known camera, and reports measurements that cannot be used."""
 
 import dataclasses
 import json

@@ -1,4 +1,4 @@
-"""What a real lab does wrong and calibration knows of: defective pixels, drifting lamps, stray light; EMVA 1288's table."""
+"""Calibration with the errors of real labs: defective pixels, drifting lamps and stray light. The table of EMVA 1288."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""Frames behind a rotating polariser give the angle, the extinction ratio and the gain of each channel."""
+"""Frames behind a rotating polariser yield the angle, the extinction ratio and the gain of each channel."""
 
 import csv
 import json

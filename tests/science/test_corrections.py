@@ -1,4 +1,4 @@
-"""Bad pixels and shading are corrected: to the same classes on every backend, and to pictures as of a sound camera."""
+"""Corrections of bad pixels and shading: equal classes on all backends, and pictures as from a camera without defects."""
 
 import json
 import pickle

@@ -1,4 +1,4 @@
-"""Dark current is taken off, by exposure time, by that of training or by dark frames; its noise is in the model."""
+"""Dark current is subtracted by exposure time, by the mean of training, or by dark frames. The noise model includes it."""
 
 import functools
 import json

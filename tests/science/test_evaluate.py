@@ -1,5 +1,4 @@
-"""Quality figures: equal to ISETCam's where it was run, zero for equal pictures, worse for worse ones; the basic
-pipeline exact where it must be."""
+"""Metrics: equal to ISETCam's values, zero for equal pictures, and larger for worse pictures. Exact basic pipeline."""
 
 import dataclasses
 import json

@@ -1,4 +1,4 @@
-"""No figure is NaN or infinite, whatever camera and light: what can be computed is computed, the rest is left out."""
+"""No metric is NaN or infinite for any camera and illuminant. Metrics that cannot be computed are omitted."""
 
 import dataclasses
 import json

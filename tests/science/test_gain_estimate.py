@@ -1,4 +1,4 @@
-"""The analog gain of a frame, by the noise of its plain areas; of the gallery's arrays: tests/studies/test_gain_study.py."""
+"""Estimates of the analog gain from the noise of uniform areas. tests/studies/test_gain_study.py tests more arrays."""
 
 from dataclasses import replace
 

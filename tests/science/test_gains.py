@@ -1,4 +1,4 @@
-"""Analog gains: what a camera's noise is at each, transforms for several, and those between them."""
+"""Analog gains: noise at each gain, transforms for several gains, and interpolation between gains."""
 
 import dataclasses
 import re

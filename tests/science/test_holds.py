@@ -1,5 +1,8 @@
-"""What must hold: a ColorChecker comes out true under every light that was learned, itself unlearned; a Bayer array is at
-least as good as Menon's demosaicking; an RGBW array beats it in little light, and not in much."""
+"""Requirements on picture quality, for colours, Bayer arrays and RGBW arrays.
+
+A ColorChecker, which is not a training scene, has accurate colours under every training illuminant. A Bayer array is at
+least as good as Menon's demosaicking. An RGBW array is better than a Bayer array in low light, but not in bright light.
+"""
 
 import json
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""What must hold of greys: plain areas show no CFA pattern, highlights no cast, at any level, through clipping and noise."""
+"""Requirements on greys: no CFA pattern in uniform areas and no colour cast in highlights, at any level."""
 
 import dataclasses
 import functools

@@ -1,4 +1,4 @@
-"""The method in 300 lines of docs/: it learns, and renders as the reference backend does."""
+"""docs/l3_in_300_lines.py learns a table and renders the same outputs as the reference backend."""
 
 import importlib.util
 from pathlib import Path

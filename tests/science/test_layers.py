@@ -1,4 +1,4 @@
-"""A second layer learns what can be known: filters that made its targets, greys, sums that no division changes."""
+"""Training of a second layer: recovery of known filters, greys, and sums that do not depend on the division of work."""
 
 import dataclasses
 from pathlib import Path

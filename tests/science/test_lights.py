@@ -1,4 +1,4 @@
-"""Transforms of single lights: what they are learned from, how a white mixes them, who renders by them."""
+"""Transforms for single illuminants: training frames, mixtures for a white, and the commands that use them."""
 
 import dataclasses
 from collections.abc import Callable

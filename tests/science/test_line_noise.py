@@ -1,4 +1,4 @@
-"""Temporal noise of rows and columns: drawn, carried by the normal equations of all layers, and what does not serve it."""
+"""Temporal noise of rows and columns: simulation, normal equations of all layers, and unsupported uses."""
 
 import dataclasses
 from typing import Any

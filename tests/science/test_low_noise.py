@@ -1,4 +1,4 @@
-"""A second set of transforms for less noise: what it is learned for, what it leaves alone, who renders by it."""
+"""The second set of transforms for less noise: training, unchanged usual set, and the commands that use the second set."""
 
 import dataclasses
 from collections.abc import Callable

@@ -1,5 +1,7 @@
-"""Charts in photographs: found and measured, responsivities estimated of them with truth known, and a real photo by a Canon
-550D (docs/method.md#charts-in-photographs). The study over measured cameras is tests/studies/test_photo_study.py."""
+"""Charts in photos: detection, measurement, and estimates of known responsivities, with a real photo from a Canon 550D.
+
+tests/studies/test_photo_study.py tests the estimates for many measured cameras (docs/method.md#charts-in-photographs).
+"""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Units and physics of what is read: named, converted or refused, with the nearest right answer in the line."""
+"""Units and physical plausibility of inputs: values are converted or rejected, with a suggestion in the message."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""Tables as C99 source and as plain arrays: the same classes and outputs as the reference renderer."""
+"""Tables exported as C99 source and as arrays yield the same classes and outputs as the reference renderer."""
 
 import ctypes
 import dataclasses

@@ -1,4 +1,4 @@
-"""Real raw files through a table learned for a camera that is known only by published responsivities."""
+"""Real raw files, rendered with a table for a camera with published responsivities."""
 
 import os
 import struct

@@ -1,4 +1,4 @@
-"""Reflectances and radiances as outputs, against known truths (docs/measurement.md#reflectances)."""
+"""Reflectances and radiances as outputs, compared with known values (docs/measurement.md#reflectances)."""
 
 import dataclasses
 import json

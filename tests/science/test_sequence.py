@@ -1,4 +1,4 @@
-"""Figures of sequences find what was put in: noise, jumps, known motion, ghosts (docs/method.md#quality-of-sequences)."""
+"""Metrics of sequences detect known noise, jumps, motion and ghosts (docs/method.md#quality-of-sequences)."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Simulation: light, lens and sensor against closed forms, colour-science and ISETCam."""
+"""Simulation of light, lens and sensor, compared with closed-form results, colour-science and ISETCam."""
 
 import csv
 import dataclasses

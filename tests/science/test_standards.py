@@ -1,4 +1,4 @@
-"""Figures of standards beside what is known: MTF50 of simulated edges, SNR10 of simulated greys, visual noise."""
+"""Standard metrics of simulated charts, compared with known values: MTF50, SNR10 and visual noise."""
 
 import dataclasses
 

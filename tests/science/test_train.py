@@ -1,4 +1,4 @@
-"""Training: known truth is recovered, sums add, every class is filled."""
+"""Training recovers known transforms, sums can be added, and every class has a transform."""
 
 import dataclasses
 import json

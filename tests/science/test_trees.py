@@ -1,4 +1,4 @@
-"""A second layer whose classes are the leaves of a tree: learned alike however it is divided, told, rendered, refused."""
+"""A second layer with a decision tree: the same result for any division of work, storage, rendering, and invalid trees."""
 
 import json
 from collections.abc import Callable, Sequence

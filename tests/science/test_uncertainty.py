@@ -1,4 +1,4 @@
-"""Uncertainty of outputs beside what many noisy frames give, through one layer and more; regions; masks."""
+"""Predicted uncertainty of outputs, compared with many noisy frames for one and two layers. Regions and masks."""
 
 import itertools
 from dataclasses import replace

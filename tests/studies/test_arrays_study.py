@@ -1,14 +1,15 @@
-"""Arrays as they are sold, beside what can be built for them without learning (docs/results.md#quality-of-other-arrays).
+"""Commercial arrays, compared with methods without training (docs/results.md#quality-of-other-arrays).
 
 python -m pytest -m slow -s tests/studies/test_arrays_study.py -k NAME      three minutes on a core
 
-Each learns from the scenes of configs/scenes/default.toml and renders the 1280×720 picture of demo_unseen.toml; mean ΔE00 as
-"l3 evaluate" has it, of an array exposed or amplified apart also where the more sensitive pixels clip.
+A table for each array is trained on the scenes of configs/scenes/default.toml and renders the 1280×720 picture of
+demo_unseen.toml. The metric is the mean ΔE00 of `l3 evaluate`. Arrays whose channels have different exposures or gains are
+also evaluated at an exposure at which the more sensitive channels clip.
 
-"differences": a pixel, less what its channel differs by from the mean of all channels about it, is a sample of that mean;
-what the samples of a channel differ by from it varies slowly and is interpolated, as in methods of pseudo-panchromatic
-differences (Mihoubi, Losson, Mathon and Macaire, 2017). Samples of one filter are one channel, however they are exposed, and
-count by their noise, those that clip not at all.
+The method "differences" resembles methods of pseudo-panchromatic differences (Mihoubi, Losson, Mathon and Macaire, 2017).
+The difference between a channel and the mean of all channels varies slowly. A pixel minus this difference is therefore a
+sample of the mean. The difference between the samples of a channel and the mean is interpolated. Samples with the same
+filter form one channel at any exposure, and are weighted by their noise. Clipped samples have no weight.
 """
 
 import json

@@ -1,6 +1,6 @@
-"""How well calibration recovers the five-band camera from the virtual lab, over many seeds of lamps, scale and noise.
+"""Accuracy of the calibration of the five-band camera in the virtual lab, for many seeds of lamps, scale and noise.
 
-python -m pytest -m slow -s tests/studies/test_calibration_study.py      21 seeds of the whole sensor, every figure printed
+python -m pytest -m slow -s tests/studies/test_calibration_study.py      21 seeds of the whole sensor; prints all metrics
 """
 
 import json

@@ -1,20 +1,22 @@
-"""How true the pictures of the demo are: its edges, fringes, greys and plain colours, each measured apart.
+"""Quality of the pictures of the demo: edges, colour fringes, greys and uniform colours.
 
 python -m pytest -m slow -s tests/studies/test_demo_study.py      half an hour on two cores, five minutes with -k default
 
-The five-band camera of its recipe learns from three draws of configs/scenes/default.toml. It takes the picture of
-configs/scenes/demo_unseen.toml, a ColorChecker and a grey ramp; the latter two with and without noise:
+Tables for the five-band camera are trained on three draws of configs/scenes/default.toml. They render the picture of
+configs/scenes/demo_unseen.toml, a ColorChecker and a grey ramp. The ColorChecker and the ramp are rendered with and without
+noise.
 
-* edges: where two neighbouring pixels of the ideal picture, as a display shows it, are more than EDGE ΔE*ab apart. What is
-  within REACH pixels of either is at an edge.
-* fringe: the distance in a*, b* from the ideal, of neutral pixels at edges between two neutral pixels, which have an ideal
-  C*ab below NEUTRAL.
-* plain areas: patches and steps of the ramp without a rim of RIM pixels, as far as any output reads. Each is the mean over
-  its area, so that noise does not count as colour. ΔE00 of patches and C*ab of greys are relative to the light's white, in
-  no gamut.
+* Edges are places where two neighbouring pixels of the displayed ideal picture differ by more than EDGE ΔE*ab. All pixels
+  within REACH pixels of these two pixels belong to the edge.
+* The fringe is the error in a*, b* of neutral pixels at edges between two neutral pixels. Neutral pixels have an ideal C*ab
+  below NEUTRAL.
+* Uniform areas are patches and steps of the ramp without a margin of RIM pixels, which is as wide as the support of the
+  outputs. Each value is the mean over an area, so that noise does not count as colour. ΔE00 of patches and C*ab of greys are
+relative to the white of the illuminant, without a gamut.
 
-GOALS are what the project wants: printed, with what misses them. HOLDS is tested. The largest chroma of seventeen greys
-with noise is that of one frame's noise, which moves it by 0.05.
+GOALS contains the goals of the project. The study prints the goals and the values that miss them. HOLDS contains the values
+that are tested. The largest chroma of seventeen noisy greys depends on the noise of a single frame, which changes it by
+0.05.
 """
 
 import contextlib

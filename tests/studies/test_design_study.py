@@ -1,6 +1,6 @@
-"""Arrays as the closed form ranks them, and as training does: thirty arrays of one pixel, and those that come with l3.
+"""Rankings of arrays by the closed-form error and by training: thirty arrays of one pixel, and the arrays of l3.
 
-python -m pytest -m slow -s tests/studies/test_design_study.py      an hour of a core a design
+python -m pytest -m slow -s tests/studies/test_design_study.py      an hour on a core per design
 """
 
 import re

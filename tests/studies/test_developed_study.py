@@ -1,10 +1,10 @@
-"""How true DNG files of rendered frames are, on the demo's unseen scene and on two faces as sharp as pixels can be.
+"""Quality of DNG files of rendered frames, for the unseen scene of the demo and two faces with pixel-sharp detail.
 
 python -m pytest -m slow -s tests/studies/test_developed_study.py      two minutes on two cores
 
-The five-band camera of its recipe, `fast` classes. Each frame is rendered to a picture, to a DNG file and to a remosaicked
-one. LibRaw develops both as they say, Menon's demosaicking the latter by its matrix. ΔE00 is to our own picture, PSNR to the
-ideal one.
+The table is for the five-band camera, with the class recipe `fast`. Each frame is rendered to a picture, to a DNG file and
+to a remosaicked DNG file. LibRaw develops both DNG files as the files state. Menon's demosaicking develops the remosaicked
+file with its matrix. ΔE00 is relative to the picture of l3, and the PSNR is relative to the ideal picture.
 """
 
 from pathlib import Path

@@ -1,12 +1,13 @@
-"""The analog gain of frames that do not state it, estimated from their noise, of 20 scenes of each array of the gallery.
+"""Estimates of the analog gain from the noise of frames, for 20 scenes of each array in the gallery.
 
-python -m pytest -m slow -s tests/studies/test_gain_study.py -k NAME      two minutes of processor time an array
+python -m pytest -m slow -s tests/studies/test_gain_study.py -k NAME      two minutes of processor time per array
 
-Scenes: compositions, dead leaves (one of them patterned), skin, foliage, four faces, a measured cube, four photos at half
-their size; a white at 0.9 of full scale, gains of 1 to 64, exposed as much shorter. Photos bring noise of their own, which
-counts as the camera's: Kodak's, at their whole size, are judged up to 30 % too high at gain 1 by cameras of little noise.
-Refused are frames without plain areas or with too few: at gain 1 seven of X-Trans, whose 30 000 electrons show any texture,
-at most two of others; and at gain 64 dark ones, where noise reaches below black, and five of `dual_iso`.
+The scenes are compositions, dead leaves (one scene with patterns), skin, foliage, four faces, a measured cube, and four
+photos at half size. A white reaches 0.9 of full scale at gains from 1 to 64, because the exposure is shortened accordingly.
+Photos contain noise, which is attributed to the camera: for cameras with little noise, the estimate for Kodak photos at full
+size is up to 30 % too high at gain 1. The estimate fails for frames with too few uniform areas: at gain 1 for seven frames
+of X-Trans, whose 30 000 electrons reveal any texture, and for at most two frames of other arrays. At gain 64 the estimate
+fails for dark frames, whose noise extends below black, and for five frames of `dual_iso`.
 """
 
 import os

@@ -1,7 +1,8 @@
-"""Kernels as Oclgrind sees them, which follows every access to memory: none lies outside its buffer or array, no two
-work-items of a group race. Small frames through every variant and kind of layer, compared with the reference.
+"""Kernels in Oclgrind, which checks all memory accesses: none is out of bounds, and work-items of a group do not race.
 
-make kernels      sets the environment, in which Oclgrind is an OpenCL device; without it these tests are skipped
+Small frames are rendered by all variants and types of layer, and are compared with the reference.
+
+make kernels      sets the environment in which Oclgrind is an OpenCL device; otherwise these tests are skipped
 """
 
 import os

@@ -1,6 +1,9 @@
-"""Exported tuning files in libcamera's own reader: the Raspberry Pi module loads one without a camera. Wants libcamera-dev
-and libcamera-ipa in / or below L3_LIBCAMERA (unpacked packages): Debian 12's with g++; later ones are built for ARM, so with
-with what libcamera-ipa, libcamera-dev and libstdc++-14-dev of arm64 depend on, and clang++, lld and qemu-aarch64."""
+"""Exported tuning files are read by libcamera: the Raspberry Pi module loads a file without a camera.
+
+L3_LIBCAMERA is a folder that contains unpacked packages. The packages libcamera-dev and libcamera-ipa of Debian 12 need g++.
+Later packages are built for ARM. They need libcamera-ipa, libcamera-dev and libstdc++-14-dev for arm64 with their
+dependencies, and clang++, lld and qemu-aarch64.
+"""
 
 import os
 import re

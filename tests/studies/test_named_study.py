@@ -1,5 +1,10 @@
-"""A camera by its name beside its measured curves: pictures of tables learned from each, of raw files by the curves that
-another laboratory measured. Repeat: `pytest -m slow -s tests/studies/test_named_study.py`, with L3_DATA."""
+"""Cameras by name, compared with curves that another laboratory measured.
+
+python -m pytest -m slow -s tests/studies/test_named_study.py      needs L3_DATA
+
+The raw files are simulated with the measured curves. Two tables render these raw files: table 1 is trained with the curves of
+the named camera, table 2 with the measured curves.
+"""
 
 import json
 from pathlib import Path

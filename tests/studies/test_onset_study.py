@@ -1,11 +1,12 @@
-"""What is seen where channels begin to clip: steps and hues along smooth ramps (docs/notebook.md#clipping).
+"""Visible steps and hue errors along smooth ramps, where channels begin to clip (docs/notebook.md#clipping).
 
 python -m pytest -m slow -s tests/studies/test_onset_study.py      eight minutes on two cores
 
-Four cameras learn from configs/scenes/default.toml. Eight vivid measured surfaces, a sky and a grey are exposed at 0.5 to 4
-times what fills their first channel, from left to right, without noise. Pictures are displayed as white ends: its last
-channel just clips. A figure is the largest ΔE00 between columns 4 pixels apart, and the largest error of hue where C*ab of
-picture and ideal is above 8. The ideal's own largest step is 0.5 to 1.2.
+Tables for four cameras are trained on configs/scenes/default.toml. Eight vivid measured surfaces, a sky and a grey are
+exposed without noise. From left to right, the exposure increases from 0.5 to 4 times the exposure that fills the first
+channel. In the display, white is the exposure at which the last channel of a white just clips. The metrics are the largest
+ΔE00 between columns 4 pixels apart, and the largest hue error where C*ab of picture and ideal is above 8. The largest step
+of the ideal picture is 0.5 to 1.2.
 """
 
 from pathlib import Path

@@ -1,5 +1,7 @@
-"""Responsivities from one photo of a chart, over measured cameras: each is photographed in simulation, and estimated under
-the prior of all others (docs/method.md#charts-in-photographs)."""
+"""Responsivities from one photo of a chart, for all measured cameras (docs/method.md#charts-in-photographs).
+
+Each camera is simulated, and its responsivities are estimated with a prior from all other cameras.
+"""
 
 import itertools
 import re

@@ -1,13 +1,13 @@
-"""Tables for polarisation cameras, trained on simulated scenes alone, on photographs behind a polariser at four angles.
+"""Tables for polarisation cameras, trained only on simulated scenes, for photographs behind a polariser at four angles.
 
 python -m pytest -m slow -s tests/studies/test_polarisation_study.py      needs L3_DATA; half an hour on a core
 
 Two scenes (data/polarisation/colour, green channel) are sampled by the array 90 45 / 135 0, without noise, and with noise of
 1 % and 2 % of full scale in the dark. The rivals are bilinear interpolation, and the methods of
 docs/peers/polarisation_rivals.py: Newton's polynomials, residual interpolation (IGRI), and LMMSE, which is trained on the
-other scene with the same noise. Intensities are clipped at full scale, as in the
-photographs, which are noisy themselves: I0 + I90 and I45 + I135 differ by 1.3 % RMS. With L3_TABLES, a folder with
-table0.h5, table1.h5 and table2.h5, nothing is trained.
+other scene with the same noise. Intensities are clipped at full scale, as in the photographs. The photographs are noisy:
+I0 + I90 and I45 + I135 differ by 1.3 % RMS. If L3_TABLES is a folder with table0.h5, table1.h5 and table2.h5, nothing is
+trained.
 """
 
 import importlib

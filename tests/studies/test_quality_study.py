@@ -1,11 +1,11 @@
-"""How good the pictures of the five-band camera are on real hyperspectral faces, and what each ingredient of the classes
-and of learning is worth (docs/notebook.md#ablation).
+"""Quality of pictures from the five-band camera on real hyperspectral faces, with and without each feature of the method.
 
-python -m pytest -m slow -s tests/studies/test_quality_study.py      needs L3_DATA; an hour and more on two cores
+python -m pytest -m slow -s tests/studies/test_quality_study.py      needs L3_DATA; more than an hour on two cores
 
-The camera has the measured responsivities of the prototype, 10 000 e- full scale, 10 e- read noise and 12 bits. It sees five
-faces at a mean signal of 0.4, 0.2 and 0.02 of full scale: 15 cells, none of which training sees. What is trained on dead
-leaves alone is the mean of three draws of them, since another draw moves a single table by 0.1 ΔE00 and 0.1 dB.
+docs/notebook.md#ablation shows the results. The camera has the measured responsivities of the prototype, a full scale of 10
+000 e-, a read noise of 10 e- and 12 bits. It records five faces at mean signals of 0.4, 0.2 and 0.02 of full scale. The
+faces are not in the training set. For tables that are trained only on dead leaves, the results are means over three random
+sets of scenes, because a different set changes the result of a single table by 0.1 ΔE00 and 0.1 dB.
 """
 
 import contextlib

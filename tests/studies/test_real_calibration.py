@@ -1,4 +1,4 @@
-"""Calibration on measurements that nobody here made: monochromator sweeps of seven cameras, a chart behind seven filters."""
+"""Calibration from published measurements: monochromator sweeps of seven cameras, and a chart behind seven filters."""
 
 import json
 from pathlib import Path

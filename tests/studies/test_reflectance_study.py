@@ -1,10 +1,9 @@
-"""How well 31 reflectances are known from 16 bands on scenes that training has not seen, beside the two usual estimates
-(docs/measurement.md#reflectances).
+"""Accuracy of 31 reflectances estimated from 16 bands, compared with two common methods (docs/measurement.md#reflectances).
 
-python -m pytest -m slow -s tests/studies/test_reflectance_study.py      needs L3_DATA; five minutes of a core
+python -m pytest -m slow -s tests/studies/test_reflectance_study.py      needs L3_DATA; five minutes on a core
 
-The snapshot camera sees three multispectral scenes and five faces under D65, with its noise and without; training sees dead
-leaves alone. Figures are those of "l3 evaluate --border 10 --json".
+The snapshot camera records three multispectral scenes and five faces under D65, with and without noise. The table is trained
+only on dead leaves. The metrics are the metrics of `l3 evaluate --border 10 --json`.
 """
 
 import json

@@ -1,5 +1,7 @@
-"""From a raw file to its picture by the documented road, l3 init --from and make: processor time, and the chroma of greys.
-One real file (L3_DATA) and simulated ones, a ColorChecker that fills the frame, under daylight."""
+"""From a raw file to a picture with `l3 init --from` and make, as documented: processor time, and chroma of greys.
+
+The raw files are a real file (L3_DATA) and simulated files of a ColorChecker that fills the frame, under daylight.
+"""
 
 import os
 import resource

@@ -1,10 +1,10 @@
-"""How far colours step where a plain area changes its chroma class (docs/notebook.md#seams).
+"""Colour steps in uniform areas where the chroma class changes (docs/notebook.md#seams).
 
 python -m pytest -m slow -s tests/studies/test_seams_study.py      one minute on two cores
 
-The five-band camera learns from configs/scenes/default.toml. Plain areas without noise go in small steps from one measured
-surface to another, of one brightness; of each step what the colour itself changes by is taken off. Values are dithered, or
-rounding to whole DN would make steps of its own.
+A table for the five-band camera is trained on configs/scenes/default.toml. Noise-free uniform areas change in small steps
+from one measured surface to another surface of equal brightness. The change of the true colour is subtracted from each step.
+Values are dithered, because rounding to whole DN would cause steps.
 """
 
 from pathlib import Path

@@ -1,8 +1,8 @@
-"""Rendering beside what it cannot beat and what others write; simulation on one core.
+"""Speed of rendering, compared with lower limits and with other software, and speed of simulation on one core.
 
 python -m pytest -m slow -s tests/studies/test_speed_study.py      (two minutes; `make bench` runs it after `l3 bench`)
 
-Machines are shared and noisy: what is compared is timed in turn, and the figures are for reading.
+Because machines are shared and noisy, alternatives are timed in turn, and the times are printed but not tested.
 """
 
 import contextlib

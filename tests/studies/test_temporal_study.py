@@ -1,11 +1,11 @@
-"""What the temporal filter gains where nothing moves, and what it costs where something does.
+"""Benefit of the temporal filter in static areas, and its cost in moving areas.
 
-python -m pytest -m slow -s tests/studies/test_temporal_study.py      every figure (15 minutes of processor time)
+python -m pytest -m slow -s tests/studies/test_temporal_study.py      all metrics (15 minutes of processor time)
 
-Scenes are drawn larger than a frame and moved under the simulated sensor at a mean signal of 0.02 of full scale: nothing
-moves, pans of 0.5, 1, 4 and 7 pixels a frame, a zoom, an object before what stands still, fast and slow, a cut. PSNR is that
-of the picture as it is shown against the ideal one; noise is the spread over time of a picture of what stands still. One
-table is rendered twice, by its usual set of transforms alone, and by both.
+Scenes are larger than a frame and move over the simulated sensor at a mean signal of 0.02 of full scale: a static scene,
+pans of 0.5, 1, 4 and 7 pixels per frame, a zoom, slow and fast objects in front of a static background, and a cut. The PSNR
+compares the displayed picture with the ideal picture. Noise is the standard deviation over time in a static scene. One table
+renders all frames twice: only with the usual set of transforms, and with both sets.
 """
 
 from collections.abc import Iterator

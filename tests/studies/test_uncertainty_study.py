@@ -1,11 +1,11 @@
-"""Measured noise of rendered outputs beside what is predicted, by level, chroma, direction and structure.
+"""Measured and predicted noise of rendered outputs, by level, chroma, direction and structure.
 
 python -m pytest -m slow -s tests/studies/test_uncertainty_study.py      (twenty minutes of processor time)
 
-Three scenes at a mean of a quarter and of a thirtieth of full scale, 200 frames each with another pattern of pixels and
-other noise; two cameras, tables of one layer (fast) and of two (default). σ measured is the mean over the pixels of a class
-(that without noise) of each pixel's standard deviation over the frames, σ predicted that of four of their maps. Classes of
-fewer than 10⁴ pixels are left out.
+Three scenes are simulated at mean signals of 1/4 and 1/30 of full scale, with 200 frames each. Every frame has a new fixed
+pattern and new noise. The study uses two cameras, and tables with one layer (`fast`) and two layers (`default`). The
+measured σ is the mean over the pixels of a class (without noise) of the standard deviation over the frames. The predicted σ
+is the mean of four predicted maps. Classes with fewer than 10⁴ pixels are ignored.
 """
 
 from dataclasses import replace

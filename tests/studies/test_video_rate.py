@@ -1,9 +1,9 @@
-"""How fast a whole sequence becomes a video beside the encoder alone, and how much memory that takes.
+"""Speed of rendering a sequence to a video, compared with the encoder alone, and memory.
 
-python -m pytest -m slow -s tests/studies/test_video_rate.py      1800 frames of 1280×720, every figure printed (make video)
-L3_VIDEO_FRAMES=600 L3_VIDEO_CLASSES=default python -m pytest …      fewer frames, by another recipe than `fast`
+python -m pytest -m slow -s tests/studies/test_video_rate.py      1800 frames of 1280×720; prints all metrics (make video)
+L3_VIDEO_FRAMES=600 L3_VIDEO_CLASSES=default python -m pytest …      fewer frames, and another class recipe than `fast`
 
-Machines are shared and noisy: what is asserted is memory and that every frame arrives, the rates are for reading.
+Because machines are shared and noisy, the study tests only the memory and the number of frames, and prints the rates.
 """
 
 import os

@@ -1,13 +1,14 @@
-"""What white balance is worth under eight lights that a table has not seen (docs/method.md#scene-white).
+"""Benefit of white balance under eight illuminants that are not in the training set (docs/method.md#scene-white).
 
 python -m pytest -m slow -s tests/studies/test_white_study.py      needs L3_DATA; a quarter of an hour on a core
 
-Five faces, leaves and a composition, each under eight lights, on a Bayer table of few leaves by the recipe `fast`, or on the
-table that L3_TABLE names with its camera in L3_CAMERA. Mean ΔE00 of pictures beside ideal ones under the same light, both
-adapted to D65, as "l3 evaluate" compares them, after a common exposure.
+Five faces, dead leaves and a composition are simulated under eight illuminants. The table is a Bayer table with few training
+scenes and the class recipe `fast`, or the table in L3_TABLE with its camera in L3_CAMERA. The metric is the mean ΔE00
+between pictures and ideal pictures under the same illuminant, both adapted to D65, as in `l3 evaluate`, with a common
+exposure.
 
-The second test asks what transforms learned under several lights apart, the nearest or mixed, gain; its camera is that of
-L3_CAMERA too, its class recipe the built-in one, or file, of L3_CLASSES.
+The second test measures the benefit of transforms for single illuminants, of which the nearest is used or two are mixed. It
+uses the camera in L3_CAMERA, and the class recipe or file in L3_CLASSES.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Artifacts: what is written is read back; what is broken is refused in one line that names the culprit and the cure."""
+"""Artifacts: written values are read back, and broken files are rejected in one line with the culprit and the fix."""
 
 import dataclasses
 import shutil

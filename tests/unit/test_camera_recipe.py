@@ -1,4 +1,4 @@
-"""Camera recipes and camera models state the same: what one holds, the other gets, and a new field is not lost."""
+"""Camera recipes and camera models have corresponding fields, so that no new field is lost."""
 
 from dataclasses import dataclass, fields, replace
 

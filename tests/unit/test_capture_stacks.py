@@ -1,4 +1,4 @@
-"""TIFF stacks among the captures of a calibration: each page is a frame."""
+"""TIFF stacks as captures of a calibration: each page is a frame."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The integer class rule: exact in 32 bits, equal on mosaics and on patches, as in docs/method.md#classes."""
+"""The integer class rule: exact in 32 bits, and equal for mosaics and for patches (docs/method.md#classes)."""
 
 import dataclasses
 from typing import Any

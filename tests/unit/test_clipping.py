@@ -1,4 +1,4 @@
-"""Plain areas where channels clip: what must hold of the formula (docs/method.md#uniform-clipped-areas), and of kernels."""
+"""Uniform clipped areas: properties of the formula (docs/method.md#uniform-clipped-areas) and of the kernels."""
 
 import dataclasses
 from pathlib import Path

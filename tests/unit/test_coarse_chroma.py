@@ -1,4 +1,4 @@
-"""Coarse chroma: what must hold of the formula (docs/method.md#coarse-chroma); test_render.py holds the kernels to it."""
+"""Coarse chroma: properties of the formula (docs/method.md#coarse-chroma). test_render.py tests the kernels."""
 
 import dataclasses
 from pathlib import Path

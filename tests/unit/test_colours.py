@@ -1,4 +1,4 @@
-"""Colours: whites, curves, exposure and orientation of what is shown; charts and lights by name; matrices over surfaces."""
+"""Colours: white points, transfer curves, exposure and orientation of pictures, charts and illuminants, colour matrices."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""Designs: the closed form is what a brute-force regression reaches; equal arrays have one error and one name."""
+"""Designs: the closed-form error equals a brute-force regression, and equal arrays have the same error and name."""
 
 import dataclasses
 import itertools

@@ -1,4 +1,4 @@
-"""Devices chosen by index and name, one line where there is none; kernels compiled once, also for unknown processors."""
+"""OpenCL devices: choice by index and name, one line if there is no device, and kernels that are compiled once."""
 
 import ctypes
 import os

@@ -1,4 +1,4 @@
-"""Axes and units of artifacts as xarray shows them; scales change nothing of what is read, and lead a reader nowhere."""
+"""Axes and units of artifacts in xarray. Dimension scales do not change values and cannot mislead a reader."""
 
 import dataclasses
 import hashlib

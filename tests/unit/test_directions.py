@@ -1,4 +1,4 @@
-"""The feature "direction", the structure classes of further layers, and chroma as light and shade would make it."""
+"""The class feature direction, the structure classes of refinement layers, and the chroma that shading would cause."""
 
 import dataclasses
 from pathlib import Path

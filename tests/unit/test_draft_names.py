@@ -1,4 +1,4 @@
-"""What names of captures say, as people write them; what frames show of their numbers and their array."""
+"""Drafts of measurement files: information in common names of captures, and numbers and arrays found in frames."""
 
 import numpy as np
 import pytest

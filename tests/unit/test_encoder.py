@@ -1,4 +1,4 @@
-"""A picture of outputs that the device still holds is that of the frame rendered to it at once, byte for byte."""
+"""Pictures encoded from outputs that are still on the device equal pictures that are rendered directly."""
 
 import dataclasses
 from typing import Any

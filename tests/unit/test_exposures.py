@@ -1,4 +1,4 @@
-"""Channels that are exposed or amplified apart: recipe, readout, classes, kernels, baselines, calibration."""
+"""Channels with different exposures or gains: recipe, readout, classes, kernels, baselines and calibration."""
 
 from dataclasses import replace
 from pathlib import Path

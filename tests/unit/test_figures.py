@@ -1,4 +1,4 @@
-"""The figures of docs/how-l3-works.md: the drawing of the pipeline is the one that its script makes."""
+"""The figures of docs/how-l3-works.md: the drawing of the pipeline is the output of its script."""
 
 import importlib
 

@@ -1,4 +1,4 @@
-"""Flicker of mains light is found in the brightness of a sequence, and nothing else is taken for it."""
+"""Flicker of mains lamps is found in the brightness of a sequence, and other changes are not mistaken for flicker."""
 
 from dataclasses import replace
 from fractions import Fraction

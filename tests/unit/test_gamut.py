@@ -1,4 +1,4 @@
-"""Colours outside of a gamut: hue, lightness, steps along ramps, the kernels; those inside stay as they are."""
+"""Gamut mapping: hue, lightness and steps along ramps, kernels, and unchanged colours inside the gamut."""
 
 from typing import Any
 

@@ -1,5 +1,4 @@
-"""Picture files: what is written comes back, says what it is, and is whole; TIFFs as l3 writes them, read without a library
-and every other file left to it; ENVI cubes as the package spectral writes and reads them."""
+"""Picture files: written values are read back, with metadata. TIFF files that l3 reads without a library. ENVI cubes."""
 
 import math
 import os

@@ -1,4 +1,4 @@
-"""Spectra as instruments and their programs export them: the same values, whatever stands around them."""
+"""Spectra exported by instruments and their programs: the same values in any layout."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Tables of several layers: stored, read, checked and described one by one."""
+"""Tables with several layers: storage, validation and description of each layer."""
 
 import dataclasses
 import json

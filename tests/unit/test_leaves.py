@@ -1,4 +1,4 @@
-"""Leaves, fields and textures of procedural scenes beside what they are quick forms of."""
+"""Leaves, fields and textures of procedural scenes, compared with slower implementations."""
 
 from typing import Any
 

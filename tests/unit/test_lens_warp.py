@@ -1,4 +1,4 @@
-"""The lens warp of a DNG: known warps come out straight, and pictures, floats and whites agree about where pixels are."""
+"""The lens warp of DNG files: known warps become straight, and pictures, floats and whites use the same positions."""
 
 import dataclasses
 import struct

@@ -1,4 +1,4 @@
-"""Clips: what moves by a known motion is where it should be, and the known motion says so (docs/method.md#motion)."""
+"""Clips: moving objects are at the expected positions, and agree with the stored true motion (docs/method.md#motion)."""
 
 import dataclasses
 from typing import Any

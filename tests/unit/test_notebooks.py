@@ -1,6 +1,6 @@
-"""The notebooks of docs/: stripped, short, by the public Python face alone, all listed; and how their pages are written.
+"""The notebooks of docs/ contain no outputs, are short, use only the public API and are listed. Their pages are correct.
 
-`make notebooks`, which .ci/run does, runs them.
+`make notebooks`, which .ci/run calls, runs the notebooks.
 """
 
 import ast

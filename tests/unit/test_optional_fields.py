@@ -1,4 +1,4 @@
-"""A field that is added to an artifact: files in which it is not set keep their bytes, and it comes back if it is set."""
+"""Optional fields of artifacts: files without the field keep their bytes, and a stored field is read back."""
 
 import dataclasses
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Processes: the same results in the same order; none left behind, whoever ends whom."""
+"""Worker processes: the same results in the same order, and no process remains after any type of end."""
 
 import contextlib
 import os

@@ -1,5 +1,4 @@
-"""The comparison with other methods: rivals give a mosaic's channels back, the best setting counts, the page is that of its
-figures and says where ours is beaten."""
+"""The comparison with other methods: rivals demosaic correctly; the best setting counts; the page lists better rivals."""
 
 import importlib
 import json

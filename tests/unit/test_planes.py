@@ -1,4 +1,4 @@
-"""Layers in fixed point: weights of 16 bits, sums that fit 32 whatever is read, planes near those of the stored weights."""
+"""Fixed-point layers: 16-bit weights, sums that fit into 32 bits, and planes close to the floating-point planes."""
 
 import dataclasses
 

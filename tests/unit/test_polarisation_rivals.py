@@ -1,4 +1,4 @@
-"""The rivals of polarisation tables: samples stay what they are, and light without structure is reproduced exactly."""
+"""Rivals of polarisation tables: samples are preserved, and uniform light is reproduced exactly."""
 
 import importlib
 from types import ModuleType

@@ -1,4 +1,4 @@
-"""Scenes from pictures behind a polariser and from Stokes parameters: known light comes back, wrong files are refused."""
+"""Scenes from pictures behind a polariser and from Stokes parameters: known light is recovered, wrong files are rejected."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Polarised scenes: the electrons of known Stokes parameters, what leaves show, and what framing does to angles."""
+"""Polarised scenes: electrons for known Stokes parameters, polarisation of leaves, and angles after framing."""
 
 from dataclasses import replace
 from typing import Any

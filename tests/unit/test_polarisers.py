@@ -1,4 +1,4 @@
-"""Cameras with polarisers: the recipe keys, and the electrons of light with known Stokes parameters."""
+"""Cameras with polarisers: recipe keys, and electrons for known Stokes parameters."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What publishes the project says the same everywhere: conda recipe, container, workflow, citation, source distribution."""
+"""Conda recipe, container, workflow, citation and source distribution state the same metadata."""
 
 import re
 import tomllib

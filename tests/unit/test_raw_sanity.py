@@ -1,4 +1,4 @@
-"""Where the array of a raw frame begins and where its black lies, told by its pixels, on simulated and on real frames."""
+"""The phase of the array and the black level, derived from the pixels of simulated and real frames."""
 
 import itertools
 import os

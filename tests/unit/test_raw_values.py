@@ -1,4 +1,4 @@
-"""Values that a camera does not give: what is said of them, and that nothing is said of those that it does."""
+"""Warnings about raw values that the camera cannot produce, and no warnings about possible values."""
 
 import dataclasses
 

@@ -1,5 +1,4 @@
-"""Recipes: every key typed, every mistake one line that names file, key, table and line; all that declared types refuse at
-once; the JSON schemas of recipes."""
+"""Recipes: types of all keys, all faults reported together with file, key, table and line, and JSON schemas."""
 
 import copy
 import functools

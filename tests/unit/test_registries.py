@@ -1,4 +1,4 @@
-"""The registries of raw and scene files: what their lines say is there, and a format that is added is read."""
+"""The registries of raw formats and scene formats: the entries are correct, and an added format is read."""
 
 import re
 from pathlib import Path

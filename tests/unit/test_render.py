@@ -1,4 +1,4 @@
-"""Rendering: the float64 reference against hand-made truths, the OpenCL kernels against the reference."""
+"""Rendering: the float64 reference compared with hand-made results, and OpenCL kernels compared with the reference."""
 
 import dataclasses
 import math

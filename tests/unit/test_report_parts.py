@@ -1,4 +1,4 @@
-"""Parts of a report: axes, numbers, labels, pictures, downloads, the verdict; patches of a chart, found where they are."""
+"""Parts of reports: axes, numbers, labels, pictures, downloads, the verdict, and patches of a chart."""
 
 import dataclasses
 import re

@@ -1,4 +1,4 @@
-"""Artifacts show themselves in a line, and in notebooks as a table of their fields."""
+"""Artifacts are displayed as one line, and as a table of fields in notebooks."""
 
 import dataclasses
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Scenes: read from files, raised from pictures, made by mathematics."""
+"""Scenes from files, scenes converted from pictures, and procedural scenes."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,6 +1,6 @@
-"""The site of docs/: what is made of declarations names all of them, and a link or a fetch that is wrong is noticed.
+"""The site of docs/: generated pages are complete, and wrong links and fetches from other sites are detected.
 
-Sphinx itself, with warnings as errors, is run by `make docs-build`, which .ci/run does.
+`make docs-build`, which .ci/run calls, runs Sphinx with warnings as errors.
 """
 
 import importlib

@@ -1,4 +1,4 @@
-"""Smoothed spectra and smoothed chroma: properties of the formulas, and the kernels against them (docs/method.md)."""
+"""Smoothed spectra and smoothed chroma: properties of the formulas, and comparison with the kernels (docs/method.md)."""
 
 import dataclasses
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Scenes of every storage and kind, read as they were written; wrong ones refused in one line."""
+"""Scene files of all types and storage layouts are read correctly, and wrong files are rejected in one line."""
 
 from collections.abc import Callable
 from pathlib import Path

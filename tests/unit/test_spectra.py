@@ -1,4 +1,4 @@
-"""Spectra on other grids: what a table holds between the samples of another is neither lost nor counted twice."""
+"""Resampled spectra: values between the samples of the new grid are neither lost nor counted twice."""
 
 import dataclasses
 import json

@@ -1,5 +1,7 @@
-"""Spectral cubes of every storage: what their files state about values, wavelengths and missing data is read, or refused by
-the name of what states it."""
+"""Spectral cubes of all storage layouts: values, wavelengths and missing data are read as the files state them.
+
+A message about a wrong file names the field that is wrong.
+"""
 
 import dataclasses
 import os

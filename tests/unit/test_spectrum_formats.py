@@ -1,4 +1,4 @@
-"""Files of lights, reflectances and charts in the formats of instruments: illuminant A keeps the XYZ of colour-science."""
+"""Illuminants, reflectances and charts in instrument formats: illuminant A has the XYZ of colour-science."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Stripes that repeat with the array (docs/method.md#stripes)."""
+"""Stripes with the period of the array (docs/method.md#stripes)."""
 
 from collections.abc import Sequence
 

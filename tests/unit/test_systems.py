@@ -1,4 +1,4 @@
-"""Systems of training: transforms that integers cannot hold are made smaller or left out; rows weighed of bands."""
+"""Normal equations: transforms that do not fit the integer formats are reduced or omitted. Weights for spectral outputs."""
 
 from dataclasses import replace
 

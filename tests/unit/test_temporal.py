@@ -1,4 +1,4 @@
-"""The temporal filter: kernels agree with the reference on every value, vectors are found, scenes are not mixed."""
+"""The temporal filter: kernels equal the reference exactly, motion is found, and different scenes are not blended."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Threads that read ahead and write behind: bounded, in order, never waited for in vain, whoever interrupts."""
+"""Threads that read ahead and write later: bounded queues, preserved order, and no deadlock after an interruption."""
 
 import signal
 import threading

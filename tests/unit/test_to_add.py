@@ -1,8 +1,7 @@
-"""To add a camera array, a scene, a class feature, a raw or a picture format, an option takes three places at most
-(docs/architecture.md).
+"""A camera array, scene, class feature, raw format, picture format or option can be added in at most three places.
 
-The additions below are made to a copy of the program, one file or edit a place, and used by its commands there. What needs
-a fourth place fails.
+The additions (see docs/architecture.md) are made to a copy of the program, with one file or edit per place. The commands of
+the copy then use the additions. A test fails if a fourth place is needed.
 """
 
 import inspect

@@ -1,5 +1,4 @@
-"""How training is divided: patches over training sets by their shares, work over processes and shards. The same bytes come
-out whatever made them."""
+"""The division of training among training sets, processes and shards does not change the bytes of the table."""
 
 import dataclasses
 import os

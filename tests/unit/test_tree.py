@@ -1,4 +1,4 @@
-"""Trees of threshold tests: what they see of a pixel, the leaf it falls into, how they are grown, and what is no tree."""
+"""Decision trees: values that the tests read, the leaf of each pixel, growth of a tree, and invalid trees."""
 
 import dataclasses
 from typing import Any

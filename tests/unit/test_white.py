@@ -1,4 +1,4 @@
-"""White of scenes: which light gives a camera's grey, what a table makes of it, estimates on frames, how it is followed."""
+"""White points of scenes: the illuminant for a grey, the white balance of a table, estimates, and smoothing over time."""
 
 import dataclasses
 from fractions import Fraction
