@@ -146,8 +146,8 @@ def read_finished(
 def _read_json(path: Path) -> CurveTable:
     """Read the curves in a rawtoaces JSON file.
 
-    The curves have names if the index in the file contains one name per curve. Raises InputFileError if the structure of the
-    file differs, or if the wavelengths are not in nm.
+    The curves have names if the index in the file contains one name per curve. Raises InputFileError if the file does not
+    have the structure of a rawtoaces file, or if the wavelengths are not in nm.
     """
     try:
         content = json.loads(read_bounded(path, "use curves in CSV or rawtoaces JSON"))["spectral_data"]

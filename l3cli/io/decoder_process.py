@@ -38,7 +38,7 @@ except (ImportError, RuntimeError):  # RuntimeError: libseccomp.so.2 is missing
 ABI, SECCOMP = "Landlock ABI ", "seccomp"  # names of the measures; the version of Landlock is appended to the first name
 SET_NO_NEW_PRIVILEGES = 38  # option of prctl
 CREATE_RULESET, ADD_RULE, RESTRICT_SELF = 444, 445, 446  # Landlock system calls, which have the same numbers on all machines
-ASK_FOR_VERSION = 1  # flag of CREATE_RULESET with which the call returns the version of Landlock
+ASK_FOR_VERSION = 1  # flag with which the call CREATE_RULESET returns the version of Landlock
 PATH_BENEATH = 1  # type of a rule that grants rights for a file, or for everything below a folder
 FILE_RIGHTS, ADDED_IN = 13, (2, 3, 5)  # number of file rights in Landlock 1, and the versions that each added one right
 READ_FILE, READ_FOLDER = 1 << 2, 1 << 3
@@ -46,9 +46,9 @@ TCP, TCP_SINCE = 0b11, 4  # rights to bind and to connect, and the version of La
 SCOPES, SCOPES_SINCE = 0b11, 6  # restrictions of abstract Unix sockets and signals, and the version that introduced them
 SYSTEM = ("/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/etc/localtime")
 PACKAGES = ("site-packages", "dist-packages")
-MAX_WORKERS = 8  # maximum number of idle workers to keep, because a stage may alternate between several files
+MAX_WORKERS = 8  # maximum number of idle workers; several workers are kept, because a stage may alternate between files
 
-DENIED = {  # what the system calls affect outside the process → names of the denied system calls
+DENIED = {  # resource outside the process → names of the denied system calls that use it
     "sockets": "socket socketpair connect bind listen accept accept4",
     "programs": "execve execveat",
     "processes": "fork vfork setpgid setsid",

@@ -15,7 +15,7 @@ from l3cli.io.raw.files import BY_SUFFIX, RawOverrides, format_of, holds_several
 from l3cli.system.files import STDIN
 
 RAW, IDEAL, MOTION = "_raw.tif", "_ideal.png", "_motion.exr"  # endings of the files of a simulated sequence
-MOST_WILD = 4  # maximum number of path components with wildcards; each of them multiplies the number of folders to search
+MOST_WILD = 4  # maximum number of path components with wildcards; each component multiplies the number of folders to search
 MOST_DIGITS = 18  # maximum number of digits of a frame number; a frame number may be a time in µs, and must fit into 64 bits
 PATTERN = re.compile(r"%(0[0-9]{1,2})?d|#{1,99}")  # placeholder for the number in a file name
 DIGITS = re.compile(r"[0-9]+")  # only ASCII digits, because \d also matches characters that int() rejects
@@ -165,7 +165,7 @@ def clips_in(folder: Path, sensor: Callable[[], Sensor], known: RawOverrides, wa
     folder : Path
         The folder.
     sensor : callable
-        Function that returns the table or camera. Headerless files are assumed to have the size of its sensor.
+        Function that returns the table or camera. The frames of headerless files are assumed to have the size of its sensor.
     known : RawOverrides
         Properties of the raw files that the user set.
     warn : callable

@@ -20,6 +20,7 @@ def glare_files(camera: CameraModel) -> dict[str, bytes]:
 
     A dark frame contains the black level plus the glare of each channel. `l3 render --dark` can subtract the dark frame from
     the chart photo, or from another photo taken in the same place.
+
     Parameters
     ----------
     camera : CameraModel

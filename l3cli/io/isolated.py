@@ -60,8 +60,9 @@ def isolated(*libraries: str) -> Callable[[F], F]:
     Notes
     -----
     The decorated function must be at module level. Its first parameter is the path of the file, and its other parameters are
-    text, numbers or None. It may read only this file. It returns arrays of numbers, text, numbers or None, or tuples, lists
-    and dictionaries of such values. Exceptions other than L3Error become an InputFileError with the name of the file.
+    text, numbers or None. The function may read only this file. It returns arrays of numbers, text, numbers or None, or
+    tuples, lists and dictionaries of such values. Exceptions other than L3Error become an InputFileError with the name of
+    the file.
     """
 
     def made(function: F) -> F:
@@ -149,7 +150,7 @@ class _Child:
 
     @property
     def usable(self) -> bool:
-        """Whether the isolated process is running and belongs to this process. A forked process must start its own."""
+        """Whether the isolated process is running, and was started by this process instead of its parent process."""
         return self._open and self.owner == os.getpid() and self._process.poll() is None
 
     def end(self) -> None:

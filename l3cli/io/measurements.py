@@ -406,7 +406,8 @@ def _patch_radiances(
 ) -> tuple[PatchRadiances, ...]:
     """Return the radiances of the patches in each [[chart]] or [[band]] capture, in the order of the ColorChecker.
 
-    Raises InputFileError if the radiances of a [[chart]] capture are relative, or if no radiance of a patch is positive.
+    Raises InputFileError if the radiances of a [[chart]] capture are relative, or if all radiances of a patch are zero or
+    negative.
     """
     radiances = []
     for number, capture in enumerate(captures):

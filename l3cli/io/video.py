@@ -46,7 +46,8 @@ def pyav() -> Any:
         import av
     except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
-    av.logging.set_level(av.logging.ERROR)  # errors reach Python's logger "libav", which prints nothing; l3 reports them
+    # FFmpeg's errors go to Python's logger "libav", which must not print them, because l3 reports the errors itself.
+    av.logging.set_level(av.logging.ERROR)
     log = logging.getLogger("libav")
     if not log.handlers:  # this function is called for every frame, but the logger needs only one handler
         log.addHandler(logging.NullHandler())

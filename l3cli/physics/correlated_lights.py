@@ -65,6 +65,7 @@ def light_of_neutral(weights: Array, wavelength: Array, neutral: Array) -> Corre
     """Find the model illuminant that best explains the camera signals of a grey surface.
 
     The fit minimises the squared differences between the logarithms of the modelled and the measured signals.
+
     Parameters
     ----------
     weights : ndarray, (channel, wavelength)

@@ -46,6 +46,7 @@ def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> S
     ----------
     camera : CameraModel
         The camera.
+    figures : dict
         Output of `l3 calibrate --json` for this camera, with the additional key "shortfall". Its value states why the model
         is not reliable, or is an empty string.
     name : str
@@ -144,7 +145,7 @@ def polariser_figure(camera: CameraModel, fit: PolariserFit) -> Figure:
 def array_figure(camera: CameraModel) -> Figure:
     """Draw one period of the colour filter array.
 
-    Each site contains the name of its channel, on a background in the colour of daylight behind the filter.
+    Each site contains the name of its channel. Its background has the colour of daylight behind the filter.
     """
     rows, cols = camera.cfa.shape
     light = colours.channel_light(camera)

@@ -62,7 +62,7 @@ def _figure(design: Design, place: int) -> Figure:
 
 
 def _sensitivity(design: Design) -> Table:
-    """Make a table of the change in the error of the best array, if a filter is shifted by 5 nm."""
+    """Make a table of how much the error of the best array changes if each of its filters is shifted by 5 nm."""
     used = design.patterns[0].split()
     changes = zip(design.filters, design.sensitivity, strict=True)
     rows = tuple((name, f"{100 * change:+.2f}") for name, change in changes if name in used)

@@ -442,9 +442,8 @@ def shown_frames(document: dict[str, Any], at: float | None = None) -> list[int]
     Returns
     -------
     list of int
-        Indices of the frames. The first frame has the median of the table's main metric. If the remaining frames number
-        fewer than FRAMES_SHOWN, all of them follow, from the worst to the best. Otherwise, the worst and the best frame
-        follow.
+        Indices of the frames. The first frame has the median of the table's main metric. If fewer than FRAMES_SHOWN frames
+        remain, all of them follow, from the worst to the best. Otherwise, only the worst and the best frame follow.
     """
     figure = main_of(document)
     among = [number for number, frame in enumerate(document["frames"]) if lit_as(frame["luminance"], at)]

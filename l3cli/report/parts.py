@@ -246,6 +246,7 @@ def fitted(pixels: Pixels, limit: int, jpeg: Jpeg) -> tuple[str, tuple[int, int]
 
     The function uses the first reduction factor and quality in JPEG_ATTEMPTS with which the picture does not exceed the
     limit. If the picture always exceeds the limit, the last reduction factor and quality are used.
+
     Parameters
     ----------
     pixels : ndarray of uint8, (row, col, 3)

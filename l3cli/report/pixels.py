@@ -96,9 +96,9 @@ def crop_of(
     """Choose the crop of a frame that contains the most classes, and encode the crop for the page.
 
     The crop has the largest size in CROP_SIZES with which the encoded crop fits `limit`. Up to `more` characters are used
-    for additional classes, which do not occur in the crop. The additional classes are the first of three sets that fits: all
-    other classes of the table, the other classes of the frame, or no classes. They are sorted by their frequency in the
-    frame. The remaining characters of `more` are used for weights of the additional classes.
+    for additional classes, which do not occur in the crop. If all other classes of the table fit, they are added. Otherwise,
+    the other classes of the frame are added if they fit. The additional classes are sorted by their frequency in the frame.
+    The remaining characters of `more` are used for weights of the additional classes.
 
     Parameters
     ----------

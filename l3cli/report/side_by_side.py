@@ -67,6 +67,7 @@ def shared_places(sides: list[Side]) -> list[Place]:
 
     Frames match if they have the same scene name, illuminant name and luminance, and if their fingerprints belong to the
     same scene and illuminant. A frame without a fingerprint matches any frame with the same names and luminance.
+
     Parameters
     ----------
     sides : list of Side

@@ -34,7 +34,7 @@ def transform_section(
         drawn without colour.
     insight : dict
         Output of `l3 info --json` for the table.
-        Function that converts the index of a class to a description.
+    class_name : callable
         Function that converts the index of a class to its description.
     name : str
         Name of the file.

@@ -153,7 +153,7 @@ def validation_blocks(camera: CameraModel, fit: Fit, figures: dict[str, Any]) ->
 
 
 def table_of(caption: str, heading: str, rows: dict[str, dict[str, float]]) -> Table:
-    """Convert a part of the output of `l3 calibrate --json` to a table. `rows` contains, for each name, title → number."""
+    """Convert a part of the output of `l3 calibrate --json` to a table. `rows` maps row names to {column title: number}."""
     titles = tuple(next(iter(rows.values())))
     body = tuple(
         (name, *(f"{row[title]:.5f}" if title.startswith("R²") else tidy(row[title], 4) for title in titles))

@@ -20,7 +20,7 @@ class Console(Protocol):
     """Interface of the objects that receive the progress and the messages of a stage, such as `Silent`."""
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """Yield each of the `items`, and report how many have been processed.
+        """Yield each of the `items`, and report how many items have been processed.
 
         `total` is the number of items, or None if it is unknown. `what` is a plural noun for the items, such as "frames".
         """

@@ -15,7 +15,7 @@ def plugins(group: str) -> dict[str, EntryPoint]:
     """Return the entry points of a group, sorted by name.
 
     If several packages provide an entry point with the same name, only the first entry point that Python finds is included.
-    Raises L3Error if a name contains characters that are not permitted, because the name becomes part of file names.
+    Raises L3Error if a name contains a character that is not permitted in file names.
     """
     found: dict[str, EntryPoint] = {}
     for entry in entry_points(group=group):

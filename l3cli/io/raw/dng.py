@@ -84,7 +84,7 @@ class Mosaic:
     opcodes: Opcodes
     planes: tuple[int, ...]  # colour code of each colour plane
     shape: tuple[int, int]  # rows and columns, including masked borders
-    fields: tuple[int, int]  # number of interleaved fields into which the rows are divided, and the same for the columns
+    fields: tuple[int, int]  # number of interleaved fields of the rows, and number of interleaved fields of the columns
     notes: tuple[str, ...]  # warnings about unsupported tags
 
 

@@ -104,6 +104,7 @@ def temperature(x: float, y: float) -> float:
     """Return the correlated colour temperature, in K, of a chromaticity x, y.
 
     The result is the temperature of the nearest black body in the CIE 1960 u, v diagram, from 1000 K to 25 000 K.
+
     References
     ----------
     M. Krystek, An algorithm to calculate correlated colour temperature, Color Research & Application 10 (1985) 38-40:

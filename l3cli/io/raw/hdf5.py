@@ -166,8 +166,8 @@ def _open(path: Path, stack: str | None = None) -> Any:
         _opened.clear()
         root = h5py.File(path, "r")
         if stack is not None:
-            # The cache has the size of the chunks of one frame. In a larger cache, only frames that were already read
-            # remain.
+            # The cache has the size of the chunks of one frame. A larger cache would also keep chunks of earlier frames,
+            # which are not read again.
             nbytes = min(CHUNK_CACHE, chunks_of_a_frame(root[stack], _axes(path, root[stack])))
             root.close()
             root = h5py.File(path, "r", rdcc_nbytes=nbytes)

@@ -58,7 +58,7 @@ class GainMap:
 
 @dataclass(frozen=True)
 class Vignette:
-    """Radial gain 1 + k0 r² + k1 r⁴ + …, where r is the distance from the centre and is 1 in the farthest corner."""
+    """Radial gain 1 + k0 r² + k1 r⁴ + …, where r is the distance from the centre, relative to the farthest corner."""
 
     terms: tuple[float, ...]  # k0, k1, …
     centre: tuple[float, float]  # centre (down, across) as fractions of the height and width of the image

@@ -170,7 +170,7 @@ def read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
         require_bearable(path, spec)
         pixels = pixels_of(path, source, spec)
         depth = 8 * pixels.dtype.itemsize
-        if pixels.dtype.kind == "u":  # OpenImageIO shifts, for example, 12-bit values to the upper bits
+        if pixels.dtype.kind == "u":  # OpenImageIO stores a 12-bit value, for example, in the upper bits of 16 bits
             pixels = pixels >> pixels.dtype.type(depth - spec.get_int_attribute("oiio:BitsPerSample", depth))
         planes.append(pixels)
         names = names or list(spec.channelnames)

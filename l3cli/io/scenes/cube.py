@@ -1,6 +1,6 @@
 """Read spectral cubes from MATLAB, HDF5 and .npy files.
 
-l3 scales the values of an HDF5 dataset as its attributes specify. l3 supports the attributes of the CF conventions
+The attributes of an HDF5 dataset specify how its values are scaled. l3 supports the attributes of the CF conventions
 (scale_factor, add_offset, _FillValue, missing_value) and the attributes of NEON (Scale_Factor, by which the values are
 divided, and Data_Ignore_Value). A .npy file contains only the values, without wavelengths and attributes.
 """
@@ -22,8 +22,8 @@ from l3cli.io.scenes.wavelengths import GOOD_NAMES, NAMES, in_nm, is_named, unit
 from l3cli.system.limits import require_values
 
 Content = dict[str, Any]
-# Names of attributes: a factor for the stored values, an offset that is added after scaling, and the stored value of a
-# perfect white.
+# Names of attributes. SCALE: factor for the stored values. OFFSET: offset that is added after scaling. WHITE: stored value
+# of a perfect white.
 SCALE, OFFSET, WHITE = "scale_factor", "add_offset", "Scale_Factor"
 MISSING = ("_FillValue", "missing_value", "Data_Ignore_Value")  # attributes that contain the value of pixels without data
 MATLAB, NPY = ".mat", ".npy"
@@ -152,7 +152,7 @@ def _lists(arrays: dict[str, NDArray], attributes: dict[str, dict[str, Any]], le
 
 
 def _titles(attributes: dict[str, Any]) -> Iterator[str]:
-    """Yield the names of an array that its attributes contain, such as the value of "long_name"."""
+    """Yield the names of an array that its attributes state, such as the value of "long_name"."""
     for key in TITLES:
         if isinstance(title := attributes.get(key), str):
             yield title.removeprefix("radiation_")  # as in the CF standard name "radiation_wavelength"
@@ -216,9 +216,9 @@ def _good_bands(cube: str, lists: Lists) -> NDArray[np.bool_] | None:
 def read_content(path: Path) -> Content:
     """Read all numeric arrays in a MATLAB file (suffix .mat) or an HDF5 file (any other suffix).
 
-    Groups and structs become nested dictionaries. Arrays that MATLAB wrote keep the order of axes that they have in MATLAB,
-    without axes of length 1. From MATLAB files before version 7.3, strings are also read. Raises InputFileError if the file
-    cannot be read.
+    Groups and structs become nested dictionaries. The axes of arrays that MATLAB wrote have the same order as in MATLAB.
+    Axes of length 1 are removed from these arrays. Strings are read only from MATLAB files before version 7.3. Raises
+    InputFileError if the file cannot be read.
     """
     return read_matlab(path) if path.suffix.lower() == MATLAB else _read_hdf5(path)
 
@@ -240,7 +240,7 @@ def _read_hdf5(path: Path) -> Content:
 def array_shapes(path: Path) -> dict[str, tuple[int, ...]]:
     """Return the shape of each numeric array in a MATLAB or HDF5 file.
 
-    The keys of the result are paths in the file, such as "a" or "a/b". The shapes are the shapes of the arrays that
+    The keys of the result are paths in the file, such as "a" or "a/b". The values are the shapes of the arrays that
     `read_content` returns. Only headers are read, except that structs in MATLAB files before version 7.3 must be read
     completely.
     """
@@ -264,7 +264,7 @@ def _squeezed(shape: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _arrays(content: Content, prefix: str = "") -> Iterator[tuple[str, NDArray]]:
-    """Yield the path, such as "a/b", and the values of every numeric array in nested dictionaries."""
+    """Yield the path of every numeric array in nested dictionaries, such as "a/b", and the values of the array."""
     for name, value in content.items():
         if isinstance(value, dict):
             yield from _arrays(value, f"{prefix}{name}/")

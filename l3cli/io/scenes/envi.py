@@ -42,8 +42,7 @@ class HeaderField:
     """A field of an ENVI header."""
 
     name: str
-    # READ: l3 uses the field; REFUSED: l3 rejects unsupported values of the field; HARMLESS: the field does not affect the
-    # cube
+    # READ: l3 uses the field. REFUSED: l3 rejects unsupported values of the field. HARMLESS: the field has no effect.
     fate: str
     meaning: str  # for the documentation
 
@@ -259,7 +258,7 @@ def _fields(path: Path) -> dict[str, str]:
 
     Braces and comments are removed from the values. Raises InputFileError if the file is not an ENVI header.
     """
-    with open_regular(path, "use the .hdr file") as stream:  # before `read_bounded`, which rejects data files as too large
+    with open_regular(path, "use the .hdr file") as stream:  # checked first, because `read_bounded` rejects large data files
         if b"ENVI" not in stream.read(64):
             raise InputFileError(f"{path} is not an ENVI header; use the .hdr file of the cube")
     content = read_bounded(path)
@@ -388,7 +387,7 @@ def _good_bands(header: Header) -> NDArray[np.bool_] | None:
 def _scale(header: Header, holds: str) -> tuple[NDArray[np.float64], NDArray[np.float64], float | None]:
     """Return the gain of each band, the offset of each band, and the value of a perfect white.
 
-    The value of a perfect white is the value after scaling, or None if the header does not contain it. If `holds` is
+    The value of a perfect white is the value after scaling, or None if the header does not contain this value. If `holds` is
     "reflectance" and the header contains gains for reflectance, these gains are used. Otherwise, the gains for radiance are
     used. Raises InputFileError if a field is invalid, or if two fields scale the data.
     """

@@ -103,9 +103,9 @@ def _photons(content: Content) -> tuple[NDArray[np.float64], NDArray[np.float32]
 def _illuminant(stored: Any, wavelength: NDArray[np.float64], light: Curve | None) -> NDArray[np.float64]:
     """Return the photons that a perfect white reflects under the illuminant, at each wavelength.
 
-    New versions of ISET store photons. Old versions store energy, which l3 converts to photons. If the file contains no
-    illuminant, `stored` is not a struct, and `light` is used. Raises KeyError if the illuminant is incomplete, or if both
-    the file and `light` contain no illuminant.
+    New versions of ISET store photons. Old versions store energy, which l3 converts to photons. `stored` is the illuminant
+    struct of the file. If `stored` is not a struct, the file contains no illuminant, and `light` is used instead. Raises
+    KeyError if the illuminant is incomplete, or if both the file and `light` contain no illuminant.
     """
     if not isinstance(stored, dict):
         if light is None:

@@ -24,7 +24,9 @@ PICTURES = (".png", ".tif", ".tiff", ".pgm", ".ppm", ".exr", ".jpg", ".jpeg")
 NUMBER = re.compile(r"[0-9]+(?:\.[0-9]+)?")
 DEGREES = re.compile(r"([0-9]+(?:\.[0-9]+)?) ?(?:deg|°)", re.IGNORECASE)
 FEWEST_PICTURES = 3
-MAX_CONDITION = 10.0  # condition number of the Malus matrix: 1.4 for 0°, 45°, 90° and 135°; 6 for 0°, 30° and 60°
+# Maximum condition number of the Malus matrix. The condition number of the angles 0°, 45°, 90° and 135° is 1.4, and the
+# condition number of the angles 0°, 30° and 60° is 6.
+MAX_CONDITION = 10.0
 
 
 def read(path: Path, pictures: str, angles_deg: Sequence[float] | None) -> PolarisedPictures:
@@ -33,13 +35,13 @@ def read(path: Path, pictures: str, angles_deg: Sequence[float] | None) -> Polar
     Parameters
     ----------
     path : Path
-        A folder with one picture per angle, a TIFF file with one page per angle, or a .npy file with the axes angle, row,
-        column and, for colour pictures, colour.
+        A folder with one picture per angle, a TIFF file with one page per angle, or a .npy file. The axes of the array in
+        the .npy file are (angle, row, col) or (angle, row, col, colour).
     pictures : str
         Glob that selects the pictures in the folder.
     angles_deg : sequence of float, optional
-        Angle of the polariser for each picture, in the natural order of the file names or in the order of the pages. By
-        default, the angles are read from the file names. For a stack, they are required.
+        Angle of the polariser in degrees for each picture, in the natural order of the file names or in the order of the
+        pages. Required for a stack. [default for a folder: angles from the file names]
 
     Raises
     ------
@@ -140,9 +142,9 @@ def _angles(folder: Path, paths: list[Path], stated: Sequence[float] | None) -> 
 def _named_angles(names: list[str]) -> tuple[float, ...] | None:
     """Return the angle in degrees in the name of each picture, or None if not every name contains exactly one angle.
 
-    If every name contains exactly one number with a unit (45deg, 45°), this number is the angle. Otherwise, if every name
-    contains exactly one number, this number is the angle. Otherwise, the names may differ in only one number, which is the
-    angle.
+    If every name contains exactly one number with a unit (45deg, 45°), this number is the angle. If not, but every name
+    contains exactly one number, this number is the angle. In all other cases, the names must be equal except for one number,
+    which is the angle.
     """
     with_unit = [DEGREES.findall(name) for name in names]
     if all(len(each) == 1 for each in with_unit):

@@ -105,7 +105,7 @@ def is_named(name: str, names: Sequence[str] = NAMES) -> bool:
 
 
 def unit_in(name: str) -> str:
-    """Return the unit at the end of an array name, as in "wavelength_um" or "Wavelength (nm)", or "" without a unit."""
+    """Return the unit at the end of an array name, as in "wavelength_um" or "Wavelength (nm)". Without a unit, return ""."""
     words = [word for word in re.split(r"[\s_()\[\]/]+", name) if word]
     return words[-1] if len(words) > 1 and length_nm(words[-1]) is not None else ""
 
