@@ -67,7 +67,7 @@ class Surfaces:
 
 @functools.lru_cache(maxsize=2)
 def surfaces(wavelength: tuple[float, ...]) -> Surfaces:
-    """Return measured reflectances from colour-science, except the ColorChecker, and a Gaussian fitted to these reflectances.
+    """Return measured reflectances from colour-science, except the ColorChecker, and a Gaussian fitted to them.
 
     The Gaussian is fitted at the wavelengths of DRAWN. Values at other wavelengths are predicted by linear regression, so
     that a random material has the same colour on any wavelength grid.

@@ -2,8 +2,8 @@
 
 python -m pytest -m slow -s tests/studies/test_named_study.py      needs L3_DATA
 
-The raw files are simulated with the measured curves. Two tables render these raw files: table 1 is trained with the curves of
-the named camera, table 2 with the measured curves.
+The raw files are simulated with the measured curves. Two tables render these raw files: table 1 is trained with the curves
+of the named camera, table 2 with the measured curves.
 """
 
 import json
