@@ -29,8 +29,8 @@ def main() -> None:
 def _open_streams() -> None:
     """Open the null device in place of each standard stream that is closed.
 
-    A daemon may start a program with stdin, stdout or stderr closed. The next file that the program opens would get the
-    descriptor of the closed stream, and code that uses the stream would then read, write or close this file.
+    A daemon may start a program with stdin, stdout or stderr closed. The next file that the program opens would then get the
+    descriptor of the closed stream. Code that uses the stream would read, write or close this file.
     """
     for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         try:

@@ -205,8 +205,8 @@ class _Arrays:
     def __init__(self) -> None:
         self.files: dict[str, bytes] = {}
         self.entries: list[dict[str, Any]] = []
-        # Prefix of the array names of an additional set of transforms. An array of an additional set is omitted if it is
-        # equal to the array of the main set.
+        # Prefix of the array names. Each additional set of transforms has its own prefix. An array of an additional set is
+        # omitted if the array equals the array of the main set.
         self.prefix = ""
 
     def add(self, name: str, values: NDArray, axes: tuple[str, ...], unit: str, doc: str) -> None:
@@ -245,7 +245,7 @@ def _file(name: str) -> str:
 
 
 def _layer(arrays: _Arrays, number: int, layer: Any) -> dict[str, Any]:
-    """Add the arrays of a layer and of its class rule. Return the scalars of both for table.json."""
+    """Add the arrays of a layer and of its class rule. Return the scalars of the layer and of the rule for table.json."""
     prefix, rule = f"layer{number}/", layer.rule
     kind = next(iter(rule_fields(rule))) if number else "mosaic"
     entry: dict[str, Any] = {"reads": "planes" if number else "mosaic", "rule": kind}

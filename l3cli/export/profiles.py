@@ -35,7 +35,7 @@ DIGITS = 5  # number of decimals of the matrices in files
 BLACK_BODIES = (2200, 2500, 2856, 3200, 3600)  # colour temperatures, in K, of the white-balance curve for black bodies
 DAYLIGHTS = (4500, 5000, 5500, 6500, 7500, 8600)  # colour temperatures, in K, of the white-balance curve for daylight
 NOISE_LEVELS = 64  # number of signals, from 1 DN (at 16 bits) to the white level, to which a noise profile is fitted
-MIN_COLOURS = 3  # minimum number of channels with different responsivities for colour matrices
+MIN_COLOURS = 3  # colour matrices require at least this many channels with different responsivities
 # The responsivities of each channel are scaled to a sum of 1. The number of different responsivities is the number of
 # singular values above this fraction of the largest singular value. For equal channels whose curves have measurement errors
 # of 5 %, the smaller singular values reach 0.03. For RCCG, the third singular value is 0.2.
@@ -262,9 +262,9 @@ def black_level_16(camera: CameraModel) -> int:
 def shading_tables(field: FlatField, order: tuple[int, int, int], target: Target) -> tuple[Array, Array, Array]:
     """Fit the shading tables of a Raspberry Pi to a flat field.
 
-    The image signal processor (ISP) interpolates between the values of a table, which it assigns to the centres of the
-    cells. From the outermost centres to the edges of the frame, the values are constant. If a table simply contained the
-    gains at the centres, a lens that halves the light in the corners would be corrected there with an error of 4 %. The
+    The image signal processor (ISP) assigns the values of a table to the centres of the cells, and interpolates between the
+    centres. From the outermost centres to the edges of the frame, the values are constant. Tables with the gains at the
+    centres would be inaccurate: for a lens that halves the light in the corners, the error in the corners would be 4 %. The
     tables are therefore smooth least-squares fits that include the interpolation of the ISP.
 
     Parameters

@@ -2,8 +2,8 @@
 
     weight ≈ whole · 2^−F
 
-`whole` is a signed integer with a given number of bits. F is the largest number of fractional bits for which the largest
-weight of a class, or of the whole table, fits into this number of bits.
+`whole` is a signed integer with a given number of bits. F is the number of fractional bits. F is as large as the largest
+weight of a class, or of the whole table, permits.
 
 Intercepts are not converted. All layers before the last layer always use 16-bit weights (docs/method.md#planes).
 """
@@ -113,7 +113,7 @@ class ShortWords:
 
 
 def output_fraction(table: TransformTable) -> int:
-    """Return the number of fractional bits of the 16-bit outputs of a table, at most 12.
+    """Return the number of fractional bits in the 16-bit outputs of a table, at most 12.
 
     The clipped white may use at most half of the range of an output, because pixels next to edges can be brighter than the
     clipped white. The clipped white is much brighter than white if some channels clip much later than other channels, for
@@ -125,7 +125,10 @@ def output_fraction(table: TransformTable) -> int:
 
 
 def split_of(table: TransformTable) -> int:
-    """Return the number of bits in the low part of an input value. The last layer splits values into two parts."""
+    """Return the number of bits in the low part of an input value.
+
+    The last layer splits each value into a low and a high part.
+    """
     return PLANE_TOP.bit_length() + 1 - HIGH_BITS if table.later else max(0, table.bits - HIGH_BITS)
 
 

@@ -25,8 +25,8 @@ from l3cli.spectra.table import without_noise
 COVERED_NM = (400.0, 700.0)  # range in nm that the spectrum of a measured illuminant must cover
 GRID = np.arange(380.0, 781.0, 5.0)  # wavelengths in nm of named illuminants and charts
 Array = NDArray[np.float64]
-# Settings for raw files: "black_level" and "white_level" in DN for files that do not state these levels, and "opcodes" with
-# the value "leave" to ignore opcodes of DNG files that l3 does not support.
+# Settings for raw files. "black_level" and "white_level" are levels in DN, for files that do not state their levels.
+# "opcodes" has the value "leave" if l3 must ignore unsupported opcodes of DNG files.
 Levels = Mapping[str, Any]
 
 

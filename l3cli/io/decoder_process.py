@@ -1,4 +1,4 @@
-"""The process that decodes untrusted files for isolated.py. For each file, it forks a worker process with restricted rights.
+"""The process that decodes untrusted files for isolated.py. The process forks a worker with restricted rights for each file.
 
 Three measures restrict a worker:
 
@@ -43,12 +43,12 @@ PATH_BENEATH = 1  # type of a rule that grants rights for a file, or for everyth
 FILE_RIGHTS, ADDED_IN = 13, (2, 3, 5)  # number of file rights in Landlock 1, and the versions that each added one right
 READ_FILE, READ_FOLDER = 1 << 2, 1 << 3
 TCP, TCP_SINCE = 0b11, 4  # rights to bind and to connect, and the version of Landlock that introduced these rights
-SCOPES, SCOPES_SINCE = 0b11, 6  # restrictions of abstract Unix sockets and signals, and the version that introduced them
+SCOPES, SCOPES_SINCE = 0b11, 6  # flags that restrict abstract Unix sockets and signals, and the first version with them
 SYSTEM = ("/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/etc/localtime")
 PACKAGES = ("site-packages", "dist-packages")
 MAX_WORKERS = 8  # maximum number of idle workers; several workers are kept, because a stage may alternate between files
 
-DENIED = {  # resource outside the process → names of the denied system calls that use it
+DENIED = {  # resource outside the process → names of the denied system calls for this resource
     "sockets": "socket socketpair connect bind listen accept accept4",
     "programs": "execve execveat",
     "processes": "fork vfork setpgid setsid",

@@ -118,7 +118,7 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice, shard: tuple[
     Raises
     ------
     RecipeError
-        If l3 cannot write the type of output that the name implies, or cannot write it with these settings.
+        If l3 cannot write the type of output that the name implies, or if this type does not support the settings.
     """
     if choice.bits == FLOAT_BITS and (output == STDOUT or is_video(output)):
         raise RecipeError("videos cannot store 32 bits per value; write a .tif or .exr file, or remove ‹bits›")

@@ -49,7 +49,7 @@ def raw_content(path: Path, answered: Container[str] = ()) -> RawContent:
         The file.
     answered : container of str
         Names of the parameters that the user set, such as "black_level". A fault of the file is ignored if one of these
-        parameters resolves it.
+        parameters resolves the fault.
 
     Returns
     -------
@@ -180,7 +180,7 @@ def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray
     bits : int
         Bit depth of the sensor.
     array : FilterArray, optional
-        CFA of the sensor. If a raw file states its CFA, it must be this CFA in the same phase.
+        CFA of the sensor. If a raw file states a CFA, the stated CFA must be equal to `array` and have the same phase.
 
     Returns
     -------

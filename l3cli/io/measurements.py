@@ -96,7 +96,8 @@ class MeasurementFiles:
     def history(self, options: dict[str, Any]) -> Stage:
         """Return the history entry for a calibration: the options, the measurement file, and the SHA-256 of every file.
 
-        Raises InputFileError if a file has changed since l3 read it, because its digest would not match the measurements.
+        Raises InputFileError if a file has changed since l3 read the file, because the digest would not match the
+        measurements.
         """
         digests = {role: [sha256(file) for file in files] for role, files in self.files.items()}
         for file, before in self.stamps.items():

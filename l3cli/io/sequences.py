@@ -52,7 +52,7 @@ class FrameReference:
 
     number: int
     stem: str  # name of the output file, without suffix
-    source: Path | None = None  # the input file, if it contains only this frame
+    source: Path | None = None  # the input file if the file contains only this frame, otherwise None
     origin: str = ""  # digest of everything that determines the rendered picture; "" if not yet computed
 
 

@@ -28,7 +28,7 @@ BROKEN = (ValueError, TypeError, KeyError, IndexError, AttributeError, ZeroDivis
 LONGEST_NAME = 80  # maximum length of a camera name; longer names are cut
 MAX_DENOMINATOR = 10**9
 MAX_INTEGER = 2**31 - 1  # maximum numerator
-Entry = tuple[int, int, int, object, bool]  # tag for tifffile: code, type, count, value, whether only the first page has it
+Entry = tuple[int, int, int, object, bool]  # tag for tifffile: code, type, count, value, only on first page
 
 
 def flip_of(path: Path, orientation: object) -> int:

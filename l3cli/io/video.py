@@ -312,7 +312,7 @@ def new_video(
 
 
 class Y4mWriter:
-    """Writes pictures (row, col, 3) of the same size to a y4m stream: luma and chroma 4:2:0, limited range."""
+    """Writes pictures (row, col, 3) of equal size to a y4m stream, as 4:2:0 luma and chroma with limited range."""
 
     def __init__(self, stream: BinaryIO, choice: VideoChoice) -> None:
         pixels, self._colours = Y4M_FORMATS[choice.bits]

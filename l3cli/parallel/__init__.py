@@ -54,8 +54,8 @@ def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> It
 def workers(jobs: int, scheduler: "Scheduler | None" = None) -> Iterator[WorkerPool]:
     """Yield a pool of workers.
 
-    If `scheduler` is not None, the pool consists of the workers of the scheduler. Otherwise it consists of `jobs` processes,
-    or of the current process if `jobs` is 1.
+    If `scheduler` is not None, the pool consists of the workers of the scheduler. Otherwise, the pool consists of `jobs`
+    processes, or of the current process if `jobs` is 1.
     """
     if scheduler is not None:
         from l3cli.parallel.cluster import workers_of

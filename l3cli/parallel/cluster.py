@@ -42,7 +42,7 @@ _one_at_a_time = threading.Lock()
 
 @dataclass(frozen=True)
 class Scheduler:
-    """The address of a dask.distributed scheduler, and the PEM files with which l3 connects to it over TLS.
+    """The address of a dask.distributed scheduler, and the PEM files for a TLS connection to the scheduler.
 
     Raises
     ------

@@ -35,7 +35,7 @@ def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
     "classic" and "passport" are charts from before November 2014. Their spectra are the average of thirty charts
     (BabelColor). The spectra of "classic ISO 17321" are from ISO 17321-1. Later charts ("classic 2014", "passport 2") have
     different dyes, whose spectra are not published. For these charts, each average spectrum of the older charts is
-    multiplied by a smooth function of wavelength, so that its colour becomes the colour that the manufacturer states.
+    multiplied by a smooth function of wavelength. The product has the colour that the manufacturer states.
 
     Parameters
     ----------

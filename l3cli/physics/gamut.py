@@ -6,8 +6,8 @@ lightness and hue are on the line s(t) = L + t (s − L). Along this line, each 
 
 1. **Negative values.** The colour moves towards grey until no linear value is negative. Its position t is the smallest root
    of the three cubics. One step of Halley's method approximates the root of each cubic. All three steps have the same
-   starting point: the cubic that is lowest at t = 1 is replaced by the straight line between its ends at t = 0 and t = 1,
-   and the root of this line is the starting point.
+   starting point, which is computed from the cubic that is lowest at t = 1: the root of the straight line through this cubic
+   at t = 0 and at t = 1.
 2. **Values above 1.** The colour is darkened until no linear value is above 1, which preserves the OkLab hue. A second
    solution clips each value to 1. The result is a mixture of the two solutions, in which clipping has the weight Y⁴. Bright
    highlights therefore become as bright as possible and end in white.
@@ -35,7 +35,7 @@ CONES_FROM_XYZ = np.array(
     ]
 )
 LIGHTNESS = np.array([0.2104542553, 0.7936177850, -0.0040720468])  # weights λ of the cube roots of the cone responses
-LEAST_CONE = 1e-12  # minimum cone response, so that black does not result in 0
+LEAST_CONE = 1e-12  # minimum cone response, so that the responses to black are not 0
 CONE_SHARE = 0.02  # minimum of each cone response, as a fraction of the largest response; real colours have at least 0.07
 LEAST_LIGHTNESS = 1e-4  # avoids a division by zero
 MIN_DIVISOR = 1e-30  # avoids a division by zero

@@ -22,9 +22,9 @@ BLACK_BODY = Quantity(500, 100_000, "K")  # permitted colour temperatures of bla
 DAYLIGHT = Quantity(4000, 25_000, "K")  # colour temperatures for which CIE daylight is defined
 # Correlated colour temperatures of CIE daylight in K, for the current value of the second radiation constant (CIE 15).
 DAYLIGHT_KELVIN = {f"D{hundreds}": hundreds * 100 * 1.4388 / 1.4380 for hundreds in (50, 55, 65, 75)}
-UNSEEN = 1e-9  # light is invisible if its luminance is below this fraction of the luminance of 555 nm light of equal power
+UNSEEN = 1e-9  # light is invisible if its luminance, relative to 555 nm light with equal power, is below this limit
 LONGEST_NM = 20_000  # maximum wavelength of a spectrum
-SPRAGUE_STEP = 20.0  # maximum distance of bands, in nm, for the interpolation of reflectances by Sprague polynomials
+SPRAGUE_STEP = 20.0  # maximum spacing of bands in nm for which reflectances are interpolated with Sprague polynomials
 Array = NDArray[np.floating]
 
 
@@ -71,7 +71,7 @@ def bin_widths(wavelength: Array) -> Array:
 def ascending(wavelength: NDArray[np.float64], values: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[Any]]:
     """Reverse a wavelength grid and its values (…, wavelength) if the grid is decreasing.
 
-    Otherwise, return both unchanged.
+    Otherwise, return the grid and the values unchanged.
     """
     falls = wavelength.size > 1 and (np.diff(wavelength) < 0).all()
     return (wavelength[::-1], values[..., ::-1]) if falls else (wavelength, values)

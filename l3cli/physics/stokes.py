@@ -18,7 +18,7 @@ STOKES = ("S1", "S0", "S2")
 IN_ORDER = ("S0", "S1", "S2")  # order in files and pictures
 FEATURES = ("DoLP", "AoLP")
 DARKEST = 1e-6  # minimum of S0 in divisions
-MAX_CORRELATION = 0.95  # limit of the correlation between the noise of S0 and of polarised light; estimates can exceed it
+MAX_CORRELATION = 0.95  # limit of the correlation between the noise of S0 and of polarised light; some estimates are larger
 MAX_DOLP_SIGMA = 0.5  # maximum possible standard deviation of values from 0 to 1
 CLEAR_SIGNAL = 12.0  # ratio of polarised light to its noise, above which DoLP and AoLP have Gaussian noise
 
@@ -72,7 +72,7 @@ def _weak_signal() -> tuple[Array, Array, Array]:
     length : ndarray
         Standard deviation of the length (Rice distribution), relative to the standard deviation of the components.
     angle : ndarray
-        Standard deviation of half the direction angle, in radians. For a vector of length 0, it is π/√12.
+        Standard deviation of half the direction angle, in radians. The value for a vector of length 0 is π/√12.
     """
     from scipy.special import i0e, i1e, ndtr  # imported here to save start-up time, because few runs need it
 

@@ -193,7 +193,7 @@ def _facts(camera: CameraModel) -> Table:
 def _declared_from(camera: CameraModel) -> str:
     """State the origin of the values that were not measured.
 
-    Such values are from the data sheet. In a model from photos without dark frames, they are assumed to be 0.
+    The origin is the data sheet. In a model from photos without dark frames, the values are assumed to be 0.
     """
     return "not measured, assumed to be 0" if "dark current" in camera.declared else "from the data sheet"
 
@@ -362,7 +362,7 @@ def figures_table(camera: CameraModel, noise: NoiseFit) -> Table:
 
 
 def _line_noise_rows(noise: NoiseFit) -> list[tuple[str, Array]]:
-    """Return the table rows for significant row and column noise. All channels have the same value."""
+    """Return the table rows for significant row noise and column noise. The noise is the same for all channels."""
     found = {
         "row": (noise.row_temporal_noise, noise.row_temporal_noise_error),
         "column": (noise.column_temporal_noise, noise.column_temporal_noise_error),

@@ -211,7 +211,7 @@ def luminance_section(
     Parameters
     ----------
     curves : dict of str to list of (name, luminances, values)
-        Metric → (name, luminances in cd/m², values of the metric) of each camera.
+        Metric → one tuple per camera: its name, luminances in cd/m², and the values of the metric.
     sentences : dict of str to list of str
         Metric → sentences that state which camera is better in which range of luminance.
 

@@ -69,7 +69,7 @@ def polarisation_section(
     document : dict
         Output of `l3 evaluate --json`.
     maps : dict
-        Index of each frame that `shown_frames` chose, in the same order → result of `polarisation_maps` for the frame.
+        Index of a frame → result of `polarisation_maps`, for the frames that `shown_frames` chose, in their order.
     title : str
         Title of the section.
     anchor : str

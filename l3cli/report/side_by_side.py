@@ -115,7 +115,7 @@ def shared_frame(sides: list[Side], at: float | None = None) -> list[int]:
     -------
     list of int
         Index of the frame in the evaluation of each table. Empty if the tables have no frame in common, or if ΔE00 is not
-        the main metric of every table, because the outputs of a table are not colours.
+        the main metric of every table. Tables whose outputs are not colours have other main metrics.
     """
     figures, first = {main_of(side.document) for side in sides}, sides[0]
     places = [

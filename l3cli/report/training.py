@@ -196,7 +196,7 @@ def _level_figure(camera: CameraModel, survey: Survey) -> Figure:
 def _chromaticity_figure(survey: Survey) -> Figure:
     """Plot the chromaticities of the targets in the CIE 1931 diagram.
 
-    The opacity of a cell represents its fraction of all pixels, with one step of opacity per factor of ten.
+    The opacity of a cell indicates the fraction of all pixels that are in the cell. One step of opacity is a factor of ten.
     """
     plot = Plot(Axis("CIE 1931 x (1)", -0.04, 0.84), Axis("CIE 1931 y (1)", 0, 0.9), height=434)
     wavelength, locus = colours.spectral_locus()

@@ -121,7 +121,7 @@ def _population_blocks(table: TransformTable, insight: dict[str, Any]) -> tuple[
 def kind_names(insight: dict[str, Any]) -> list[str]:
     """Return the names of the kinds (chromas and saturation cases).
 
-    If a name is too long for a drawing, number the names.
+    If a name is too long for a drawing, each name is preceded by its index, as in "2: clipped".
     """
     names = [kind["name"] for kind in insight["kinds"]]
     return (

@@ -34,7 +34,7 @@ def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array]
     title : str
         Title of the figure.
     names : tuple of str
-        Names of the two pictures: the source of the left halves and the source of the right halves.
+        Names of the pictures in the left halves and in the right halves of the patches.
     pair : tuple of ndarray, (patch, 3)
         Colours of the left halves and of the right halves, in linear sRGB.
     errors : dict of str to ndarray, (patch,)

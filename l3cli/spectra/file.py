@@ -39,7 +39,7 @@ from l3cli.system.limits import read_bounded
 
 CURE = "use a CSV file of spectra"
 MARKER = re.compile(r"^(?:>{3,}|<{3,}|\*{3,}|={3,}|-{3,}|\+{3,})")
-EXCEL_SEPARATOR = re.compile(r'"?sep=.?"?', re.I)  # optional first line of a CSV file, which tells Excel the separator
+EXCEL_SEPARATOR = re.compile(r'"?sep=.?"?', re.I)  # optional first line of a CSV file that states the separator for Excel
 CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # control characters, which text does not contain
 UNIT_KEY = re.compile(
     r"^(?:y[- ]?(?:axis|unit)|(?:spectral |radiometric |measurement )?units?)\b[^:;=,\t]*[:;=,\t]\s*(.+)$", re.I
@@ -383,8 +383,8 @@ WIDEST_GAP = 20.0  # maximum distance between neighbouring points of a digitised
 PLOT_EDGE_NM = 5.0  # a curve that ends within this distance of the edge of the plot is assumed to continue beyond the edge
 FOOT = 0.05  # a curve that ends inside the plot must end below this fraction of its peak
 JITTER = 0.02  # negative values of a digitised curve are permitted up to this fraction of the peak
-# Wavelengths are probably in m if the largest wavelength is below METRES, in µm if it is below MICROMETRES, and in Å if the
-# smallest wavelength is above ANGSTROMS.
+# Wavelengths are probably in m if all numbers are below METRES, in µm if all numbers are below MICROMETRES, and in Å if all
+# numbers are above ANGSTROMS.
 METRES, MICROMETRES, ANGSTROMS = 1e-3, 5.0, 2000.0
 SPDX = (".spdx", ".xml")
 SPDX_UNITS = {  # spectral quantity in an IES TM-27 file → unit

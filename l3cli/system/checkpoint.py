@@ -67,7 +67,7 @@ class Checkpoint:
     def begin(self) -> None:
         """Create the file with all units that are known so far. Afterwards, `add` may append units.
 
-        If a killed run left temporary files of this file, they are removed.
+        Temporary files that killed runs left behind are removed.
         """
         sweep(self.path.parent, self.path)
         write_whole(self.path, "\n".join([self.key, *map(json.dumps, self.items.items())]))

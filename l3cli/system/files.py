@@ -30,8 +30,8 @@ class FilesUsed:
     Attributes
     ----------
     read : dict of str to dict
-        The input files of each role, such as "table". The value of a file is its size in bytes and its modification time in
-        ns before it was read, or None if the file did not exist.
+        Role of files, such as "table" → input file → size in bytes and modification time in ns, recorded before the file was
+        read. None if the file did not exist.
     written : tuple of Path
         Finished output files.
     """
@@ -127,9 +127,9 @@ def atomic_output(path: Path) -> Iterator[Path]:
     """Create a temporary file, yield its path, and rename the file to `path` if the block succeeds.
 
     If the block fails, the temporary file is removed. The temporary file is in the folder of `path`, which is created if
-    necessary, and has the suffix of `path`, because libraries derive the format from the suffix. The content is flushed to
-    disk before the file is renamed. The block must write into the existing temporary file and must not replace it. Each call
-    creates a new temporary file, so several processes may write the same output.
+    necessary. The temporary file has the suffix of `path`, because libraries derive the format from the suffix. The content
+    is flushed to disk before the file is renamed. The block must write into the existing temporary file and must not replace
+    it. Each call creates a new temporary file, so several processes may write the same output.
 
     Raises
     ------

@@ -123,7 +123,9 @@ def _busy(output: Path) -> L3Error:
 
 
 def _take(lock: Path, output: Path) -> int | None:
-    """Lock the file `lock`, creating it if necessary. Return its descriptor, or None if the storage does not support locks.
+    """Create the file `lock` if necessary, and lock the file.
+
+    Return its descriptor, or None if the storage supports no locks.
 
     Raises L3Error if another run holds the lock.
     """

@@ -96,7 +96,8 @@ class OutputGuard(contextlib.ExitStack):
     def hold(self, lock: AbstractContextManager[bool], output: Path) -> None:
         """Acquire a lock on an output, and keep the lock until the end of the block.
 
-        The context manager `lock` yields whether the storage supports locks. If it does not, a warning is reported.
+        The context manager `lock` yields whether the storage supports locks. If the storage does not support locks, a
+        warning is reported.
         """
         if not self.enter_context(lock):
             self._console.report(

@@ -21,7 +21,7 @@ from typing import Any, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-RETRY_SECONDS = 0.05  # delay before a signal is sent again that arrived while it must not be handled
+RETRY_SECONDS = 0.05  # delay, in s, before a signal that arrived at a wrong time is sent again
 
 HELD_BACK_IMPORT = "h5py"
 _held_back: set[CodeType] = {ExtensionFileLoader.create_module.__code__, ExtensionFileLoader.exec_module.__code__}
@@ -84,7 +84,10 @@ def behind(error: BaseException) -> KeyboardInterrupt | None:
 
 
 def held_back_in(callback: F) -> F:
-    """Decorator for functions that call a C library or that a C library calls. Signals are delayed until they return."""
+    """Decorator for functions that call a C library or that a C library calls.
+
+    Signals are delayed until the function returns.
+    """
     _held_back.add(callback.__code__)
     return callback
 

@@ -87,7 +87,7 @@ def unit(text: str) -> str:
 
 
 def short_names(paths: Iterable[Path]) -> list[str]:
-    """Return the shortest name for each path: as many of its last parts as are needed to distinguish it from all others."""
+    """Return the shortest unique name for each path. A name consists of the last parts of the path."""
     every = [path.absolute().parts for path in paths]
 
     def distinguished(parts: tuple[str, ...]) -> str:

@@ -1,8 +1,8 @@
 """Determine which axes of an array are frames, rows and columns. Pictures with several channels are rejected.
 
 If the file states the names of the axes, the names determine their order. Otherwise, the order is (frame, row, col). Arrays
-whose last axis is suspiciously short are rejected: if its length is at most 4, it probably contains channels, and if it is
-much shorter than the other two axes, it probably contains frames.
+with a suspiciously short last axis are rejected. A last axis with a length of at most 4 probably contains channels. A last
+axis that is much shorter than the other two axes probably contains frames.
 """
 
 import re
@@ -12,7 +12,7 @@ from typing import NamedTuple
 from l3cli.errors import InputFileError
 from l3cli.system.text import counted
 
-MOST_CHANNELS = 4  # maximum number of channels of a picture, which is far below the number of columns of a frame
+MOST_CHANNELS = 4  # maximum number of channels of a picture; frames have far more columns
 FRAMES_LAST = 16  # if both other axes are at least this many times longer than the last axis, the last axis contains frames
 MEANINGS = {
     "frame": ("f", "frame", "frames", "t", "time", "n", "number", "index", "i", "z", "page", "pages", "image", "images"),

@@ -29,7 +29,7 @@ class FilterArray(Protocol):
 LETTERS = "RGBCMYW"  # letters for the codes 0…6 of CFAPattern
 NAMES = ("red", "green", "blue", "cyan", "magenta", "yellow", "white")
 FREE_CODE = len(LETTERS)  # smallest code that does not represent a colour in TIFF/EP
-LARGEST = 16  # maximum number of rows and of columns of a pattern in a file
+LARGEST = 16  # maximum number of rows or columns of a pattern
 CURE = "use the table of this camera, or set ‹phase› ROW,COL to the position of the first pixel in the table's array"
 
 

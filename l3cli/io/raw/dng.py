@@ -84,7 +84,7 @@ class Mosaic:
     opcodes: Opcodes
     planes: tuple[int, ...]  # colour code of each colour plane
     shape: tuple[int, int]  # rows and columns, including masked borders
-    fields: tuple[int, int]  # number of interleaved fields of the rows, and number of interleaved fields of the columns
+    fields: tuple[int, int]  # numbers of interleaved fields into which the rows and the columns are divided
     notes: tuple[str, ...]  # warnings about unsupported tags
 
 
@@ -121,7 +121,7 @@ def _in_order(stored: NDArray[np.uint16], fields: tuple[int, int]) -> NDArray[np
 
 
 def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawContent:
-    """Crop the linear pixels `stored` (row, col) to the default crop, and convert them to a single black level.
+    """Crop the linear pixels `stored` (row, col) to the default crop, and convert the pixels to a single black level.
 
     Raises InputFileError if the tags contradict the pixels.
     """
@@ -386,7 +386,7 @@ def _repeating_black(raw: Any, cfa_shape: tuple[int, ...]) -> NDArray[np.float64
 
 
 def _fields(raw: Any) -> tuple[int, int]:
-    """Return the numbers of interleaved fields of the rows and of the columns. Raises ValueError if a number is below 1."""
+    """Return the numbers of interleaved row fields and of column fields. Raises ValueError if a number is below 1."""
     rows, cols = (int(tags.numbers(raw, tag, (1,))[0]) for tag in ("RowInterleaveFactor", "ColumnInterleaveFactor"))
     if min(rows, cols) < 1:
         raise ValueError(f"invalid numbers of fields {rows}×{cols}")

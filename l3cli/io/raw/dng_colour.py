@@ -25,7 +25,7 @@ KELVIN = {  # value of CalibrationIlluminant (Exif LightSource) → correlated c
     15: 3525.0, 16: 2925.0, 17: 2856.0, 18: 4874.0, 19: 6774.0, 20: 5503.0, 21: 6504.0, 22: 7504.0, 23: 5003.0, 24: 3200.0,
 }  # fmt: skip
 MIREDS = np.arange(40.0, 1000.0, 0.25)  # search grid of reciprocal colour temperatures, in mired (10^6/K)
-DECIMALS = 4  # precision of AsShotNeutral; AsShotWhiteXY is rounded equally, so that both tags result in the same picture
+DECIMALS = 4  # decimals of AsShotNeutral; signals from AsShotWhiteXY are rounded to as many decimals
 # Tag numbers of IlluminantData1, 2 and 3. They are listed here because the third number is wrong in tifffile.
 ILLUMINANT_DATA = {1: 52533, 2: 52534, 3: 52535}
 # Types of IlluminantData. CHROMATICITY: x and y. SPECTRUM: first wavelength in nm, step in nm, and power at each wavelength.
@@ -86,8 +86,8 @@ def interpolated(known: Sequence[Calibration], kelvin: float) -> tuple[Array, Ar
     """Return the colour matrix and the camera matrix for a correlated colour temperature in K.
 
     Between two calibrations, the matrices are interpolated linearly in the reciprocal temperature. Beyond the outermost
-    calibrations, they are constant. If the temperature is known for fewer than two calibrations, the matrices of the first
-    calibration are returned. `known` must not be empty.
+    calibrations, the matrices are constant. If the temperature is known for fewer than two calibrations, the matrices of the
+    first calibration are returned. `known` must not be empty.
     """
     placed = {1e6 / each.kelvin: each for each in known if each.kelvin is not None}  # reciprocal temperature → calibration
     mireds = np.array(sorted(placed))

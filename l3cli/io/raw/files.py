@@ -5,7 +5,8 @@ The module must also define `stack` if the entry in FORMATS sets `stackable`, `r
 it sets `has_plain`. l3 imports the module when it reads the first file in this format.
 
 l3 reads the pixels, the levels, the crop and the orientation from the file, and the colour filter array from the table. If
-the file also states a colour filter array, it must agree with the table, and the file determines the phase.
+the file also states a colour filter array, the stated array must agree with the table. The stated array then determines the
+phase.
 """
 
 import importlib

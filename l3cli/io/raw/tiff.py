@@ -68,8 +68,8 @@ def stack(path: Path) -> MultiFrameFile | None:
 def count_pages(path: Path) -> int:
     """Return the number of pages in a TIFF file, or 1 for a PNG file.
 
-    Raises InputFileError if the pages differ in size or type, for example because one page is a thumbnail, if the pages are
-    the channels of a picture, or if the file contains images that are not pages.
+    Raises InputFileError if the pages differ in size or type, if the pages are the channels of a picture, or if the file
+    contains images that are not pages. Pages differ, for example, if one page is a thumbnail.
     """
     first = _page(path, 0).spec()
     usual, count = _kind(first), _count(path)
@@ -161,7 +161,10 @@ def _count(path: Path) -> int:
 
 
 def _check_first_page(path: Path) -> None:
-    """Check the tags of the first page if the file is a TIFF file. A damaged file passes, because OpenImageIO reports it."""
+    """Check the tags of the first page if the file is a TIFF file.
+
+    Damaged files pass, because OpenImageIO reports the damage.
+    """
     import tifffile
 
     try:

@@ -1,6 +1,6 @@
 """Formats from which l3 cannot read raw frames, each with advice for the user.
 
-l3 recognises these formats by the first bytes or the suffix of a file, so that it does not report an intact file as damaged.
+l3 recognises these formats by the first bytes or the suffix of a file, so that an intact file is not reported as damaged.
 """
 
 from dataclasses import dataclass

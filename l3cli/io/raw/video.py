@@ -36,7 +36,7 @@ def stack(path: Path) -> MultiFrameFile:
 def _times(path: Path) -> StatedTimes | None:
     """Return the frame times without decoding the frames. None if the video has no frames, or if a time is missing.
 
-    The file is read until it ends, or until the first damaged frame.
+    The function reads the file up to its end or up to the first damaged frame.
     """
     ticks: list[int | None] = []
     tick = (1, 1)

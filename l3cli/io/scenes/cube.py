@@ -27,7 +27,7 @@ Content = dict[str, Any]
 SCALE, OFFSET, WHITE = "scale_factor", "add_offset", "Scale_Factor"
 MISSING = ("_FillValue", "missing_value", "Data_Ignore_Value")  # attributes that contain the value of pixels without data
 MATLAB, NPY = ".mat", ".npy"
-# Suffixes that this module does not read → the value of the key `source` that reads them.
+# Suffix that this module does not read → value of the key `source` for files with this suffix.
 OTHER_SOURCES = {".tif": "channels", ".tiff": "channels", ".exr": "channels", ".hdr": "envi"}
 TITLES = ("NAME", "standard_name", "long_name")  # attributes that contain the name of an array (HDF5, CF conventions)
 DEEPEST = 16  # maximum nesting of groups or structs

@@ -200,8 +200,8 @@ def read(path: Path, holds: str = "reflectance") -> SpectralCube:
     path : Path
         The header.
     holds : str
-        Content of the cube according to the recipe: "reflectance", "radiance" or "photons". For "reflectance", the gains for
-        reflectance are applied if the header contains them. Otherwise, the gains for radiance are applied.
+        Content of the cube according to the recipe: "reflectance", "radiance" or "photons". For "reflectance", gains for
+        reflectance are applied if the header contains such gains. In all other cases, gains for radiance are applied.
 
     Returns
     -------
@@ -254,7 +254,7 @@ def unknown(path: Path) -> list[str]:
 
 
 def _fields(path: Path) -> dict[str, str]:
-    """Read the fields of a header as a dictionary from names in lower case to values.
+    """Return the fields of a header as a dictionary. The keys are the names of the fields in lower case.
 
     Braces and comments are removed from the values. Raises InputFileError if the file is not an ENVI header.
     """
@@ -286,7 +286,7 @@ def _fields(path: Path) -> dict[str, str]:
 def _goes_on(value: str, following: str) -> bool:
     """Return whether the value of a field continues in the following line.
 
-    A value continues if its brace is not closed yet, or if it is empty and the following line starts with a brace.
+    A value continues if its brace is not closed. An empty value continues if the following line starts with a brace.
     """
     return "}" not in value if value.startswith("{") else not value and following.lstrip().startswith("{")
 
@@ -356,8 +356,8 @@ def _frame_offsets(header: Header, name: str) -> tuple[int, int]:
 def _wavelengths(header: Header) -> NDArray[np.float64] | None:
     """Return the wavelength of each band in nm.
 
-    The wavelengths are in the field "wavelength". If this field is missing, they are in the names of the bands. Returns None
-    if the header contains no wavelengths. Raises InputFileError if the field or its unit is invalid.
+    The wavelengths are in the field "wavelength". If this field is missing, the wavelengths are in the names of the bands.
+    Returns None if the header contains no wavelengths. Raises InputFileError if the field or its unit is invalid.
     """
     bands = header.whole("bands", 1)
     if (listed := header.numbers("wavelength", bands)) is not None:
