@@ -1,4 +1,4 @@
-"""Fixtures are the stages before: camera → training set → table. All are small, all are made by the real commands."""
+"""Fixtures of all tests: a small camera, training set and table, made by the commands of l3."""
 
 import atexit
 import contextlib
@@ -26,15 +26,16 @@ from tests.helpers.paths import CONFIGS, PYTHONPATH
 from tests.helpers.recipes import CLASSES, GAIN_CLASSES, SCENES, UNSEEN
 from tests.helpers.tasks import in_folder
 
-# Tests need no data on the disk. Where flushing takes 5 ms or more, as on many disks, it takes longer than a small command.
+# Tests need no flushed data. Flushing takes 5 ms or more on many disks, which is longer than a small command.
 os.fsync = lambda fd: None
-settings.register_profile("shared machines", deadline=None, suppress_health_check=[HealthCheck.too_slow])  # not timed
+settings.register_profile("shared machines", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("shared machines")
-# colour-science imports matplotlib if it is installed, which takes longer than all its other imports. l3 does not need it.
+# colour-science imports matplotlib if matplotlib is installed, which takes longer than all its other imports. l3 does not
+# need matplotlib.
 with pytest.MonkeyPatch.context() as hidden:
     hidden.setitem(sys.modules, "matplotlib", None)
     colour_science()
-# The collector is off while tests are collected, and ignores what this made. That saves a quarter of the processor time.
+# No garbage is collected while pytest collects tests. This saves a quarter of the processor time.
 gc.disable()
 
 
@@ -48,11 +49,10 @@ def pytest_collection_finish() -> None:
 def environment_of_processes() -> None:
     """Set the environment in which tests start other processes.
 
-    pytest-xdist states a terminal of 80 columns, which is removed. A module that cannot be imported hides matplotlib from
-    colour-science, so that a process starts as fast as where matplotlib is not installed.
-    SIGINT is not ignored, because tests send it to processes.
+    The width of 80 columns, which pytest-xdist sets, is removed. PYTHONPATH hides matplotlib from colour-science, because
+    its import is slow. SIGINT gets its default action, because tests send SIGINT to processes.
     """
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in jobs that a shell runs in the background
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in jobs that a shell runs in the background
         signal.signal(signal.SIGINT, signal.default_int_handler)
     for name in ("COLUMNS", "LINES"):
         os.environ.pop(name, None)
@@ -61,13 +61,13 @@ def environment_of_processes() -> None:
 
 @pytest.fixture(scope="session")
 def fiveband() -> CameraModel:
-    """The five-band camera of its recipe."""
+    """The camera of configs/cameras/fiveband.toml."""
     return load_camera(CONFIGS / "cameras/fiveband.toml")
 
 
 @pytest.fixture
 def l3(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[int, str, str]]:
-    """Run `l3 ARGUMENTS`: exit code, stdout, stderr; how far it is is not said, however slow the machine."""
+    """Function that runs `l3 ARGUMENTS` without progress lines and returns the exit code, stdout and stderr."""
     monkeypatch.setattr(terminal, "SHORTEST_SILENCE", 3600.0)
 
     def call(*arguments: object) -> tuple[int, str, str]:
@@ -81,7 +81,10 @@ def l3(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> C
 
 @pytest.fixture
 def refused(l3: Callable[..., tuple[int, str, str]], tmp_path: Path) -> Callable[..., str]:
-    """Run `l3 ARGUMENTS` that must fail with `code`: one line on stderr, no new file below tmp_path. Returns the line."""
+    """Function that runs `l3 ARGUMENTS`, which must fail with a given exit code, and returns the line on stderr.
+
+    The command must print nothing else and must make no file below tmp_path.
+    """
 
     def call(code: int, *arguments: object) -> str:
         before = sorted(tmp_path.rglob("*"))
@@ -99,16 +102,16 @@ def refused(l3: Callable[..., tuple[int, str, str]], tmp_path: Path) -> Callable
 
 @pytest.fixture(scope="session")
 def two_processes() -> Iterator[Callable[..., Iterator[Any]]]:
-    """`map` by two worker processes that are started once for all tests."""
+    """The function `map` of two worker processes, which are started once for all tests."""
     with processes.several(2) as mapped:
         yield mapped
 
 
 @pytest.fixture
 def same_workers(two_processes: Callable[..., Iterator[Any]], monkeypatch: pytest.MonkeyPatch) -> None:
-    """`--jobs 2` by the two processes of all tests: to start some for each run takes many times longer than its work.
+    """`--jobs 2` uses the processes of `two_processes`, because starting new processes is slow.
 
-    They work in the current folder, as new ones would: they were started in that of another test.
+    The processes were started in the folder of another test. They change to the current folder for each call.
     """
 
     def several(jobs: int) -> contextlib.nullcontext[Callable[..., Iterator[Any]]]:
@@ -123,7 +126,7 @@ def same_workers(two_processes: Callable[..., Iterator[Any]], monkeypatch: pytes
 
 @pytest.fixture(scope="session")
 def l3_data() -> Path:
-    """The folder of real data; the test is skipped where it is absent."""
+    """The folder of real data. Without this folder, the test is skipped."""
     folder = Path(os.environ.get("L3_DATA", ""))
     if not os.environ.get("L3_DATA") or not folder.is_dir():
         pytest.skip("L3_DATA does not name the folder of real data")
@@ -145,7 +148,7 @@ def bayer(bayer_recipe: Path) -> CameraModel:
 
 @pytest.fixture(scope="session")
 def fine_bayer_recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The small Bayer camera with curves every 5 nm, as calibration gives them: no kinks between its nodes."""
+    """Recipe of the small Bayer camera with curves every 5 nm, the step of calibrated curves."""
     path = tmp_path_factory.mktemp("camera") / "bayer.toml"
     text = bayer_camera()
     assert "[400, 700, 10]" in text
@@ -154,7 +157,7 @@ def fine_bayer_recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def made_once(name: str, make: Callable[[Path], None], factory: pytest.TempPathFactory) -> Path:
-    """A folder that the first of the processes of a run makes, and every other copies."""
+    """Return a new folder. The first worker process of a test run fills the folder, all other processes copy its folder."""
     of_run = factory.getbasetemp().parent if "PYTEST_XDIST_WORKER" in os.environ else factory.getbasetemp()
     made, copy = of_run / f"made-{name}", factory.mktemp(name) / name
     with open(of_run / f"{name}.lock", "w") as lock:
@@ -171,7 +174,7 @@ def made_once(name: str, make: Callable[[Path], None], factory: pytest.TempPathF
 
 @pytest.fixture(scope="session")
 def lab_folder(fine_bayer_recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the virtual lab measures of the small Bayer camera, a camera whose well saturates before its converter."""
+    """The measurements of the small Bayer camera in the virtual lab. Its well saturates before its converter."""
 
     def make(folder: Path) -> None:
         assert run(["lab", str(fine_bayer_recipe), "-o", str(folder), "--quiet"]) == 0
@@ -181,7 +184,7 @@ def lab_folder(fine_bayer_recipe: Path, tmp_path_factory: pytest.TempPathFactory
 
 @pytest.fixture(scope="session")
 def pipeline(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which every command has run, from camera.toml and lab/ to table.h5 and picture.png."""
+    """A folder with the files of all stages, from camera.toml and lab/ to table.h5 and picture.png."""
     return made_once("pipeline", make_pipeline, tmp_path_factory)
 
 
@@ -204,8 +207,11 @@ def make_pipeline(folder: Path) -> None:
 
 @pytest.fixture(scope="session")
 def gain_tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Sets of frames at gains 1, 8 and 16 of a camera whose read noise is known up to there; of the first a table, one.h5,
-    and one with transforms for filtered frames, several.h5; of the last alone at16.h5."""
+    """A folder with training sets at the analog gains 1, 8 and 16, and tables. The camera states read noise up to gain 16.
+
+    one.h5 and several.h5 are trained at gain 1, at16.h5 is trained at gain 16. several.h5 also has transforms for filtered
+    frames.
+    """
     return made_once("gains", make_gain_tables, tmp_path_factory)
 
 

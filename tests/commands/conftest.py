@@ -1,4 +1,4 @@
-"""What tests of several commands start from: tables in a file, frames of a sequence, a mosaic, a browser."""
+"""Inputs of the tests of several commands: table files, frames of a sequence, a mosaic, a browser."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +17,7 @@ from tests.helpers.photos import locating_once
 
 @pytest.fixture(autouse=True, scope="session")
 def charts_located_once() -> Iterator[None]:
-    """A chart is searched for once in the same pixels, which takes most of a photo's or a draft's time."""
+    """Each image is searched for a chart only once, because the search is slow."""
     with pytest.MonkeyPatch.context() as patch:
         for module in (responsivity, sorting, source):
             patch.setattr(module, "locate", locating_once())
@@ -26,47 +26,47 @@ def charts_located_once() -> Iterator[None]:
 
 @pytest.fixture
 def table(tmp_path: Path) -> Path:
-    """The table of the short sequence (tests.helpers.sequences)."""
+    """The table file of the short sequence (tests.helpers.sequences)."""
     save(sequences.RGGB, tmp_path / "table.h5")
     return tmp_path / "table.h5"
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Its frames: frame_07.tif … frame_11.tif"""
+    """The frames of the short sequence: frame_07.tif to frame_11.tif."""
     return sequences.write_frames(tmp_path / "frames")
 
 
 @pytest.fixture
 def still_table(tmp_path: Path) -> Path:
-    """The table of a still scene (tests.helpers.still_scene)."""
+    """The table file of the still scene (tests.helpers.still_scene)."""
     save(still_scene.TABLE, tmp_path / "table.h5")
     return tmp_path / "table.h5"
 
 
 @pytest.fixture
 def still_frames(tmp_path: Path) -> Path:
-    """Its frames: frame_0.tif … frame_8.tif"""
+    """The frames of the still scene: frame_0.tif to frame_8.tif."""
     return still_scene.write_frames(tmp_path / "frames")
 
 
 @pytest.fixture
 def raw_table(tmp_path: Path) -> Path:
-    """The table of raw files of the field (tests.helpers.raw_files)."""
+    """The table file of tests.helpers.raw_files."""
     save(raw_files.RGGB, tmp_path / "table.h5")
     return tmp_path / "table.h5"
 
 
 @pytest.fixture
 def mosaic() -> np.ndarray:
-    """(row, col) What these files hold."""
+    """A random 12-bit mosaic (row, col) of the size that `raw_table` expects."""
     shape = raw_files.RGGB.rows, raw_files.RGGB.cols
     return np.random.default_rng(0).integers(0, 4096, shape).astype(np.uint16)
 
 
 @pytest.fixture(scope="session")
 def tab() -> Iterator[Browser]:
-    """A tab of one browser for all pages."""
+    """A browser tab that all tests share."""
     if CHROMIUM is None:
         pytest.skip("no Chromium here; .ci/run installs it")
     with Browser() as browser:

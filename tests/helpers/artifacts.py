@@ -18,7 +18,7 @@ from l3cli.artifacts.training_set import TrainingFrame, TrainingSet
 
 
 def a_fit(channels: int) -> Fit:
-    """Return a fit with a number in every field, whichever fields it has."""
+    """Return a fit with a number in every field."""
     lengths = {"channel": channels, "patch": 24, "trial": 4, "white_exposure": 3, "defect": 0, "left_out": 1, "odd": 1}
     return Fit(*(filled(part, lengths) for part in (NoiseFit, SweepFit, ChartFit, SeriesFit)))
 

@@ -15,7 +15,7 @@ import numpy as np
 from l3cli.io.images import read_image
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-PATIENCE = 120  # seconds without a word
+PATIENCE = 120  # seconds without an answer
 FLAGS = (
     "--headless",
     "--no-sandbox",
@@ -99,7 +99,7 @@ class Browser:
             self.events.append(self._next())
 
     def complaints(self) -> list[str]:
-        """Return errors of scripts and of the page since it was opened, and URLs it requested that are not files or data."""
+        """Return all errors since the page was opened, and all requested URLs that are not files or data."""
         errors = []
         for event in self.events:
             method, about = event["method"], event.get("params", {})

@@ -2,5 +2,5 @@
 
 from collections.abc import Callable
 
-L3 = Callable[..., tuple[int, str, str]]  # `l3 ARGUMENTS`: exit code, stdout, stderr
-Refused = Callable[..., str]  # `l3 ARGUMENTS` that must fail with a code: its line on stderr
+L3 = Callable[..., tuple[int, str, str]]  # runs `l3 ARGUMENTS` and returns exit code, stdout and stderr
+Refused = Callable[..., str]  # runs `l3 ARGUMENTS`, which must fail with a given code, and returns the line on stderr

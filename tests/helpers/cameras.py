@@ -1,4 +1,4 @@
-"""Small cameras: as recipes, and as camera models with any colour filter array."""
+"""Recipes and camera models of small cameras."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,7 +42,7 @@ f_number = 2.8
 
 
 def random_camera(cfa: ArrayLike, channels: int, bits: int, black_level: float) -> CameraModel:
-    """Return a small camera model with this colour filter array and uniform responsivities."""
+    """Return a small camera model with the given colour filter array and uniform responsivities."""
     top = 2**bits - 1
     return CameraModel(
         name="random",

@@ -1,6 +1,6 @@
 """Fake decoders of foreign files that fail in various ways.
 
-The decoding process imports this module, so it imports little itself.
+The decoding process imports this module, so this module imports little.
 """
 
 import errno
@@ -66,7 +66,7 @@ def write_much(path: Path) -> None:
         try:
             os.posix_fallocate(inherited, 0, 1 << 40)
         except OSError as error:
-            if error.errno == errno.EFBIG:  # of the arrays' file; others are none
+            if error.errno == errno.EFBIG:  # raised only for the file of the arrays
                 raise
 
 
@@ -115,7 +115,7 @@ REACHES: dict[str, Callable[[Path, str], object]] = {
     "memory": lambda path, other: os.open("/proc/self/mem", os.O_RDONLY),
 }
 NEVER = 10**6
-LANDLOCK_SINCE = {  # version of Landlock that prevents it; version 1 the others
+LANDLOCK_SINCE = {  # first version of Landlock that prevents an operation; version 1 prevents all others
     **dict.fromkeys(("memory of no file", "root", "socket pair", "fork", "leave the group", "limits of others"), NEVER),
     **dict.fromkeys(("mode", "time"), NEVER),
     "truncate": 3,

@@ -17,9 +17,9 @@ def make_desk(folder: Path) -> None:
     """Make a table, a raw frame as .tif and .npy, an evaluation, and the rendered pictures reference.png and opencl.png."""
     table = random_table(BAYER, bits=12, black_level=64.0)
     cases = table.first.rule.case_of_code.copy()
-    cases[0] = 0  # what does not clip is not taken for clipped
+    cases[0] = 0  # code 0: no channel clips
     save(with_first(table, rule=replace(table.first.rule, case_of_code=cases)), folder / "table.h5")
-    values = np.random.default_rng(0).integers(700, 900, (20, 24)).astype(np.uint16)  # nothing worth a warning
+    values = np.random.default_rng(0).integers(700, 900, (20, 24)).astype(np.uint16)  # values without a warning
     write_mosaic(folder / "raw.tif", values)
     np.save(folder / "raw.npy", values)
     frames = [{"luminance": light, "clipped": 0.0, "exposure": 0.01, "ours": {"scielab": 2.0}} for light in (1.0, 10.0)]

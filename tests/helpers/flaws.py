@@ -13,25 +13,25 @@ HOT, DEAD = 1, 2
 
 @dataclass(frozen=True)
 class Flaws:
-    """The flaws of the pixels of one sensor."""
+    """Defects and shading of all pixels of a sensor."""
 
-    light: NDArray[np.float64]  # (row, col) share that the lens lets through
+    light: NDArray[np.float64]  # (row, col) fraction of the light that the lens transmits
     kind: NDArray[np.uint8]  # (row, col) 0, HOT or DEAD
-    offset: NDArray[np.float64]  # (row, col) DN, of hot pixels
+    offset: NDArray[np.float64]  # (row, col) DN added to hot pixels
 
 
 def shading(camera: CameraModel, corners: tuple[float, ...]) -> NDArray[np.float64]:
-    """Return a cos⁴-like fall-off (row, col) that reaches the given fraction (channel) in the corners."""
+    """Return a cos⁴-like fall-off (row, col) with the given values (channel) in the corners."""
     rows, cols = camera.rows, camera.cols
     y, x = np.linspace(-1, 1, rows)[:, None], np.linspace(-1, 1, cols)
     down, across = camera.cfa.shape
     channel = camera.cfa[np.ix_(np.arange(rows) % down, np.arange(cols) % across)]
-    steep = (np.array(corners) ** -0.5 - 1)[channel]  # so that 1 / (1 + steep)² is the share in the corner
+    steep = (np.array(corners) ** -0.5 - 1)[channel]  # 1 / (1 + steep)² is the fraction in the corner
     return np.asarray(1 / (1 + steep * (y**2 + x**2) / 2) ** 2)
 
 
 def flaws(camera: CameraModel, corners: tuple[float, ...], share: float = 0.001, lines: bool = True, seed: int = 0) -> Flaws:
-    """Draw defects for about the fraction `share` of the pixels.
+    """Draw defects. About the fraction `share` of the pixels is defective.
 
     Defects are single pixels, pairs, and clusters of 3 × 3 pixels. With `lines`, there is also a column and a row.
     """

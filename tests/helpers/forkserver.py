@@ -1,7 +1,7 @@
-"""Runs of l3 without their start-up: a process that has imported what the commands need, and forks for each run.
+"""Runs l3 without its start-up time: a server process imports all modules once and forks for each run.
 
-Run as a program it is that process: it takes one JSON object a line, prints the number of the process it forks, and how that
-ended.
+This module, run as a program, is the server process. It reads one JSON object per line, prints the process ID of the fork,
+and then prints the result of the run.
 """
 
 import atexit
@@ -44,7 +44,7 @@ class Ended:
 class ForkServer:
     """Starts runs of l3 in `folder`, one at a time.
 
-    With `private_disks` it has its own mount namespace, in which small disks can be mounted.
+    With `private_disks` the server has its own mount namespace, in which small disks can be mounted.
     """
 
     def __init__(self, folder: Path, private_disks: bool = False) -> None:
@@ -60,11 +60,11 @@ class ForkServer:
     def start(self, *arguments: object, disk: str = "", kill: tuple[float, int] = (0.0, 0)) -> int:
         """Start `l3 ARGUMENTS` and return its process ID.
 
-        `disk` gives mount options of a tmpfs over the folder "out". `kill` is a time in seconds and the signal sent after
-        it.
+        `disk` gives mount options of a tmpfs over the folder "out". `kill` is a time in seconds after the start, and the
+        signal that is sent then.
         """
         assert self._server.stdin is not None
-        if self._child:  # of a test that failed
+        if self._child:  # a failed test left its run
             os.kill(self._child, signal.SIGKILL)
             self.wait()
         given = [str(each) for each in arguments]
@@ -108,7 +108,7 @@ def serve() -> None:
         if asked["disk"]:
             os.makedirs("out", exist_ok=True)
             subprocess.run(["mount", "-t", "tmpfs", "-o", asked["disk"], "tmpfs", "out"], check=True)
-        signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)  # until the run knows what to do with them
+        signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)  # until the run has set its handlers
         child = os.fork()
         if child == 0:
             _become(asked["arguments"])
@@ -116,7 +116,7 @@ def serve() -> None:
         seconds, number = asked["kill"]
         if number:
             time.sleep(seconds)
-            os.kill(child, number)  # it is there, be it ended: nobody else asks for its end
+            os.kill(child, number)  # the process ID is valid until waitpid, even if the run has ended
         code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
         left = {str(each): each.stat().st_size for each in sorted(Path("out").rglob("*")) if each.is_file()}
         if asked["disk"]:
@@ -124,7 +124,7 @@ def serve() -> None:
         words = {name: Path(f"{os.getpid()}.{name}") for name in ("out", "err")}
         reported = {
             name: file.read_text() if file.exists() else "" for name, file in words.items()
-        }  # killed before it had any
+        }  # no file: killed before its first output
         _send({"code": code, **reported, "left": left})
 
 
@@ -141,7 +141,7 @@ def _become(arguments: list[str]) -> None:
     for number, name in ((1, "out"), (2, "err")):
         stream = f"{os.getppid()}.{name}"
         if os.path.exists(stream):
-            os.unlink(stream)  # workers of a killed run may still have something to say to theirs
+            os.unlink(stream)  # a new file, because workers of a killed run may still write to the old file
         os.dup2(os.open(stream, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), number)
     sys.argv = ["l3", *arguments]
     for each in ENDING:
@@ -149,7 +149,7 @@ def _become(arguments: list[str]) -> None:
     group = cli.l3.main
 
     def begin(*arguments: Any, **options: Any) -> Any:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)  # now it knows
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)  # the handlers are set
         return group(*arguments, **options)
 
     cli.l3.main = begin  # type: ignore[method-assign]

@@ -15,12 +15,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-BATCH = 1000  # inputs a process
-IDENTITIES = "identities"  # as --only: outputs that are inputs alone
-PHYSICS = 100  # of so many seeds one spoils the physics of a lab instead of a file
-FORKS = 50  # of so many seeds one has a process forked that goes on with l3
-NAMES = 100  # of so many seeds one names a file in a pipeline of l3 init
-SLOW = 3  # seconds of processor time of an input that are worth a word
+BATCH = 1000  # inputs per process
+IDENTITIES = "identities"  # --only identities: only outputs that are also inputs
+PHYSICS = 100  # one of 100 seeds makes a physical mistake in a lab instead of corrupting a file
+FORKS = 50  # one of 50 seeds forks a process that uses l3
+NAMES = 100  # one of 100 seeds gives a file in a pipeline of l3 init a hostile name
+SLOW = 3  # seconds of processor time; slower inputs are reported
 
 
 class Seeded:
@@ -48,7 +48,7 @@ class Court:
         self._shop, self._seen, self._saved = shop, seen, left
 
     def judge(self, number: int, subject: Any, choices: Any) -> str | None:
-        """Corrupt the subject's file and read it, or make the call that it draws. Return what went wrong, or None."""
+        """Corrupt the subject's file and read it, or make a call drawn by the subject. Return what went wrong, or None."""
         if hasattr(subject, "draw"):
             call, command = subject.draw(choices), 0
             content, stored = str(call).encode(), lambda: subject.judge(self._shop, call)
@@ -57,7 +57,7 @@ class Court:
             command = choices.integer(0, len(subject.commands) - 1)
             stored = lambda: self._shop.judge_content(subject, content, command)  # noqa: E731
         mark = self._saved / f"{number}_{command}_{subject.name.replace('/', '_')}"
-        mark.write_bytes(content)  # before it is read, which may be the end of this process
+        mark.write_bytes(content)  # before the file is read, because reading may crash this process
         start = time.process_time()
         verdict = stored() or (self._seen.pop() if self._seen else None)
         if (took := time.process_time() - start) > SLOW:
@@ -90,7 +90,7 @@ def court(left: Path, only: str | None) -> Iterator[Court]:
 
 
 def batch(chosen: argparse.Namespace) -> int:
-    """Run the inputs of some seeds, for one subject after the other. Return the number of failures."""
+    """Run the inputs of some seeds with all subjects in turn. Return the number of failures."""
     seeds = range(chosen.first, chosen.first + chosen.inputs)
     failed = 0 if chosen.only else physics([seed for seed in seeds if seed % PHYSICS == 0])
     failed += 0 if chosen.only else forks([seed for seed in seeds if seed % FORKS == 0])

@@ -9,7 +9,7 @@ import pytest
 
 from tests.helpers.paths import ROOT
 
-PYTHON = "/usr/bin/python3"  # of the system, for which GStreamer's is made
+PYTHON = "/usr/bin/python3"  # the Python for which GStreamer's bindings are built
 PROBE = """
 import gi, h5py
 for name in ("Gst", "GstBase", "GstVideo"):

@@ -23,11 +23,11 @@ from tests.helpers.hostile_inputs import DRAWN, make_inputs
 from tests.helpers.hostile_spoiling import Choices, spoiled_bytes, spoiled_hdf5, spoiled_layer, spoiled_text
 
 CACHE = str(Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser(), "l3cli"))  # l3's cache of kernels
-SECONDS = 10  # of processor time: an input that takes longer hangs
-PATIENCE = 12  # by the clock an input hangs that takes so many times longer
-LONGEST = 1000  # letters of a line
-MEMORY = 1 << 30  # bytes that an input may take beside what the process had, which is far more than MOST_MEGAPIXELS asks for
-MOST_MEGAPIXELS = 0.25
+SECONDS = 10  # of processor time; an input that takes longer is a hang
+PATIENCE = 12  # multiple of SECONDS; an input that takes longer by the clock is a hang
+LONGEST = 1000  # characters of a line
+MEMORY = 1 << 30  # bytes that an input may allocate; MOST_MEGAPIXELS needs far less
+MOST_MEGAPIXELS = 0.25  # larger inputs are refused
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class Subject:
     name: str
     spoil: Callable[[bytes, Choices], bytes]
     commands: tuple[str, ...]
-    text: str = ""  # of the recipe beside it that names it, as recipe.toml
-    often: int = 3  # as the long run takes it; 1: those whose commands take long
+    text: str = ""  # of recipe.toml, which names the file
+    often: int = 3  # times in each turn of the long run; 1 for slow commands
 
 
 def _scene(source: str, name: str, more: str = "") -> str:
@@ -173,7 +173,7 @@ class Workshop:
         (self.inputs / "recipe.toml").write_text(subject.text or DRAWN)
         path.write_bytes(content)
         if content.startswith(container.TITLE):
-            container.seal(path)  # as who means harm would: else the digest alone shows it
+            container.seal(path)  # without a new digest, every change would be detected
         arguments = [word.format(file=path, out=out) if "{" in word else word for word in subject.commands[command].split()]
         try:
             with contextlib.chdir(self.inputs):
@@ -197,8 +197,8 @@ def verdict(
 ) -> str | None:
     """Run `l3 ARGUMENTS` and return what went wrong, or None.
 
-    The exit code must be one of `codes`, with one line that gives the reason. The run may take `patience` seconds and print
-    `lines` lines on stdout, none of them very long.
+    The exit code must be one of `codes`. A failure must print one line with its reason. The run may take `patience` seconds
+    and may print `lines` lines of up to LONGEST characters on stdout.
     """
     stdout, stderr = io.StringIO(), io.StringIO()
     timers = ((signal.ITIMER_PROF, signal.SIGPROF, SECONDS), (signal.ITIMER_REAL, signal.SIGALRM, patience))
@@ -215,7 +215,7 @@ def verdict(
     finally:
         for (timer, number, _), handler in zip(timers, old, strict=True):
             signal.setitimer(timer, 0)
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)  # None: set by another than Python
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)  # None: a handler not set by Python
     words = stderr.getvalue()
     messages = [line for line in words.splitlines() if line.startswith("l3: ")]
     if "Traceback" in words or "out of memory" in words:
@@ -232,12 +232,12 @@ def verdict(
     return None
 
 
-HANGS = 300  # seconds after which a call is taken to hang, on however busy a machine
+HANGS = 300  # seconds; a call that takes longer is a hang, even on a busy machine
 
 
 @contextlib.contextmanager
 def timed(seconds: float) -> Iterator[None]:
-    """Raise Hang if the block takes longer than so many seconds."""
+    """Raise Hang if the block takes longer than `seconds`."""
     old = signal.signal(signal.SIGALRM, _ring)
     signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
@@ -251,7 +251,7 @@ def _ring(number: int, frame: object) -> None:
     raise Hang
 
 
-_allowed: list[str] = []  # folders below which may be written while inputs are judged
+_allowed: list[str] = []  # folders in which an input may write files
 
 
 @contextlib.contextmanager
@@ -286,7 +286,7 @@ def _audit(event: str, arguments: tuple[Any, ...]) -> None:
 
 
 def _is_of_workers() -> bool:
-    """Whether results are being received from worker processes that were started here."""
+    """Whether the current call receives results from worker processes of this process."""
     frame: FrameType | None = sys._getframe()
     while frame is not None and frame.f_globals.get("__name__") != "multiprocessing.connection":
         frame = frame.f_back

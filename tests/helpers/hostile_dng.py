@@ -1,7 +1,7 @@
 """DNG files with tags that change pixel values, stored in every way that the tags describe and in some unsupported ways.
 
-A file must be read back to the mosaic that it was made from, or be refused with one line. It may be refused only if a tag
-requires something that l3 does not support.
+l3 must read the original mosaic from the file, or refuse the file with one line. l3 may refuse only files with a tag that
+l3 does not support.
 """
 
 import shutil
@@ -19,13 +19,13 @@ from tests.helpers.hostile_spoiling import Choices, one_of
 from tests.helpers.raw_files import RGGB
 
 PATTERN = np.array(BAYER)
-ODD = {  # values of tags that no mosaic is read with; of those with several, one of which one is read
+ODD = {  # tag: (type, unsupported values); if the tag has several values, one of them is replaced
     254: (LONG, (1, 4, 8, 16, 65536)), 259: (SHORT, (8, 34892, 52546, 99)), 266: (SHORT, (2, 0)), 277: (SHORT, (3, 4)),
     274: (SHORT, (9, 255, 65535)), 317: (SHORT, (2, 3)), 339: (SHORT, (2, 3, 4)), 50707: (BYTE, (2, 9)),
     50711: (SHORT, (2, 5, 9)), 50879: (SHORT, (1, 2)), 50974: (LONG, (0, 2, 4)), 50975: (LONG, (0,)), 52547: (LONG, (0,)),
     50829: (LONG, (0, 1000)), 50720: (LONG, (0, 1000)),
 }  # fmt: skip
-COUNT = {50707: 4, 50974: 2, 50829: 4, 50720: 2}  # of the values of a tag, else one
+COUNT = {50707: 4, 50974: 2, 50829: 4, 50720: 2}  # number of values of a tag; other tags have one
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class Trial:
     order: str
     fields: tuple[int, int]
     layout: str
-    length: int  # rows of a strip or tile
-    width: int  # columns of a tile
+    length: int  # rows per strip or tile
+    width: int  # columns per tile
     active: tuple[int, int, int, int]
     crop: tuple[int, int, int, int]  # row, column, rows, columns
     orientation: int
@@ -60,7 +60,7 @@ class DngTags:
 
     def draw(self, choices: Choices) -> Trial:
         """Draw a trial."""
-        rows, cols = choices.integer(36, 60), choices.integer(36, 60)  # LibRaw takes no active area below 22
+        rows, cols = choices.integer(36, 60), choices.integer(36, 60)  # LibRaw needs an active area of at least 22
         layout = one_of(choices, ("strip", "strips", "tiles", "jpeg", "jpeg tiles"))
         top, left = choices.integer(0, 5), choices.integer(0, 5)
         bottom, right = choices.integer(rows - 5, rows), choices.integer(cols - 5, cols)

@@ -1,6 +1,6 @@
 """Checks processes that are forked from a process in which l3 was used.
 
-A child must do the same as its parent, or stop with one error that says how to fix it. It must not hang. Usage:
+A child must give the same results as its parent, or stop with one error that states a remedy. A child must not hang. Usage:
 `python -m tests.helpers.hostile_forks FOLDER CASE…`.
 """
 
@@ -36,7 +36,7 @@ from tests.helpers.hostile_spoiling import Choices, one_of
 from tests.helpers.tables import random_table
 from tests.helpers.tasks import PATIENCE, squared
 
-Case = tuple[list[str], str]  # what the parent does before it forks, and what its child does then
+Case = tuple[list[str], str]  # actions of the parent before the fork, and the action of the child
 CURE = '"spawn"'
 
 

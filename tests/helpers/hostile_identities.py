@@ -16,7 +16,7 @@ from tests.helpers.hostile import Workshop
 from tests.helpers.hostile_spoiling import Choices, one_of
 
 RENDER = "--backend reference --exposure 0.8"
-COLD = "--scheduler tcp://127.0.0.1:1 --tls-ca other.json --tls-cert lab.toml --tls-key evaluation.json"  # nobody listens
+COLD = "--scheduler tcp://127.0.0.1:1 --tls-ca other.json --tls-cert lab.toml --tls-key evaluation.json"  # no scheduler
 
 
 @dataclass(frozen=True)

@@ -164,8 +164,8 @@ def make_inputs(folder: Path) -> None:
         (folder / name).write_text(text)
     _make_frames(folder)
     _make_scenes(folder)
-    import colour_demosaicing  # noqa: F401  asks git for its version
-    import distributed  # noqa: F401  both unpickle what they wrote
+    import colour_demosaicing  # noqa: F401  runs git
+    import distributed  # noqa: F401  both modules unpickle their own files
 
     with contextlib.chdir(folder):
         for command in (
@@ -270,7 +270,7 @@ def _write_image(path: Path, pixels: np.ndarray, names: list[str] | None = None,
         spec.channelnames = names
     if compression:
         spec.attribute("compression", compression)
-    spec.attribute("DateTime", "")  # else the clock: a seed must mean one input
+    spec.attribute("DateTime", "")  # instead of the time, so that a seed always makes the same file
     sink = oiio.ImageOutput.create(str(path))
     assert sink is not None
     assert sink.open(str(path), spec)

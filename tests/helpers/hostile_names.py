@@ -16,7 +16,7 @@ from l3cli.recipes.toml import toml_value
 from tests.helpers.hostile_spoiling import Choices, one_of
 from tests.helpers.workplace import PATH, SBATCH
 
-RAN = "PWNED"  # the file that a name makes if it is run
+RAN = "PWNED"  # the file that a name makes if a shell executes the name
 PIECES = (
     f"`touch {RAN}`", f"$(touch {RAN})", f"$(shell touch {RAN})", f"${{shell touch {RAN}}}", f"$(file >{RAN})",
     f";touch {RAN};", f"|touch {RAN}|", f"&touch {RAN}&", f"\ntouch {RAN}\n", f"\n\ttouch {RAN}\n", f">{RAN}",
@@ -26,7 +26,7 @@ PIECES = (
 PIPELINES = ("make", "slurm", "snakemake")
 PLACES = {"make": ("folder", "curves", "clip", "camera", "measurements"), "slurm": ("folder", "curves", "camera"),
           "snakemake": ("folder", "curves", "camera", "measurements")}  # fmt: skip
-# An l3 that notes what it is asked, and makes what it is to make, empty.
+# A fake l3 that records its arguments and writes empty outputs.
 L3 = """#!{python} -IS
 import json, os, sys
 words = sys.argv[1:]
@@ -47,12 +47,12 @@ if words[0] == "check":
 
 
 def hostile_name(choices: Choices) -> str:
-    """Draw a valid file name from pieces that have a meaning for shells, make or Snakemake."""
+    """Draw a valid file name with characters that shells, make or Snakemake interpret."""
     return "".join(one_of(choices, PIECES) for _ in range(choices.integer(1, 4)))
 
 
 class Pipelines:
-    """The pipelines of a camera recipe, in folders below `folder`."""
+    """The pipelines of a camera, in subfolders of `folder`."""
 
     def __init__(self, folder: Path) -> None:
         self._folder, self._bin, self._notes = folder, folder / "bin", folder / "notes"

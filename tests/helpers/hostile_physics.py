@@ -1,7 +1,7 @@
 """Makes one physical mistake in the folder of a small lab and runs the calibration.
 
-The calibration must name the mistake, or correct it if the file says how. It must never write a wrong camera and exit with
-0. Of the inputs of tests.helpers.fuzz, every hundredth is of this kind.
+The calibration must name the mistake, or correct the mistake if the file states the correct unit. It must never write a
+wrong camera and exit with code 0. One of 100 inputs of tests.helpers.fuzz is a physical mistake.
 
     python -m tests.helpers.hostile_physics FIRST COUNT     # seeds
 """
@@ -39,9 +39,9 @@ trials = 2
 exposures_s = [0.01, 0.5, 1.0, 2.0]
 trials = 2
 """
-JOULE = 1.602176634e-19 * 1239.841984  # J nm a photon
+JOULE = 1.602176634e-19 * 1239.841984  # J nm per photon
 KINDS = ("mono", "chart", "white", "dark")
-WITHIN = 0.03  # of the peak: responsivities of such a small lab against the truth; whole, they are within a third of it
+WITHIN = 0.03  # tolerance of responsivities, as a fraction of the peak; three times the error without a mistake
 FIGURES = {"gain": 0.05, "black_level": 0.01, "white_level": 0.01}
 NOISE = {"read_noise": 0.1, "dark_current": 0.2, "prnu": 0.2}
 
@@ -67,7 +67,7 @@ class Folder:
         self.measurements.write_text(change(text))
 
 
-Expected = tuple[str, ...] | None  # what the line of a refusal names; None: the camera must come out right
+Expected = tuple[str, ...] | None  # words of the error message; None: the camera must be correct
 
 
 def rewritten(path: Path, heading: Callable[[list[str]], list[str]], rows: Callable[[np.ndarray], np.ndarray]) -> None:

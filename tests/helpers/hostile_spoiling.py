@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import h5py
 import numpy as np
 
-LARGEST_SPOILT = 1 << 20  # values of a dataset that are spoilt one by one
+LARGEST_SPOILT = 1 << 20  # values; single values are replaced only in smaller datasets
 
 
 class Choices(Protocol):
@@ -25,7 +25,7 @@ def one_of(choices: Choices, options: Any) -> Any:
 
 
 INTEGERS = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 2**62, 2**63, 2**64 - 1, 255, 16)
-WHOLE = (0, -1, 1, 2, 3, 7, 16, 2**31 - 1, 2**32, 2**63 - 1, 2**63, -(2**63), 10**9, 10**40)  # none that means long work
+WHOLE = (0, -1, 1, 2, 3, 7, 16, 2**31 - 1, 2**32, 2**63 - 1, 2**63, -(2**63), 10**9, 10**40)  # none causes long work
 BROKEN = (1e30, 1e-30, 1e300, 1e-300, -1e300, 0.5, -0.5, 1.0000001, 1e9, 1e20, -3.5, 1e-9, float("nan"), float("inf"))
 NUMBERS = (*map(str, WHOLE), *map(str, BROKEN), "-inf", "1_000", "0x10", "[]", "[1]", "[1, 2, 3, 4, 5]", "true", "{}")
 TEXTS = (
@@ -45,7 +45,7 @@ def spoiled_bytes(content: bytes, choices: Choices) -> bytes:
     for _ in range(choices.integer(1, 4)):
         if not spoilt:
             break
-        reach = min(len(spoilt), one_of(choices, (64, 512, len(spoilt))))  # headers lie at the beginning
+        reach = min(len(spoilt), one_of(choices, (64, 512, len(spoilt))))  # headers are at the beginning
         at = choices.integer(0, reach - 1)
         if choices.integer(0, 7) == 0:
             at = len(spoilt) - 1 - at  # or at the end
@@ -131,7 +131,7 @@ def _spoil_member(root: h5py.File, name: str, choices: Choices) -> None:
         elif kind == 2:
             root[name] = h5py.ExternalLink("/etc/passwd", "/")
         elif kind == 3:
-            root[name] = root  # a circle
+            root[name] = root  # a cycle
         elif kind == 4:
             root.create_group(name)
         elif kind == 5:

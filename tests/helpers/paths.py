@@ -6,7 +6,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 CONFIGS = ROOT / "configs"
 HIDDEN = Path(__file__).parent / "hidden"  # contains a module that cannot be imported
-PYTHONPATH = os.pathsep.join(map(str, (ROOT, HIDDEN)))  # of the processes that tests start
+PYTHONPATH = os.pathsep.join(map(str, (ROOT, HIDDEN)))  # for processes that tests start
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -25,14 +25,14 @@ UPRIGHT = np.array([[180, 150], [580, 160], [590, 430], [170, 420]], dtype=np.fl
 GAIN, READ = 0.5, 4.0  # DN/e-, DN
 REFLECTANCE = spectra.colorchecker(WAVELENGTH)[1]
 
-PITCH, PATCH, FIRST = 30, 24, (42, 34)  # pixels from patch to patch, of a patch, before the first one
+PITCH, PATCH, FIRST = 30, 24, (42, 34)  # pixels: distance of patches, side of a patch, position of the first patch
 SMALL = (200, 250)  # pixels
 
 
 def chart_mosaic(camera: CameraModel, light: str, share: float = 0.8) -> np.ndarray:
     """Simulate a raw frame of a ColorChecker in front of a lighter, striped wall.
 
-    White reaches the fraction `share` of full scale in the brightest channel.
+    The white patch reaches the fraction `share` of full scale in its brightest channel.
     """
     reflectance = charts.chart("classic", camera.wavelength)[1]
     radiance = spectra.illuminant(light, camera.wavelength)

@@ -14,7 +14,7 @@ SHAPE, CELLS = (240, 320), 36
 def cells(camera: CameraModel, rng: np.random.Generator, textured: float) -> np.ndarray:
     """Return a scene (row, col) as a fraction of full scale.
 
-    Its cells are about 45 pixels wide and have one colour each. The fraction `textured` of them has a texture.
+    The cells are about 45 pixels wide. Each cell has one colour. The fraction `textured` of the cells has a texture.
     """
     places = np.moveaxis(np.mgrid[: SHAPE[0], : SHAPE[1]], 0, -1)
     number = cKDTree(rng.uniform((0, 0), SHAPE, (CELLS, 2))).query(places)[1]

@@ -16,7 +16,7 @@ from l3cli.recipes.builtin import slug_of
 from tests.helpers.paths import ROOT
 
 TABLE, CURVES = (ROOT / "configs" / "priors" / name for name in ("rgb.toml", "cameras.csv"))
-NM = slice(0, 69)  # 380 to 720 nm of the files' 380 to 780 by 5: above, no camera here sees 0.6 % of its peak
+NM = slice(0, 69)  # 380 to 720 nm; the files end at 780 nm, but above 720 nm all responsivities are below 0.6 % of the peak
 SOURCE = (
     "statistics of the spectral sensitivities of 52 cameras measured for rawtoaces (Academy Software Foundation, "
     "rawtoaces-data, Apache-2.0): means and principal modes, no camera's curves"

@@ -34,7 +34,7 @@ SMALL = {
 GAIN_CLASSES = (
     "[classes]\npatch = 3\nlevels = 8\nchromas = 2\n[classes.direction]\n[learning]\npatches = 4000\nfirst_draws = 1\n"
 )
-VALUES: list[Any] = [-1, 0, 2, 1.25, 1e9 + 0.5, "x", "D65", [], {}, [1, 2], [[1, 2]], True, {"peak": 1}]  # of all types
+VALUES: list[Any] = [-1, 0, 2, 1.25, 1e9 + 0.5, "x", "D65", [], {}, [1, 2], [[1, 2]], True, {"peak": 1}]  # all types
 
 
 def spoilt(content: Any, draw: Callable[..., Any]) -> Any:
@@ -64,7 +64,7 @@ def _value(value: Any) -> str:
 
 
 def small_classes() -> str:
-    """The classes that `l3 train` takes if none are named, on fewer patches and levels."""
+    """Return the default class recipe of `l3 train` with fewer patches and levels."""
     text = (CONFIGS / "classes/default.toml").read_text()
     smaller = {"levels": 3, "patches": 600, "draws": 2, "first_draws": 1, "mosaics": 8, "plain_surfaces": 2, "patch": 5}
     for name, value in smaller.items():

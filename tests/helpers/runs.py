@@ -13,7 +13,7 @@ from tests.helpers.sequences import FAST
 
 
 class Runs:
-    """`l3 render table.h5 frames/ -o out` in one folder, whole and stopped."""
+    """Runs of `l3 render table.h5 frames/ -o out` in one folder. A run can be stopped early."""
 
     def __init__(self, l3: L3, refused: Refused, patch: pytest.MonkeyPatch, folder: Path) -> None:
         self._l3, self._refused, self._patch, self.folder = l3, refused, patch, folder
@@ -31,7 +31,7 @@ class Runs:
         return self._refused(code, *self.call(*options, **others))
 
     def stop(self, after: int, *options: object, **others: Any) -> None:
-        """Run a call that ends, as if killed, when a picture or video more than `after` is about to get its name."""
+        """Run a call and kill it after `after` finished pictures or videos, before the next picture gets its final name."""
 
         class Killed(BaseException):
             pass
@@ -50,7 +50,7 @@ class Runs:
                 self(*options, **others)
 
     def require_whole(self, *options: object, **others: Any) -> None:
-        """What lies in out/ is what one undisturbed run makes."""
+        """Assert that out/ contains exactly the files of an uninterrupted run."""
         assert self(*options, **others, out="whole") == (0, "", "")
         assert self.made("out") == self.made("whole")
 

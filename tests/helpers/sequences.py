@@ -47,7 +47,7 @@ def write_stack(path: Path, mosaics: np.ndarray | None = None) -> Path:
     elif path.suffix == ".raw":
         mosaics.astype("<u2").tofile(path)
     elif path.suffix == ".fits":
-        from astropy.io import fits  # not installed where the VapourSynth filter is tested
+        from astropy.io import fits  # not installed in the tests of the VapourSynth filter
 
         fits.PrimaryHDU(mosaics).writeto(path)
     elif path.suffix == ".tif":

@@ -49,7 +49,7 @@ illuminants = ["D65", "A"]
 CLASSES = "[classes]\npatch = 3\nlevels = 4\nchromas = 2\n[learning]\npatches = 3000\nfirst_draws = 1\ndraws = 3\n"
 LAYERS = f"{CLASSES}[[layer]]\nside = 3\nmosaics = 8\nrows = 300\n"
 FRAMES = 8
-REMAINS = (".parts", UNFINISHED, FINISHED)  # what the same run goes on from
+REMAINS = (".parts", UNFINISHED, FINISHED)  # files that an interrupted run leaves
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Stage:
     name: str
     line: str
     resumes: bool = False
-    goes_on: bool = False  # without any option more
+    goes_on: bool = False  # continues without an option
 
     @property
     def arguments(self) -> list[str]:

@@ -110,7 +110,7 @@ def with_smoothed_chroma(table: TransformTable, reach: float = 0.6, likeness: fl
 
 
 def with_lights(table: TransformTable, *lights: str, seed: int = 5) -> TransformTable:
-    """Add transforms with random weights for each of some illuminants."""
+    """Add transforms with random weights for each given illuminant."""
     rng = np.random.default_rng(seed)
 
     def changed(layer: Any) -> Any:
@@ -127,7 +127,7 @@ def with_lights(table: TransformTable, *lights: str, seed: int = 5) -> Transform
 
 
 def with_coarse_chroma(table: TransformTable, variance: float = 0.05) -> TransformTable:
-    """Add coarse chroma to the last layer, for this noise in the dark and slightly more in the light."""
+    """Add coarse chroma to the last layer. `variance` is the noise variance in the dark; bright areas have slightly more."""
     terms = variance * np.random.default_rng(8).uniform(0.3, 1, COMPARED) * (1.0, 0.2, 0.02)
     last = dataclasses.replace(table.later[-1], coarse_chroma=CoarseChroma(terms))
     return dataclasses.replace(table, later=(*table.later[:-1], last))
@@ -238,7 +238,7 @@ def random_table(
     channels = int(np.max(cfa)) + 1
     camera = random_camera(cfa, channels, bits, black_level)
     case_of_code = rng.integers(0, 5, 2**channels).astype(np.uint16)
-    case_of_code[0] = 0  # Chromas, structures and leaves are told apart only where nothing clips.
+    case_of_code[0] = 0  # Classes depend on chroma, structure and leaf only in case 0, without clipping.
     recipe = ClassRecipe(
         patch=patch,
         levels=7,
@@ -292,7 +292,7 @@ def colorimetric_table(camera: CameraModel, light: str = "D65") -> TransformTabl
     channel = window_channels(camera.cfa, 5)
     of_site = np.array([matrix[:, taps] / np.bincount(taps)[taps] for taps in channel]).astype(np.float32)
     case_of_code = np.maximum(table.first.rule.case_of_code, 1)
-    case_of_code[0] = 0  # nothing clips
+    case_of_code[0] = 0  # no channel clips
     saturation = int(camera.black_level + 0.98 * (camera.white_level - camera.black_level))
     rule = dataclasses.replace(table.first.rule, case_of_code=case_of_code, saturation=saturation)
     weights = np.repeat(of_site, rule.classes_per_site, axis=0)

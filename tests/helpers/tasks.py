@@ -1,4 +1,4 @@
-"""Functions that tests run in worker processes. Workers import this module, so it imports little itself."""
+"""Functions that tests run in worker processes. Workers import this module, so this module imports little."""
 
 import contextlib
 import os
@@ -10,7 +10,7 @@ from l3cli.errors import L3Error
 T = TypeVar("T")
 R = TypeVar("R")
 
-PATIENCE = 300.0  # seconds that a busy machine may take
+PATIENCE = 300.0  # seconds that a test waits for a worker
 
 
 def squared(number: int) -> int:

@@ -3,7 +3,7 @@
 import contextlib
 import os
 
-TERMINAL = ("TERM", "COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR")  # what tests of terminals say themselves
+TERMINAL = ("TERM", "COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR")  # variables that tests of terminals set
 
 
 def in_terminal(command: list[str], environment: dict[str, str], columns: int = 80) -> str:
@@ -21,7 +21,7 @@ def in_terminal(command: list[str], environment: dict[str, str], columns: int = 
     run = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=theirs, stderr=theirs, env=known)
     os.close(theirs)
     shown = b""
-    with contextlib.suppress(OSError):  # what reading says when the other end is closed
+    with contextlib.suppress(OSError):  # raised when the other end is closed
         while part := os.read(ours, 65536):
             shown += part
     os.close(ours)

@@ -8,11 +8,11 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame, TrainingSet, write_training_set
 from tests.helpers.calls import L3
 
-MIX = np.array([[0.4, 0.2, 0.1], [0.2, 0.7, 0.1], [0.0, 0.1, 0.9]])  # the truth: XYZ of the channels at the same pixel
+MIX = np.array([[0.4, 0.2, 0.1], [0.2, 0.7, 0.1], [0.0, 0.1, 0.9]])  # XYZ of red, green and blue
 
 
 def a_frame(camera: CameraModel, seed: int, smooth: bool, size: tuple[int, int] = (48, 56)) -> TrainingFrame:
-    """Return a frame whose target is MIX applied to its channels, in the unit of the table."""
+    """Return a frame whose target is MIX times its channels, in units of the table."""
     rng = np.random.default_rng(seed)
     shape = (3, 1, 1) if smooth else (3, *size)
     share = np.broadcast_to(rng.random(shape) * 0.7 + 0.1, (3, *size)).astype(np.float32)

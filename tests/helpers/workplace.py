@@ -1,7 +1,7 @@
-"""A place where make, Slurm's job arrays and Snakemake run as users run them.
+"""An environment in which make, Slurm job arrays and Snakemake run the real `l3`, but without its start-up time.
 
-Their `l3` is a client of this process, which works its calls off one after the other: real work, only Python is not started
-anew for each. Slurm is a program that runs the tasks of a job when it is submitted.
+`l3` is a small client. It sends its arguments to this process, which runs the calls one after the other. `sbatch` is a
+replacement that runs all tasks of a job immediately.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ from pathlib import Path
 
 from l3cli.cli import run
 
-PATH = f"{Path(sys.executable).parent}:{os.environ['PATH']}"  # programs of the environment that runs the tests
+PATH = f"{Path(sys.executable).parent}:{os.environ['PATH']}"  # programs of the test environment first
 CLIENT = """#!{python} -IS
 import os, sys
 from multiprocessing.connection import Client
@@ -65,7 +65,7 @@ class Workplace:
     """A PATH whose `l3` and `sbatch` run in this process, and a record of the calls of `l3`."""
 
     def __init__(self, folder: Path, address: str) -> None:
-        self.calls: list[str] = []  # in order: command and output of those that make something
+        self.calls: list[str] = []  # command and output file of each call except `l3 check`, in order
         self.bin = folder
         (folder / "jobs").mkdir()
         for name, text in {"l3": CLIENT, "sbatch": SBATCH}.items():
@@ -86,7 +86,7 @@ class Workplace:
                     except Exception:
                         traceback.print_exc()
                         code = 1
-                if arguments[0] == "check":  # by which a pipeline knows what its camera recipe names
+                if arguments[0] == "check":  # pipelines use it to list the files that a camera recipe names
                     caller.send((code, out.getvalue(), err.getvalue()))
                     continue
                 self.calls.append(
@@ -96,7 +96,7 @@ class Workplace:
 
     def start(self, folder: Path, command: str) -> subprocess.Popen:
         environment = os.environ | {"PATH": f"{self.bin}:{PATH}"}
-        for inherited in ("MAKEFLAGS", "MAKELEVEL"):  # of a make that runs the tests
+        for inherited in ("MAKEFLAGS", "MAKELEVEL"):  # set if make runs the tests
             environment.pop(inherited, None)
         return subprocess.Popen(
             shlex.split(command), cwd=folder, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
@@ -115,7 +115,7 @@ class Workplace:
 @contextlib.contextmanager
 def a_workplace(folder: Path) -> Iterator[Workplace]:
     """Set up a workplace whose programs are in `folder`, which must be empty."""
-    with tempfile.TemporaryDirectory() as short:  # the name of a socket must not be long
+    with tempfile.TemporaryDirectory() as short:  # names of sockets must be short
         address = f"{short}/socket"
         place = Workplace(folder, address)
         with Listener(address) as listener:
