@@ -21,7 +21,7 @@ ARRAYS = {  # colour filter arrays, each in one phase; the phase of a raw file m
     "bayer": ("r g", "g b"),
     "xtrans": ("g b g g r g", "r g r b g b", "g b g g r g", "g r g g b g", "b g b r g r", "g r g g b g"),
 }
-# Words that are ignored in the names of manufacturers when two names are compared.
+# Words that are ignored when the names of two manufacturers are compared.
 COMPANY = {"corporation", "corp", "company", "co", "ltd", "inc", "imaging"}
 
 

@@ -45,7 +45,7 @@ MOST_MONITOR = 10.0  # maximum ratio of two lamp readings, in both directions; a
 Below1 = Annotated[float, msgspec.Meta(ge=0, lt=1)]
 Names = Annotated[list[str], msgspec.Meta(min_length=1)]
 Corners = Annotated[list[tuple[float, float]], msgspec.Meta(min_length=4, max_length=4)]
-SITE_PIXELS = 8  # minimum number of CFA periods along rows and along columns, because noise analysis needs local means
+SITE_PIXELS = 8  # minimum number of CFA periods along rows and along columns; the noise analysis needs local means
 
 
 class BodyRecipe(Recipe):

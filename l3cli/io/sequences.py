@@ -131,7 +131,7 @@ def find_frames(
     inputs : tuple of Path
         The inputs. A pattern or glob is one input, and STDIN is a headerless stream.
     table : TransformTable
-        The table, which determines the CFA and, if `known` contains no size, the size of headerless frames.
+        The table determines the CFA. If `known` contains no size, the table also determines the size of headerless frames.
     known : RawOverrides
         Properties of the raw files that the user set. They take precedence over the properties in the files.
     selection : range, optional

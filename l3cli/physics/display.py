@@ -310,7 +310,7 @@ def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, nois
     return free + np.outer(answer - free @ known, towards / (known @ towards))
 
 
-DERIVATIVE_STEP = 2.0**-26  # step of numerical derivatives, which is the square root of the precision of float64
+DERIVATIVE_STEP = 2.0**-26  # step of numerical derivatives: the square root of the precision of float64
 
 
 def refinement(xyz: Array, wanted: Array, white: Array) -> Array:

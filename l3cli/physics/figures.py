@@ -8,7 +8,7 @@ from l3cli.system.text import figure as number
 
 @dataclass(frozen=True)
 class Figure:
-    """Name, unit and number format with which a metric is displayed."""
+    """Name, unit and number format of a metric, for display."""
 
     heading: str  # name and unit in reports
     short: str  # heading of a column in the terminal

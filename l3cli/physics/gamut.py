@@ -8,7 +8,7 @@ lightness and hue are on the line s(t) = L + t (s − L). Along this line, each 
    of the three cubics. One step of Halley's method approximates the root of each cubic. All three steps have the same
    starting point, which is computed from the cubic that is lowest at t = 1: the root of the straight line through this cubic
    at t = 0 and at t = 1.
-2. **Values above 1.** The colour is darkened until no linear value is above 1, which preserves the OkLab hue. A second
+2. **Values above 1.** The colour is darkened until no linear value is above 1. Darkening preserves the OkLab hue. A second
    solution clips each value to 1. The result is a mixture of the two solutions, in which clipping has the weight Y⁴. Bright
    highlights therefore become as bright as possible and end in white.
 

@@ -1,7 +1,7 @@
 """Wavelength grids, illuminants, observers and reflectances.
 
-A spectrum is an array of values at the wavelengths of a grid, which are in nm. Radiance is in photons/s/sr/m²/nm unless
-stated otherwise. All other modules access colour-science through this module.
+A spectrum is an array of values at the wavelengths of a grid. Wavelengths are in nm. Radiance is in photons/s/sr/m²/nm
+unless stated otherwise. All other modules access colour-science through this module.
 """
 
 import functools
@@ -93,7 +93,8 @@ def _neighbours(grid: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
 def light_grid(seen: Array) -> Array:
     """Return a wavelength grid for an illuminant, with steps of 1 nm.
 
-    The grid covers the range of the CIE observer (360…830 nm) and the wavelengths `seen` of a camera, which are increasing.
+    The grid covers the range of the CIE observer (360…830 nm) and the wavelengths `seen` of a camera. `seen` must be
+    increasing.
     """
     return np.arange(np.floor(min(360.0, seen[0])), max(830.0, seen[-1]) + 1.0)
 

@@ -183,7 +183,7 @@ def malus(light_angle: Array, gain: Array, angle: Array, leakage: Array, light_p
     angle : ndarray, (channel,)
         Angle of the transmission axis of each channel in degrees.
     leakage : ndarray, (channel,)
-        Inverse of the extinction ratio of each channel, which is 1 for a channel without a polariser.
+        Inverse of the extinction ratio of each channel. The value for a channel without a polariser is 1.
     light_polarisation : float
         Degree of linear polarisation of the light.
 

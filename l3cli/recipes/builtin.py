@@ -80,12 +80,12 @@ def find_recipe(text: str, kind: str) -> Path:
         The path of a recipe file, or the name of a recipe that comes with l3. An existing file has precedence over a
         recipe of the same name.
     kind : str
-        Type of the recipe: a subfolder of configs/, which is a key of KIND_OF_FOLDER.
+        Subfolder of configs/ that contains recipes of this type: a key of KIND_OF_FOLDER.
 
     Returns
     -------
     Path
-        Path of the recipe. The file may not exist, so that the caller reports the missing file.
+        Path of the recipe. If the file does not exist, the caller must report this.
 
     Raises
     ------

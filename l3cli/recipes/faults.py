@@ -131,7 +131,7 @@ class _Judge:
     def value(self, kind: Any, value: Any, path: KeyPath) -> Any:
         """Check a value and, if it is a list or a table, all its entries.
 
-        Return the value, in which valid examples replace the invalid parts.
+        Return the value with valid examples in place of its invalid parts.
         """
         if path in self._faulty:
             return example(kind)
@@ -206,7 +206,7 @@ def _entries(kind: Any, value: Any) -> dict[str, Any] | list[Any] | None:
 
 
 def example(kind: Any) -> Any:
-    """Return a valid value of a declared type, in the form in which TOML would contain the value."""
+    """Return a valid value of a declared type, in the form in which tomllib would return the value."""
     if get_origin(kind) is Annotated:
         kind, *marks = get_args(kind)
         (meta,) = (mark for mark in marks if isinstance(mark, msgspec.Meta))

@@ -40,7 +40,7 @@ UNKNOWN_SCENES = (
 DIFFERENT_SCENES = (
     "frames with equal names show different scenes or illuminants; simulate all training sets with the same recipe and seed"
 )
-# (scene name, illuminant name, luminance), which identifies the same frame in several training sets.
+# (scene name, illuminant name, luminance). These three values identify a frame in several training sets.
 Place = tuple[str, str, str]
 
 

@@ -452,7 +452,7 @@ def _jcamp(content: str, path: Path) -> CurveTable:
 
 
 def _over_wavelengths(path: Path, wavelength: Array, values: Array, names: tuple[str, ...], unit: str | None) -> CurveTable:
-    """Return curves (column, wavelength) with the same unit as a table, sorted by wavelength.
+    """Return a table of curves (column, wavelength), sorted by wavelength. `unit` applies to all curves.
 
     Raises InputFileError if a value is not finite, or if the wavelengths are not monotonic or not plausible in nm.
     """

@@ -57,7 +57,7 @@ class OutputGuard(contextlib.ExitStack):
         RecipeError
             If the output has the suffix ".toml" but is not a recipe, or if it would replace an input or another output.
         L3Error
-            If the output is a folder or a device, if its folder is not writable, or if another run is writing it.
+            If the output is a folder or a device, if its folder is not writable, or if another run is writing the output.
         """
         if path.suffix == ".toml" and not recipe:
             raise RecipeError(f"{path}: .toml is for recipes; choose an output with another suffix")

@@ -107,8 +107,8 @@ def columns(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int |
     rows : sequence of sequence of str
         The cells of each row. Characters that are not printable are replaced by question marks.
     width : int, optional
-        Maximum width in characters. A wider table is split into several tables, one below the other, which all start with
-        the first column. [default: unlimited]
+        Maximum width in characters. A wider table is split into several tables, one below the other. Each of these tables
+        starts with the first column. [default: unlimited]
 
     Returns
     -------

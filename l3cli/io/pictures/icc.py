@@ -22,7 +22,7 @@ NOT_HASHED = (slice(44, 48), slice(64, 68), ID)  # not part of the digest: flags
 
 @functools.cache
 def icc_profile(space: Space) -> bytes:
-    """Return the ICC profile of a colour space as bytes. Colours are adapted from the neutral of the space to D50."""
+    """Return the ICC profile of a colour space as bytes. Colours are adapted from the white of the space to D50."""
     adapted = adaptation_matrix(space.neutral_xyz, D50)
     colorants = (adapted @ space.to_xyz).T
     tags = {

@@ -31,7 +31,7 @@ class RawContent(TypedDict):
     notes: NotRequired[tuple[str, ...]]  # warnings about properties of the file that l3 ignores
     # parameter that resolves a fault of the file, or a request that l3 does not support → message
     faults: NotRequired[dict[str, str]]
-    exchangeable: NotRequired[bool]  # whether swapped numbers of rows and columns would also match the size of the file
+    exchangeable: NotRequired[bool]  # whether the file would have the same size if rows and columns were swapped
     # possible interpretations of the bytes: (option that selects the interpretation, values, bits); the first one is used
     readings: NotRequired[Callable[[], Iterable[tuple[str, NDArray[np.uint16], int]]]]
 

@@ -370,7 +370,7 @@ def _stated_black(
 def _repeating_black(raw: Any, cfa_shape: tuple[int, ...]) -> NDArray[np.float64]:
     """Return the repeating pattern of black levels (row, col) for the first sample of each pixel.
 
-    Many programs omit BlackLevelRepeatDim, or write a value that contradicts the number of levels. In this case, l3 accepts
+    Many programs omit BlackLevelRepeatDim, or write a size that contradicts the number of levels. In this case, l3 accepts
     one level per CFA site, or levels that are all equal. Otherwise, a ValueError is raised.
     """
     levels = np.asarray(tags.numbers(raw, "BlackLevel", (0,)), np.float64)

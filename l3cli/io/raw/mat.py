@@ -20,7 +20,7 @@ from l3cli.system.limits import require_picture, require_values
 
 PYTHON_PLATFORMS = (b"Platform: posix", b"Platform: nt")
 HDF5_VERSION = b"MATLAB 7.3 MAT-file"
-TEXT = 116  # length in bytes of the text at the beginning of a file, which identifies the program that wrote the file
+TEXT = 116  # number of bytes of text at the beginning of a file; the text states which program wrote the file
 COUNTS, NUMBERS = ("uint8", "uint16"), ("uint8", "uint16", "int16", "int32", "uint32", "single", "double")
 BYTES = {"uint8": 1, "int16": 2, "uint16": 2, "double": 8}  # type → bytes per value; all other types have 4 bytes
 LEAST_SIDE = 8  # minimum number of rows and columns of a frame; smaller variables contain settings
@@ -50,7 +50,7 @@ def find_variable(path: Path, dataset: str | None, from_python: bool) -> tuple[s
     dataset : str or None
         Name of the variable. If None, the file must contain only one array of frames.
     from_python : bool
-        Whether Python wrote the file, which determines the order of the axes.
+        Whether Python wrote the file. The order of the axes in files from MATLAB differs.
 
     Raises
     ------

@@ -29,7 +29,7 @@ _opened: dict[tuple[Any, ...], Any] = {}  # cache of the last file: identity of 
 
 
 def read(path: Path) -> RawContent:
-    """Read a single-channel picture as a frame. Raises InputFileError if the file contains anything else."""
+    """Read a single-channel picture as a frame. Raises InputFileError if the file is not a single-channel picture."""
     if (plain := read_plain(path)) is not None:
         return plain
     return read_by_library(path)

@@ -163,8 +163,8 @@ def _nearest(
 ) -> list[tuple[str, str]]:
     """Find the lists nearest to a cube in the hierarchy of the file, and return their keys.
 
-    Only lists in `titled` and lists whose name is one of `names` are considered. The attributes of the cube are nearest,
-    followed by the group of the cube, the enclosing groups from the innermost to the outermost, and all other groups.
+    Only lists in `titled` and lists with a name in `names` are considered. The attributes of the cube are nearest, followed
+    by the group of the cube, the enclosing groups from the innermost to the outermost, and all other groups.
     """
     usual = [key for key in lists if key in titled or is_named(key[1], names)]
     places = [cube]
@@ -294,7 +294,7 @@ def _plain(content: Content, depth: int = 0) -> Content:
 
 
 def _is_matlab(path: Path) -> bool:
-    """Return whether a file is a MATLAB file of version 7.3, which is an HDF5 file."""
+    """Return whether a file is a MATLAB file of version 7.3. Files of this version are HDF5 files."""
     with open(path, "rb") as stream:
         return stream.read(10) == b"MATLAB 7.3"
 

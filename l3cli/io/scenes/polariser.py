@@ -142,9 +142,8 @@ def _angles(folder: Path, paths: list[Path], stated: Sequence[float] | None) -> 
 def _named_angles(names: list[str]) -> tuple[float, ...] | None:
     """Return the angle in degrees in the name of each picture, or None if not every name contains exactly one angle.
 
-    If every name contains exactly one number with a unit (45deg, 45°), this number is the angle. If not, but every name
-    contains exactly one number, this number is the angle. In all other cases, the names must be equal except for one number,
-    which is the angle.
+    The angle is the only number with a unit (45deg, 45°) in each name. If a name has no such number, the angle is the only
+    number in each name. If a name has several numbers, the angle is the only number that differs between the names.
     """
     with_unit = [DEGREES.findall(name) for name in names]
     if all(len(each) == 1 for each in with_unit):
