@@ -26,7 +26,7 @@ from l3cli.parallel.cluster import Scheduler
 from l3cli.system.limits import ONE_BLAS_THREAD
 from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import PYTHONPATH
-from tests.helpers.tasks import PATIENCE, refusing, squared
+from tests.helpers.tasks import PATIENCE, refusing, squared, stopping_once
 
 WORKERS = 2
 SCENES = """
@@ -302,6 +302,17 @@ def test_few_results_are_pending(cluster: Cluster) -> None:
         assert next(results) == 0
         assert len(taken) <= 2 * (WORKERS + 1)
         assert list(results) == [number**2 for number in range(1, 100)]
+
+
+@pytest.mark.soak
+def test_the_items_of_a_worker_that_stops_answering_are_computed_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL", "10s")
+    with a_cluster(tmp_path, WORKERS) as cluster, workers(1, Scheduler(cluster.address)) as pool:
+        _wait_until(lambda: len(set(pool(_process, range(8 * WORKERS)))) == WORKERS)
+        numbers = set(pool(stopping_once, [str(tmp_path / "stopped")] * 9))
+    assert len(numbers) == 1 and 0 not in numbers
 
 
 def test_a_worker_of_another_version_is_refused(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,9 @@
 
 import contextlib
 import os
+import signal
 from collections.abc import Callable
+from pathlib import Path
 from typing import TypeVar
 
 from l3cli.errors import L3Error
@@ -19,6 +21,16 @@ def squared(number: int) -> int:
 
 def refusing(number: int) -> int:
     raise L3Error(f"not {number}")
+
+
+def stopping_once(marker: str) -> int:
+    """Return the number of this process, but stop the process if no earlier call has created the file `marker`."""
+    try:
+        Path(marker).touch(exist_ok=False)
+    except FileExistsError:
+        return os.getpid()
+    os.kill(os.getpid(), signal.SIGSTOP)
+    return 0
 
 
 def here(number: int) -> str:
