@@ -312,7 +312,8 @@ def test_the_items_of_a_worker_that_stops_answering_are_computed_elsewhere(
     with a_cluster(tmp_path, WORKERS) as cluster, workers(1, Scheduler(cluster.address)) as pool:
         _wait_until(lambda: len(set(pool(_process, range(8 * WORKERS)))) == WORKERS)
         numbers = set(pool(stopping_once, [str(tmp_path / "stopped")] * 9))
-    assert len(numbers) == 1 and 0 not in numbers
+    assert len(numbers) == 1
+    assert 0 not in numbers
 
 
 def test_a_worker_of_another_version_is_refused(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
