@@ -35,7 +35,7 @@ from l3cli.recipes.toml import Count, CountOrNone, NotNegative, Positive, Recipe
 from l3cli.spectra.file import read_table
 from l3cli.spectra.table import CurveTable
 
-UNIT_SUFFIXES = {"1": "", "e-": "_e", "e-/s": "_e_per_s"}  # suffix of a recipe key that states the unit, by unit
+UNIT_SUFFIXES = {"1": "", "e-": "_e", "e-/s": "_e_per_s"}  # for each unit: the suffix of recipe keys
 MAX_READ_NOISE_E = 1e4
 MAX_ISO = 1e7
 PITCHES_UM, MIN_F_NUMBER, MIN_FOCAL_MM = (0.1, 1000.0), 0.5, 0.05  # values outside these limits probably have a wrong unit
@@ -615,10 +615,9 @@ def known_arrays() -> dict[str, CfaRecipe]:
 
 
 def recipe_text(path: Path) -> str:
-    """Return the text of a recipe, followed by the text of its base if it has one. Artifacts store this text in their
-    history.
+    """Return the text of a recipe, followed by the text of its base if the recipe has a base.
 
-    If `path` is not a recipe (.toml), the text is empty.
+    Artifacts store this text in their history. If `path` is not a recipe (.toml), the text is empty.
     """
     if path.suffix != ".toml":
         return ""

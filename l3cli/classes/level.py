@@ -30,7 +30,8 @@ def edge_shares(recipe: BasicKeys, reach: float = 1.0) -> NDArray[np.float64]:
     recipe : BasicKeys
         The class recipe.
     reach : float
-        Signal of the most sensitive channel, before clipping, at which a grey clips all channels. A fraction of full scale.
+        Signal of the most sensitive channel before clipping, as a fraction of full scale, at which a grey clips all
+        channels.
 
     Returns
     -------

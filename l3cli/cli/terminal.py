@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 SIZE = re.compile("0*[1-9][0-9]{0,5}")  # valid values of the environment variables COLUMNS and LINES
-PARAMETER = re.compile("‹([a-z_]+)›")  # name of a parameter in a message of a package below cli/
+PARAMETER = re.compile("‹([a-z_]+)›")  # name of a parameter in a message from a package that cli imports
 
 
 def show(*lines: str) -> None:

@@ -384,7 +384,7 @@ def pixel_of(pixel: PixelRecipe, folder: Path) -> CameraModel:
 
 
 def camera_texts(camera: CameraModel, origin: str) -> dict[str, str]:
-    """Write a camera recipe and a CSV file with its curves as texts.
+    """Return the texts of a camera recipe and of a CSV file with the curves of the camera.
 
     Parameters
     ----------

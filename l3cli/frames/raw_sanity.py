@@ -25,8 +25,8 @@ MIN_SIGNAL = 1e-3  # fraction of full scale; frames with a lower mean are too da
 # A phase at which the sites of a channel differ by this amount may be wrong. In real frames, the difference is at most 0.007
 # at the correct phase, and at least 0.045 at wrong phases.
 SITES_DIFFER = 0.02
-# A phase may also be wrong if the logarithm of the ratio of two channels, relative to the ratio for a grey object, is
-# at least this value. In coloured scenes, the logarithm is at most 0.67.
+# Let q be the ratio of the signals of two channels, divided by the ratio for a grey object. A phase may also be wrong if
+# ln q is at least this value. In coloured scenes, ln q is at most 0.67 at the correct phase.
 FAR_FROM_GREY = 0.75
 BETTER = 0.4  # a different phase is better only if its difference is below this fraction of the stated phase's difference
 ALIKE = 1.5  # two phases fit about equally well if the ratio of their differences is at most this factor
