@@ -489,7 +489,7 @@ def _page_facts(table: TransformTable, balance: WhiteBalance | None) -> str:
 
 
 def _thresholds(curve: Curve) -> NDArray[np.float64]:
-    """Return the smallest linear value that is encoded as each 8-bit value from 1 to 255."""
+    """Return, for each 8-bit value from 1 to 255, the smallest linear value that is encoded as this value."""
     encoded = (np.arange(1, CODES) - 0.5) / (CODES - 1)
     power = ((encoded + curve.offset) / curve.gain) ** (1 / curve.exponent)
     return np.where(encoded <= curve.slope * curve.knee, encoded / curve.slope, power)

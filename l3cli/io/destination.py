@@ -142,7 +142,7 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice, shard: tuple[
 
 
 def paged(destination: Destination, sequence: FrameSequence) -> Destination:
-    """Change a TIFF file for several frames to a destination with one page per frame.
+    """If several frames are written to a TIFF file, change the destination to the pages of this file.
 
     Any other destination is returned unchanged.
     """

@@ -414,7 +414,7 @@ def frames_named(recipe: MeasurementRecipe | CorrectionRecipe) -> list[tuple[Key
 
 
 def spectrum_names(recipe: MeasurementRecipe) -> list[str]:
-    """Return the names of all files with spectra, tables or curves in a measurement file, without duplicates."""
+    """Return the names of all files with spectra, tables or curves that a measurement file lists, without duplicates."""
     names = [step.spectrum for step in recipe.mono] + [chart.radiance for chart in [*recipe.band, *recipe.chart]]
     names += [step.monitor.file for step in recipe.mono if isinstance(step.monitor, MonitorRecipe)]
     names += [recipe.sweep.table, recipe.sweep.response.file] if recipe.sweep else []

@@ -153,9 +153,9 @@ class _Converter:
         self._bytes = np.empty(0, np.uint8)
 
     def even(self, picture: NDArray) -> NDArray:
-        """Return a picture with even numbers of rows and columns, if the pixel format requires them.
+        """Return a picture with even numbers of rows and columns, if the pixel format requires even numbers.
 
-        To make a number even, the last row or column is repeated.
+        If a number is odd, the last row or column is repeated.
         """
         if not self.pixel_format.startswith(("yuv420", "yuv422")):
             return picture

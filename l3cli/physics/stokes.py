@@ -63,7 +63,7 @@ def aolp(stokes: Array) -> Array:
 
 @functools.cache
 def _weak_signal() -> tuple[Array, Array, Array]:
-    """Return the standard deviations of the length and the direction of a vector with Gaussian noise, for short vectors.
+    """Return a table of the standard deviations of the length and the direction of short vectors with Gaussian noise.
 
     Returns
     -------

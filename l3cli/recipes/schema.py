@@ -68,7 +68,7 @@ def _plain(value: Any) -> Any:
 
 
 def _structures(recipes: Sequence[type[Recipe]]) -> list[type[Recipe]]:
-    """Return the classes in `recipes`, and the classes of all tables that such recipes can contain."""
+    """Return the classes in `recipes`, and the classes of all tables that these recipes can contain."""
     found = list(recipes)
     for kind in found:  # the loop also reaches the classes that are appended below
         inner = [each for field in msgspec.structs.fields(kind) for each in tables_in(field.type)]

@@ -54,7 +54,7 @@ def design_section(design: Design, name: str, jpeg: Jpeg) -> Section:
 
 
 def _figure(design: Design, place: int) -> Figure:
-    """Draw an array. The title is its rank, and the caption states its predicted errors."""
+    """Draw a colour filter array. The title is the rank of the array, and the caption states its predicted errors."""
     drawn = array_figure(design.camera(design.patterns[place], design.efficiency))
     errors = ", ".join(f"{level} {error:.2f}" for level, error in zip(design.levels, design.predicted[place], strict=True))
     title = f"{place + 1}{' (Bayer)' if place == design.bayer else ''}"

@@ -136,7 +136,8 @@ class Front:
 
 @dataclass(frozen=True)
 class PixelPicker:
-    """A crop of a frame. If the reader selects a pixel of the crop, the page shows its classes and transforms."""
+    """A crop of a frame. If the reader selects a pixel of the crop, the page shows the classes and transforms of the pixel.
+    """
 
     kind: ClassVar[str] = "pixels"
     anchor: str  # HTML anchor of the comparison that shows the whole frame

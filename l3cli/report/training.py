@@ -127,7 +127,7 @@ def _count_levels(survey: Survey, frame: TrainingPair, camera: CameraModel) -> N
 
 
 def _count_colours(survey: Survey, frame: TrainingPair) -> None:
-    """Add the chromaticities of a target to the histogram, except very dark pixels (MIN_RELATIVE_LUMINANCE)."""
+    """Add the chromaticities of a target to the histogram. Very dark pixels (MIN_RELATIVE_LUMINANCE) are ignored."""
     total = frame.target.sum(axis=0)
     bright = (frame.target[1] > MIN_RELATIVE_LUMINANCE * frame.white[1]) & (total > 0)
     x, y = (frame.target[part][bright] / total[bright] for part in (0, 1))

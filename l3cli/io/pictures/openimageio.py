@@ -194,7 +194,7 @@ class Pages:
                 contiguous=False,
             )
         except OSError as error:
-            # On a full disk, numpy raises an OSError without an error number. ENOSPC is then the likely number.
+            # On a full disk, numpy raises an OSError without an error number. The probable error number is ENOSPC.
             raise OSError(error.errno or errno.ENOSPC, os.strerror(error.errno or errno.ENOSPC)) from error
 
     def close(self) -> None:

@@ -91,7 +91,7 @@ def _is_picture(path: Path) -> bool:
 
 
 def _selected(folder: Path, pattern: str) -> list[Path]:
-    """Return the pictures in a folder whose names match a glob.
+    """Return all pictures in `folder` whose file names match the glob `pattern`.
 
     Raises InputFileError if fewer than FEWEST_PICTURES match.
     """
@@ -142,8 +142,9 @@ def _angles(folder: Path, paths: list[Path], stated: Sequence[float] | None) -> 
 def _named_angles(names: list[str]) -> tuple[float, ...] | None:
     """Return the angle in degrees in the name of each picture, or None if not every name contains exactly one angle.
 
-    The angle is the only number with a unit (45deg, 45°) in each name. If a name has no such number, the angle is the only
-    number in each name. If a name has several numbers, the angle is the only number that differs between the names.
+    The angle is the only number with a unit (45deg, 45°) in each name. If the names contain no such numbers, the angle is
+    the only number in each name. If the names contain several numbers, the angle is the only number that differs between the
+    names.
     """
     with_unit = [DEGREES.findall(name) for name in names]
     if all(len(each) == 1 for each in with_unit):

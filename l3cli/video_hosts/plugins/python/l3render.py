@@ -1,7 +1,7 @@
 """Plugin for GStreamer's Python loader, which loads this file if GST_PLUGIN_PATH contains the folder `plugins`.
 
-The loader may run in a different Python environment than l3cli. This file therefore inserts the folder of the packages that
-contains l3cli at the front of the module search path.
+The loader may run in a different Python environment than l3cli. This file therefore inserts the package folder that contains
+l3cli at the front of the module search path.
 """
 
 import sys
