@@ -136,8 +136,7 @@ class Front:
 
 @dataclass(frozen=True)
 class PixelPicker:
-    """A crop of a frame. If the reader selects a pixel of the crop, the page shows the classes and transforms of the pixel.
-    """
+    """A crop of a frame. If the reader selects a pixel, the page shows the classes and the transforms of the pixel."""
 
     kind: ClassVar[str] = "pixels"
     anchor: str  # HTML anchor of the comparison that shows the whole frame
