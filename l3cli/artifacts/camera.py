@@ -110,7 +110,9 @@ class Readout:
     """Exposure time, gain and read noise of each channel. Even channels with the same filter may differ."""
 
     channel_exposure: NDArray[np.float64] = data(
-        "float64", "channel", doc="exposure time, as a fraction of the longest exposure time, which is that of the frame"
+        "float64",
+        "channel",
+        doc="exposure time, as a fraction of the longest exposure time (the exposure time of the frame)",
     )
     channel_gain: NDArray[np.float64] = data(
         "float64", "channel", doc="conversion gain, relative to the conversion gain of the camera"
@@ -206,10 +208,16 @@ class Noise:
     well_capacity: float = data("float64", unit="e-", doc="electrons at which a pixel saturates")
     column_noise: float = data("float64", unit="e-", doc="standard deviation of the fixed offsets of columns", default=0.0)
     row_temporal_noise: float = data(
-        "float64", unit="e-", doc="standard deviation of the offset that each row gets anew in every frame", optional=0.0
+        "float64",
+        unit="e-",
+        doc="standard deviation of the random offset of each row, which changes from frame to frame",
+        optional=0.0,
     )
     column_temporal_noise: float = data(
-        "float64", unit="e-", doc="standard deviation of the offset that each column gets anew in every frame", optional=0.0
+        "float64",
+        unit="e-",
+        doc="standard deviation of the random offset of each column, which changes from frame to frame",
+        optional=0.0,
     )
 
     def __post_init__(self) -> None:
@@ -412,7 +420,7 @@ class CameraModel(Artifact):
     rows: int = data("int64", unit="pixel", doc="rows of the sensor")
     cols: int = data("int64", unit="pixel", doc="columns of the sensor")
     pixel_pitch: float = data("float64", unit="m", doc="distance between the centres of neighbouring pixels")
-    bits: int = data("int64", unit="bit", doc="bit depth of the analog-digital converter")
+    bits: int = data("int64", unit="bit", doc="bit depth of the analog-to-digital converter")
     channels: tuple[str, ...] = data("str", "channel", doc="names of the spectral channels")
     cfa: NDArray[np.uint8] = data(
         "uint8", "cfa_row", "cfa_col", doc="number of the channel at each site, for one period of the colour filter array"
@@ -440,7 +448,7 @@ class CameraModel(Artifact):
     noise: Noise = group()
     optics: Optics = group()
     declared: tuple[str, ...] = data(
-        "str", "declared", doc="quantities that calibration took from a data sheet instead of measuring them", default=()
+        "str", "declared", doc="quantities from a data sheet, which the calibration did not measure", default=()
     )
     fit: Fit | None = group(default=None)
     defects: DefectMap | None = group(default=None)

@@ -147,7 +147,7 @@ class ClassRule:
         "uint32",
         "level_edge",
         unit="DN >> shift, times 256 times channels",
-        doc="sum of the channel means from which each level except the first begins",
+        doc="sum of the channel means at which each level except the first begins",
     )
     contrast_edges: NDArray[np.uint32] = data(
         "uint32",
@@ -156,7 +156,7 @@ class ClassRule:
         unit="(DN >> shift)^2, times 512",
         doc="sum of the channel variances above which each contrast except the first begins",
     )
-    saturation: int = data("int64", unit="DN", doc="value from which a pixel counts as saturated")
+    saturation: int = data("int64", unit="DN", doc="lowest value at which a pixel counts as saturated")
     saturation_radius: int = data(
         "int64", unit="pixel", doc="radius of the neighbourhood of a pixel that determines its saturation case"
     )

@@ -40,7 +40,7 @@ class NoiseFit:
         "defect",
         "coordinate",
         unit="pixel",
-        doc="row and column of hot and dead pixels, which are left out of all results",
+        doc="row and column of hot and dead pixels, which are excluded from all results",
     )
     exposure: NDArray[np.float64] = data(
         "float64", "white_exposure", unit="s", doc="exposure time of each white capture", coordinate=True
@@ -86,7 +86,7 @@ class SweepFit:
         "float64", "channel", doc="RMS residual of Eq. 1, relative to the largest value of the channel"
     )
     left_out: tuple[str, ...] = data(
-        "str", "left_out", doc="captures that were left out because they are saturated, and their saturated channels"
+        "str", "left_out", doc="captures that were not used because they are saturated, and their saturated channels"
     )
     smoothing: NDArray[np.float64] = data(
         "float64", "trial", doc="smoothing parameters delta that were tried", coordinate=True
@@ -240,7 +240,9 @@ class PhotoFit:
         unit="pixel",
         doc="column and row of the chart's outer corners, clockwise",
     )
-    prior: str = data("str", doc="prior for the curves: like measured cameras, unlike them, or smooth")
+    prior: str = data(
+        "str", doc="prior for the curves: similar to measured cameras, unlike measured cameras, or only smooth"
+    )
     error: float = data("float64", doc="relative error of a patch due to reflectances and model, estimated from the misfit")
     illumination: NDArray[np.float64] = data(
         "float64",
@@ -260,7 +262,7 @@ class PhotoFit:
     next_light: str = data("str", doc="illuminant under which one more photo would reduce the error of the responses most")
     next_share: float = data("float64", doc="fraction of the error of the responses that would remain after that photo")
     left_out: tuple[str, ...] = data(
-        "str", "left_out", doc="patches left out because they are clipped, dusty or outliers, and in which channel"
+        "str", "left_out", doc="patches and channels that were not used, because they are clipped, dusty or outliers"
     )
     used: NDArray[np.bool_] = data("bool", "photo", "photo_patch", "channel", doc="whether a patch was used")
     measured: NDArray[np.float64] = data(

@@ -74,8 +74,8 @@ class CoarseChroma:
         "step",
         "plane",
         "power",
-        doc="coefficients of the noise variance of the blocks that each step reads: at luminance Y, it is Σ variance · "
-        "Y^power, in squared output units",
+        doc="coefficients of the noise variance of the blocks that each step reads: at luminance Y, this variance is "
+        "Σ variance · Y^power, in squared output units",
     )
 
     def __post_init__(self) -> None:

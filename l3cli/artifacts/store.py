@@ -26,7 +26,7 @@ FORMAT_VERSION = 1  # version of all artifacts; new fields are optional and do n
 GZIP_LEVEL = 4
 MAX_LISTED_GROUPS = 64  # limit for numbered groups, because a damaged file could claim to contain millions
 HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # raised by h5py for damaged files
-HISTORY = Spec("str", (), "1", "JSON: the stages that led here, oldest first")
+HISTORY = Spec("str", (), "1", "JSON: the stages that led to this artifact, oldest first")
 A = TypeVar("A", bound=Artifact)
 
 

@@ -28,7 +28,7 @@ class SpectralSmoothing:
     """
 
     window: int = data("int64", unit="pixel", doc="side of the square neighbourhood over which spectra are averaged")
-    reach: float = data("float64", doc="relative difference of brightness from which pixels are left out of the mean")
+    reach: float = data("float64", doc="relative difference in brightness at which pixels are excluded from the mean")
 
     def __post_init__(self) -> None:
         check(self)
@@ -50,9 +50,11 @@ class ChromaSmoothing:
     are similar if they have similar luminance and chroma. The luminance of the pixel stays unchanged.
     """
 
-    reach: float = data("float64", doc="relative difference of luminance from which neighbours have no weight")
+    reach: float = data("float64", doc="relative difference in luminance at which the weight of a neighbour reaches zero")
     likeness: float = data(
-        "float64", doc="difference of X/Y or Z/Y, as a fraction of the value for white, from which neighbours have no weight"
+        "float64",
+        doc="difference in X/Y or Z/Y, as a fraction of the value for white, at which the weight of a neighbour "
+        "reaches zero",
     )
 
     def __post_init__(self) -> None:

@@ -32,7 +32,8 @@ class LightSpectrum:
     )
     spread: float = data(
         "float64",
-        doc="if the spectrum is a mean of illuminants: largest relative difference between one of them and the mean",
+        doc="if the spectrum is the mean of several illuminants: largest relative difference between an illuminant and this "
+        "mean",
         default=0.0,
     )
 

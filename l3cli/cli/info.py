@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @click.argument("inputs", type=declared.FILE, nargs=-1, metavar="[INPUT…]")
 @declared.of(InfoOptions)
 def info(file: Path | None, inputs: tuple[Path, ...], options: InfoOptions) -> Result:
-    """Print the type, the version, the history and the data sets (axes, type, unit, meaning) of the artifact FILE. For a
+    """Print the type, the version, the history and the datasets (axes, type, unit, meaning) of the artifact FILE. For a
     transform table, also print its classes, patches, noise gain, gain of flat areas and noisiest classes.
 
     With --verify, verify the digest of FILE, read all its data, and compare the INPUTs with the input files in its history

@@ -172,7 +172,7 @@ def _with_lines(items: Iterable[T], total: int | None, what: str) -> Iterator[T]
         reached = 10 * done // total if total else 0
         if done != total and ((reached > tenth and now - last >= SHORTEST_SILENCE) or now - last >= LONGEST_SILENCE):
             of = f" of {total}" if total else ""
-            to_stderr(f"{what}: {done}{of}, {_span(now - start)} passed, {_pace(done, total, now - start)}")
+            to_stderr(f"{what}: {done}{of}, {_span(now - start)} elapsed, {_pace(done, total, now - start)}")
             last, tenth = now, reached
 
 

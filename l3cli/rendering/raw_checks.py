@@ -100,7 +100,7 @@ class FrameWarnings:
         exposure, dark = self.table.exposure, self.table.dark_signal(None)
         return (
             f"{self._untimed[0]}: the exposure time is unknown, so l3 subtracts the dark current for {exposure:.3g} s, the "
-            f"mean of the training frames ({dark:.2g} DN); set ‹exposure_time› or ‹dark›"
+            f"mean exposure time of the training frames ({dark:.2g} DN); set ‹exposure_time› or ‹dark›"
         )
 
     def lines(self) -> Iterator[str]:

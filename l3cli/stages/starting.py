@@ -572,7 +572,7 @@ def _another_array(body: Body, doubt: ArrayDoubt) -> str:
     named = " or ".join(f'"{each}"' if "/" in each else each for each in likely[:2])
     return (
         f"the file states the CFA {stated}, but pixels at sites of the same colour differ by {doubt.differ:.0%}; set "
-        f"‹pattern› {named} or the rows of the actual CFA, or ‹pattern› {stated} if the file is right"
+        f"‹pattern› {named} or the rows of the actual CFA, or ‹pattern› {stated} if the file is correct"
     )
 
 
@@ -588,7 +588,7 @@ def _misplaced(body: Body, doubt: PhaseDoubt) -> str:
         least = f"and with the CFA {pattern} by only {doubt.least:.1%}"
         why = f"but with this CFA, pixels of the same channel differ by {doubt.stated:.1%}, {least}"
     other = f", or {others} if the colours are wrong" if others else ""
-    return f"the file states the CFA {stated[1]}, {why}; set ‹phase› {best}{other}, or 0,0 if the file is right"
+    return f"the file states the CFA {stated[1]}, {why}; set ‹phase› {best}{other}, or ‹phase› 0,0 if the file is correct"
 
 
 def _by_chart(measured: Measurements, console: Console) -> CameraModel | None:

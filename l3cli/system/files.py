@@ -330,7 +330,7 @@ def identity(file: Path | int) -> Identity | None:
     return (state.st_dev, state.st_ino) if stat.S_ISREG(state.st_mode) else None
 
 
-def require_regular(path: Path, cure: str = "use a file") -> None:
+def require_regular(path: Path, cure: str = "specify an existing file") -> None:
     """Raise InputFileError if `path` is not a regular file. `cure` is the end of the message and suggests a correction.
 
     The file is not opened, because opening a pipe or a device may block forever.
@@ -348,7 +348,7 @@ def _require_regular(path: Path, mode: int, cure: str) -> None:
         raise InputFileError(f"{path} is a {NAMES.get(stat.S_IFMT(mode), 'device')}; {cure}")
 
 
-def open_regular(path: Path, cure: str = "use a file") -> io.BufferedReader:
+def open_regular(path: Path, cure: str = "specify an existing file") -> io.BufferedReader:
     """Open a regular file for reading.
 
     Raises InputFileError if the file is not a regular file or cannot be read. The message ends with `cure`.

@@ -195,7 +195,7 @@ def learned(insight: dict[str, Any]) -> list[str]:
     )
     lines = [
         f"{classes['all']} classes: {classes['trained']} trained ({classes['thin']} of them with fewer patches than taps), "
-        f"{classes['filled']} without patches of their own",
+        f"{classes['filled']} without training patches",
         *(
             "patches: " + " · ".join(f"{value['name']} {value['patches']:.0f}" for value in values)
             for values in (insight["kinds"], *insight.get("features", {}).values())
@@ -238,7 +238,7 @@ def _refine(number: int, layer: dict[str, Any]) -> list[str]:
     gains = " · ".join(f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in layer["noise_gain"].items())
     return [
         f"layer {number}: {classes['all']} classes: {classes['trained']} trained, "
-        f"{classes['filled']} without patches of their own; {side} × {side} pixels in {layer['planes']} planes",
+        f"{classes['filled']} without training patches; {side} × {side} pixels in {layer['planes']} planes",
         f"  {_kinds(layer)}",
         f"  noise gain √Σw² (median, maximum over classes): {gains}",
     ]

@@ -161,7 +161,7 @@ def test_an_array_that_the_pixels_belie_is_refused_until_answered(
     call = ("init", "--from", tmp_path / "a.dng", tmp_path / "mine")
     line = refused(3, *call)
     assert "a.dng: the file states the CFA rg/gb, but with this CFA, pixels of the same channel differ by " in line
-    assert line.endswith("set --phase 1,0, or 0,1 (gr/bg) if the colours are wrong, or 0,0 if the file is right\n")
+    assert line.endswith("set --phase 1,0, or 0,1 (gr/bg) if the colours are wrong, or --phase 0,0 if the file is correct\n")
     assert not (tmp_path / "mine").exists()
     code, _, err = l3(*call, "--phase", "1,0")
     assert code == 0, err
@@ -174,7 +174,7 @@ def test_an_array_that_the_pixels_belie_is_refused_until_answered(
     swapped = refused(3, "init", "--from", tmp_path / "b.dng", tmp_path / "other")
     assert "the file states the CFA rg/gb, but the mean colour" in swapped
     assert "only if the CFA is bg/gr" in swapped
-    assert swapped.endswith("set --phase 1,1, or 0,0 if the file is right\n")
+    assert swapped.endswith("set --phase 1,1, or --phase 0,0 if the file is correct\n")
     assert l3(*call, "--phase", "0,0", "--force", "--quiet")[0] == 0
     assert load_camera(tmp_path / "mine/camera.toml").cfa.tolist() == [[0, 1], [1, 2]]
     assert "RENDER ?=\n" in (tmp_path / "mine/Makefile").read_text()

@@ -185,13 +185,13 @@ def logged(
 def test_a_log_hears_of_progress_now_and_then(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     lines = logged(1000, 1000, 1.0, monkeypatch, capsys)
     assert len(lines) == 9  # what comes when all is done, the command itself says
-    assert lines[0] == "frames: 100 of 1000, 1 min 40 s passed, 10 %, 1 per second, 15 min 0 s left"
+    assert lines[0] == "frames: 100 of 1000, 1 min 40 s elapsed, 10 %, 1 per second, 15 min 0 s left"
     assert logged(10, 10, 0.5, monkeypatch, capsys) == []  # over before anybody wonders
     slow = logged(4, 4, 4000.0, monkeypatch, capsys)
     assert len(slow) == 3
-    assert slow[0] == "frames: 1 of 4, 1 h 6 min passed, 25 %, 1 h 6 min each, 3 h 20 min left"
+    assert slow[0] == "frames: 1 of 4, 1 h 6 min elapsed, 25 %, 1 h 6 min each, 3 h 20 min left"
     endless = logged(None, 5000, 1.0, monkeypatch, capsys)
-    assert endless[0] == "frames: 600, 10 min 0 s passed, 1 per second"
+    assert endless[0] == "frames: 600, 10 min 0 s elapsed, 1 per second"
     assert len(endless) == 8
 
 

@@ -96,7 +96,7 @@ CAMERA_RAW = RawFormat(
         "." + name for name in ("3fr", "ari", "arw", "cr2", "cr3", "dcr", "erf", "fff", "iiq", "kdc", "mos", "mrw")
         + ("nef", "nrw", "orf", "pef", "raf", "rw2", "rwl", "srw", "x3f")
     ),
-    "libraw", "camera raws", "pixels without masked borders, array (2×2 or X-Trans), orientation, levels and white",
+    "libraw", "camera raws", "pixels without masked borders, array (2×2 or X-Trans), orientation, levels and white balance",
 )  # fmt: skip
 HEADERLESS = (".raw", ".bin", ".raw10", ".raw12")
 FORMATS = (
@@ -128,7 +128,7 @@ FORMATS = (
     RawFormat((".ser",), "ser", "SER", "all frames and the array", holds_frame=False, stackable=True, isolated=False),
     RawFormat(
         (".mkv", ".mov", ".mp4", ".avi", ".y4m"), "video", "video (extra `video`)",
-        "one channel without loss (FFV1, uncompressed 8-bit AVI or y4m), frame rate and frame times", holds_frame=False,
+        "one channel, lossless (FFV1, uncompressed 8-bit AVI or y4m); frame rate and frame times", holds_frame=False,
         stackable=True,
     ),
     RawFormat(
