@@ -561,7 +561,8 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
     prior = PRIOR * len(last) * measured.mean(axis=(1, 2))
     wanted = _summed(cell.ravel(), np.tile(measured.reshape(len(measured), -1), len(cell)).T, used.size)
     seen = [_summed(part, wanted, len(factor)) for part, factor in zip(parts, factors, strict=True)]
-    # The mean over the draws is the weighted mean of the draw itself and one other draw, which represents all other draws.
+    # The mean over all draws is approximated by a weighted mean of two draws: the draw itself, and one other draw, which
+    # represents all other draws.
     alone, others = _summed(cell.ravel(), spread.reshape(-1, 1) / len(cell), used.size), 1 - 1 / len(cell)
     by_others = coo_array((np.roll(spread * others, 1, 0).ravel(), (cell.ravel(), np.roll(cell, 1, 0).ravel()))).tocsr()
     for _ in range(ROUNDS):

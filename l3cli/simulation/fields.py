@@ -34,9 +34,9 @@ Array = NDArray[np.floating]
 
 PATTERN_FREQUENCIES = {"grating": 0.4, "lattice": 0.35, "lettering": 0.25}  # relative frequency of each kind of pattern
 PERIOD_RANGE = (2.0, 16.0)  # range of the periods in pixels; periods are drawn log-uniformly
-DUTIES = (0.15, 0.6)  # range of the fraction of a period that the strokes cover
+DUTIES = (0.15, 0.6)  # range of the width of strokes, relative to their period
 NEUTRAL, PALE = 0.5, 0.2  # fraction of patterns that are nearly neutral, and the highest saturation of these patterns
-CONTRAST = 0.5  # standard deviation of the natural logarithm of the random factor that multiplies the reflectance of strokes
+CONTRAST = 0.5  # the reflectance of the strokes is multiplied by exp(CONTRAST · standard normal deviate)
 LINE_DISTANCE = (2.0, 3.5)  # distance between two lines of lettering, in periods of the strokes
 
 

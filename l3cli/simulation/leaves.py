@@ -17,7 +17,7 @@ Size = float | Field
 
 EXPONENT = 2.0  # exponent of the cumulative distribution of the radii, whose density is then r^-3
 UNCOVERED = 0.003  # fraction of the picture that may show the background, because covering the last pixels takes long
-BATCH_AREA = 1.5  # total area of the bounding squares of a batch of leaves, relative to the picture
+BATCH_AREA = 1.5  # total area of the bounding squares in a batch, relative to the area of the picture
 BLOCK = 8  # side in pixels of the blocks that are tested for uncovered pixels; each row of a block is one 64-bit word
 SMALL = 40.0  # largest radius, in pixels, of leaves that are drawn in groups
 WINDOW_RATIO = 1.15  # ratio between successive window sizes for small leaves

@@ -284,7 +284,7 @@ def _blurred(cube: Cube, sigma: float) -> Cube:
     wide = np.empty((cols + 2 * reach, bands), np.float32)  # a row after the vertical blur, extended by mirroring
     for row in range(rows):
 
-        def sharp(at: int, row: int = row) -> Array:  # rows above are already blurred in `cube`, but sharp in `window`
+        def sharp(at: int, row: int = row) -> Array:  # `window` keeps sharp copies of the rows that are already blurred
             return window[at % reach] if at < row else cube[at]
 
         line = wide[reach : reach + cols]

@@ -29,7 +29,7 @@ CLIPPING_FRACTIONS = (0.94, 0.97, 1.0)
 # borders between classes would be visible.
 GREYS_PER_PATCH = 4.0
 MAX_GREYS_PER_PATCH = 30.0  # largest number of greys per patch, which is used if every channel clips
-UNCLIPPED_FRACTION = 0.2  # assumed fraction of clipped filters if no filter clips; it results in one grey per patch
+UNCLIPPED_FRACTION = 0.2  # assumed fraction of clipped filters if no filter clips; 0.2 gives one grey per patch
 WHITE_TOLERANCE = 0.1  # largest relative difference between the computed signals of white and an estimate from the patches
 OUTPUT_CUTOFF = 1e-6  # singular values below this fraction of the largest are ignored in the regression on the outputs
 
@@ -110,7 +110,7 @@ def grey_patches(
 def steps_back(
     common: Array, clipping: NDArray[np.int64], rule: ClassRule, signal: Array, black_level: float, white_level: float
 ) -> tuple[NDArray[np.int64], Array]:
-    """Compute the drop in the rendered luminance of a grey at the exposure at which the last channel clips.
+    """Compute by how much the rendered luminance of a grey drops when the last channel clips.
 
     Parameters
     ----------

@@ -50,7 +50,8 @@ INLINE void no_evidence(Evidence *e, RULE_CONSTANTS) {
 #endif
 }
 
-// Adds channel c. `count`, `sum` and `square` are the number, the sum and the sum of squares of the channel's pixels in the patch.
+// Adds channel c to the evidence. `count`, `sum` and `square` are the number, the sum and the sum of squares of the channel's pixels in the
+// patch.
 INLINE void add_evidence(Evidence *e, int c, uints count, uints sum, uints square, uints mean_reciprocal,
                          uints variance_reciprocal, RULE_CONSTANTS) {
     const uints scaled = sum * mean_reciprocal;

@@ -132,7 +132,7 @@ __kernel void planes(__global const ushort *restrict raw, __global ushort *restr
 // Windows in the frame and in the history, for the search of a block.
 typedef struct {
     __global const ushort *now, *before;  // first sample of the window in the frame and in the history
-    int2 window;                          // rows and columns of the window
+    int2 window;                          // number of rows and columns of the window
     int length;                           // length of a row of the planes
 #if LANES > 1
     const ushort *tiles, *most;  // values of the window, tile by tile, and limits of differences, which are zero outside the window

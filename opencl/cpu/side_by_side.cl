@@ -17,7 +17,7 @@
 #define SUMS (4 / AT_ONCE_OUTPUTS)          // number of vectors for four outputs
 #define ONCE (TAP_LANES / AT_ONCE_OUTPUTS)  // number of taps per output in a vector
 #define VECTORS ((TAPS + ONCE - 1) / ONCE)
-#define CLASS_STRIDE (TAP_LANES * SUMS * (1 + VECTORS))  // begins with the intercepts, in the first lane of each group of four
+#define CLASS_STRIDE (TAP_LANES * SUMS * (1 + VECTORS))  // number of weights per class; the intercepts come first
 #define PLANES_MADE OUTPUTS
 #define READ_AHEAD ONCE
 

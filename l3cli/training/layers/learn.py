@@ -48,7 +48,7 @@ class LayerGoal:
     white: Array  # (plane) planes of a white with Y = 1; the layer must preserve this white
     windows: int  # number of window taps; the remaining taps are 0 in uniform areas
     keeps: bool = False  # whether unsaturated classes must preserve the chroma of uniform areas
-    strength_pool: float = 0.0  # weight of the samples of classes with equal direction and the next lower or higher strength
+    strength_pool: float = 0.0  # weight of samples from the classes with the next lower and the next higher strength
     corrects: bool = False  # whether the layer corrects the outputs of the first layer; corrections are 0 for white
 
 

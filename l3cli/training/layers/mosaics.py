@@ -29,7 +29,7 @@ from l3cli.training.sums import runs_of
 from l3cli.training.symmetry import HALF_TURN, Allowed, orientations_of_scenes
 
 Floats = NDArray[np.float32]
-LARGEST_SIDE = 156  # largest side of a mosaic in pixels, and of the surrounding area whose mean is set to the drawn level
+LARGEST_SIDE = 156  # largest side of a mosaic in pixels, and largest side of the area whose mean is set to the level
 SHEET = 1 << 17  # number of pixels that are rendered as one batch; larger batches take less time per pixel
 
 

@@ -54,7 +54,7 @@ class TreeSamples:
     # (sample, column) weighted taps of the noisy planes, then weighted targets after conversion with `_judged`
     columns: Floats | Array
     numerators: Floats  # (test, sample) numerators of the quotients that the tests compare with thresholds
-    denominators: Floats  # (denominator, sample) denominators of the quotients, each of which belongs to several tests
+    denominators: Floats  # (denominator, sample) denominators of the quotients; several tests share a denominator
 
     @classmethod
     def concatenated(cls, parts: Sequence["TreeSamples"]) -> "TreeSamples":
@@ -260,7 +260,7 @@ PILOT_MOSAICS = 48  # total number of mosaics in which the luminance noise is me
 PILOT_SIDE = 72  # side of the mosaics for the noise measurement, in pixels
 MAX_MEASURED_LEVEL = 0.8  # noise is not measured in pixels above this fraction of full scale
 MIN_LEVEL_PIXELS = 1000  # the noise is interpolated for levels with fewer pixels
-LAB_SLOPES = (500.0, 116.0, 200.0)  # factors from small errors of the planes, relative to white, to errors of a*, L* and b*
+LAB_SLOPES = (500.0, 116.0, 200.0)  # convert small errors of the planes, relative to white, to errors of a*, L* and b*
 
 
 def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int, every: int) -> list[NDArray[np.float64]]:
