@@ -175,7 +175,7 @@ def short_words(table: TransformTable) -> ShortWords:
 
 
 def _value_step(table: TransformTable) -> float:
-    """Return the size of an integer step of the last layer's inputs, in the unit of the inputs to the float weights."""
+    """Return the size of one step of the last layer's integer inputs, in the unit of its float inputs."""
     return PLANE_STEP if table.later else 1 / (table.white_level - table.black_level)
 
 

@@ -348,7 +348,7 @@ def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, Cur
 
 
 def _has_numbers(path: Path) -> bool:
-    """Return whether a text file is probably a table because it contains at least three rows of numbers.
+    """Return whether a text file contains at least three rows of numbers. Such a file is probably a table.
 
     The result is also True if the file cannot be read.
     """

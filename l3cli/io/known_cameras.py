@@ -53,7 +53,7 @@ class KnownCamera(Recipe):
 
     @property
     def stated(self) -> Stated:
-        """The published properties, as the type that is also used for the properties that raw files state."""
+        """The published properties, in the same class as properties from raw files."""
         return Stated(self.name, (), None, self.iso, self.pixel_pitch_um, None, None)
 
 

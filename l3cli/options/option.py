@@ -398,7 +398,7 @@ class JobsOptions(Options):
 
 @options
 class WorkerOptions(JobsOptions, SchedulerOptions):
-    """Options for processes on this machine and for workers on other machines. The two cannot be combined."""
+    """Options for processes on this machine or for workers on other machines. A command cannot use both."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

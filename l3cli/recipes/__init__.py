@@ -1,1 +1,1 @@
-"""Recipes: TOML files as typed values, with error reports and JSON schemas, and the recipes that come with l3."""
+"""Read TOML recipes as typed values, report their faults, derive JSON schemas, and find the recipes that come with l3."""

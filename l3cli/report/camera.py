@@ -116,7 +116,7 @@ def polariser_figure(camera: CameraModel, fit: PolariserFit) -> Figure:
     light = np.linspace(0.0, 180.0, 181)
     curves, bright = malus(light, *law), fit.brightness[:, None]
     largest = curves.max()
-    unit_signal = (fit.predicted / bright).sum() / malus(fit.light_angle, *law).sum()  # DN/s per unit of Malus's law
+    unit_signal = (fit.predicted / bright).sum() / malus(fit.light_angle, *law).sum()  # DN/s for a value of 1 in Malus's law
     curves, signal = curves / largest, fit.measured / bright / unit_signal / largest
     plot = Plot(
         spanning("angle of the rotating polariser (°)", light),

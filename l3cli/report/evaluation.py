@@ -502,7 +502,7 @@ def front_section(
 
 
 def verdict(document: dict[str, Any]) -> str:
-    """Return one sentence per baseline, which states in which metrics and frames the table is closer to the ideal."""
+    """Return one sentence per baseline. It states the metrics and frames in which the table is closer to the ideal."""
     count, figure = len(document["frames"]), main_of(document)
     sentences = []
     for baseline, wins in document["better"].items():

@@ -62,7 +62,7 @@ class Given:
 
     @property
     def pairs(self) -> list[Pair]:
-        """All pairs of a table and a training set with the same CFA, except the sets on which the table was trained."""
+        """All pairs of a table and a training set with the same CFA. Sets on which the table was trained are excluded."""
         return [
             Pair(table, transforms, frames, head)
             for table, transforms in self.of(TransformTable)

@@ -81,8 +81,9 @@ def patches_table(errors: dict[str, Array]) -> Table:
 def calibration_figures(camera: CameraModel, fit: ChartFit) -> tuple[Figure, ...]:
     """Draw the measured and the predicted colours of the first MAX_CHARTS charts of a calibration.
 
-    One matrix per chart converts channels to colours. The matrix requires the ideal colours of the patches. A chart is
-    therefore omitted if its illuminant is not a named illuminant, or if it is not a ColorChecker with 24 patches.
+    One matrix per chart converts channels to colours. The matrix can be fitted only if the ideal colours of the patches are
+    known. A chart is therefore omitted if its illuminant is not a named illuminant, or if it is not a ColorChecker with 24
+    patches.
     """
     figures = []
     for light, measured, predicted in zip(fit.illuminants[:MAX_CHARTS], fit.measured, fit.predicted, strict=False):

@@ -416,7 +416,8 @@ def _conversion(unit: str) -> tuple[str, float] | None:
 def _quantity_per(parsed: units.Unit | None, below: dict[str, int]) -> tuple[str, float] | None:
     """Return ("J" or "photon", factor), where the factor converts values in the unit `parsed` to values per nm.
 
-    The result is None unless `parsed` is the product of J or photon and of base units with the exponents in `below`.
+    The result is None unless `parsed` consists of J or photon, with the exponent 1, and of the base units in `below`, with
+    their exponents.
     """
     for of in ("J", "photon"):
         if parsed is not None and parsed.powers == {of: 1, **below}:

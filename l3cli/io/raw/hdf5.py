@@ -199,7 +199,7 @@ def _only_stack(path: Path, members: dict[str, Any]) -> str:
 
 
 def _is_artifact(path: Path) -> bool:
-    """Return whether the file is an artifact of l3, in which floating-point arrays are not frames."""
+    """Return whether the file is an artifact of l3. Floating-point arrays in artifacts are not frames."""
     with open_regular(path) as stream:
         return stream.read(len(TITLE)) == TITLE
 

@@ -152,7 +152,7 @@ def _lists(arrays: dict[str, NDArray], attributes: dict[str, dict[str, Any]], le
 
 
 def _titles(attributes: dict[str, Any]) -> Iterator[str]:
-    """Yield the names of an array that its attributes state, such as the value of "long_name"."""
+    """Yield the names in the attributes of an array, such as the value of "long_name"."""
     for key in TITLES:
         if isinstance(title := attributes.get(key), str):
             yield title.removeprefix("radiation_")  # as in the CF standard name "radiation_wavelength"

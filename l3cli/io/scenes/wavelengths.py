@@ -65,7 +65,7 @@ def in_nm(values: Sequence[float] | NDArray, unit: str) -> NDArray[np.float64] |
 
 
 def in_name(name: str) -> float | None:
-    """Return the wavelength in nm in a name such as "red (650.5 nm)", or None if the name contains no wavelength.
+    """Return the wavelength, in nm, that a name such as "red (650.5 nm)" contains. None if the name contains no wavelength.
 
     A comma or a period in the number is a decimal separator, unless the wavelength would then be below 100 nm. In this case,
     the wavelength starts after the separator: "S0.450nm" is 450 nm.
