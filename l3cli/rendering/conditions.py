@@ -32,7 +32,7 @@ MIN_VARIANCE = 1e-30  # assumed noise variance if all channels clip, in DN²
 # Smallest signal-to-noise ratio at which refinement layers use the transforms of a level. The transforms of darker levels
 # would leave more noise.
 DARKEST_REFINED = 2.0
-# Fractions of the noise, left by a temporal filter, for which transforms of a lower gain are prepared.
+# A temporal filter leaves a fraction of the noise. For each of these fractions, transforms of a lower gain are prepared.
 LEFT = (1 / 16, 1 / 4)
 GAINS_PER_DOUBLING = 12  # number of gains per doubling for which transforms are computed
 SAME_GAIN = 0.01  # largest relative difference between gains that are treated as equal

@@ -22,7 +22,7 @@ from l3cli.system.text import counted
 MAX_OVERSHOOT = 1.5  # largest plausible value of a saturated pixel, relative to the white level
 SHALLOW = 0.55  # smallest value at which a sensor with the stated bit depth can clip, relative to the white level
 CLIPPED = 1e-3  # the sensor is assumed to clip if at least this fraction of the pixels has the largest value
-NEAR_BLACK = 0.75  # a value is near the black level if their ratio is between this number and its reciprocal
+NEAR_BLACK = 0.75  # a value is near the black level if value / black level is between 0.75 and 1 / 0.75
 BLACK_PERCENTILE = 0.1  # percentile of the values that is near the black level in most pictures
 SAME_DEPTH = 0.02  # largest relative difference between white levels that belong to the same bit depth
 SHEARED = 1.5  # the size is probably wrong if swapping rows and columns makes neighbouring rows more similar by this factor

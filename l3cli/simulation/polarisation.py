@@ -27,7 +27,7 @@ INDEX = 1.5  # refractive index of smooth surfaces
 MAX_DEGREE = 0.95
 MATT_DEGREE = 0.1  # largest degree of matt leaves
 COLOURED = 0.25  # fraction of the leaves whose degree depends on the wavelength
-CALM = 0.2  # fraction of the scenes that have weak polarisation, and factor of the degrees in these scenes
+CALM = 0.2  # fraction of the scenes with weak polarisation, and factor that multiplies the degrees in these scenes
 RIM = 0.98  # largest sine of the angle of incidence on smooth leaves, near the rim of a leaf
 
 

@@ -32,7 +32,7 @@ class Lens(Recipe):
     """Lens effects to simulate, and settings that replace the lens of the camera (docs/method.md#optics)."""
 
     diffraction: bool = True
-    off_axis: bool = False  # whether to darken the corners; a table treats all places equally and cannot correct this
+    off_axis: bool = False  # whether to darken the corners; a table cannot correct dark corners
     defocus_um: NotNegative = 0.0  # standard deviation of a Gaussian blur on the sensor
     # Transmittance as a number or as the name of a CSV file. The transmittance multiplies the responsivities of the camera.
     transmittance: Annotated[float, msgspec.Meta(gt=0, le=1)] | str | None = None

@@ -38,7 +38,7 @@ class LineNoise:
     """Variances of the offsets of rows and of columns, as fractions of full scale²."""
 
     rows: float
-    columns: float  # including the fixed offsets of columns
+    columns: float  # temporal and fixed offsets together
 
     @classmethod
     def of(cls, camera: CameraModel, dark: float = 0.0) -> "LineNoise | None":

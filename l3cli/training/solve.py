@@ -116,7 +116,7 @@ def parent_of(index: Any, rule: ClassRule) -> Any:
     return rule.join_cases(place.level, place.contrast, rule.case(place.kind))
 
 
-# Weight of differences between sites in textured classes, as the equivalent number of uniform patches per patch.
+# Weight of differences between sites in textured classes. Each patch counts as 0.2 uniform patches.
 UNIFORM_WEIGHT = 0.2
 # Uniform surfaces have the weight 1 / (1 + 1000 μ + (2000 χ μ)²) at the ratio μ of noise power to signal power. χ is the
 # nearness of the chroma to white (docs/method.md#uniform-surfaces).

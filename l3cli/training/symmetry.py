@@ -169,7 +169,7 @@ def turned_structures(rule: StructureRule, number: int) -> Indices:
     across, down = structure.turn_signs(orientations(3)[number])
     place = rule.split(np.arange(rule.classes_per_site))
     strength, within = np.divmod(place.kind - 1, 1 + DIRECTIONS)
-    direction = DIRECTIONS // 2 - (within - 1) if across < 0 else within - 1  # number of the doubled angle of the gradient
+    direction = DIRECTIONS // 2 - (within - 1) if across < 0 else within - 1  # number of the direction
     direction = (direction if down > 0 else -direction) % DIRECTIONS
     directed = (place.kind > 0) & (place.kind < rule.structures) & (within > 0)
     return np.asarray(rule.join(place.level, np.where(directed, 2 + strength * (1 + DIRECTIONS) + direction, place.kind)))

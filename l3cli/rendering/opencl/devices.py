@@ -26,8 +26,8 @@ from l3cli.rendering.opencl.processor import compiled_for
 MIN_FREE_BYTES = 16 << 20  # required free space, several times the size of the kernels of a table
 MAX_EMPTY_FILE_SECONDS = 86400  # older empty cache files are removed; every process with PoCL 3.0 leaves an empty file
 INSTALL = 'install a driver with: pip install "pyopencl[pocl]"'
-LINKER = "ld"  # linker that PoCL calls; without it, or without the libraries of a C compiler, PoCL aborts the process
-REFUSES_PROCESSOR = "unknown target CPU"  # part of the message of PoCL's compiler for a processor that is too new
+LINKER = "ld"  # linker that PoCL calls; if the linker or the libraries of a C compiler are missing, PoCL aborts the process
+REFUSES_PROCESSOR = "unknown target CPU"  # part of the message from PoCL's compiler if the processor is too new
 DAMAGED = "INVALID_KERNEL_NAME"  # error of PoCL for a program from a damaged cache file
 FORKED = (
     "this process was forked from a process that uses OpenCL, and OpenCL would hang here; start processes with "

@@ -26,7 +26,7 @@ from l3cli.rendering.temporal.noise import (
 
 # Values are in units u, which the module `noise` defines. A residual is a value of a frame minus the filter state.
 ONE = 1 << 10  # fixed-point representation of 1, for weights and for fractions of noise
-# Only the residual power over 3 × 3 cells above 5/4 of the expected noise counts as motion. The excess is multiplied by 4.
+# The residual power over 3 × 3 cells counts as motion only above 5/4 of the expected noise. The excess is multiplied by 4.
 POWER_FACTOR, POWER_FREE = 4, 5
 MEAN_FREE = 2  # the squared sum over a cell counts as motion only above this multiple of the variance expected from noise
 WIDE_FREE = 6  # the squared sum over 3 × 3 cells counts as motion only above this multiple of the expected variance

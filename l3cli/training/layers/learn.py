@@ -34,7 +34,7 @@ from l3cli.training.training_pass import LAYER_SAMPLES, frame_blocks
 
 Array = NDArray[np.float64]
 FADED_RESPONSE = 0.97  # a transform fades a chroma plane if the plane's gain in uniform areas is below this value
-OWN_LEVEL_FRACTION = 0.9  # fraction of the pseudo-samples from the level of the class; the rest is from all levels
+OWN_LEVEL_FRACTION = 0.9  # fraction of the pseudo-samples that come from the level of the class; others come from all levels
 
 
 @dataclass(frozen=True)
