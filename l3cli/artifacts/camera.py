@@ -190,7 +190,7 @@ class Polarisers:
         -------
         ndarray, (channel, stokes, wavelength)
             First row of the Mueller matrix of each polariser: ½ (1 + k), ½ (1 − k) cos 2θ and ½ (1 − k) sin 2θ, where k
-            is the leakage and θ the angle. Without a polariser, the row is (1, 0, 0).
+            is the leakage and θ the angle. The row of a channel without a polariser is (1, 0, 0).
         """
         angle = 2 * np.radians(self.polariser_deg)[:, None]
         modulation = 0.5 * (1.0 - self.leakage)
@@ -530,7 +530,7 @@ class CameraModel(Artifact):
         return iso / self.gains.iso if iso > 0 and self.gains and self.gains.iso > 0 else None
 
     def under(self, noise: NoiseScale) -> "CameraModel":
-        """Return the camera model at the analog gain of `noise`, with the temporal noise that a temporal filter leaves."""
+        """Return the camera model at the gain of `noise`, with the temporal noise that remains after a temporal filter."""
         return replace(self.at_gain(noise.gain), noise_left=noise.noise_left)
 
     def channel_map(self, shape: tuple[int, ...]) -> NDArray[np.uint8]:

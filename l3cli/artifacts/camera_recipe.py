@@ -103,7 +103,7 @@ def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]
 
 
 def filters_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]) -> list[str]:
-    """Return the name of the channel whose responsivity each channel uses. Most channels use their own responsivity."""
+    """For each channel, return the name of the channel whose responsivity it uses, which is usually the channel itself."""
     return [(channel[name].like if name in channel else None) or name for name in channels]
 
 
@@ -188,8 +188,8 @@ def polarisers_of(
 def _leakage(one: ChannelRecipe, wavelength: NDArray[np.float64], folder: Path) -> NDArray[np.float64]:
     """Return the inverse of the extinction ratio of a channel at each wavelength.
 
-    Without a polariser, the leakage is 1. A polariser without the key `extinction` is ideal, and its leakage is 0. Raises
-    InputFileError if the file with the extinction ratios contains a ratio below 1.
+    The leakage of a channel without a polariser is 1. A polariser without the key `extinction` is ideal, and its leakage is
+    0. Raises InputFileError if the file with the extinction ratios contains a ratio below 1.
     """
     if one.polariser_deg is None:
         return np.ones_like(wavelength)

@@ -178,7 +178,7 @@ def _polariser_columns(fit: PolariserFit) -> dict[str, Any]:
     """Return the angle, the extinction ratio and the relative gain of each channel, with 95 % confidence intervals.
 
     If a leakage is below its standard deviation, the standard deviation is used instead, so that the extinction ratio is
-    finite. Without a polariser, the extinction ratio is 1.
+    finite. The extinction ratio of a channel without a polariser is 1.
     """
     leakage = np.maximum(fit.leakage, fit.leakage_error)
     return {

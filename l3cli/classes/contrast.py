@@ -86,8 +86,8 @@ def noise_of_grey(levels: NDArray[np.float64], camera: CameraModel, dark: float)
 def noise_of_means(camera: CameraModel, patch: int, dark: float) -> float:
     """Return the variance, in DN², that row noise and column noise cause in the mean of a channel over a patch.
 
-    The result is averaged over the channels. The contrast does not contain this variance, because contrast is measured from
-    the mean of the channel. The variance that independent noise causes in the mean is neglected.
+    The result is averaged over the channels. This variance does not contribute to the contrast, which is measured relative
+    to the mean of the channel. The variance that independent noise causes in the mean is neglected.
     """
     rows, columns = camera.line_variances(dark)
     channel = window_channels(camera.cfa, patch).reshape(-1, patch, patch)

@@ -109,8 +109,8 @@ class _Read:
 
     step: float  # input per unit of signal (full scale or output unit), multiplied by PLANE_STEP
     zero: float  # input for a signal of 0
-    largest: float  # largest absolute value of the input after the subtraction
-    farthest: float  # absolute value of `zero` after the subtraction
+    largest: float  # largest absolute value of the input after `raw_middle` has been subtracted
+    farthest: float  # absolute value of `zero` after `raw_middle` has been subtracted
 
 
 BETWEEN = _Read(step=2.0**-COARSE, zero=0.0, largest=COARSE_TOP, farthest=0.0)  # coarse planes

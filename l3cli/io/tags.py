@@ -1,6 +1,6 @@
 """Read and write tags of TIFF 6, TIFF/EP, Exif and DNG 1.7. Tags have the names that tifffile uses.
 
-All these formats use the same tags for the names of the camera and for the shot settings.
+All these formats use the same tags for the make and model of the camera and for the shot settings.
 """
 
 import re

@@ -32,9 +32,10 @@ def in_upright_frame(planes: Floats, outputs: tuple[str, ...], orientation: int)
 
 
 def names_in_files(outputs: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of the values in a linear file: S0, S1 and S2, followed by DoLP and AoLP.
+    """Return the names of the values in a linear file.
 
-    The names are `outputs` if the outputs are not Stokes parameters.
+    If the outputs contain S1 and S2, the names are the outputs, followed by DoLP and AoLP. S0, S1 and S2 are in this order
+    for monochrome cameras. Other outputs keep their names and their order.
     """
     if not has_stokes(outputs):
         return outputs

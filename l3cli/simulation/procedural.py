@@ -446,9 +446,9 @@ def colorchecker(size: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def colorchecker_patches(size: tuple[int, int]) -> list[tuple[slice, slice]]:
-    """Return the rows and columns of the 24 square patches on a ColorChecker that fills `size`, row by row.
+    """Return the rows and columns of each of the 24 square patches of a ColorChecker in a picture of the given size.
 
-    The gap between patches is a fifth of a patch.
+    The patches are listed row by row. The gap between patches is a fifth of a patch.
     """
     pitch = min(size[0] / 4.2, size[1] / 6.2)
     side = max(1, int(pitch / 1.2))

@@ -473,11 +473,11 @@ def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
 
 
 def _measurements(path: Path, options: InitOptions) -> Measurements:
-    """Read a raw file, and replace values of the file by values in the options.
+    """Read a raw file. Values in the options take precedence over values in the file.
 
-    If the black level of the file is doubtful, a warning is sent to the console. Raises InputFileError if the pixels
-    contradict the CFA of the file and the options do not specify a CFA. Raises RecipeError if the black level in the options
-    is not below the white level.
+    If the black level of the file is doubtful, the console shows a warning. Raises InputFileError if the frame is too small,
+    or if the pixels contradict the CFA, the phase or the black level and no option overrides this value. Raises RecipeError
+    if the black level is not below the white level.
     """
     try:
         answers = {name: value for name in RAW_OVERRIDES if (value := getattr(options, name)) is not None}

@@ -157,8 +157,8 @@ def white_channels(
 ) -> Array | None:
     """Return the signals of a white with Y = 1 under the training illuminant.
 
-    The patches can contradict the camera model, for example if real frames were taken through another lens. In this case the
-    signals are estimated from the patches.
+    The patches can disagree with the camera model, for example if real frames were taken through another lens. In this case,
+    the signals are estimated from the patches.
 
     Parameters
     ----------

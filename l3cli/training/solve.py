@@ -33,9 +33,9 @@ from l3cli.training.sums import moment_matrix, turned_places, width_of
 from l3cli.training.symmetry import Turn
 
 Array = NDArray[np.float64]
-CASE_SHARE = 0.1  # smallest fraction of the pseudo-patches that is averaged over all levels of the saturation case
-# If the level and saturation case of a parent have this number of patches, the fraction is 0.55. With more patches, the
-# fraction falls towards CASE_SHARE.
+CASE_SHARE = 0.1  # smallest weight, in a parent, of the mean over all levels of the saturation case
+# If the level and saturation case of a parent have this number of patches, the weight is 0.55. With more patches, the
+# weight falls towards CASE_SHARE.
 THIN_PARENT = 100.0
 
 
@@ -289,8 +289,8 @@ def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Arr
     """Return the moments of additional training patches for each unsaturated class of the lowest contrast.
 
     Classes without a direction are trained on uniform surfaces. Classes whose chroma occurs only in stripes are trained on
-    stripes, regardless of their direction. The result is empty if the training patches contradict the white that is
-    computed from the camera model.
+    stripes, regardless of their direction. The result is empty if the goal contains no surfaces, or if the training
+    patches do not confirm the signals of white that are computed from the camera model.
     """
     if goal.surfaces is None or white is None or goal.white_signal is None or not np.array_equal(white, goal.white_signal):
         return {}
@@ -417,9 +417,10 @@ def _constrained(
 
 
 def _exact_white(solutions: list[Solution], goal: Goal) -> Array | None:
-    """Return the signals of white. Return None if the signals are unknown or contradict the patches of a site.
+    """Return the signals of white according to the camera model, or None if classes need not render white exactly.
 
-    The result is also None if the outputs are neither colours nor Stokes parameters.
+    The result is None if the signals are unknown, if the patches of any site do not confirm them, or if the outputs are
+    neither colours nor Stokes parameters.
     """
     known, borne = goal.white_signal, [solution.white for solution in solutions]
     if (

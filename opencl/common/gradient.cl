@@ -1,9 +1,9 @@
 // Scale of the gradients of planes, for both variants (l3cli/classes/refinement.py).
 //
 // For each class of the first layer, an element of label_words contains two words. The lower half, the gradient word, contains the factor
-// of gradients, the shift (from bit 8) and the orientation of the site (from bit 14). The upper half, the start word, contains the first
-// class with the same site and level. If bit 31 of the start word is set, the pixel is near a saturated pixel, and the other bits contain
-// the class of the pixel.
+// by which gradients are multiplied, the shift (from bit 8) and the orientation of the site (from bit 14). The upper half, the start word,
+// contains the first class with the same site and level. If bit 31 of the start word is set, the pixel is near a saturated pixel, and the
+// other bits contain the class of the pixel.
 
 #define LABEL_CONSTANTS __global const ulong *restrict label_words  // (class)
 

@@ -238,8 +238,8 @@ INLINE Best better(const Search *s, Best best, int2 vector, int reluctance) {
     return best;
 }
 
-// Finds the vector of every block in samples of the planes of a level. The search starts at the vectors of the coarser level. `root` is 16
-// times the square root of the number of samples in a window.
+// Finds the motion vector of every block at a level. A vector is a number of samples in the planes of this level. The search starts at the
+// vectors of the coarser level. `root` is 16 times the square root of the number of samples in a window.
 __kernel void search(__global const ushort *restrict now, __global const ushort *restrict before,
                      __global const int2 *restrict parents, __global int2 *restrict vectors,
                      __global const int *restrict spread, int level, int window_rows, int window_columns, int root,

@@ -24,7 +24,7 @@ typedef struct {
 /* A layer that reads the planes of the previous layer. The last layer has no fixed-point weights. */
 typedef struct {
     int side, taps;                                  /* side of the window; number of taps in all planes, with padding */
-    const uint32_t *gradient;                        /* (class of the first layer) bits 0-7: factor of gradients; from bit 8: shift; */
+    const uint32_t *gradient;                        /* (class of the first layer) bits 0-7: factor for gradients; from bit 8: shift; */
                                                      /* from bit L3_TURN: orientation of the site. The orientation of a structure */
                                                      /* is the signs of a and b. The orientation of a tree is transposed, mirrored */
                                                      /* across, and mirrored down. */

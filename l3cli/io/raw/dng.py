@@ -71,7 +71,7 @@ class Mosaic:
     pattern: NDArray[np.int64]  # (row, col) colour codes, starting at the upper left corner of the active area
     active: tuple[int, int, int, int]  # top, left, bottom and right edges of the light-sensitive area
     crop: tuple[int, int, int, int]  # default crop: first row and column in the active area, numbers of rows and columns
-    black_level: NDArray[np.float64]  # (row, col) DN, repeated from the upper left corner of the active area
+    black_level: NDArray[np.float64]  # (row, col) pattern in DN that repeats from the upper left corner of the active area
     black_of_row: NDArray[np.float64]  # DN to add to black_level in each row of the active area
     black_of_col: NDArray[np.float64]  # DN to add to black_level in each column of the active area
     black_fault: str  # message that states why the black level is unknown; empty if the black level is known

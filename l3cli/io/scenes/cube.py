@@ -264,7 +264,7 @@ def _squeezed(shape: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _arrays(content: Content, prefix: str = "") -> Iterator[tuple[str, NDArray]]:
-    """Yield the path of every numeric array in nested dictionaries, such as "a/b", and the values of the array."""
+    """Yield the path, such as "a/b", and the values of every numeric array in nested dictionaries."""
     for name, value in content.items():
         if isinstance(value, dict):
             yield from _arrays(value, f"{prefix}{name}/")

@@ -241,7 +241,7 @@ def _place(frame: RawFrame, located: Located) -> str:
 
 
 def _turned(places: NDArray[np.floating], frame: RawFrame, axis: int) -> NDArray[np.floating]:
-    """Mirror column numbers (axis 0) or row numbers (axis 1) if the upright picture is mirrored along this axis."""
+    """Mirror column numbers (axis 0) or row numbers (axis 1) if the orientation of the frame requires it."""
     return frame.values.shape[1 - axis] - 1 - places if frame.orientation & (1, 2)[axis] else places
 
 

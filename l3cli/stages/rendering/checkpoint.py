@@ -141,16 +141,17 @@ class FrameOrigins:
         return self._with_origin(reference, fingerprint(source)) if source.is_file() else reference
 
     def of_read(self, reference: FrameReference, frame: RawFrame) -> FrameReference:
-        """Return the reference of a frame that has been read, with the origin of the picture.
+        """Return the reference of a frame that has been read, with the origin (a digest) of its picture.
 
-        An origin that `of` has already added is kept. Otherwise, the origin is computed from the raw values.
+        If `of` has already added the origin, the reference is returned unchanged. Otherwise, the origin is computed from the
+        raw values.
         """
         if reference.origin:
             return reference
         return self._with_origin(reference, hashlib.sha256(frame.values.tobytes()).hexdigest())
 
     def of_all(self, sequence: FrameSequence) -> str:
-        """Return the origin of a video or of a multi-page file, or "" for frames from a stream without a file."""
+        """Return the origin (a digest) of a video or multi-page file, or "" for frames from a stream without a file."""
         if not sequence.is_stream:
             return _digest([self.of(reference).origin for reference in sequence.frames] + [str(sequence.part)])
         if not self._inputs.is_file():
