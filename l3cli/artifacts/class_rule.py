@@ -215,7 +215,7 @@ class ClassRule:
     def check_fits(self, channels: int, bits: int) -> None:
         """Raise ValueError unless the rule fits a camera with this number of channels and this bit depth."""
         if not 0 <= self.shift <= bits <= self.shift + CLASS_BITS:
-            raise ValueError(f"shift is {self.shift}, but must reduce {bits}-bit raw values to 0…{CLASS_BITS} bits")
+            raise ValueError(f"shift is {self.shift}, but must reduce {bits}-bit raw values to at most {CLASS_BITS} bits")
         if self.channels != channels:
             raise ValueError(f"chroma_weights has {self.channels} channels, but the camera has {channels}")
         if len(self.case_of_code) != 2**channels:

@@ -137,7 +137,7 @@ class Condition:
             if ours.weights.shape != layer.weights.shape:
                 raise ValueError(f"the transforms of {place}/later/{number} and later/{number} have different shapes")
         if self.edges and any(len(scale.gradient_factor) != levels for scale in self.edges.gradients):
-            raise ValueError(f"{place}/edges does not have the {levels} levels of the table")
+            raise ValueError(f"{place}/edges must have {levels} levels, as the table")
 
     def pictured(self, taken: list[int]) -> "Condition":
         """Return the condition with only the outputs of the first layer whose indices are in `taken`.

@@ -107,7 +107,7 @@ class Shares(Reader):
         try:
             shares = tuple(map(self._share, given.split(",") if isinstance(given, str) else given))
         except ValueError as error:
-            raise ValueError(f"{error}, in a list such as 1,0.7,0.4") from None
+            raise ValueError(f"{error} (in a list such as 1,0.7,0.4)") from None
         if not any(shares):
             raise ValueError(f"{shortened(str(given))} contains no proportion above zero; set at least one")
         return shares

@@ -375,7 +375,9 @@ class SchedulerOptions(Options):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.scheduler is None and (self.tls_ca or self.tls_cert or self.tls_key):
-            raise RecipeError("‹tls_ca›, ‹tls_cert› and ‹tls_key› need ‹scheduler›; set ‹scheduler› to its tls:// address")
+            raise RecipeError(
+                "‹tls_ca›, ‹tls_cert› and ‹tls_key› need ‹scheduler›; set ‹scheduler› to the tls:// address of the scheduler"
+            )
 
     def cluster(self) -> "Scheduler | None":
         """Return the scheduler, or None if no address is set.

@@ -62,7 +62,7 @@ class ExposureReader(Reader):
         try:
             factor = self.factor.read(text)
         except ValueError as error:
-            raise ValueError(f"{error}, auto, camera, or EV relative to auto such as -1EV") from None
+            raise ValueError(f"{error}; other values are auto, camera, and EV relative to auto, such as -1EV") from None
         if text.startswith("+"):  # factors are written without a sign, so the user may have meant EV
             raise ValueError(
                 f"{text} is ambiguous; write {text}EV for {text[1:]} EV more than auto, or {text[1:]} to multiply Y by "

@@ -375,8 +375,8 @@ def make_pair(
     own_levels = (raw.black_level, raw.white_level) == (camera.black_level, camera.white_level)
     if own_levels and raw.values.max() >= 2**camera.bits:
         raise ValueError(
-            f"the raw frame contains the value {raw.values.max()} DN, which exceeds {camera.bits} bits; correct sensor.bits "
-            "in the camera recipe"
+            f"the raw frame contains the value {raw.values.max()} DN, which does not fit into {camera.bits} bits; correct "
+            "sensor.bits in the camera recipe"
         )
     levelled = raw.at_levels(camera.black_level, camera.white_level, camera.bits).values
     rows, cols = picture.shape[:2]

@@ -37,7 +37,7 @@ from l3cli.spectra.jcamp import is_jcamp, read_jcamp
 from l3cli.spectra.table import CurveTable, gaps
 from l3cli.system.limits import read_bounded
 
-CURE = "use a CSV file of spectra"
+CURE = "use a CSV file with spectra"
 MARKER = re.compile(r"^(?:>{3,}|<{3,}|\*{3,}|={3,}|-{3,}|\+{3,})")
 EXCEL_SEPARATOR = re.compile(r'"?sep=.?"?', re.I)  # optional first line of a CSV file that states the separator for Excel
 CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # control characters, which text does not contain

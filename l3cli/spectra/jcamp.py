@@ -107,7 +107,8 @@ def read_jcamp(text: str, path: Path) -> tuple[NDArray[np.float64], NDArray[np.f
     block = next((each for each in blocks if "PROCESSED" in each.of("TITLE").upper()), blocks[0])
     xunits = block.of("XUNITS").strip().upper()
     if xunits not in NM:
-        raise InputFileError(f'{path}: XUNITS is "{xunits or "missing"}"; export the spectrum with XUNITS NANOMETERS')
+        stated = f'"{xunits}"' if xunits else "missing"
+        raise InputFileError(f"{path}: XUNITS is {stated}; export the spectrum with XUNITS NANOMETERS")
     comma = re.fullmatch(r"-?\d+,\d+", block.of("FIRSTX").strip()) is not None
     if block.kind == "XYDATA":
         x, y = _ordinates(block, comma, path)

@@ -149,7 +149,10 @@ def export_table(table: Path, output: Path, options: ExportOptions) -> tuple[lis
         if options.gain is not None:
             transforms = at_gain(transforms, options.gain)
         elif known_gains(transforms) != (1, 1):
-            console.report(f"{table}: exporting the transforms for gain 1; to export another gain, set ‹gain›")
+            console.report(
+                f"{table}: exporting the transforms for a gain of 1; to export the transforms for a different gain, set "
+                "‹gain›"
+            )
         shown, readme = given_white(white, transforms), ""
         low = next((each for each in transforms.noises if each.noise and each.noise.noise_left < 1), None)
         if which == "low-noise" and low is None:

@@ -73,7 +73,7 @@ def test_the_gain_of_frames_without_iso_speed_is_estimated(
 
 def test_transforms_for_a_gain_are_exported(gain_tables: Path, several: TransformTable, l3: L3, tmp_path: Path) -> None:
     code, _, words = l3("export", gain_tables / "several.h5", "-o", tmp_path / "usual")
-    assert (code, "to export another gain, set --gain" in words) == (0, True)
+    assert (code, "to export the transforms for a different gain, set --gain" in words) == (0, True)
     assert l3("export", gain_tables / "several.h5", "-o", tmp_path / "high", "--gain", "16", "--quiet")[0] == 0
     assert l3("export", gain_tables / "one.h5", "-o", tmp_path / "one", "--quiet")[0] == 0
     source = {name: (tmp_path / name / "l3_table.c") for name in ("usual", "high", "one")}

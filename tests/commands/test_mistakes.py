@@ -323,7 +323,7 @@ MISTAKES = """
     2 render table.h5 raw.tif -o new.png --exposure +1
         write +1EV for 1 EV more than auto, or 1 to multiply Y by this factor
     2 render table.h5 raw.tif -o new.png --exposure -1
-        auto, camera, or EV relative to auto such as -1EV
+        auto, camera, and EV relative to auto, such as -1EV
     2 render table.h5 raw.tif -o new.png --exposure 30EV
         -20…20 EV
     2 render table.h5 raw.tif -o new.png --size 3x-4

@@ -61,7 +61,7 @@ def test_a_picture_larger_than_its_raw_is_refused(bayer: CameraModel) -> None:
 
 def test_a_raw_beyond_its_cameras_bits_is_refused(bayer: CameraModel) -> None:
     raw, picture = raw_of(np.full((20, 30), 65535), bayer), np.ones((20, 30, 3), np.float32)
-    with pytest.raises(ValueError, match="65535 DN, which exceeds 12 bits"):
+    with pytest.raises(ValueError, match="65535 DN, which does not fit into 12 bits"):
         make_pair(raw, picture, ("X", "Y", "Z"), bayer, PAIR, "x")
     make_pair(replace(raw, white_level=65535.0), picture, ("X", "Y", "Z"), bayer, PAIR, "x")
 

@@ -96,7 +96,7 @@ REFUSED = f"""
     render a b -o c.png --exposure 1e308
         1e308 is not within 1e-09…1e+09 times Y; the nearest valid value is 1e+09
     render a b -o c.png --exposure bright
-        "bright" is not a number; use a number within 1e-09…1e+09 times Y, auto, camera, or EV relative to auto such as -1EV
+        1e-09…1e+09 times Y; other values are auto, camera, and EV relative to auto, such as -1EV
     render a b -o c.mp4 --fps 1e999999999
         1e999999999 is not within 0.001…1000 frames/s; the nearest valid value is 1000
     render a b -o c.mp4 --fps 1/3000000000

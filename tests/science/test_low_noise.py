@@ -152,7 +152,7 @@ def test_low_noise_transforms_of_other_layers_are_refused() -> None:
     changed("axis level of conditions/0/edges/contrast_edges", edges=dark)
     scale = low.edges.gradients[0]
     short = GradientScale(scale.gradient_factor[:2], scale.gradient_shift[:2])
-    changed("edges does not have the . levels", edges=dataclasses.replace(low.edges, gradients=(short,)))
+    changed("edges must have . levels", edges=dataclasses.replace(low.edges, gradients=(short,)))
 
 
 def test_sums_for_low_noise_are_those_of_all_sites(bayer: CameraModel, tmp_path: Path) -> None:

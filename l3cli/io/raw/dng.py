@@ -389,7 +389,7 @@ def _fields(raw: Any) -> tuple[int, int]:
     """Return the numbers of interleaved row fields and of column fields. Raises ValueError if a number is below 1."""
     rows, cols = (int(tags.numbers(raw, tag, (1,))[0]) for tag in ("RowInterleaveFactor", "ColumnInterleaveFactor"))
     if min(rows, cols) < 1:
-        raise ValueError(f"invalid numbers of fields {rows}×{cols}")
+        raise ValueError(f"RowInterleaveFactor is {rows} and ColumnInterleaveFactor is {cols}, but both must be at least 1")
     return rows, cols
 
 

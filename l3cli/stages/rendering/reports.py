@@ -103,7 +103,7 @@ def report_times(job: Job, look: Look, tally: Tally) -> None:
     """Warn about gaps between frames and about lost frame times, and record in the tally whether frame times are kept."""
     sequence, destination, pacing, console = job.sequence, job.destination, look.pacing, job.options.console
     rate = f"{float(look.video.rate):.4g} frames per second"
-    cure = "to keep the times of the frames, write a .mp4, .mov or .mkv"
+    cure = "to preserve the frame times, write a .mp4, .mov or .mkv"
     if pacing.stated is not None:
         tally.frame_times = KEPT if destination.has_times else LOST
         if tally.frame_times == LOST:
@@ -114,7 +114,7 @@ def report_times(job: Job, look: Look, tally: Tally) -> None:
     elif sequence.unit is None and not sequence.stills:
         tally.frame_times = LOST
         console.warn(
-            f"{sequence.what}: the numbers in the file names are not consecutive frame numbers, so the times of the frames "
+            f"{sequence.what}: the numbers in the file names are not consecutive frame numbers, so the frame times "
             f"are unknown and the video shows {rate}"
         )
     elif pacing.first_gap is None:

@@ -339,7 +339,7 @@ def note_unknown_fields(run: SimulationRun, files: list[list[Path]], console: Co
     if found:
         first = next(iter(found.values()))
         console.info(
-            f"{first}: l3 ignores the unknown field{'s' if len(found) > 1 else ''} {listed(found)} of the header; if this "
+            f"{first}: l3 ignores the unknown field{'s' if len(found) > 1 else ''} {listed(found)} in the header; if this "
             "changes the meaning of the values, convert the data first"
         )
 
