@@ -68,7 +68,7 @@ class FrameSequence:
     missing: Sequence[range] = ()  # ranges of frame numbers that are missing from the sequence
     is_stream: bool = False  # whether the frames must be read in order and their number may be unknown
     wanted: range | None = None  # frame numbers that the user selected from a stream; None for all frames
-    unit: int | None = 1  # step between consecutive frame numbers; None if irregular, for example if they are time stamps
+    unit: int | None = 1  # step between consecutive frame numbers; None if irregular, for example for time stamps
     times: Stated | None = None  # reads the times of the frames; None if the file states none
     part: range | None = None  # positions, counted from 0, of the frames to render; None for all frames
 

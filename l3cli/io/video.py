@@ -69,7 +69,7 @@ class Encoding:
     options: tuple[tuple[str, str], ...] = ()  # options of the encoder: names and values
     tag: str | None = None  # codec tag in MP4 and QuickTime files; None for the default of FFmpeg
     transfer: str = "IEC61966_2_1"  # name of the transfer function in PyAV; IEC 61966-2-1 is sRGB
-    frames_at_once: int | None = None  # number of frames that the encoder processes in parallel; None: encoder's choice
+    frames_at_once: int | None = None  # number of frames encoded in parallel; None for the default of the encoder
     reorders: int = 0  # number of frames that x265 needs before it knows the decoding times of B-frames
 
 

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
-# Time limits in s, after an interrupt, for the current item of `prefetched`, of BackgroundTask and of WriteBehind.
+# Time limits in s after an interrupt, for the current items of `prefetched`, BackgroundTask and WriteBehind.
 READ_SECONDS, WORK_SECONDS, WRITE_SECONDS = 1.0, 5.0, 25.0
 
 

@@ -16,7 +16,7 @@ Array = NDArray[np.floating]
 WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # wavelengths, in nm, at which XYZ is computed
 # Reciprocal colour temperatures of the model illuminants, in mired (10^6/K), from 25 000 K to 1600 K.
 MIREDS = np.concatenate([np.arange(40.0, 250.0, 10.0), np.arange(250.0, 631.0, 10.0)])
-DAYLIGHT_MIRED = 250.0  # up to this value (4000 K or more), model illuminants are daylight; above it, black bodies
+DAYLIGHT_MIRED = 250.0  # up to this value (4000 K or more), model illuminants are daylight; above this value, black bodies
 GREENS = np.arange(-0.8, 1.01, 0.1)  # tints: natural logarithm of the factor at GREEN_NM; negative values are magenta
 GREEN_NM, GREEN_WIDTH = 545.0, 45.0  # centre and width of the tint in nm, near the green line of fluorescent lamps
 SAME_MIRED = 1.0  # difference in mired (42 K at 6500 K) below which two colour temperatures look the same

@@ -103,7 +103,7 @@ def _locked(output: Path, lock: Path) -> Iterator[bool]:
 
     Folders that are created for the lock file are removed at the end if they are empty.
     """
-    refuse_protected(lock)  # the lock file is removed at the end
+    refuse_protected(lock)  # the lock file is removed at the end, so it must not be an input
     made = [folder for folder in (lock.parent, *lock.parent.parents) if not folder.exists()]
     try:
         descriptor = _take(lock, output)

@@ -52,7 +52,7 @@ class GainMap:
     area: tuple[slice, slice]  # rows and columns to which the gains apply
     planes: range  # colour planes to which the gains apply
     spacing: tuple[float, float]  # spacing of the grid (down, across) as fractions of the height and width of the image
-    origin: tuple[float, float]  # position of the first grid point (down, across), in the same units
+    origin: tuple[float, float]  # position of the first grid point (down, across), in the units of `spacing`
     gains: Floats  # (row, col, plane)
 
 
