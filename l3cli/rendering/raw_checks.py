@@ -55,7 +55,7 @@ class FrameWarnings:
     def measure(self, frame: RawFrame) -> None:
         """Check the metadata and the values of a frame, and store the warnings.
 
-        The method also measures the fractions of pixels outside the trained range, and stores those of the worst frame.
+        The method also measures the fractions of pixels outside the trained range, and stores the largest fractions.
         """
         self._seen += 1
         if self.table.dark_signal(1.0) and frame.exposure is None and not frame.dark_measured:

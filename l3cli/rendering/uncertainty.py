@@ -272,9 +272,9 @@ def within_polygon(shape: tuple[int, ...], polygon: Sequence[tuple[float, float]
 
 
 def _flags(table: TransformTable) -> list[NDArray[np.uint8]]:
-    """Return the flags CLIPPED and UNTRAINED of each class, as an array for the first layer and an array for the last layer.
+    """Return the flags CLIPPED and UNTRAINED of each class: one array for the first layer, and one array for the last layer.
 
-    For a table with a single layer, the list contains one array.
+    For a table with a single layer, the result contains one array.
     """
     rule, samples = table.first.rule, [table.first.samples, *(layer.samples for layer in table.later[-1:])]
     flags = [np.where(each > 0, 0, UNTRAINED).astype(np.uint8) for each in samples]
@@ -498,7 +498,7 @@ def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labe
 
 
 def _sampled(length: int, unit: int) -> NDArray[np.int64]:
-    """Return the indices of the rows or columns to simulate: either all indices, or those of a few evenly spaced pieces.
+    """Return the indices of the rows or columns to simulate: either all indices, or the indices of a few pieces.
 
     Pieces begin at multiples of `unit`. The first piece contains the first index, and the last piece the last index.
     """

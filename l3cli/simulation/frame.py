@@ -176,8 +176,8 @@ def frames_like(head: TrainingSet) -> Callable[[TrainingPair, LightSpectrum], It
     Returns
     -------
     callable
-        Function of a frame and an illuminant spectrum. It yields frames of dead-leaves scenes under this illuminant, with
-        the luminance and the exposure time of the frame.
+        Function that takes a frame and an illuminant spectrum. The function yields frames of dead-leaves scenes under this
+        illuminant, with the luminance and the exposure time of the given frame.
     """
     camera = replace(head.camera, rows=DRAWN_SIZE[0], cols=DRAWN_SIZE[1], flat_field=None, defects=None)
     target = target_of(head)

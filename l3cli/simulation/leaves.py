@@ -138,7 +138,7 @@ def _may_show(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> NDArray[np.
 def _span(centre: NDArray, radius: NDArray, blocks: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the range of blocks that the bounding square of each leaf touches along one axis.
 
-    The two returned arrays contain the index of the first block of each leaf, and the index of its last block plus 1.
+    The two returned arrays contain the index of the first block of each leaf, and the index after its last block.
     """
     first = np.clip((centre - radius) // BLOCK, 0, blocks).astype(np.intp)
     last = np.clip((centre + radius) // BLOCK + 1, 0, blocks).astype(np.intp)

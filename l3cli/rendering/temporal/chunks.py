@@ -61,7 +61,7 @@ def chunks_of(place: int) -> range:
 def needed(wanted: Iterable[tuple[int, bool]]) -> Iterator[bool]:
     """Yield, for each frame, whether the temporal filter must read this frame.
 
-    A frame must be read if its result is wanted, or if the result of a later frame depends on it.
+    A frame must be read if its result is wanted, or if the result of a later frame depends on this frame.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ class AnyOrder:
     make : callable
         Function that creates a filter.
     read : callable
-        Function that takes the index of a frame, counted from 0, and returns the raw frame. It may raise any exception.
+        Function that takes the index of a frame, counted from 0, and returns the raw frame. Any exception is allowed.
     most : int
         Number of filtered frames to keep, because several threads may request neighbouring frames out of order.
     """

@@ -66,8 +66,8 @@ def rescaled(before: Blend, times: float, grid: Grid, noises: tuple[NoiseTerms, 
     ----------
     before : Blend
         State with the old gain and exposure time.
+    times : float
         Factor by which the change multiplies signals.
-        Factor by which signals become larger.
     grid : Grid
         Division of the frame into cells and blocks.
     noises : tuple of NoiseTerms

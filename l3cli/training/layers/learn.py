@@ -219,7 +219,6 @@ def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goa
     """Return the moments and the noise of a class, supported by other classes. Return None if the parent has no samples.
 
     Pseudo-samples of the parent are always added. If the class is unsaturated and has samples, samples of classes with
-    Pseudo-samples of the parent are always added. If the class is unsaturated and has samples, samples of classes with
     neighbouring levels or strengths are also added.
     """
     _, level, kind = rule.split(index)
