@@ -67,7 +67,7 @@ def seen_frequencies(mains: int, rate: Fraction, frames: int) -> list[float]:
     """Return the frequencies of the flicker in a sequence after aliasing, in cycles per frame.
 
     A frequency is omitted if the sequence contains fewer than `MIN_CYCLES` of its cycles. The second harmonic is also
-    omitted if its number of cycles differs by less than one from the number of cycles of the first.
+    omitted if its number of cycles differs by less than one from the number of cycles of the flicker frequency.
 
     Parameters
     ----------

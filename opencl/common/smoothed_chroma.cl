@@ -2,8 +2,8 @@
 // values around them. The reference is l3cli/rendering/reference.py. The eight neighbours are at (±1, ±1), (±CHROMA_REACH, 0) and
 // (0, ±CHROMA_REACH).
 
-// A pixel, scaled so that differences between the pixel and a neighbour need few operations: a neighbour has no weight if the squares of its
-// scaled differences in luminance, X and Z have the sum 1.
+// A pixel, scaled so that the weight of a neighbour needs few operations. A neighbour has no weight if the sum of its squared scaled differences
+// in luminance, X and Z is at least 1.
 typedef struct {
     floats luminance, of_luminance;                        // the scaled luminance, and its scale
     floats x, z, luminance_of_x, luminance_of_z;           // X, Z and luminance, times the scales of X and Z

@@ -57,7 +57,7 @@ VECTOR(short, pairs, 2 * LANES);
 #define GROUP_COLUMN ((int)get_group_id(0) * TILE)  // first column of the tile
 #define GROUP_ROW ((int)get_group_id(1) * BAND)
 
-// For loops over the few pixels at an edge that do not fill a vector. The compiler must not vectorise and unroll these loops, because they
+// Precedes a loop over the few pixels at an edge that do not fill a vector. The compiler must not vectorise and unroll these loops, because they
 // rarely run and would take time to compile.
 #define AT_EDGE _Pragma("clang loop vectorize(disable) unroll(disable)")
 

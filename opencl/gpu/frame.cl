@@ -1,5 +1,5 @@
-// Graphics variant: the kernels for classes and for transforms. A work-item processes a pixel. A work-group processes TILE × BAND pixels and
-// copies them and their neighbourhood to local memory. For classes, local memory also contains the sums over the rows of the patch. Weights
+// Graphics variant: the kernels for classes and for transforms. A work-item processes a pixel. A work-group processes TILE × BAND pixels, and
+// copies these pixels and their neighbourhood to local memory. For classes, local memory also contains the sums over the rows of the patch. Weights
 // are read from global memory through the caches.
 //
 // Adjacent work-items run together, and are fastest if they read the weights of the same class. Adjacent work-items therefore process pixels
