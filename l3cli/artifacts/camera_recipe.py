@@ -103,7 +103,10 @@ def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]
 
 
 def filters_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]) -> list[str]:
-    """For each channel, return the name of the channel whose responsivity it uses, which is usually the channel itself."""
+    """Return, for each channel, the name of the channel with the same filter.
+
+    This is the channel named in `like`, or the channel itself if `like` is not set.
+    """
     return [(channel[name].like if name in channel else None) or name for name in channels]
 
 

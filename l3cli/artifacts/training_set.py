@@ -19,7 +19,7 @@ from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.errors import InputFileError
 from l3cli.physics import spectra
 
-LARGEST = 1e12  # largest allowed number of electrons, cd/m² or seconds; its square fits into a 32-bit float
+LARGEST = 1e12  # largest allowed value in electrons, cd/m² or seconds; its square fits into a 32-bit float
 
 
 @dataclass(frozen=True)

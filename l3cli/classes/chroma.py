@@ -186,7 +186,7 @@ def name(table: TransformTable, chroma: int) -> str:
 
 
 def macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros with which chroma.cl is compiled."""
+    """Return the compiler macros for chroma.cl."""
     black_level = rule.chroma_black_level
     return {
         "CHROMAS": rule.chromas,

@@ -343,7 +343,7 @@ def hue_maps(means: Array, spread: Array, response: Array, white: Array, sides: 
         likeness += weight
         total += weight * signal
     doubt = HUE_DOUBT + GREY_DOUBT * blocks.scaled(white[:, None])[1] ** 2
-    # `estimates` are the signals that each block would have if no channel clipped. `reliability` is their reliability.
+    # `estimates` are the signals that each block would have if no channel clipped. `reliability` is between 0 and 1.
     estimates, reliability = signals.copy(), trust.copy()
     found = blocks.estimated(total / np.where(likeness > 0, likeness, 1.0), white)
     estimates[:, numbers] = np.where(likeness > 0, found, own)

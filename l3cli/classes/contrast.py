@@ -123,7 +123,7 @@ def name(table: TransformTable, contrast: int) -> str:
 
 
 def macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros with which contrast.cl is compiled."""
+    """Return the compiler macros for contrast.cl."""
     return {"CONTRASTS": rule.contrasts}
 
 

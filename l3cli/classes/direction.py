@@ -240,7 +240,7 @@ def name(table: TransformTable, index: int) -> str:
 
 
 def macros(feature: Feature, rule: ClassRule) -> dict[str, int]:
-    """Return the macros with which direction.cl is compiled."""
+    """Return the compiler macros for direction.cl."""
     names = ("STRAIGHT", "DIAGONAL", "ORIENTATIONS", "STRENGTHS", "COHERENCE")
     head = {f"DIRECTION_{name}": value for name, value in zip(names, feature.constants[:HEAD].tolist(), strict=True)}
     return head | {"DIRECTION_HEAD": HEAD, "DIRECTION_SHARES": SHARES}

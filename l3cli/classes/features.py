@@ -44,7 +44,7 @@ class BasicFeatureModule(DescribedFeature, Protocol):
     """Additional functions of the modules level, contrast, saturation and chroma."""
 
     def macros(self, rule: ClassRule) -> dict[str, int]:
-        """Return the macros with which the OpenCL snippet of the feature is compiled."""
+        """Return the compiler macros for the OpenCL snippet of the feature."""
 
     def kernel_array(self, rule: ClassRule) -> NDArray[Any]:
         """Return the constants that the OpenCL snippet of the feature reads."""
@@ -127,7 +127,7 @@ class FeatureModule(DescribedFeature, Protocol):
         turns)."""
 
     def macros(self, feature: Feature, rule: ClassRule) -> dict[str, int]:
-        """Return the macros with which the OpenCL snippet of the feature is compiled."""
+        """Return the compiler macros for the OpenCL snippet of the feature."""
 
 
 # Kernels include the snippets in this order, and receive the arrays in this order.

@@ -158,7 +158,7 @@ def name(table: TransformTable, level: int) -> str:
 
 
 def macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros with which level.cl is compiled."""
+    """Return the compiler macros for level.cl."""
     return {"LEVELS": rule.levels, "LEVEL_FRACTION": LEVEL_FRACTION}
 
 

@@ -32,7 +32,7 @@ def rule_snippets(rule: PlaneRule) -> tuple[str, dict[str, str]]:
 
 
 def rule_macros(rule: PlaneRule) -> dict[str, int]:
-    """Return the macros with which the files from `rule_snippets` are compiled."""
+    """Return the compiler macros for the files from `rule_snippets`."""
     if isinstance(rule, StructureRule):
         return {"STRENGTHS": rule.strengths, "DIRECTIONS": DIRECTIONS, "COHERENCE": rule.coherence, "GRADIENT_TOP": GRADIENT}
     return {
@@ -162,7 +162,7 @@ def combination_function(rule: ClassRule) -> str:
 
 
 def kernel_macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros with which rule.cl and the snippets of the features are compiled."""
+    """Return the compiler macros for rule.cl and for the snippets of the features."""
     basic = {key: value for module in BASIC for key, value in module.macros(rule).items()}
     added = {key: value for module, feature in features_of(rule) for key, value in module.macros(feature, rule).items()}
     return basic | added | {"KINDS": rule.kinds}

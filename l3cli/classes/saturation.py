@@ -179,7 +179,7 @@ def _distances(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
 
 
 def macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros with which saturation.cl and the kernel for the patch statistics are compiled."""
+    """Return the compiler macros for saturation.cl and for the kernel that computes the patch statistics."""
     return {"SATURATION": min(rule.saturation, 1 << 16), "SATURATION_RADIUS": rule.saturation_radius}
 
 

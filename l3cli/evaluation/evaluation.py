@@ -216,7 +216,7 @@ class Evaluation:
         self._figure = "mean_delta_e" if self._pictures else single
         self._colours: dict[bytes, Colour] = {}  # white balance and colour matrix for each illuminant
         self._frames: list[dict[str, Any]] = []
-        # For each frame: the range of its level, the type of each uniform patch, and each pipeline's colour variances.
+        # For each frame: the octave of its level, the type of each uniform patch, and the colour variances of each pipeline.
         self._patches: list[tuple[tuple[float, float], list[str], dict[str, Array]]] = []
         self._bands: list[dict[str, list[dict[str, float]]]] = []  # for each frame and pipeline: metrics of each output
         self._classes = ClassErrors(table, self.pipelines)

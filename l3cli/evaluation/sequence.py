@@ -161,8 +161,8 @@ STILL = 0.5
 # The following constants define still patches if there is no ideal sequence.
 DRIFT = 1.0  # L*; maximum change in the mean of a still patch from the first to the second half of the sequence
 UNCERTAIN = 3.0  # standard deviations; changes that are smaller than this may be caused by noise
-# The patches that change least are assumed to show only noise. These patches are the fraction QUIETEST of all patches. A
-# still patch changes at most RESTLESS times as much as these patches.
+# The fraction QUIETEST of the patches, which change least, is assumed to show only noise. A still patch changes at most
+# RESTLESS times as much as these patches.
 QUIETEST, RESTLESS = 0.1, 3.0
 ROUNDING = 0.1  # L*; maximum change of a pixel due to rounding
 

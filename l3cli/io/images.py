@@ -32,7 +32,7 @@ def read_image(path: Path, cure: str = USE_PICTURE) -> tuple[NDArray, tuple[str,
 
 @isolated("OpenImageIO")
 def picture_flip(path: Path) -> int:
-    """Return the LibRaw flip code that makes the stored pixels of a picture upright, from the tag Orientation."""
+    """Read the orientation of a picture, and return the LibRaw flip code that makes the stored pixels upright."""
     with opened(path) as (_, spec):
         return flip_of(path, spec.get_int_attribute("Orientation", UPRIGHT))
 
@@ -98,7 +98,10 @@ def open_image(path: Path, cure: str = USE_RAW) -> Any:
 
 
 def require_bearable(path: Path, spec: Any) -> None:
-    """Raise InputFileError if a picture is too large, is a volume, or has deep samples, according to its ImageSpec."""
+    """Raise InputFileError if a picture is too large, is a volume, or has deep samples.
+
+    `spec` is the ImageSpec of the picture.
+    """
     require_picture(str(path), spec.height, spec.width, spec.nchannels * max(spec.format.size() // VALUE_BYTES, 1))
     if spec.deep or spec.depth != 1:
         raise InputFileError(

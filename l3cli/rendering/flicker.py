@@ -46,7 +46,7 @@ class BrightnessRatio:
         self._before: Array | None = None
 
     def of(self, frame: RawFrame) -> float:
-        """Return the logarithm of the brightness ratio between this frame and the previous frame.
+        """Return the natural logarithm of the brightness ratio between this frame and the previous frame.
 
         Patches that are dark or clipped in one of the frames are not used. The result is 0 for the first frame, and for
         frames with fewer than MIN_PATCHES usable patches.
@@ -95,7 +95,7 @@ def seen_frequencies(mains: int, rate: Fraction, frames: int) -> list[float]:
 class Flicker:
     """The flicker of one frame."""
 
-    log: float  # logarithm of the factor by which flicker brightens the frame
+    log: float  # natural logarithm of the factor by which flicker brightens the frame
     mains: int | None  # mains frequency in Hz, or None if no flicker was found
 
 

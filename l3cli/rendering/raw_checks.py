@@ -46,7 +46,7 @@ class FrameWarnings:
     _untimed: list[str] = field(default_factory=list)  # names of frames without exposure time and dark frame
     _others: dict[str, tuple[str, int]] = field(default_factory=dict)  # warning → name of the first frame, number of frames
     _notes: dict[str, str] = field(default_factory=dict)  # remark of a file reader → name of the first frame
-    # field of OutOfRange → fraction and name of the worst frame, number of frames
+    # field of OutOfRange → fraction of pixels in the worst frame, name of the worst frame, number of affected frames
     _worst: dict[str, tuple[float, str, int]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -49,7 +49,7 @@ class Renderer(Protocol):
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
         """Render a frame as a picture (row, col, 3) in uint8 or uint16.
 
-        Raises a RecipeError unless the table outputs X, Y and Z, Y alone, or Stokes parameters.
+        Raises a RecipeError unless the outputs of the table are X, Y and Z, only Y, or Stokes parameters.
         """
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
@@ -61,7 +61,7 @@ class Renderer(Protocol):
     def encoded(self, outputs: NDArray[np.float32], display: Display) -> NDArray:
         """Encode outputs that were changed after rendering, such as filtered outputs, as a picture.
 
-        Raises a RecipeError unless the table outputs X, Y and Z, Y alone, or Stokes parameters.
+        Raises a RecipeError unless the outputs of the table are X, Y and Z, only Y, or Stokes parameters.
         """
 
 

@@ -292,7 +292,7 @@ class FrameMeter:
         brightness : float
             Brightness of the frame, from `looked_at`.
         flicker : float
-            Logarithm of the factor by which flicker brightens the frame. The scale compensates for this factor.
+            Natural logarithm of the factor by which flicker brightens the frame. The scale compensates for this factor.
         """
         steady = math.exp(-flicker)
         if self._light and self._exposure:

@@ -857,7 +857,10 @@ def require_seen(bands: Array, target: Target, camera: CameraModel) -> None:
 
 
 def column_names(path: Path) -> tuple[str, ...]:
-    """Return the column names of a file of matching functions. If the columns have no names, they are numbered."""
+    """Return the column names of a file of matching functions.
+
+    If the names are missing, repeated or numeric, the columns are numbered.
+    """
     table = read_table(path)
     unnamed = tuple(f"output {number}" for number in range(1, len(table.values) + 1))
     names = table.names or ()

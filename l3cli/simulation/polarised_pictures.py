@@ -41,7 +41,7 @@ def stokes_of_pictures(content: PolarisedPictures, source: sources.PolarisedPict
     Raises
     ------
     ValueError
-        If the values contradict the recipe, or if the white is unknown.
+        If the values contradict the recipe, or if the value of white is unknown.
     """
     values = content.values
     if getattr(source, "holds", "linear") == "sRGB":

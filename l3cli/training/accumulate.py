@@ -206,7 +206,7 @@ class _Batch:
         sums : ClassSums
             Sums of the site, which are changed in place.
         large : ndarray, (level, pair)
-            The `rounding_number` of the grid steps.
+            Numbers that round the products to grid steps, from `rounding_number`.
         label : ndarray, (patch)
             Class of each patch. The patches are sorted by class.
         level : ndarray, (patch)

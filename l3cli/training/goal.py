@@ -44,7 +44,10 @@ def one_light(light: LightSpectrum | None) -> LightSpectrum | None:
 
 
 def has_components(head: TrainingSet) -> bool:
-    """Whether a refinement layer can refine leading components. This requires a spectrum of more than three outputs."""
+    """Whether a refinement layer can refine leading components.
+
+    The outputs must be a spectrum with more than three values.
+    """
     return len(head.outputs) > PLANES and is_spectrum(head.outputs, head.camera.channels)
 
 

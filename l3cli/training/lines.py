@@ -94,7 +94,7 @@ class LineNoise:
 
 @dataclass(frozen=True)
 class SharedNoise:
-    """Line noise of patches, and the share of each tap. The module docstring defines the share."""
+    """Line noise of patches, and the factor by which each tap scales this noise (see *share* in the module docstring)."""
 
     noise: LineNoise
     shares: Floats  # (patch, tap) share of each tap
@@ -110,7 +110,7 @@ class SharedNoise:
         return np.asarray((self.shares.T @ self.shares)[pairs.first, pairs.second] * variance)
 
     def propagated(self, weights: Floats, outputs: Sequence[tuple[int, int]]) -> Floats:
-        """Return how much the correlation of noise between taps of a line changes the covariances of the outputs.
+        """Return the change in the output covariances that is due to the correlation of noise within lines.
 
         The change is the covariance from line noise, minus the covariance from independent noise with the same variance at
         each tap.

@@ -72,9 +72,8 @@ def uniform_stripes(cfa: NDArray[np.integer], channels: int) -> Array:
 def false_colours(camera: CameraModel, wavelength: Array, photons: Array) -> Array:
     """Return the stripes from `uniform_stripes` whose raw values correspond to a colour that no surface can have.
 
-    Stripes are selected by distances between channel fractions. The distance from the stripes to white must be at least
-    `MIN_STRIPE_CHROMA`, and the distance to the nearest optimal colour must be at least `UNLIKE` times as large as the
-    distance to white.
+    Colours are compared as channel fractions. The distance from the stripes to white must be at least `MIN_STRIPE_CHROMA`,
+    and the distance to the nearest optimal colour must be at least `UNLIKE` times the distance to white.
 
     Parameters
     ----------
@@ -135,28 +134,30 @@ def optimal_reflectances(wavelength: Array) -> Array:
     return np.concatenate([np.where(bright, 1.0, black) for black in BLACKS])
 
 
-SATURATIONS = (0.2, 0.4, 0.6, 0.8, 1.0)  # saturations of the versions of each measured surface, from pale to unchanged
+SATURATIONS = (0.2, 0.4, 0.6, 0.8, 1.0)  # saturations of each measured surface, from pale to unchanged
 EDGES = 0.1, 0.2, 0.4  # ratio of absorption to scattering (K/S) of titanium white at 405 nm, as in the training scenes
 WIDTHS = 6.5, 9.5  # width of the absorption edge of titanium white, in nm
-BARE = 2  # number of copies of each version without titanium white; there are six versions with titanium white
+BARE = 2  # number of copies of each surface without titanium white; there are six copies with titanium white
 GREYS = np.geomspace(0.03, 0.95, 12)  # reflectances of white and grey paints
 GREY_SHARE = 100.0  # total weight of the paints in a chroma, relative to the total weight of all other surfaces
 OF_WHITE = 3.0  # additional weight of the chroma of white, in which a colour cast is most visible
 NEAR_WHITE = 0.2  # typical distance of noisy dark greys from white, relative to the mean channel fraction
-MIN_SURFACES = 4  # smallest number of surfaces per channel with which a chroma is trained
+MIN_SURFACES = 4  # a chroma is trained only if it has at least this number of surfaces per channel
 SAME_WHITE = 0.005  # relative tolerance for the white in X, Y, Z, which depends on the wavelength grid
 
 
 @functools.lru_cache(maxsize=4)
 def cached_reflectances(wavelength: tuple[float, ...]) -> tuple[Array, int]:
-    """Return the reflectances of all versions of the surfaces.
+    """Return reflectances of bare and painted surfaces on a wavelength grid.
+
+    Each measured surface occurs at several saturations, both bare and with titanium white.
 
     Returns
     -------
     reflectances : ndarray, (surface, wavelength)
-        Reflectances of the measured surfaces, then of the white and grey paints.
+        Reflectances of the measured surfaces, then of white and grey paints with titanium white.
     greys : int
-        Number of paints.
+        Number of white and grey paints.
     """
     grid = np.array(wavelength)
     paler = np.concatenate([with_saturation(spectra.reflectance_library(grid), each) for each in SATURATIONS])

@@ -28,7 +28,7 @@ class ColourWeighting:
     """Weights the samples of one canonical site by their colour errors in the first pass."""
 
     weights: Floats  # (class, tap, output) transforms of the first pass
-    products: Floats  # (class, tap, product) products XX, YY, ZZ, XY and YZ of the taps; factors that propagate the noise
+    products: Floats  # (class, tap, product) products XX, YY, ZZ, XY and YZ of the weights, to propagate the noise
     intercept: Floats  # (class, output) intercepts of the first pass
     white: Floats  # (output) perfect white
     power: float  # the recipe key error_power
@@ -82,7 +82,7 @@ class SpectralWeighting:
     """Weights the samples of one canonical site by the errors of their spectra in the first pass."""
 
     weights: Floats  # (class, tap, output) transforms of the first pass
-    squares: Floats  # (class, tap) squared taps, summed over the outputs; factors that propagate the noise variance
+    squares: Floats  # (class, tap) squared weights, summed over the outputs, to propagate the noise variance
     intercept: Floats  # (class, output) intercepts of the first pass
     power: float  # the recipe key error_power
 

@@ -33,9 +33,9 @@ from l3cli.training.sums import moment_matrix, turned_places, width_of
 from l3cli.training.symmetry import Turn
 
 Array = NDArray[np.float64]
-CASE_SHARE = 0.1  # smallest weight, in a parent, of the mean over all levels of the saturation case
-# If the level and saturation case of a parent have this number of patches, the weight is 0.55. With more patches, the
-# weight falls towards CASE_SHARE.
+# A parent is a weighted mean of its own level and of all levels of its saturation case. The weight of all levels is 1 if
+# the own level has no patches, 0.55 if it has THIN_PARENT patches, and approaches CASE_SHARE if it has many patches.
+CASE_SHARE = 0.1
 THIN_PARENT = 100.0
 
 
@@ -153,7 +153,7 @@ class Solution:
     condition: Array  # (class) largest condition number over the outputs, or 0 if the class has no solution
     colours: Array  # (channel, channel) second moments of the channel means over uniform patches, scaled to a trace of 1
     white: Array | None  # (channel) signals of white, or None if they are unknown
-    power: Array  # (class) sum of the squared channel means over all patches, including patches of neighbours and parent
+    power: Array  # (class) squared channel means, summed over all patches of the class, its neighbours and its parent
     outputs: Array  # (output, output) second moments of the targets of unsaturated classes
 
 

@@ -107,11 +107,10 @@ def fits_between(transforms: Array) -> NDArray[np.bool_]:
 
 
 def _moderate(solutions: Array, member: Array, taps: int, integers: Integers) -> NDArray[np.bool_]:
-    """Return, for each class, whether its transform leaves enough room in the integer formats for a later correction.
+    """Return, for each class, whether the transform is small enough for a later correction.
 
-    The equal-response constraint corrects each transform later. The transform must therefore be at most
-    1/`EQUAL_RESPONSE_MARGIN` of the largest possible transform. The same limit applies to the correction that changes the
-    response to one channel by 1.
+    The equal-response constraint corrects each transform later. `EQUAL_RESPONSE_MARGIN` times the transform must therefore
+    fit into the integer formats. The same condition applies to the correction that changes the response to one channel by 1.
     """
     outputs, used = solutions.shape[2] - len(member), member.any(axis=1)
     compliance = solutions[..., outputs:][..., used]

@@ -152,7 +152,7 @@ def has_two_passes(head: TrainingSet, recipe: LearningRecipe) -> bool:
 # smaller batches make the matrix products slower.
 BATCH_PATCHES = 50_000
 LAYER_SAMPLES = 300_000  # number of samples per batch for refinement layers; each batch is sorted by class
-SUM_BYTES = 200 << 20  # memory limit in bytes for the sums of one process; two sites may always be processed together
+SUM_BYTES = 200 << 20  # memory limit in bytes for the sums of one process, which always has at least two sites
 
 
 @dataclass(frozen=True)

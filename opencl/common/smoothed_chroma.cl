@@ -51,8 +51,8 @@ INLINE floats within_change(floats change, floats most) {
     return below > -most ? below : -most;
 }
 
-// Raises the luminance of a pixel to `least`. `own` contains X, Y and Z of the pixel, and `diagonal` the sums over its diagonal neighbours. X and
-// Z move towards the chroma of these neighbours.
+// Raises the luminance of a pixel to `least`. X and Z move towards the chroma of the diagonal neighbours. `own` contains X, Y and Z of the
+// pixel. `diagonal` contains the sums of X, Y and Z over the diagonal neighbours.
 INLINE void raise_luminance(floats *own, const floats *diagonal, floats least) {
     const floats raised = own[1] > least ? own[1] : least, most = RAISED_CHROMA * (raised - own[1]);
     const floats brighter = diagonal[1] > raised ? diagonal[1] : raised, divisor = brighter > DARKEST ? brighter : (floats)DARKEST;

@@ -102,8 +102,8 @@ INLINE void halve(__global const ushort *fine, __global ushort *coarse, int row,
     }
 }
 
-// Computes all planes of STRIP blocks, for DEEPEST rows of the finest plane. The first half of the work-items computes the planes of the
-// frame. The second half computes the planes of the history, whose finest plane already exists.
+// Computes the planes of all levels. Each work-item processes STRIP blocks across, and DEEPEST rows of the finest plane. The first half of
+// the work-items computes the planes of the frame. The second half computes the planes of the history, whose finest plane already exists.
 __kernel void planes(__global const ushort *restrict raw, __global ushort *restrict now, __global ushort *restrict before,
                      int free_bits, int block_rows, int block_columns) {
     const int parts = get_global_size(1) / 2, part = get_global_id(1) % parts;

@@ -16,7 +16,8 @@ INLINE ints size_of(ints value) { return value > 0 ? value : -value; }
 INLINE ints larger(ints a, ints b) { return a > b ? a : b; }
 INLINE floats signed_square(ints value) { return CONVERT(value * size_of(value), floats); }
 
-#define TRANSPOSED 14  // first bit of the orientation of the site in the gradient word
+// Bits of the gradient word that contain the orientation of the site.
+#define TRANSPOSED 14
 #define MIRRORED_ACROSS 15
 #define MIRRORED_DOWN 16
 #define SWAP_WHERE(condition, a, b) { const ints swapped = a; a = (condition) ? b : a; b = (condition) ? swapped : b; }

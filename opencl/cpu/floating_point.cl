@@ -32,8 +32,8 @@ INLINE totals fold_all(const totals v[LANES / 4]) {
 #endif
 }
 
-// Returns the initial sums of a pixel. Lane o contains the intercept of output o, plus the weighted last tap and the weighted taps that
-// follow the windows.
+// Returns the initial sums of a pixel. Lane o contains the intercept of output o, plus the weighted last tap of the window and the
+// weighted ratio taps.
 INLINE four_totals last_taps(const tap *patch, const float *ratios, __global const tap *weights) {
     four_totals sum = LOAD_GLOBAL(four_totals, weights + LAST_TAP) * patch[TAPS - 1] + LOAD_GLOBAL(four_totals, weights + LAST_TAP + 4);
     #pragma unroll
@@ -68,7 +68,7 @@ INLINE void apply_pair(totals sum[GROUP], const tap *first, const tap *second, c
 }
 
 // Computes the outputs of LANES pixels, starting at column x. Output o of group g is made[g * GROUP + o]. `ratios` (tap, column) contains the
-// taps that follow the windows.
+// ratio taps, which do not belong to a window.
 INLINE void apply(totals *made, const tap *patches, const float *ratios, const uint *label, __global const tap *weights, int x) {
     for (int g = 0; g < GROUPS; g++) {
         __global const tap *group = weights + g * GROUP_STRIDE;

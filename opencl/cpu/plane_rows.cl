@@ -6,7 +6,7 @@ typedef struct {
     ulong of[REACHED];  // element of label_words for each pixel
 } Words;
 
-// Reads `end` padded columns of a row of a plane or of classes. The first column is STRUCTURE_REACH columns to the left of the tile.
+// Reads `end` padded columns from a row of a plane or of the class map. The first column is STRUCTURE_REACH columns to the left of the tile.
 INLINE void read_plane(int *to, __global const int *row, __global const int *column_source, int x0, int end, int columns) {
     const int first = max(0, STRUCTURE_REACH - x0), last = min(end, columns - x0 + STRUCTURE_REACH);
     int p = first;

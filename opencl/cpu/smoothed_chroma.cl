@@ -80,7 +80,7 @@ INLINE void raise_pixels(floats *own, __global const float *const *row, size_t s
 #endif
 
 COMPILED_ONCE smooth_chroma_tile(int x0, int y0,
-                                 __global const float *restrict made,    // (output, made row, col)
+                                 __global const float *restrict made,    // (output, row of `made`, col)
                                  __global const float *restrict matrix,  // (3, 3) from X, Y, Z to linear picture values
                                  __global CODE *restrict picture         // (row, col, 3), or (output, row, col)
                                  GAIN_PARAMETER, LEAST_PARAMETERS

@@ -7,7 +7,7 @@
 #define NEIGHBOURS (WINDOW * WINDOW)
 
 COMPILED_ONCE smooth_tile(int x0, int y0,
-                          __global const float *restrict made,  // (output, made row, col)
+                          __global const float *restrict made,  // (output, row of `made`, col)
                           __global float *restrict smoothed,    // (output, row, col)
                           float reach,
                           int made_rows, int top,               // number of rows in `made`, and index of its first row in the frame

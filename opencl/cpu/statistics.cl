@@ -89,7 +89,8 @@ INLINE void add_runs(Runs *runs, const Columns *columns, int span) {
     }
 }
 
-// Sums of a channel over the patches that begin at column p, p + 1 …: shared sums first, then the remaining columns.
+// Sums of a channel over the patches that begin at column p, p + 1 …. Each sum consists of sums over RUN columns, which neighbouring patches
+// share, and of the remaining columns.
 INLINE uints patch_sum(const Runs *runs, const Columns *columns, int c, int p) {
     uints total = LOAD_PRIVATE(uints, runs->sum[c] + p);
     #pragma unroll

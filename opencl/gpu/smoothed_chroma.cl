@@ -2,11 +2,11 @@
 // processes a pixel.
 
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
-void smooth_chroma(__global const float *restrict made,    // (output, made row, col)
+void smooth_chroma(__global const float *restrict made,    // (output, row of `made`, col)
                    __global const float *restrict matrix,  // (3, 3) from X, Y, Z to linear picture values
                    __global CODE *restrict picture,        // (row, col, 3), or (output, row, col)
 #ifdef SHADED
-                   __global const float *restrict gain,    // (made row, node) shading gains of the outputs, every GAIN_STEP columns
+                   __global const float *restrict gain,    // (row of `made`, node) shading gains of the outputs, every GAIN_STEP columns
 #endif
                    LEAST_PARAMETERS
                    float by_luminance, float by_x, float by_z,

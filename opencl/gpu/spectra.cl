@@ -9,7 +9,7 @@ INLINE float brightness_at(__global const float *made, size_t at, size_t stride)
 }
 
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
-void smooth_spectra(__global const float *restrict made,   // (output, made row, col)
+void smooth_spectra(__global const float *restrict made,   // (output, row of `made`, col)
                     __global float *restrict smoothed,     // (output, row, col)
                     float reach,
                     int made_rows, int top,                // number of rows in `made`, and index of its first row in the frame

@@ -1,7 +1,8 @@
 """The picture formats that l3 writes, with their suffixes, contents and modules.
 
 To add a format, write a module with a function `encode` in this folder, and add a line to FORMATS. l3 imports the module
-when it writes the first picture. The bytes of a file must not depend on the time or on the folder of the file.
+when it writes the first picture in this format. The bytes of a file must not depend on the time or on the folder of the
+file.
 """
 
 import importlib

@@ -51,7 +51,7 @@ class MultiFrameFile:
     """A file or stream with several raw frames. Each frame is read when it is needed."""
 
     count: int | None  # number of frames; None for a stream, whose length is unknown until it ends
-    read: Callable[[int], RawContent | None]  # returns the frame with a number (from 0), or None after the end of a stream
+    read: Callable[[int], RawContent | None]  # returns the frame with the given number; None after the end of a stream
     unit: str = "frame"  # word for a frame in messages, such as "page"
     first: int = 0  # number of the first frame in messages
     rate: Fraction | None = None  # frame rate in frames/s; None if the file does not state it
@@ -59,7 +59,7 @@ class MultiFrameFile:
     numbered: bool = True  # whether output names contain the frame number even if the file has only one frame
 
     def name(self, number: int) -> str:
-        """Return the name of the frame with this number (from 0) for messages, such as "page 3"."""
+        """Return the name of frame `number`, counted from 0, for messages, such as "page 3"."""
         return f"{self.unit} {self.first + number}"
 
 

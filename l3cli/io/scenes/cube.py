@@ -217,7 +217,7 @@ def read_content(path: Path) -> Content:
     """Read all numeric arrays in a MATLAB file (suffix .mat) or an HDF5 file (any other suffix).
 
     Groups and structs become nested dictionaries. The axes of arrays that MATLAB wrote have the same order as in MATLAB.
-    Axes of length 1 are removed from these arrays. Strings are read only from MATLAB files before version 7.3. Raises
+    Axes of length 1 are removed from these arrays. Strings are read only from MATLAB files older than version 7.3. Raises
     InputFileError if the file cannot be read.
     """
     return read_matlab(path) if path.suffix.lower() == MATLAB else _read_hdf5(path)
@@ -241,7 +241,7 @@ def array_shapes(path: Path) -> dict[str, tuple[int, ...]]:
     """Return the shape of each numeric array in a MATLAB or HDF5 file.
 
     The keys of the result are paths in the file, such as "a" or "a/b". The values are the shapes of the arrays that
-    `read_content` returns. Only headers are read, except that structs in MATLAB files before version 7.3 must be read
+    `read_content` returns. Only headers are read, except that structs in MATLAB files older than version 7.3 must be read
     completely.
     """
     import h5py
@@ -273,7 +273,7 @@ def _arrays(content: Content, prefix: str = "") -> Iterator[tuple[str, NDArray]]
 
 
 def _loaded(path: Path, names: list[str] | None = None) -> Content:
-    """Read variables from a MATLAB file before version 7.3. If `names` is None, all variables are read."""
+    """Read variables from a MATLAB file older than version 7.3. If `names` is None, all variables are read."""
     from scipy.io import loadmat, whosmat
 
     for name, shape, _ in whosmat(path):

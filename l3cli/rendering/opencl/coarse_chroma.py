@@ -115,7 +115,7 @@ class DeviceClipping:
         self._constants: list[Any] = []  # buffers with the CFA, and with the response and the white
 
     def maps(self, track: Track, band: Band, frame: RawFrame) -> tuple[list[Any], Any]:
-        """Enqueue the kernels that compute the values by which clipped areas are replaced.
+        """Enqueue the kernels that compute replacement values for clipped areas.
 
         Parameters
         ----------

@@ -242,7 +242,7 @@ class OpenCLRenderer:
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
         """Render a frame as a picture (row, col, 3). The picture is encoded on the device.
 
-        Raises a RecipeError unless the table outputs X, Y and Z, Y alone, or Stokes parameters.
+        Raises a RecipeError unless the outputs of the table are X, Y and Z, only Y, or Stokes parameters.
         """
         picture, work = self._start_picture(frame, display)
         work.end()

@@ -180,7 +180,7 @@ def _made_by_worker(job: tuple[RenderSetup, FrameTask]) -> Any:
 
 
 def _is_made(job: tuple[RenderSetup, FrameTask], made: Any) -> bool:
-    """Whether an answer from another machine has the type and the size of a result of `_made_by_worker`."""
+    """Whether a result from another machine has the type and the size that `_made_by_worker` returns."""
     setup, task = job
     if isinstance(made, L3Error):
         return True

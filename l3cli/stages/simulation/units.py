@@ -132,7 +132,7 @@ def simulated(unit: WorkUnit) -> Iterator[tuple[int, Any, float]]:
     Yields
     ------
     (int, TrainingPair, float)
-        Index of the frame, the frame, and the fraction of the light at wavelengths for which the scene has no data.
+        Index of the frame, the frame, and the fraction of the electrons that come from wavelengths without scene data.
     """
     run = unit.run
     if isinstance(unit.what, Pair):

@@ -105,7 +105,7 @@ def _pilot(unit: PilotUnit) -> Pilot:
 
 
 def _is_pilot_of(unit: PilotUnit, pilot: Pilot) -> bool:
-    """Whether an answer from another machine is a pilot whose arrays have the types and shapes that the unit requires."""
+    """Whether a result from another machine is a pilot whose arrays have the types and shapes that the unit requires."""
     channels, frames = len(unit.head.camera.channels), len(unit.frames)
     measured = (pilot.shares, pilot.whites, pilot.lights, pilot.exposures, *pilot.observed.values())
     return (
@@ -134,7 +134,7 @@ def summed(
     function: Callable[[WorkUnit], dict[int, Any]], run: TrainingRun, pass_: TrainingPass, first: TransformTable | None,
     blocks: list[range], execution: Execution,
 ) -> Iterator[tuple[int, Any]]:  # fmt: skip
-    """Apply `function` to the work units of a pass, and yield the result for each canonical site in order.
+    """Apply `function` to the work units of a pass, and yield the result for each canonical site.
 
     If several work units share a site, their sums are added up.
 

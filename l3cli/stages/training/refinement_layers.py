@@ -67,7 +67,7 @@ def warn_of_left_out_layers(run: TrainingRun, console: Console) -> None:
 
 
 def layer_mosaics(run: TrainingRun, number: int) -> tuple[int, ...]:
-    """Return, for each frame, the number of mosaics with which a refinement layer is trained.
+    """Return, for each frame, the number of mosaics that are used to train a refinement layer.
 
     `number` is the number of the refinement layer, counted from 0.
     """
@@ -86,10 +86,10 @@ class LayerUnit:
 
 
 def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: PlaneRule | None = None) -> PlaneRule:
-    """Determine the class rule of a refinement layer by a pilot over all frames.
+    """Determine the class rule of a refinement layer in a pilot pass over all frames.
 
-    If `like` is set, the classes of this rule are reused. If the noise of the layer differs from the noise of the camera,
-    only the gradient scale of the rule is determined from the frames.
+    If `like` is set, its classes are reused. The pilot pass then only determines the gradient scale, and is skipped if the
+    layer has the noise of the camera.
     """
     if like is not None and (layer.camera.gain, layer.camera.noise_left) == (run.head.camera.gain, 1):
         return like
@@ -158,18 +158,18 @@ def _sum(unit: LayerUnit) -> dict[int, LayerSums]:
 
 
 def _is_measured(unit: LayerUnit, measured: list[NDArray[np.float64]]) -> bool:
-    """Whether the arrays in an answer from another machine have the shapes of a result of `_measure`."""
+    """Whether the arrays in a result from another machine have the shapes that `_measure` returns."""
     return all((noise.dtype, noise.shape) == (np.float64, (2, unit.layer.rule.levels)) for noise in measured)
 
 
 def _are_samples(unit: LayerUnit, sampled: list[dict[int, rules.TreeSamples]]) -> bool:
-    """Whether the arrays in an answer from another machine have the shapes of a result of `_sample`."""
+    """Whether the arrays in a result from another machine have the shapes that `_sample` returns."""
     frames = sum(map(len, unit.blocks))
     return len(sampled) == frames and all(rules.are_samples(unit.layer, samples) for samples in sampled)
 
 
 def _are_sums(unit: LayerUnit, sums: dict[int, LayerSums]) -> bool:
-    """Whether the arrays in an answer from another machine have the shapes of a result of `_sum`."""
+    """Whether the arrays in a result from another machine have the shapes that `_sum` returns."""
     assert isinstance(unit.known, PlaneRule)
     empty = no_sums(unit.layer, unit.known)
     return set(sums) == set(empty) and all(same_shapes(sums[site], empty[site]) for site in empty)

@@ -23,9 +23,9 @@ Array = NDArray[np.float64]
 
 
 def measured_noise(layer: LayerPass) -> CoarseChroma:
-    """Measure the noise with which the coarse chroma filter of a layer compares differences between blocks.
+    """Measure the noise of block means, for the coarse chroma filter of a layer.
 
-    The noise is measured on simulated greys, as the variance of the block means before each step of the filter.
+    The noise is the variance of the block means of simulated greys before each step of the filter.
 
     Parameters
     ----------

@@ -57,7 +57,7 @@ class Mosaics:
 
 @dataclass(frozen=True)
 class Exposed:
-    """Settings with which mosaics are cut from frames and exposed."""
+    """Settings for cutting mosaics from frames and for exposing the mosaics."""
 
     camera: CameraModel
     recipe: LearningRecipe

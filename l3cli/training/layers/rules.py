@@ -397,7 +397,7 @@ def sample_tree(
 
 
 def _split_side(layer: LayerPass) -> int:
-    """Return the side, in pixels, of the windows with which splits of a tree are evaluated."""
+    """Return the side, in pixels, of the windows that are used to evaluate the splits of a tree."""
     return min(layer.recipe.side, SPLIT_SIDE_PIXELS) if layer.learning.noise == "none" else layer.recipe.side
 
 

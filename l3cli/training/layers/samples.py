@@ -61,7 +61,7 @@ class Reading:
 
     @property
     def taps(self) -> int:
-        """Total number of taps: the windows in all planes, then the ratio taps."""
+        """Total number of taps: the pixels of the window in all planes, plus the ratio taps."""
         return PLANES * self.order.shape[1] + self.ratio_taps
 
     def offsets(self, cols: int) -> Integers:
