@@ -67,7 +67,11 @@ class ChromaSmoothing:
 
 @dataclass(frozen=True)
 class LeadingComponents:
-    """The leading components of spectra, which a refinement layer corrects (docs/method.md#leading-components)."""
+    """The three planes that a refinement layer reads to correct the outputs (docs/method.md#leading-components).
+
+    For spectra, the planes are the leading components of the spectra. For colours with Stokes parameters, they are S1, Y and
+    S2.
+    """
 
     basis: NDArray[np.float64] = data(
         "float64", "output", "plane", doc="matrix that converts outputs to planes: planes = outputs · basis"
@@ -77,6 +81,13 @@ class LeadingComponents:
         check(self)
         if self.basis.shape[1] != PLANES:
             raise ValueError(f"basis has {self.basis.shape[1]} planes, but must have {PLANES}")
+
+    @property
+    def chroma_outputs(self) -> tuple[int, ...]:
+        """Indices of the outputs that are equal to the two chroma planes. Empty if a chroma plane mixes several outputs."""
+        chroma = self.basis[:, :: PLANES - 1]
+        single = (np.count_nonzero(chroma, axis=0) == 1).all() and (chroma.max(axis=0) == 1).all()
+        return tuple(chroma.argmax(axis=0).tolist()) if single else ()
 
 
 @dataclass(frozen=True, repr=False)
@@ -190,13 +201,13 @@ class TransformTable(Artifact):
             )
         if self.chroma_smoothing and (self.outputs != ("X", "Y", "Z") or not (self.white_point > 0).all()):
             raise ValueError("chroma_smoothing requires the outputs X, Y, Z and a white_point with positive values")
-        if self.later and (
-            len(self.later) > 1 or self.later[-1].coarse_chroma if self.components else len(self.outputs) != 3
-        ):
+        if self.later and (len(self.later) > 1 if self.components else len(self.outputs) != 3):
             raise ValueError(
                 "refinement layers require three outputs; with a different number of outputs, a table can have only one "
                 "refinement layer, which must correct components"
             )
+        if self.later and self.later[-1].coarse_chroma and not self.chroma_outputs:
+            raise ValueError("coarse_chroma requires outputs that are equal to the chroma planes")
         for index, condition in enumerate(self.conditions):
             condition.check_fits(f"conditions/{index}", self.later, self.first.rule.levels)
         there = [(None, None), *((each.light and each.light.name, each.noise) for each in self.conditions)]
@@ -233,7 +244,8 @@ class TransformTable(Artifact):
         -------
         TransformTable
             If the outputs are X, Y, Z and additional outputs, a table with only X, Y, Z. If the only output is Y, a table
-            that contains this output three times (GREY). Otherwise, or if there are refinement layers, this table.
+            that contains this output three times (GREY). Otherwise, or if there are refinement layers, this table. A
+            refinement layer needs all outputs of the first layer.
         """
         grey = self.outputs == LUMINANCE
         if self.later or not (grey or (self.outputs[:3] == ("X", "Y", "Z") and len(self.outputs) > 3)):
@@ -254,6 +266,11 @@ class TransformTable(Artifact):
         This is the case if the table renders only luminance or Stokes parameters, or if the camera has only one channel.
         """
         return self.outputs in (GREY, STOKES) or len(self.channels) == 1
+
+    @property
+    def chroma_outputs(self) -> tuple[int, ...]:
+        """Indices of the outputs that belong to the chroma planes of refinement layers, and that coarse chroma changes."""
+        return (0, PLANES - 1) if self.components is None else self.components.chroma_outputs
 
     @property
     def noises(self) -> tuple[Condition, ...]:

@@ -72,9 +72,10 @@ LAYERS = {
     "bilateral chroma": "for the first and the third plane: sum of w * (difference from the pixel itself) / sum of w. The "
     "sums are over the window. w = max(0, mean of d + ratio_darkest^2 - d)^2, where d is the sum of the squared "
     "differences from the pixel itself in all planes",
-    "coarse chroma": "if a layer has it, plane_step * d is added to the first and to the third output, with the d of the "
-    "plane of the same number. Blocks are means of 4 x 4 pixels of the planes, with the outermost pixels repeated. In "
-    "each step, a block becomes the weighted mean of 3 x 3 blocks within the frame, with a spacing of 1, 2, 4 and 8 "
+    "coarse chroma": "if a layer has it, plane_step * d of the first and of the third plane is added to the outputs "
+    "of these planes, which are the first and the third output, or S1 and S2 for the outputs X, Y, Z, S1 and S2. Blocks are "
+    "means of 4 x 4 pixels of the planes, with the outermost pixels repeated. In each step, a block becomes the weighted "
+    "mean of 3 x 3 blocks within the frame, with a spacing of 1, 2, 4 and 8 "
     "blocks. The weights are 1 2 1 in both directions, times max(0, 1 - sum over planes of difference^2 / (8 * 4 alike^2 "
     "v))^8. alike is the value of the step, and v is the sum of variance * max(Y, 0)^power at the Y of the middle block. "
     "d is the difference between the blocks after the last and before the first step, interpolated bilinearly from the "

@@ -318,6 +318,7 @@ def _plane_macros(table: TransformTable) -> dict[str, int | str]:
         "RAW_MIDDLE": raw_middle(table.bits),
         "PLANE_TOP": PLANE_TOP,
         "LUMINANCE": LUMINANCE,
+        **(dict(zip(("CHROMA_1", "CHROMA_2"), table.chroma_outputs, strict=True)) if _coarse_chroma(table) else {}),
         "COARSE": COARSE,
         "COARSE_TOP": COARSE_TOP,
         "GRADIENT_TOP": GRADIENT,

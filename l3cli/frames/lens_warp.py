@@ -92,9 +92,9 @@ def warped(outputs: NDArray[np.float32], names: Sequence[str], warps: Sequence[L
     outputs : ndarray, (output, row, col)
         Linear outputs of a table, in the orientation of the sensor.
     names : sequence of str
-        Names of the outputs. If the outputs are X, Y, Z and a warp differs between red, green and blue, the outputs are
-        converted to linear sRGB, and the result is converted back to X, Y, Z. Otherwise, the warp for green is applied to
-        all outputs.
+        Names of the outputs. If the first outputs are X, Y, Z and a warp differs between red, green and blue, these outputs
+        are converted to linear sRGB, and the result is converted back to X, Y, Z. The warp for green is applied to all other
+        outputs.
     warps : sequence of LensWarp
         Warps in the order of their application. Without warps, `outputs` is returned unchanged.
 
@@ -106,11 +106,12 @@ def warped(outputs: NDArray[np.float32], names: Sequence[str], warps: Sequence[L
     """
     if not warps:
         return outputs
-    if tuple(names) == ("X", "Y", "Z") and any(warp.separates_colours for warp in warps):
+    if tuple(names[:3]) == ("X", "Y", "Z") and any(warp.separates_colours for warp in warps):
         matrix = SRGB.from_xyz
-        mixed = np.einsum("po,orc->prc", matrix.astype(np.float32), outputs)
+        mixed = np.einsum("po,orc->prc", matrix.astype(np.float32), outputs[:3])
         moved = np.stack([_resampled(mixed[each][None], warps, each)[0] for each in (RED, GREEN, BLUE)])
-        return np.einsum("op,prc->orc", np.linalg.inv(matrix).astype(np.float32), moved)
+        xyz = np.einsum("op,prc->orc", np.linalg.inv(matrix).astype(np.float32), moved)
+        return np.concatenate([xyz, _resampled(outputs[3:], warps, GREEN)])
     return _resampled(outputs, warps, GREEN)
 
 

@@ -15,6 +15,7 @@ Array = NDArray[np.floating]
 # Outputs of a table for a monochrome polarisation camera. The luminance is the second output, as in X, Y, Z. Refinement
 # layers therefore treat S1 and S2 like chroma: both are 0 for unpolarised light, as chroma is 0 for grey.
 STOKES = ("S1", "S0", "S2")
+COLOUR_STOKES = ("X", "Y", "Z", "S1", "S2")  # outputs of a table for a colour polarisation camera
 IN_ORDER = ("S0", "S1", "S2")  # order in files and pictures
 FEATURES = ("DoLP", "AoLP")
 DARKEST = 1e-6  # minimum of S0 in divisions

@@ -45,7 +45,13 @@ LEARNING = (
 # Cameras with their own scene recipes: configs/scenes/NAME.toml for training and NAME_unseen.toml for tests.
 POLARISED = ("polarised", "polarised_colour")
 # Camera recipe → class recipe. All other camera recipes use the class recipe `default`.
-CLASSES = {"nona_bayer_hdr": "blocks", "polarised": "polarised", "rccb": "clear", "rgbir4x4": "long_period"}
+CLASSES = {
+    "nona_bayer_hdr": "blocks",
+    "polarised": "polarised",
+    "polarised_colour": "polarised",
+    "rccb": "clear",
+    "rgbir4x4": "long_period",
+}
 
 
 def recipe_folder() -> Path:

@@ -127,9 +127,9 @@ def linear_matrix(adaptation: NDArray[np.floating], scale: float, space: Space) 
 def require_xyz(outputs: tuple[str, ...]) -> None:
     """Raise a RecipeError unless pictures can be made from these outputs.
 
-    Pictures can be made from X, Y and Z, from Y alone, and from Stokes parameters.
+    Pictures can be made from X, Y and Z, which other outputs can follow, from Y alone, and from Stokes parameters.
     """
-    if outputs not in (("X", "Y", "Z"), GREY, STOKES):
+    if outputs[:3] not in (("X", "Y", "Z"), GREY, STOKES):
         raise RecipeError(
             f"the table has the outputs {', '.join(outputs)}, but pictures need X, Y and Z, or Y alone; write an .exr file"
         )
@@ -163,9 +163,10 @@ def require_known_layers(table: TransformTable) -> None:
 def encode(planes: NDArray, display: Display) -> NDArray:
     """Convert X, Y and Z to the integer values of a picture, computed in float64.
 
-    `planes` has the axes (output, row, col). The result has the axes (row, col, 3).
+    `planes` has the axes (output, row, col), and X, Y and Z are the first three outputs. The result has the axes
+    (row, col, 3).
     """
-    linear = np.einsum("po,orc->rcp", display.matrix, planes.astype(np.float64))
+    linear = np.einsum("po,orc->rcp", display.matrix, planes[:3].astype(np.float64))
     within = into_gamut(linear, gamut_of(display.space), bounded=display.tone is None)
     shown = within if display.tone is None else display.tone.toned(within)
     return codes(display.curve.encoded(shown), display.bits)

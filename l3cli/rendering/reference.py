@@ -1,7 +1,7 @@
 """The reference renderer in float64 (docs/method.md#rendering). Tests compare every other backend with this renderer."""
 
 import functools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,7 +86,8 @@ class ReferenceRenderer:
         made = np.zeros(())
         if self.table.later:
             planes, refined_labels = self._refine(levelled, labels, len(self.table.later))
-            made = refinement_outputs(planes, refined_labels, self._sets.later[-1], self._sets.share(frame))
+            last, share = self._sets.later[-1], self._sets.share(frame)
+            made = refinement_outputs(planes, refined_labels, last, share, self.table.chroma_outputs)
             made = self._with_plain_clipped_areas(made, levelled)
         if not self.table.later or self.table.components:
             made = made + output_planes(levelled, labels, self.table, self._sets.first)
@@ -233,7 +234,7 @@ def refinement_planes(
 
 
 def refinement_outputs(
-    planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer, share: float = 1.0
+    planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer, share: float = 1.0, chroma: Sequence[int] = CHROMA
 ) -> NDArray[np.float64]:
     """Apply the transforms of the last refinement layer in floating point.
 
@@ -247,6 +248,8 @@ def refinement_outputs(
         The layer.
     share : float
         Noise variance of the frame, as a fraction of the noise variance of the camera.
+    chroma : sequence of int
+        Indices of the outputs to which coarse chroma is added.
 
     Returns
     -------
@@ -255,7 +258,7 @@ def refinement_outputs(
     ratios = np.moveaxis(taps_behind(planes, layer.side, layer.ratio_taps), 0, -1) * PLANE_STEP
     made = _transformed(_windows(planes.astype(np.float64) * PLANE_STEP, layer), labels, layer, ratios)
     if layer.coarse_chroma:
-        made[CHROMA] += coarse_change(planes, scales_of(layer.coarse_chroma, share)) * PLANE_STEP
+        made[list(chroma)] += coarse_change(planes, scales_of(layer.coarse_chroma, share)) * PLANE_STEP
     return made
 
 

@@ -137,7 +137,7 @@ def shown_as(
     Raises
     ------
     RecipeError
-        If an argument is invalid, or if the outputs of the table are neither X, Y and Z, nor Y alone, nor Stokes parameters.
+        If an argument is invalid, or if the table has neither the outputs X, Y and Z, nor Y alone, nor Stokes parameters.
     """
     if exposure is not None and not (isinstance(exposure, Real) and MIN_EXPOSURE <= exposure <= MAX_EXPOSURE):
         given_as = f"{exposure:g}" if isinstance(exposure, Real) else f'"{exposure}"'
@@ -198,7 +198,7 @@ def rendered(
         scale = (scale * balance.luminance or still_scale(outputs[1], frame, renderer.table)) * 2**rendition.stops
         adaptation = shown_adaptation(renderer.table, balance.adaptation)
         matrix = linear_matrix(adaptation, 1.0 if rendition.raw else scale, rendition.space)
-        planes = np.einsum("po,orc->prc", matrix.astype(np.float32), planes)
+        planes = np.einsum("po,orc->prc", matrix.astype(np.float32), planes[:3])
     return upright(np.moveaxis(planes, 0, -1), frame.orientation), scale
 
 

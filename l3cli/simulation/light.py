@@ -18,7 +18,7 @@ from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.frames.scene import NO_ILLUMINANT, Scene
 from l3cli.physics import spectra
 from l3cli.physics.display import fit_through
-from l3cli.physics.stokes import STOKES, has_stokes, luminance_name
+from l3cli.physics.stokes import COLOUR_STOKES, STOKES, has_stokes, luminance_name
 from l3cli.spectra.file import names_file, read_table
 from l3cli.spectra.table import NOISE, gaps
 
@@ -37,7 +37,7 @@ OUTPUTS = {
     "reflectance 31": spectra.REFLECTANCES,
     "radiance 31": spectra.RADIANCES,
     "Stokes": STOKES,
-    "CIE 1931 + Stokes": ("X", "Y", "Z", "S1", "S2"),
+    "CIE 1931 + Stokes": COLOUR_STOKES,
 }
 UNLIT = "reflectance 31"  # key of the outputs that do not depend on the illuminant
 NOTICEABLE = 0.01  # l3 warns if wavelengths without data produce more than this fraction of a channel's electrons

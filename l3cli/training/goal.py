@@ -13,6 +13,7 @@ from l3cli.artifacts.layers import PLANES
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet, white_signal
 from l3cli.physics.display import XYZ
 from l3cli.physics.spectra import is_spectrum
+from l3cli.physics.stokes import COLOUR_STOKES
 from l3cli.training.highlights import error_of_white
 from l3cli.training.plain_surfaces import PlainSurfaces, plain_surfaces
 from l3cli.training.systems import Integers
@@ -46,9 +47,10 @@ def one_light(light: LightSpectrum | None) -> LightSpectrum | None:
 def has_components(head: TrainingSet) -> bool:
     """Whether a refinement layer can refine leading components.
 
-    The outputs must be a spectrum with more than three values.
+    This requires a spectrum of more than three outputs, or colours with Stokes parameters.
     """
-    return len(head.outputs) > PLANES and is_spectrum(head.outputs, head.camera.channels)
+    spectrum = is_spectrum(head.outputs, head.camera.channels)
+    return head.outputs == COLOUR_STOKES or (len(head.outputs) > PLANES and spectrum)
 
 
 def goal_of(head: TrainingSet, white_point: Array, light: LightSpectrum | None) -> Goal:

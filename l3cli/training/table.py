@@ -36,7 +36,7 @@ from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import InputFileError
 from l3cli.physics import spectra
 from l3cli.physics.display import XYZ
-from l3cli.physics.stokes import STOKES
+from l3cli.physics.stokes import COLOUR_STOKES, STOKES, has_stokes
 from l3cli.training.clipping import learned_clipping
 from l3cli.training.goal import has_components, one_light
 from l3cli.training.layers.coarse_chroma import measured_noise
@@ -330,6 +330,8 @@ def _components(
     """
     if not has_components(head):
         return None
+    if head.outputs == COLOUR_STOKES:
+        return LeadingComponents(np.eye(len(COLOUR_STOKES))[:, [COLOUR_STOKES.index(name) for name in ("S1", "Y", "S2")]])
     targets = np.average([each.outputs for each in solutions.values()], axis=0, weights=copies) / np.outer(white, white)
     without_mean = np.eye(white.size) - 1 / white.size
     vectors = np.linalg.eigh(without_mean @ targets @ without_mean)[1]
@@ -408,8 +410,9 @@ def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int
         recipe=own,
         learning=learning,
         mosaics=mosaics,
+        chroma=table.chroma_outputs,
         pictures=table.outputs == XYZ,
-        stokes=table.outputs == STOKES,
+        stokes=has_stokes(table.outputs),
         exposure=table.exposure,
         seed=seed,
     )

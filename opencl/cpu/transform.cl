@@ -181,7 +181,8 @@ COMPILED_ONCE transform_tile(int x0, int y0, TRANSFORM_PARAMETERS) {
             totals made[PLANES_MADE];
             apply(made, ring + (k - 2 * RADIUS) * SOURCES, BEHIND, label, weights, x);
 #ifdef COARSE_CHROMA
-            for (int c = 0; c < 2; c++) made[2 * c] += LOAD_PRIVATE(floats, change[c] + x);
+            made[CHROMA_1] += LOAD_PRIVATE(floats, change[0] + x);
+            made[CHROMA_2] += LOAD_PRIVATE(floats, change[1] + x);
 #endif
 #ifdef CLIPPING
             replace_clipped(made, row_source[y + RADIUS], x0 + x, source_rows, columns CLIPPING_READ);

@@ -228,8 +228,8 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
         const size_t there = (size_t)(NEAREST(row) + MARGIN + n / 2) * BLOCKS_STRIDE(columns) + NEAREST(x) + MARGIN + n % 2;
         const size_t third = there + 2 * BLOCKS_PLANE(source_rows, columns);
         const float part = (n / 2 ? NEXT_SHARE(row) : 1.0f - NEXT_SHARE(row)) * (n % 2 ? NEXT_SHARE(x) : 1.0f - NEXT_SHARE(x));
-        total[0].x += (after[there] - before[there]) * part * PLANE_STEP;
-        total[0].z += (after[third] - before[third]) * part * PLANE_STEP;
+        ((tap *)total)[CHROMA_1] += (after[there] - before[there]) * part * PLANE_STEP;
+        ((tap *)total)[CHROMA_2] += (after[third] - before[third]) * part * PLANE_STEP;
     }
 #endif
 #ifdef CLIPPING

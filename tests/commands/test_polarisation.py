@@ -13,11 +13,15 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
+from l3cli.classes.planes import planes_basis
 from l3cli.cli import run
 from l3cli.evaluation.likeness import colour_difference, unlike
+from l3cli.frames.frame import RawFrame
 from l3cli.io.images import read_image
-from l3cli.physics.stokes import STOKES, dolp
+from l3cli.physics.stokes import STOKES, dolp, luminance_name, stokes_of
 from l3cli.recipes.builtin import known_recipes
+from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.rendering.renderer import BACKENDS
 from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
 from tests.helpers.recipes import small_classes
@@ -31,7 +35,6 @@ source = "dead leaves"
 size = [48, 56]
 count = 3
 """
-CLASSES = {"polarised": "polarised", "polarised_colour": "default"}  # that `l3 init` writes
 KINDS = {"polarised": "Stokes", "polarised_colour": "CIE 1931 + Stokes"}
 
 
@@ -58,7 +61,7 @@ def test_a_new_folder_trains_for_the_illuminant_of_its_scenes(name: str, tmp_pat
     assert tomllib.loads((tmp_path / "demo/scenes.toml").read_text())["illuminants"] == ["D65"]
     assert tomllib.loads((tmp_path / "demo/scenes.toml").read_text())["target"]["outputs"] == KINDS[name]
     assert "lights" not in tomllib.loads((tmp_path / "demo/classes.toml").read_text())["learning"]
-    assert (tmp_path / "demo/classes.toml").read_bytes() == (CONFIGS / f"classes/{CLASSES[name]}.toml").read_bytes()
+    assert (tmp_path / "demo/classes.toml").read_bytes() == (CONFIGS / "classes/polarised.toml").read_bytes()
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -70,11 +73,29 @@ def test_two_calibrations_of_channels_with_the_same_filter_are_one_camera(name: 
     assert unlike(again, camera) == ""
 
 
-def test_monochrome_tables_have_two_layers(trained: Path) -> None:
+def test_tables_have_two_layers(trained: Path) -> None:
+    """The second layer reads S0 (or Y) like luminance, and S1 and S2 like chroma."""
     table = load(TransformTable, trained / "table.h5")
-    assert len(table.later) == (table.outputs == STOKES)
+    (layer,) = table.later
+    assert layer.coarse_chroma is not None
+    assert [table.outputs[each] for each in table.chroma_outputs] == ["S1", "S2"]
+    assert planes_basis(table)[table.outputs.index(luminance_name(table.outputs))].tolist() == [0, 1, 0]
+    assert table.white_point @ planes_basis(table) == pytest.approx([0, 1, 0], abs=1e-6)
     assert table.camera is not None
     assert table.camera.polarisers is not None
+
+
+def test_unpolarised_greys_are_unpolarised_at_every_site(trained: Path) -> None:
+    table = load(TransformTable, trained / "table.h5")
+    white, span = table.white_signals, table.white_level - table.black_level
+    assert white is not None
+    for level in (0.02, 0.1, 0.4):
+        signals = level * white / white.max()
+        values = table.black_level + span * signals[np.tile(table.cfa, (24 // len(table.cfa), 24 // len(table.cfa)))]
+        rounding = RawFrame("grey", np.rint(values).astype(np.uint16), table.black_level, table.white_level)
+        stokes = stokes_of(ReferenceRenderer(table).exact_outputs(rounding), table.outputs)
+        assert np.abs(stokes[1:]).max() < 0.02 * level + 2 / span
+        assert stokes[0] == pytest.approx(level / white.max(), rel=0.03)
 
 
 def test_linear_files_contain_stokes_parameters_in_order(trained: Path, l3: L3) -> None:
@@ -146,6 +167,24 @@ def test_figures_and_reports(trained: Path, l3: L3) -> None:
     assert {name for kind, name in captions if kind == "DoLP"} == set(shown)
     assert [kind for kind, name in captions if name == "ideal"] == ["DoLP", "AoLP", "S0", "DoLP", "DoLP"]  # of three frames
     assert len(captions) == 5 * len(shown)
+
+
+@pytest.mark.parametrize(
+    "options", [("--white", "A"), ("--white", "auto"), ("--white", "20,20,9"), ("--exposure", "2")], ids=str
+)
+def test_pictures_of_colour_tables_on_every_backend(trained: Path, options: tuple[str, ...], l3: L3) -> None:
+    if load(TransformTable, trained / "table.h5").outputs == STOKES:
+        return
+    pictures = []
+    for backend in BACKENDS:
+        name = trained / f"{backend}.png"
+        code, _, err = l3(
+            "render", trained / "table.h5", trained / "raw.npy", "-o", name, "--backend", backend, "--force", *options
+        )
+        assert code == 0, err
+        pictures.append(read_image(name)[0].astype(int))
+    assert np.ptp(pictures[0], axis=2).max() > 10
+    assert all(np.abs(each - pictures[0]).max() <= 1 for each in pictures)
 
 
 def test_a_white_does_not_change_grey_pictures(trained: Path, l3: L3) -> None:

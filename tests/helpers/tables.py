@@ -21,6 +21,7 @@ from l3cli.classes.tree import EVERY, Evidence
 from l3cli.classes.windows import window_channels
 from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
+from l3cli.physics.stokes import COLOUR_STOKES
 from l3cli.rendering.reference import first_planes
 from tests.helpers.cameras import random_camera
 
@@ -68,6 +69,13 @@ def with_components(table: TransformTable, side: int = 5, seed: int = 3) -> Tran
     """Add a layer with random weights that reads three mixtures of the table's outputs and corrects them."""
     basis = np.random.default_rng(seed).normal(size=(len(table.outputs), PLANES)) / len(table.outputs)
     return with_refinement(dataclasses.replace(table, components=LeadingComponents(basis)), side, ratios=True)
+
+
+def with_stokes_layer(table: TransformTable, side: int = 5) -> TransformTable:
+    """Add a layer with random weights and coarse chroma that corrects X, Y, Z, S1 and S2 from the planes S1, Y and S2."""
+    basis = np.eye(len(COLOUR_STOKES))[:, [COLOUR_STOKES.index(name) for name in ("S1", "Y", "S2")]]
+    components = LeadingComponents(basis)
+    return with_coarse_chroma(with_refinement(dataclasses.replace(table, components=components), side, ratios=1))
 
 
 def with_low_noise(table: TransformTable, *shares: float, seed: int = 9) -> TransformTable:

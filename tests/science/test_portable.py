@@ -26,6 +26,7 @@ from l3cli.export.folder import folder_files
 from l3cli.export.source import Words, c_files
 from l3cli.export.wordlengths import OUTPUT_TOP, SEED, SHAPE, drawn_mosaic, output_fraction, short_cost, short_words
 from l3cli.frames.frame import RawFrame
+from l3cli.physics.stokes import COLOUR_STOKES
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.tables import (
     random_table,
@@ -38,6 +39,7 @@ from tests.helpers.tables import (
     with_refinement,
     with_smoothed_chroma,
     with_spectra,
+    with_stokes_layer,
     with_tree,
 )
 
@@ -83,6 +85,9 @@ TABLES: dict[str, Callable[[], TransformTable]] = {
     "smoothed spectra": lambda: with_spectra(a_table([[0, 1], [2, 3]], 12, 64.0, outputs=tuple("abcd")), 5, 0.4),
     "corrected bands": lambda: with_components(
         a_table([[0, 1], [2, 3]], 16, 600.25, patch=7, outputs=tuple("abcdef"), contrasts=()), 3
+    ),
+    "colours and polarisation": lambda: with_clipped_white(
+        with_stokes_layer(a_table([[0, 1], [2, 3]], 12, 64.0, outputs=COLOUR_STOKES, contrasts=())), 0.2
     ),
     "coarse chroma": lambda: with_clipping(
         with_coarse_chroma(with_refinement(a_table([[0, 1], [2, 3]], 12, 64.0, contrasts=(), chroma_dither=True), 5), 0.1)

@@ -15,6 +15,7 @@ from l3cli.errors import RecipeError
 from l3cli.frames.frame import NoiseLeft, RawFrame
 from l3cli.physics.display import TONES, Tone
 from l3cli.physics.spaces import SRGB_CURVE
+from l3cli.physics.stokes import COLOUR_STOKES
 from l3cli.rendering.display import Display, make_display
 from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
@@ -33,6 +34,7 @@ from tests.helpers.tables import (
     with_components,
     with_first,
     with_refinement,
+    with_stokes_layer,
     with_tree,
 )
 
@@ -47,6 +49,7 @@ RENDERED += [("directions", "graphics"), ("8 directions", "graphics")]
 RENDERED += [("two layers", "8 lanes"), ("two layers", "graphics"), ("two layers of 16 bits", "graphics")]
 RENDERED += [("two sets of three layers", "graphics"), ("corrected bands", "8 lanes"), ("corrected bands", "graphics")]
 RENDERED += [("coarse chroma", "8 lanes"), ("coarse chroma", "16 lanes"), ("coarse chroma", "graphics")]
+RENDERED += [("colours and polarisation", "8 lanes"), ("colours and polarisation", "graphics")]
 RENDERED += [("tree of five bands", "graphics"), ("tree of stripes", "graphics"), ("tree of one leaf", "graphics")]
 
 
@@ -151,7 +154,9 @@ def test_any_colour_filter_array(data: st.DataObject) -> None:
 
 
 @pytest.mark.parametrize("kind", ["processor", "graphics"])
-@pytest.mark.parametrize("layers", ["one layer", "two layers", "tree", "four layers", "coarse chroma", "corrected"])
+@pytest.mark.parametrize(
+    "layers", ["one layer", "two layers", "tree", "four layers", "coarse chroma", "corrected", "colours and polarisation"]
+)
 def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch, layers: str, kind: str) -> None:
     table = random_table(STRIPES, bits=12, black_level=100.0, patch=5)
     several = {
@@ -159,19 +164,22 @@ def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch, layers: str, kind
         "four layers": with_refinement(table, 3, 7, 5),
         "tree": with_tree(table, 5),
         "coarse chroma": with_coarse_chroma(with_refinement(table, 5)),
+        "colours and polarisation": with_stokes_layer(
+            random_table(STRIPES, bits=12, black_level=100.0, patch=5, outputs=COLOUR_STOKES)
+        ),
         "corrected": with_components(random_table(STRIPES, bits=12, black_level=100.0, patch=5, outputs=tuple("abcdef"))),
     }
     table = several.get(layers, table)
     frame = RawFrame(
         "f", np.random.default_rng(0).integers(0, 4096, (61, 83)).astype(np.uint16), 100.0, table.white_level, (2, 1)
     )
-    if layers == "coarse chroma":  # farther than a band reads
+    if table.later and table.later[-1].coarse_chroma:  # farther than a band reads
         frame = dataclasses.replace(frame, values=np.tile(frame.values, (4, 1)))
     display = make_display(table.white_point[:3], 1.0, 8)
     whole = OpenCLRenderer(table, **KINDS[kind])
     labels = [whole.labels(frame, layer) for layer in range(len(table.layers))]
     planes = whole.outputs(frame)
-    picture = whole.picture(frame, display) if table.outputs == XYZ else None
+    picture = whole.picture(frame, display) if table.outputs[:3] == XYZ else None
     for rows in (1, 30):
         monkeypatch.setattr(work, "BAND_PIXELS", rows * 83)
         banded = OpenCLRenderer(table, **KINDS[kind])

@@ -78,7 +78,7 @@ static float change_at(const float *restrict before, const float *restrict after
     return change;
 }
 
-/* Adds the changes of the two chroma planes to the first and the third output. */
+/* Adds the changes of the two chroma planes to the outputs L3_CHROMA_1 and L3_CHROMA_2. */
 static void add_coarse_chroma(const CoarseChroma *c, const int32_t *planes, int rows, int columns, L3Output *outputs) {
     const int block_rows = BLOCKS(rows), block_columns = BLOCKS(columns);
     const ptrdiff_t pixels = (ptrdiff_t)rows * columns, blocks = (ptrdiff_t)block_rows * block_columns;
@@ -91,7 +91,7 @@ static void add_coarse_chroma(const CoarseChroma *c, const int32_t *planes, int 
     for (int s = 0; s < 3; s += 2)
         for (int y = 0; y < rows; y++)
             for (int x = 0; x < columns; x++) {
-                L3Output *output = outputs + s * pixels + (ptrdiff_t)y * columns + x;
+                L3Output *output = outputs + (s ? L3_CHROMA_2 : L3_CHROMA_1) * pixels + (ptrdiff_t)y * columns + x;
                 const float change = change_at(c->before + s * blocks, after + s * blocks, y, x, block_rows, block_columns);
                 *output = changed(*output, change * L3_PLANE_STEP);
             }

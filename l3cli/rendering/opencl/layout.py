@@ -195,7 +195,7 @@ def table_macros(table: TransformTable, sets: int = 1) -> Macros:
         "SHIFT": rule.shift,
         "MAX_RAW": 2**table.bits - 1,
         "RAW_MIDDLE": raw_middle(table.bits),
-        **white_macros(table),
+        **({} if table.later else white_macros(table)),  # the outputs of the last layer are limited
         **plane_kernel.kernel_macros(rule),
     }
 
@@ -305,6 +305,13 @@ TO_PLANES: Macros = {
 }
 
 
+def _coarse_macros(table: TransformTable) -> Macros:
+    """Return the macros for the transforms of a refinement layer with coarse chroma."""
+    first, second = table.chroma_outputs
+    step = _literal(PLANE_STEP)
+    return {"COARSE_CHROMA": 1, "PLANE_STEP": step, "CHROMA_1": first, "CHROMA_2": second, **COARSE_MACROS}
+
+
 def refinement_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
     """Return the macros for a refinement layer of a table."""
     return {
@@ -316,7 +323,7 @@ def refinement_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
         "CFA_COLUMNS": table.cfa.shape[1],
         "MAX_RAW": 0,
         **({"RATIO_TAPS": layer.ratio_taps, "DARKEST": RATIO_DARKEST} if layer.ratio_taps else {}),
-        **({"COARSE_CHROMA": 1, "PLANE_STEP": _literal(PLANE_STEP), **COARSE_MACROS} if layer.coarse_chroma else {}),
+        **(_coarse_macros(table) if layer.coarse_chroma else {}),
         **({"CLIPPING": 1} if layer.clipping else {}),
         **({"CORRECTS": 1} if table.components else {}),
         **white_macros(table),

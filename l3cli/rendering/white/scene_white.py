@@ -86,7 +86,7 @@ class GreyRenderer:
         self._reach = table.first.rule.radius + sum(max(BORDER_PIXELS, layer.radius) for layer in table.later)
 
     def outputs_of(self, shares: Array) -> NDArray[np.float64]:
-        """Return the outputs of the table for uniform areas.
+        """Return X, Y and Z of uniform areas.
 
         Parameters
         ----------
@@ -95,7 +95,7 @@ class GreyRenderer:
 
         Returns
         -------
-        ndarray, (area, output)
+        ndarray, (area, 3)
         """
         table, (rows, cols) = self.table, self.table.cfa.shape
         down, across = (1 + 2 * -(-self._reach // period) for period in (rows, cols))  # CFA periods per area
@@ -104,7 +104,7 @@ class GreyRenderer:
         plain = RawFrame("plain areas", np.rint(values).astype(np.uint16), table.black_level, table.white_level)
         middle = self._renderer.exact_outputs(plain)[:, down // 2 * rows :][:, :rows]
         areas = middle.reshape(len(table.outputs), rows, len(shares), across, cols)[:, :, :, across // 2]
-        return np.asarray(areas.mean(axis=(1, 3)).T, np.float64)
+        return np.asarray(areas.mean(axis=(1, 3)).T[:, :3], np.float64)
 
     def signals(self, frame: RawFrame, grey: Grey) -> NDArray[np.float64]:
         """Return the mean signal of each channel in a grey area of a frame, in DN above black level and dark signal.
@@ -124,7 +124,7 @@ class GreyRenderer:
         return not _measured(frame, self.table, grey.where)[1]
 
     def of_part(self, frame: RawFrame, where: tuple[slice, slice]) -> NDArray[np.float64]:
-        """Render a part of a frame, and return the mean of each output.
+        """Render a part of a frame, and return the means of X, Y and Z.
 
         `where` contains the rows and columns of the part, in sensor orientation.
         """
@@ -135,7 +135,7 @@ class GreyRenderer:
         phase = ((frame.phase[0] + top) % self.table.cfa.shape[0], (frame.phase[1] + left) % self.table.cfa.shape[1])
         planes = self._renderer.exact_outputs(replace(cut, phase=phase))
         inside = planes[:, rows.start - top : rows.stop - top, cols.start - left : cols.stop - left]
-        return np.asarray(inside.mean(axis=(1, 2)))
+        return np.asarray(inside[:3].mean(axis=(1, 2)))
 
 
 def _shading_corrected(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
@@ -474,9 +474,9 @@ def _white(outputs: Array) -> NDArray[np.float64]:
 
 def far_from_training(asked: str, white: SceneWhite, table: TransformTable) -> str:
     """Return a warning if the white point set by the user is probably far from the training illuminants, otherwise ""."""
-    if (white.modelled and "," not in asked) or _alike(white.light.xyz, table.white_point):
+    if (white.modelled and "," not in asked) or _alike(white.light.xyz, table.white_point[:3]):
         return ""
-    x, y = table.white_point[:2] / table.white_point.sum()
+    x, y = table.white_point[:2] / table.white_point[:3].sum()
     how = (
         "l3 only adapts the colours; set ‹white› to the name of the scene's illuminant, or train with this illuminant in "
         "the scene recipe"

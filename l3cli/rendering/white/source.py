@@ -90,8 +90,9 @@ class AutoWhite:
         table, rule = self._table, self._table.first.rule
         patches, site, labels = self._spread.of(frame)
         classes, signal = rule.on_site(labels, site), self._spread.signal(patches)
-        outputs = np.einsum("nct,nt->nc", table.first.weights[classes], signal) + table.first.intercept[classes]
-        cones = outputs.astype(np.float64) @ BRADFORD.T
+        first = table.first.weights[classes, :3], table.first.intercept[classes, :3]  # X, Y and Z
+        xyz = np.einsum("nct,nt->nc", first[0], signal) + first[1]
+        cones = xyz.astype(np.float64) @ BRADFORD.T
         usable = (rule.lost(rule.split(labels).kind) == 0) & (cones.min(axis=1) > 0)
         shape = self._spread.shape(frame)
         return cones.reshape(*shape, 3), usable.reshape(shape)
@@ -438,5 +439,5 @@ def _multipliers(text: str, channels: Sequence[str]) -> Array:
 
 def usual_balance(table: TransformTable) -> WhiteBalance:
     """Return the white balance for scenes under the training illuminant."""
-    white = np.ones(3) if table.outputs == STOKES else table.white_point  # pictures of S0 are grey
+    white = np.ones(3) if table.outputs == STOKES else table.white_point[:3]  # pictures of S0 are grey
     return plain_balance(white, len(table.channels))

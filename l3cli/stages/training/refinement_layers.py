@@ -62,7 +62,7 @@ def warn_of_left_out_layers(run: TrainingRun, console: Console) -> None:
         console.report(
             f"the refinement layers of the recipe are skipped, because they do not apply to the outputs {outputs}; tables "
             "with three outputs, the second of which is the luminance, can have any number of layers, and spectral tables "
-            "can have one layer without coarse_chroma or leaves"
+            "can have one layer without coarse_chroma or leaves, and colours with Stokes parameters one layer without leaves"
         )
 
 

@@ -13,6 +13,7 @@ from l3cli.artifacts.schema import Stage, equal
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, open_training_set
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.options.commands import TrainOptions
+from l3cli.physics.stokes import has_stokes
 from l3cli.recipes.builtin import known_recipes
 from l3cli.recipes.load import load_recipe
 from l3cli.recipes.toml import read_text
@@ -106,10 +107,12 @@ class TrainingRun:
         """Whether refinement layers can be trained for the outputs.
 
         A table with three outputs can have any number of refinement layers. A table with spectral outputs can have exactly
-        one refinement layer, with structure classes, which refines the leading components of the spectra.
+        one refinement layer, with structure classes, which refines the leading components of the spectra. The same holds for
+        colours with Stokes parameters, whose refinement layer can also have coarse chroma.
         """
         layers = self.recipe.layer
-        corrects = len(layers) == 1 and not (layers[0].leaves or layers[0].coarse_chroma) and has_components(self.head)
+        corrects = len(layers) == 1 and has_components(self.head) and not layers[0].leaves
+        corrects = corrects and (has_stokes(self.head.outputs) or not layers[0].coarse_chroma)
         return bool(layers) and (len(self.head.outputs) == PLANES or corrects)
 
     def history_of_pass(self, number: int) -> tuple[Stage, ...]:

@@ -59,7 +59,7 @@ def _planes_of_greys(layer: LayerPass) -> list[NDArray[np.int32]]:
         signal = (layer.grey * luminance).astype(np.float32)[channel]
         offsets = None if lines is None else lines.drawn(signal.shape, rng)
         values = expose_patches(signal, camera, rng, None, layer.exposed.dark, channel, offsets).astype(np.uint16)
-        target = np.zeros((3, rows, cols), np.float32)
+        target = np.zeros((len(layer.basis), rows, cols), np.float32)
         greys.append(see(Mosaics(1, values, None, target)).noisy)
     return greys
 

@@ -20,7 +20,7 @@ from l3cli.artifacts.layers import PLANES, MosaicLayer, PlaneLayer, PlaneRule, r
 from l3cli.artifacts.partial_sums import LayerSums
 from l3cli.artifacts.plane_rules import StructureRule
 from l3cli.artifacts.training_set import TrainingPair
-from l3cli.classes.planes import LUMINANCE, FixedPoint
+from l3cli.classes.planes import CHROMA, LUMINANCE, FixedPoint
 from l3cli.classes.refinement import label_planes
 from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import L3Error
@@ -47,7 +47,8 @@ class LayerGoal:
     noise_weights: tuple[float, ...]  # (output) weight of the noise covariance in the fit
     white: Array  # (plane) planes of a white with Y = 1; the layer must preserve this white
     windows: int  # number of window taps; the remaining taps are 0 in uniform areas
-    keeps: bool = False  # whether unsaturated classes must preserve the chroma of uniform areas
+    # (output) chroma plane that an output must preserve in uniform areas of unsaturated classes, or -1; empty for no plane
+    keeps: tuple[int, ...] = ()
     strength_pool: float = 0.0  # weight of samples from the classes with the next lower and the next higher strength
     corrects: bool = False  # whether the layer corrects the outputs of the first layer; corrections are 0 for white
 
@@ -97,7 +98,7 @@ def solve_layer(
         if len(whole) < len(sums):
             continue
         solved[index] = True
-        keeps = goal.keeps and not rule.case(rule.split(index).kind)
+        keeps = bool(goal.keeps) and not rule.case(rule.split(index).kind)
         for noise_weight in dict.fromkeys(goal.noise_weights):
             of = [output for output, each in enumerate(goal.noise_weights) if each == noise_weight]
             estimates = [_solution(moments, noise, noise_weight, goal.ridge, of, member) for moments, noise in whole]
@@ -167,7 +168,7 @@ def _constrained(
     of : list of int
         Indices of the solved outputs.
     keeps : bool
-        Whether a chroma plane that the common response would fade is instead preserved in uniform areas.
+        Whether a chroma plane in `goal.keeps` that the common response would fade is instead preserved in uniform areas.
 
     Returns
     -------
@@ -184,8 +185,9 @@ def _constrained(
     common, bend = np.linalg.solve(total, pull), np.linalg.solve(total, white)
     common += np.outer(bend, (wanted - white @ common) / (white @ bend))
     for column, output in enumerate(of):
-        if keeps and not white[output] and common[output, column] < FADED_RESPONSE:
-            common[:, column] = np.eye(len(white))[output]
+        plane = goal.keeps[output] if keeps else -1
+        if plane >= 0 and common[plane, column] + goal.corrects < FADED_RESPONSE:
+            common[:, column] = 0 if goal.corrects else np.eye(len(white))[plane]
     return [
         one[:, :count] + one[:, count:] @ (k @ (common - r)) for one, k, r in zip(estimates, stiff, response, strict=True)
     ]
@@ -279,8 +281,9 @@ class LayerPass:
     recipe: LayerRecipe
     learning: LearningRecipe
     mosaics: tuple[int, ...]  # (frame) number of mosaics to draw from each frame
+    chroma: tuple[int, ...]  # indices of the outputs that belong to the chroma planes
     pictures: bool  # whether the outputs are X, Y, Z
-    stokes: bool  # whether the outputs are Stokes parameters, whose noise is as visible as noise of luminance and chroma
+    stokes: bool  # whether the outputs contain Stokes parameters, whose noise is as visible as noise of luminance and chroma
     exposure: float  # mean exposure time of the training frames, in s
     seed: int
 
@@ -291,7 +294,7 @@ class LayerPass:
         inner = math.isqrt(math.ceil(self.recipe.rows / self.recipe.density) - 1) + 1
         margin = self.rule.radius + sum(margin_of(layer.side) for layer in self.before) + self.margin
         noisy = self.learning.noise != "none"
-        achromatic = self.recipe.achromatic if self.outputs is None else 0.0
+        achromatic = self.recipe.achromatic if self.outputs is None or self.stokes else 0.0
         return Exposed(self.camera, self.learning, dark, achromatic, noisy, inner, margin)
 
     @property
@@ -430,14 +433,14 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
         require_exact(one, rule, layer.grid_steps(rule))
     recipe, reading = layer.recipe, layer.reading(layer.recipe.side)
     copies = [int((reading.canonical == site).sum()) for site in sums]
-    noise_weights: tuple[float, ...] = (recipe.chroma_noise, recipe.luminance_noise, recipe.chroma_noise)
-    if layer.outputs is not None:
-        noise_weights = (recipe.luminance_noise,) * layer.made
-    elif not (layer.pictures or layer.stokes):
+    chroma = dict(zip(layer.chroma, CHROMA, strict=True)) if layer.chroma else {}
+    noise_weights = tuple(recipe.chroma_noise if each in chroma else recipe.luminance_noise for each in range(layer.made))
+    if layer.outputs is None and not (layer.pictures or layer.stokes):
         noise_weights = (min(recipe.luminance_noise, 1.0),) * layer.made  # as in the first layer
     white, windows = np.eye(PLANES)[LUMINANCE], PLANES * recipe.side**2
     pools = (recipe.level_pool, recipe.parent_patches)
-    keeps, corrects = recipe.coarse_chroma, layer.outputs is not None
+    keeps = tuple(chroma.get(each, -1) for each in range(layer.made)) if recipe.coarse_chroma else ()
+    corrects = layer.outputs is not None
     goal = LayerGoal(*pools, recipe.ridge, noise_weights, white, windows, keeps, recipe.strength_pool, corrects)
     sums = {site: _symmetric(layer, rule, site, one) for site, one in sums.items()}
     solved = dict(
