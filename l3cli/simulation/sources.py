@@ -5,6 +5,7 @@ A scene can be cropped, mirrored, rotated and scaled. This module also converts 
 
 import itertools
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from l3cli.simulation.motion import Motion, motion_faults, room
 from l3cli.spectra.file import other_unit
 
 CODED = ("r", "g", "b")  # order of the channels in a picture with holds = "codes"
+GLOB_TEXT = re.compile(r"[^\W_]+")  # letters and digits of a glob, without wildcards
 MIN_SIDE_PIXELS = 16  # smallest permitted number of rows or columns
 
 
@@ -195,7 +197,9 @@ class WantedScene:
     @property
     def name(self) -> str:
         if self.path is not None:
-            return self.path.stem
+            # A folder can contain the pictures of several scenes. The glob distinguishes them: "colour 1" for *_1.png.
+            glob = Path(self.source.pictures).stem if isinstance(self.source, BehindPolariser) else ""
+            return " ".join([self.path.stem, *GLOB_TEXT.findall(glob)])
         return f"{name_of(self.source)} {getattr(self.source, 'seed', 0)}.{self.number}"
 
     @property

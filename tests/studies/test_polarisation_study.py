@@ -2,12 +2,14 @@
 
 python -m pytest -m slow -s tests/studies/test_polarisation_study.py      needs L3_DATA; half an hour on a core
 
-Two scenes (data/polarisation/colour, green channel) are sampled by the array 90 45 / 135 0, without noise, and with noise of
-1 % and 2 % of full scale in the dark. The rivals are bilinear interpolation, and the methods of
-docs/peers/polarisation_rivals.py: Newton's polynomials, residual interpolation (IGRI), and LMMSE, which is trained on the
-other scene with the same noise. Intensities are clipped at full scale, as in the photographs. The photographs are noisy:
-I0 + I90 and I45 + I135 differ by 1.3 % RMS. If L3_TABLES is a folder with table0.h5, table1.h5 and table2.h5, nothing is
-trained.
+Two scenes (data/polarisation/colour) are sampled without noise, and with noise of 1 % and 2 % of full scale in the dark. The
+green channel is sampled by the array 90 45 / 135 0. All channels are simulated and sampled by the array `polarised_colour`.
+The rivals are bilinear interpolation, and the methods of docs/peers/polarisation_rivals.py: Newton's polynomials, residual
+interpolation (IGRI), and LMMSE, which is trained on the other scene with the same noise. In colour, the other rivals
+interpolate the twelve channels, and the best linear function from these channels to X, Y, Z, S1 and S2 is fitted to the
+other scene. LMMSE is trained on these outputs. Intensities of the green channel are clipped at full scale, as in the
+photographs, which are noisy themselves: I0 + I90 and I45 + I135 differ by 1.3 % RMS. With L3_TABLES, a folder with
+polarised0.h5, polarised1.h5 and polarised2.h5 (and polarised_colour0.h5 and so on), nothing is trained.
 """
 
 import importlib
@@ -24,11 +26,14 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.evaluation.demosaic import bilinear
+from l3cli.artifacts.training_set import open_training_set
+from l3cli.cli import run
+from l3cli.evaluation.demosaic import bilinear, interpolate
 from l3cli.evaluation.quality import StokesQuality, judge_stokes
 from l3cli.frames.frame import RawFrame
 from l3cli.io.images import read_image
-from l3cli.physics.stokes import STOKES, angle_difference, aolp, behind, dolp, stokes_of
+from l3cli.physics.mosaic import tiled
+from l3cli.physics.stokes import COLOUR_STOKES, STOKES, angle_difference, aolp, behind, dolp, stokes_of
 from l3cli.rendering.renderer import make_renderer
 from l3cli.rendering.uncertainty import uncertainty
 from l3cli.simulation import procedural
@@ -46,6 +51,8 @@ NOISES = (0.0, 0.01, 0.02)  # of full scale in the dark; the variance rises by 0
 # without noise, a camera with little noise: the photographs are noisy themselves
 PIXELS = {0.0: (40000.0, 2.3), 0.01: (2000.0, 20.0), 0.02: (1000.0, 20.0)}  # well and read noise in e- with this noise
 BORDER = 8  # pixels
+FIGURES = ("psnr_intensities", "psnr_s0", "psnr_s1", "psnr_s2", "psnr_dolp", "aolp_rmse")
+SHARP = "[lens]\ndiffraction = false\n"  # the photographs were already taken through a lens
 
 
 def truth(folder: Path, number: int) -> Array:
@@ -53,10 +60,9 @@ def truth(folder: Path, number: int) -> Array:
     return np.stack([read_image(folder / f"{angle}_{number}.png")[0][..., 1] / 255 for angle in ANGLES])
 
 
-def sampled(full: Array, noise: float, rng: np.random.Generator) -> Array:
+def sampled(full: Array, noise: float, rng: np.random.Generator, cfa: NDArray[np.uint8] = CFA) -> Array:
     """Return the raw frame (row, col) of a scene."""
-    channel = np.tile(CFA, (full.shape[1] // 2, full.shape[2] // 2))
-    raw = np.take_along_axis(full, channel[None], 0)[0]
+    raw = np.take_along_axis(full, tiled(cfa, full.shape[1:])[None].astype(np.intp), 0)[0]
     return raw + rng.normal(size=raw.shape) * np.sqrt(noise**2 + 0.05 * noise * raw)
 
 
@@ -79,16 +85,13 @@ def rendered(table: TransformTable, raw: Array) -> Array:
     return outputs(raw) / unit
 
 
-@pytest.fixture(scope="module", params=NOISES, ids=["no noise", "1 %", "2 %"])
-def table(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[float, TransformTable]:
-    """The noise, and a table that is trained on simulated scenes with this noise."""
-    noise = request.param
-    name = f"table{round(100 * noise)}.h5"
+def table_for(name: str, noise: float, folder: Path) -> TransformTable:
+    """Return the table of L3_TABLES, or train a table on simulated scenes for a built-in camera with other noise."""
+    title = f"{name}{round(100 * noise)}.h5"
     if known := os.environ.get("L3_TABLES"):
-        return noise, load(TransformTable, Path(known) / name)
-    folder = tmp_path_factory.mktemp("polarisation")
+        return load(TransformTable, Path(known) / title)
     (folder / "polarised_extinction.csv").write_bytes((CONFIGS / "cameras/polarised_extinction.csv").read_bytes())
-    text = (CONFIGS / "cameras/polarised.toml").read_text()
+    text = (CONFIGS / f"cameras/{name}.toml").read_text()
     well, read = PIXELS[noise]
     for key, value in {
         "well_capacity_e": well, "read_noise_e": read, "black_level_dn": 600.0, "gain_dn_per_e": 3495 / well, "prnu": 0.0,
@@ -96,15 +99,25 @@ def table(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     }.items():  # fmt: skip
         text = re.sub(rf"(?m)^{key} = .*", f"{key} = {value}", text)
     (folder / "camera.toml").write_text(text)
-    scenes = (CONFIGS / "scenes/polarised.toml").read_text()
-    (folder / "scenes.toml").write_text(scenes.replace("[target]", "[lens]\ndiffraction = false\n\n[target]"))
-    from l3cli.cli import run
-
+    scenes = (CONFIGS / f"scenes/{name}.toml").read_text()
+    (folder / "scenes.toml").write_text(scenes.replace("[target]", f"{SHARP}\n[target]"))
     training = str(folder / "training.h5")
     camera = ("--camera", str(folder / "camera.toml"))
     assert run(["simulate", str(folder / "scenes.toml"), *camera, "-o", training, "--quiet"]) == 0
-    assert run(["train", training, "--classes", "polarised", "-o", str(folder / name), "--quiet"]) == 0
-    return noise, load(TransformTable, folder / name)
+    assert run(["train", training, "--classes", "polarised", "-o", str(folder / title), "--quiet"]) == 0
+    return load(TransformTable, folder / title)
+
+
+@pytest.fixture(scope="module", params=NOISES, ids=["no noise", "1 %", "2 %"])
+def table(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[float, TransformTable]:
+    """The noise, and a table of the monochrome camera with this noise."""
+    return request.param, table_for("polarised", request.param, tmp_path_factory.mktemp("polarised"))
+
+
+@pytest.fixture(scope="module", params=NOISES, ids=["no noise", "1 %", "2 %"])
+def colour_table(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[float, TransformTable]:
+    """The noise, and a table of the colour camera with this noise."""
+    return request.param, table_for("polarised_colour", request.param, tmp_path_factory.mktemp("polarised_colour"))
 
 
 @pytest.fixture
@@ -133,6 +146,57 @@ def test_photographs(table: tuple[float, TransformTable], rivals: ModuleType, l3
         for name, intensities in made.items():
             quality, _ = judge_stokes(as_outputs(intensities), target, np.array([0.0, 1.0, 0.0]), STOKES, BORDER)
             found.setdefault(name, []).append(quality)
+    require_best(noise, found)
+
+
+@pytest.mark.slow
+def test_photographs_in_colour(
+    colour_table: tuple[float, TransformTable], rivals: ModuleType, l3_data: Path, tmp_path: Path
+) -> None:
+    """The same for a colour camera, whose S1 and S2 are of the luminance."""
+    noise, trained = colour_table
+    assert trained.camera is not None
+    found = dict[str, list[StokesQuality]]()
+    scenes = colour_scenes(l3_data / "polarisation/colour", tmp_path)
+    renderer, span = make_renderer("opencl", trained), trained.white_level - trained.black_level
+    for number, (full, target) in enumerate(scenes):
+        other, ideal = scenes[1 - number]
+        raw = sampled(full, noise, np.random.default_rng(1 + number), trained.cfa)
+        training = sampled(other, noise, np.random.default_rng(5), trained.cfa)
+        codes = np.clip(np.rint(trained.black_level + raw * span), 0, 2**trained.bits - 1).astype(np.uint16)
+        frame = RawFrame("frame", codes, trained.black_level, trained.white_level)
+        colours = np.linalg.lstsq(other.reshape(len(other), -1).T, ideal.reshape(len(ideal), -1).T)[0].T
+        methods = {"bilinear": interpolate, "Newton": rivals.newton, "IGRI": rivals.igri}
+        made = {
+            "l3": renderer.outputs(frame).astype(np.float64) * trained.output_unit,
+            **{name: np.tensordot(colours, method(raw, trained.cfa), 1) for name, method in methods.items()},
+            "LMMSE": rivals.lmmse(ideal, training, raw, trained.cfa),
+        }
+        white = np.array([0.0, trained.output_unit / trained.white_signals.max(), 0.0])
+        for name, planes in made.items():
+            stokes, wanted = (stokes_of(each, COLOUR_STOKES)[[1, 0, 2]] for each in (planes, target))
+            quality, _ = judge_stokes(stokes, wanted, white, STOKES, BORDER)
+            found.setdefault(name, []).append(quality)
+    require_best(noise, found)
+
+
+def colour_scenes(folder: Path, work: Path) -> list[tuple[Array, Array]]:
+    """Return the signals (channel, row, col) of each scene, as fractions of full scale, and X, Y, Z, S1, S2 in cd s/m²."""
+    text = f'illuminants = ["D65"]\nexposure_share = [0.9]\n{SHARP}[target]\noutputs = "CIE 1931 + Stokes"\n'
+    for number in (1, 2):
+        text += f'[[scene]]\nsource = "polariser"\nfile = "{folder}"\npictures = "*_{number}.png"\n'
+    (work / "scenes.toml").write_text(text)
+    path = work / "photographs.h5"
+    assert run(["simulate", str(work / "scenes.toml"), "--camera", "polarised_colour", "-o", str(path), "--quiet"]) == 0
+    with open_training_set(path) as reader:
+        full_scale = reader.head.camera.full_scale
+        return [
+            (np.minimum(each.electrons / full_scale, 1).astype(np.float64), each.target * each.exposure) for each in reader
+        ]
+
+
+def require_best(noise: float, found: dict[str, list[StokesQuality]]) -> None:
+    """Print the metrics of all methods. Require that l3 is better than the rivals with noise, and almost as good without."""
     mean = {name: {key: np.mean([getattr(each, key) for each in of]) for key in FIGURES} for name, of in found.items()}
     print(f"\nnoise {noise:.0%}".ljust(12), *(f"{key:>16}" for key in FIGURES))
     for name, figures in mean.items():
@@ -142,9 +206,6 @@ def test_photographs(table: tuple[float, TransformTable], rivals: ModuleType, l3
         assert ours[key] > max(each[key] for each in mean.values()) - (0.0 if noise else 0.3)
     if noise:
         assert ours["aolp_rmse"] < min(each["aolp_rmse"] for each in mean.values())
-
-
-FIGURES = ("psnr_intensities", "psnr_s0", "psnr_s1", "psnr_s2", "psnr_dolp", "aolp_rmse")
 
 
 @pytest.mark.slow

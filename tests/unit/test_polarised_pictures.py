@@ -17,7 +17,7 @@ from l3cli.physics.stokes import STOKES, stokes_of
 from l3cli.recipes.builtin import find_recipe
 from l3cli.simulation.polarised_pictures import scene_of_stokes, stokes_of_pictures
 from l3cli.simulation.reflectances import DRAWN, primaries
-from l3cli.simulation.sources import BehindPolariser, StokesPictures
+from l3cli.simulation.sources import BehindPolariser, StokesPictures, WantedScene
 from tests.helpers.calls import L3, Refused
 
 SIZE = (20, 24)
@@ -333,3 +333,24 @@ def test_other_files_are_refused(source: str, refused: Refused, tmp_path: Path) 
             (tmp_path / "scenes.toml").write_text(RECIPE.format(outputs="Stokes", source=source, file=name) + stated)
             line = refused(3, "simulate", tmp_path / "scenes.toml", "--camera", "polarised", "-o", tmp_path / "out.h5")
             assert "angles" in line
+
+
+@pytest.mark.parametrize(
+    ("glob", "name"),
+    [("*", "both"), ("*.png", "both"), ("*_1.png", "both 1"), ("left_*", "both left"), ("a*b-2.tif", "both a b 2")],
+)
+def test_scenes_of_one_folder_have_different_names(glob: str, name: str) -> None:
+    source = BehindPolariser(file="both", pictures=glob)
+    assert WantedScene(source, Path("pictures/both")).name == name
+
+
+def test_frames_of_two_scenes_of_one_folder_have_different_names(tmp_path: Path, l3: L3) -> None:
+    for number in (1, 2):
+        pictures(tmp_path / "both", light() / number, name=f"{{:g}}_{number}.png")
+    scenes = "".join(
+        f'[[scene]]\nsource = "polariser"\nfile = "both"\nwhite = 30000\npictures = "*_{number}.png"\n' for number in (1, 2)
+    )
+    (tmp_path / "scenes.toml").write_text(RECIPE.split("[[scene]]")[0].format(outputs="Stokes") + scenes)
+    assert l3("simulate", tmp_path / "scenes.toml", "--camera", "polarised", "-o", tmp_path / "new.h5", "--quiet")[0] == 0
+    with open_training_set(tmp_path / "new.h5") as reader:
+        assert [frame.scene for frame in reader] == ["both 1", "both 2"]

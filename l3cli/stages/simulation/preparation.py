@@ -129,7 +129,7 @@ def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "
 
         assert isinstance(source, sources.PolarisedPictures)
         with raised_as(InputFileError, path):
-            scene = scene_of_stokes(stokes_of_pictures(content, source), procedural.grid(run.camera.wavelength), path.stem)
+            scene = scene_of_stokes(stokes_of_pictures(content, source), procedural.grid(run.camera.wavelength), wanted.name)
         return scene if run.camera.polarisers is not None else replace(scene, polarisation=None)
     assert isinstance(source, sources.RgbPictures)
     linear = reflectances.shrunk(content, source.shrink)
