@@ -155,7 +155,7 @@ def test_photographs_in_colour(
 ) -> None:
     """The same for a colour camera, whose S1 and S2 are of the luminance."""
     noise, trained = colour_table
-    assert trained.camera is not None
+    assert trained.white_signals is not None
     found = dict[str, list[StokesQuality]]()
     scenes = colour_scenes(l3_data / "polarisation/colour", tmp_path)
     renderer, span = make_renderer("opencl", trained), trained.white_level - trained.black_level
