@@ -31,6 +31,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.layers import MosaicLayer, PlaneLayer
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.names import class_words, plane_class_words
+from l3cli.physics.stokes import has_stokes, luminance_name
 from l3cli.report.colours import channel_light, hex_colour
 from l3cli.report.parts import Jpeg, Picture, PixelPicker, Pixels
 
@@ -166,6 +167,8 @@ def _crop(
     layers = []
     for layer, worded, of in zip(table.layers, words, labels, strict=True):
         read = COMPONENTS if table.components else PLANES
+        if has_stokes(table.outputs):
+            read = "S1", luminance_name(table.outputs), "S2"
         side, planes = (layer.rule.patch, ("mosaic",)) if isinstance(layer, MosaicLayer) else (layer.side, read)
         taps = side**2 * len(planes)
         pixels = np.bincount(of.ravel(), minlength=len(layer.weights))
