@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import open_training_set
+from l3cli.artifacts.training_set import TrainingFrame, open_training_set
 from l3cli.cli import run
 from l3cli.evaluation.demosaic import bilinear, interpolate
 from l3cli.evaluation.quality import StokesQuality, judge_stokes
@@ -191,7 +191,9 @@ def colour_scenes(folder: Path, work: Path) -> list[tuple[Array, Array]]:
     with open_training_set(path) as reader:
         full_scale = reader.head.camera.full_scale
         return [
-            (np.minimum(each.electrons / full_scale, 1).astype(np.float64), each.target * each.exposure) for each in reader
+            (np.minimum(each.electrons / full_scale, 1).astype(np.float64), (each.target * each.exposure).astype(np.float64))
+            for each in reader
+            if isinstance(each, TrainingFrame)
         ]
 
 
