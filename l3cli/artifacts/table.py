@@ -197,7 +197,7 @@ class TransformTable(Artifact):
             raise ValueError("only the last layer may have coarse_chroma")
         if self.spectra and (len(self.outputs) == 1 or self.outputs[:3] == ("X", "Y", "Z")):
             raise ValueError(
-                f"the outputs {', '.join(self.outputs)} are not spectral bands and cannot be smoothed as spectra"
+                f"the outputs {', '.join(self.outputs)} are not spectral bands, so they cannot be smoothed as spectra"
             )
         if self.chroma_smoothing and (self.outputs != ("X", "Y", "Z") or not (self.white_point > 0).all()):
             raise ValueError("chroma_smoothing requires the outputs X, Y, Z and a white_point with positive values")

@@ -394,7 +394,7 @@ def fit_series(
     for band, name in enumerate(series.lights):
         if not used[series.light == band].any(axis=(0, 1)).all():
             raise InputFileError(
-                f"filter {name}: a channel has fewer than two exposure times without saturation; add shorter exposures"
+                f"filter {name}: one channel is unsaturated at fewer than two exposure times; add shorter exposures"
             )
     centres, photons = band_photons(captures, series)
     response, spread = respond(rates, photons)

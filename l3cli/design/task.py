@@ -102,7 +102,7 @@ class Task:
             if level.illuminant not in known:
                 raise RecipeError(
                     f'level "{level_name(level)}" needs scene moments for the illuminant {level.illuminant}, but '
-                    f'{self.moments} contains only {", ".join(known)}; add "{level.illuminant}" to the key illuminants of '
+                    f'{self.moments} contains only {", ".join(known)}; add "{level.illuminant}" to the key "illuminants" of '
                     'the scene recipe, and run "l3 design moments" again'
                 )
         return [known[name] for name in dict.fromkeys(level.illuminant for level in self.wanted.level)]

@@ -580,7 +580,7 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
     if source.holds == "reflectance" and usual > MAX_MEDIAN_REFLECTANCE:
         raise ValueError(
             f"the median reflectance of the cube is {usual:.3g}, although white has a reflectance of 1; set white "
-            "(100 for percent), or correct the key holds"
+            '(100 for percent), or correct the key "holds"'
         )
     return Scene(name, wavelength, reflectance, illuminant, ignored)
 
@@ -610,7 +610,7 @@ def _fill(reflectance: NDArray[np.float32], ignored: NDArray[np.bool_]) -> None:
     from scipy.ndimage import distance_transform_edt
 
     if ignored.all():
-        raise ValueError("all pixels of the cube are marked as missing; use a cube with data, or correct the key ignored")
+        raise ValueError('all pixels of the cube are marked as missing; use a cube with data, or correct the key "ignored"')
     rows, cols = distance_transform_edt(ignored, return_distances=False, return_indices=True)
     reflectance[ignored] = reflectance[rows[ignored], cols[ignored]]
 
@@ -684,7 +684,7 @@ def _bands(cube: SpectralCube, source: Spectral) -> tuple[np.ndarray, np.ndarray
         if wavelength.size in shape[:2]:
             raise ValueError(
                 f"{described}, so the bands are probably along the {AXES[shape.index(wavelength.size)]} axis; correct the "
-                "key axes"
+                'key "axes"'
             )
         raise ValueError(f"{described}; correct wavelengths_nm")
     if not np.isfinite(wavelength).all():

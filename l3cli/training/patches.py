@@ -301,8 +301,8 @@ def _centres(frame: TrainingFrame, side: int, count: int, rng: np.random.Generat
     free = maximum_filter(frame.ignored.mask, side, mode="nearest")[side // 2 :, side // 2 :][:rows, :cols] == 0
     if not free.any():
         raise InputFileError(
-            f"the frame of scene {frame.scene} has no {side}×{side} window free of ignored pixels; remove the scene from "
-            "the recipe"
+            f"the frame of scene {frame.scene} contains no {side}×{side} window without ignored pixels; remove the scene "
+            "from the recipe"
         )
     places = np.flatnonzero(free)[(even_places(count, 1, rng)[:, 0] * np.count_nonzero(free)).astype(np.int64)]
     return np.stack(np.unravel_index(places, free.shape)) + side // 2

@@ -117,13 +117,13 @@ def _angles(folder: Path, paths: list[Path], stated: Sequence[float] | None) -> 
         if named is None:
             raise InputFileError(
                 f"{folder}: the names of the pictures ({names}) do not state one angle each; name the pictures like "
-                "scene_045.png, select the pictures of one scene with the key pictures, or set angles_deg"
+                'scene_045.png, select the pictures of one scene with the key "pictures", or set "angles_deg"'
             )
         if len(set(named)) < len(named):
             twice = next(path.name for path, angle in zip(paths, named, strict=True) if named.count(angle) > 1)
             raise InputFileError(
                 f"{folder} contains several pictures with the angle of {twice}; select the pictures of one scene with the "
-                "key pictures"
+                'key "pictures"'
             )
         return named
     if len(stated) != len(paths):
