@@ -66,7 +66,7 @@ class Destination:
         return self.kind == "video" and self.path.suffix.lower() != Y4M
 
     def file(self, number: int, stem: str) -> Path:
-        """Return the output file for the frame with this number and with this file name (without suffix)."""
+        """Return the output file of a frame. `stem` is the file name without suffix, which only a folder uses."""
         if self.kind == "pattern":
             return numbered_name(self.path, number)
         return self.path / f"{stem}.{self.suffix}" if self.kind == "folder" else self.path

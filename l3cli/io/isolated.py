@@ -196,7 +196,7 @@ class _Child:
             raise
 
     def _wait_until_ready(self) -> None:
-        """Wait until the isolated process is ready. Raises L3Error if the process ends before."""
+        """Wait until the isolated process is ready. Raises L3Error if the process ends first."""
         if self._ready:
             return
         try:

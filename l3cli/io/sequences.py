@@ -255,8 +255,8 @@ class Frames:
     def read(self, number: int) -> RawFrame | None:
         """Read the frame with the given number.
 
-        Returns None after the end of a stream. Raises InputFileError if the frame is damaged, or if a stream contains fewer
-        frames than the user listed gains.
+        Returns None after the end of a stream. Raises InputFileError if the frame is damaged, or if a stream ends before
+        all gains that the user listed are used.
         """
         return self.series.read(number)
 

@@ -288,7 +288,7 @@ def _below_black(frame: RawFrame) -> str:
 
 
 def _fog(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning if the darkest values are near the camera's black level but the stated level is far lower."""
+    """Return a warning if the darkest values are near the table's black level, far above the stated level, otherwise ""."""
     black = table.black_level
     other_depth = abs(frame.white_level - table.white_level) > SAME_DEPTH * table.white_level
     if black < SMALLEST_BLACK or frame.black_level > black / 2 or other_depth:

@@ -500,7 +500,8 @@ def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labe
 def _sampled(length: int, unit: int) -> NDArray[np.int64]:
     """Return the indices of the rows or columns to simulate: either all indices, or the indices of a few pieces.
 
-    Pieces begin at multiples of `unit`. The first piece contains the first index, and the last piece the last index.
+    Pieces begin at multiples of `unit`. The first piece contains the first index, and the last piece contains
+    the last index.
     """
     piece = max(PIECE_PIXELS // unit, 1) * unit
     if length <= piece * PIECES_PER_SIDE:

@@ -279,7 +279,7 @@ class Patterns:
     """
 
     present: NDArray[np.bool_]  # whether a leaf has a pattern
-    first: NDArray[np.float32]  # (leaf, band), reflectance between the strokes, or of a whole leaf without a pattern
+    first: NDArray[np.float32]  # (leaf, band), reflectance between the strokes, or of the whole leaf if it has no pattern
     second: NDArray[np.float32]  # (leaf, band), reflectance of the strokes
     kind: NDArray[np.intp]  # index into PATTERN_FREQUENCIES
     angle: NDArray[np.float32]  # radians; direction perpendicular to the strokes

@@ -454,7 +454,7 @@ def _cropped(size: tuple[int, ...], framing: Framing) -> tuple[int, int, int, in
 def _require_room(motion: Motion, size: tuple[int, int], scale: float) -> None:
     """Raise ValueError if the moving camera would show parts beyond the edges of a scene.
 
-    `size` contains the rows and columns of the scene, and `scale` the number of pixels per sample.
+    `size` contains the rows and columns of the scene. `scale` is the number of pixels per sample.
     """
     rows, cols = (math.ceil(min(length / scale - 1e-6, 1e9)) for length in room(motion))
     if rows > size[0] or cols > size[1]:

@@ -24,7 +24,9 @@ from l3cli.training.symmetry import IDENTITY_ONLY, Allowed, orientations_of_fram
 MOST_PATCHES = 1_000_000_000
 MOST_REFINEMENT = 3  # largest number of refinement layers
 MOST_STRENGTH = 1e5  # largest value in `strengths`, far above the trace of any structure tensor
-MOST_OF_HIGHLIGHTS = 0.5  # largest default of `darkest`, as a fraction of `highlight_from`; limits very noisy cameras
+MOST_OF_HIGHLIGHTS = (
+    0.5  # largest default of `darkest`, as a fraction of `highlight_from`; has an effect only if noise is very high
+)
 LEAST_SENSITIVE = 1 / 16  # smallest relative sensitivity of a channel with one refinement layer (docs/method.md#exposures)
 LEAST_BETWEEN = 1 / 4  # smallest relative sensitivity with more refinement layers, which read planes of 16 bits
 LEAST_STEP = 0.001  # smallest difference between two values in `strengths`, which are stored as integers

@@ -1,5 +1,5 @@
-// Processor variant: computes the taps that follow the window in a last layer with RATIO_TAPS, for a row of a tile. Two taps are the chroma
-// that shading alone would cause. If RATIO_TAPS is 4, the other two taps are the chroma of similar pixels (l3cli/classes/refinement.py).
+// Processor variant: computes the ratio taps of the last layer for a row of a tile. Two taps are the chroma that shading alone would cause.
+// If RATIO_TAPS is 4, the other two taps are the chroma of similar pixels (l3cli/classes/refinement.py).
 
 #if SOURCES > 1
 typedef struct {

@@ -51,7 +51,7 @@ VECTOR(double, wholes, CELL_LANES);
 #define READ_PRIVATE_CELLS(type, p) LOAD_PRIVATE(type, p)
 #define WRITE_CELLS(type, p, value) (STORE_GLOBAL(type, p) = CONVERT(value, type))
 #define ALL_IF(condition) (condition)  // sets all bits of the lanes in which the condition is true
-#define TRUE_CELLS(condition) CONVERT(condition, cell_ints)  // likewise, for conditions on doubles
+#define TRUE_CELLS(condition) CONVERT(condition, cell_ints)  // the same as ALL_IF, for conditions on doubles
 #define FLOOR(value) CONVERT(value, cell_ints)  // for values that are not negative
 #define FETCH_NEXT(p) FETCH(p)
 

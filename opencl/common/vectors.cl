@@ -1,5 +1,5 @@
 // Vector types of all kernels. The processor variant processes LANES pixels or taps in a vector. 16 lanes fill an AVX-512 register, and 8
-// lanes an AVX2 register. In the graphics variant, LANES is 1, because the device itself processes many pixels at the same time.
+// lanes fill an AVX2 register. In the graphics variant, LANES is 1, because the device itself processes many pixels at the same time.
 //
 // vloadN and convert_T are function calls in PoCL 3.0. Instead, vectors are read through pointers to a type with the alignment of a
 // single element, and converted with a builtin of clang. Each of these operations compiles to one instruction.
@@ -51,7 +51,7 @@ VECTOR(short, pairs, 2 * LANES);
 #define STORE_GLOBAL(type, p) (*(__global type##_unaligned *)(p))
 
 // Kernels with one work-item per group only call a function that does the work. PoCL compiles each kernel three times, once as written
-// and twice in the code that starts work-groups, but the function only once.
+// and twice in the code that starts work-groups, but compiles the function only once.
 #define COMPILED_ONCE static __attribute__((noinline)) void
 #define KERNEL_OF_ONE __kernel __attribute__((reqd_work_group_size(1, 1, 1))) void
 #define GROUP_COLUMN ((int)get_group_id(0) * TILE)  // first column of the tile

@@ -11,7 +11,7 @@
 #define GROUP ((OUTPUTS + GROUPS - 1) / GROUPS)  // number of outputs in a group
 #define LAST_TAP (VECTORS * GROUP * LANES)       // offset of the last tap's weights in a group; the intercepts follow these weights
 #ifdef RATIO_TAPS
-#define TAPS_OF_RATIOS RATIO_TAPS  // number of taps after the windows; their weights follow the intercepts
+#define TAPS_OF_RATIOS RATIO_TAPS  // number of ratio taps, whose weights follow the intercepts
 #else
 #define TAPS_OF_RATIOS 0
 #endif

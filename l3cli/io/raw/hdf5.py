@@ -86,7 +86,7 @@ def stack_frame(path: Path, name: str, number: int) -> NDArray:
 
 
 def _axes(path: Path, frames: Any) -> Axes:
-    """Return the axes of a dataset, from the axis names in the file or the convention of the program that wrote the file.
+    """Determine the axes of a dataset from its axis names, or from the convention of the program that wrote the file.
 
     Raises InputFileError if the dataset is a picture with several channels.
     """

@@ -46,7 +46,7 @@ def find_variable(path: Path, dataset: str | None, from_python: bool) -> tuple[s
     Parameters
     ----------
     path : Path
-        MATLAB file of a version before 7.3.
+        MATLAB file older than version 7.3.
     dataset : str or None
         Name of the variable. If None, the file must contain only one array of frames.
     from_python : bool

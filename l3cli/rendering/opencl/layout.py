@@ -380,7 +380,7 @@ class Weights:
 
     taps: NDArray[Any]  # (class, output, tap); the taps of the windows are sorted by column, then row, then plane
     intercept: NDArray[Any]  # (class, output)
-    ratio_taps: int = 0  # number of taps that follow the taps of the windows
+    ratio_taps: int = 0  # number of ratio taps, which follow the taps of the windows
 
 
 @dataclass(frozen=True)

@@ -147,7 +147,7 @@ def _by_cell(of_block: NDArray, grid: Grid) -> NDArray:
 def _evidence(
     values: NDArray[np.uint16], residual: Cells, left: Cells, vectors: Vectors, grid: Grid, noise: NoiseTerms
 ) -> tuple[Cells, Cells, Cells, Cells]:
-    """Return three measures of motion around each cell, and the common value that noise alone gives these measures.
+    """Return three measures of motion around each cell, and the mean value that all three measures have without motion.
 
     The residual of a cell or of a neighbourhood is the sum of the residuals of its pixels.
 

@@ -180,9 +180,9 @@ def summed(
 
 
 def _are_results_of(unit: WorkUnit, results: dict[int, ClassSums | Solution]) -> bool:
-    """Check the answer of a worker on another machine to a work unit.
+    """Check the results that a worker on another machine returns for a work unit.
 
-    Return whether the answer contains sums or a solution for exactly the sites of the unit, with arrays of the expected
+    Return whether the results contain sums or a solution for exactly the sites of the unit, with arrays of the expected
     shapes.
     """
     outputs = len(unit.pass_.head.outputs)

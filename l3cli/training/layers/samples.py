@@ -46,7 +46,7 @@ class Reading:
 
     canonical: Integers  # (site) canonical site of each site
     order: Integers  # (site, tap) position of each tap in the window
-    ratio_taps: int = 0  # number of taps that follow the taps of the windows and do not depend on the orientation
+    ratio_taps: int = 0  # number of ratio taps, which follow the taps of the windows and do not depend on the orientation
     outputs: int = PLANES  # number of outputs
     corrects: bool = False  # whether the outputs are corrections of the first layer; noise then changes the ideal outputs
 
