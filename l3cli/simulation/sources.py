@@ -418,7 +418,7 @@ def turned(cube: NDArray[np.float32], framing: Framing) -> NDArray[np.float32]:
 
 
 def framed_size(size: tuple[int, int], framing: Framing, camera: CameraModel) -> tuple[int, int]:
-    """Return the rows and columns of a scene of `size` after `framed`. For a clip, return the rows and columns of a frame.
+    """Return the rows and columns of the result of `framed` for a scene of `size`. For a clip, return the size of a frame.
 
     Raises
     ------

@@ -57,8 +57,8 @@ VECTOR(short, pairs, 2 * LANES);
 #define GROUP_COLUMN ((int)get_group_id(0) * TILE)  // first column of the tile
 #define GROUP_ROW ((int)get_group_id(1) * BAND)
 
-// Precedes a loop over the few pixels at an edge that do not fill a vector. The compiler must not vectorise and unroll these loops, because they
-// rarely run and would take time to compile.
+// Precedes a loop over the few pixels at an edge that do not fill a vector. Such a loop is neither vectorised nor unrolled, because it rarely
+// runs and its compilation would take time.
 #define AT_EDGE _Pragma("clang loop vectorize(disable) unroll(disable)")
 
 // Writes the first `count` lanes of a vector to to[0], to[1] … . The lanes are copied to an array first, because compilers generate much

@@ -154,7 +154,7 @@ def _origins(job: Job, look: Look) -> FrameOrigins:
 def _lister(job: Job, look: Look, tally: Tally) -> Callable[[Path, Path, FrameReference | None], None]:
     """Return a function that adds a finished output to the tally and to the checkpoint.
 
-    The function must be called before the temporary file of the output is renamed.
+    The returned function must be called before the temporary file of the output is renamed.
     """
     whole = "" if job.destination.one_by_one or job.checkpoint is None else _origins(job, look).of_all(look.sequence)
 
