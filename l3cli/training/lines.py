@@ -1,4 +1,4 @@
-"""Temporal noise of rows and columns (docs/method.md#row-and-column-noise).
+"""Noise of rows and columns (docs/method.md#row-and-column-noise).
 
 A *line* is a row or a column. All pixels of a line receive the same random offset, so the noise of two taps in the same row
 or column of a patch is correlated. The offsets do not change clipped taps, which have no noise. The *share* of a tap is the

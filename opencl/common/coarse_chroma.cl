@@ -1,5 +1,5 @@
-// Coarse chroma (l3cli/classes/coarse_chroma.py). A block contains the mean of 4 × 4 pixels in each of three planes. The blocks are surrounded
-// by a MARGIN whose values are not similar to any block. Rows are longer than needed, so that vectors may read beyond the last block.
+// Coarse chroma (l3cli/classes/coarse_chroma.py). A block contains the mean of 4 × 4 pixels in each of three planes. The blocks are
+// surrounded by a MARGIN whose values are not similar to any block. Rows are longer than needed, so that vectors may read beyond the last block.
 
 #define BLOCKS(length) (((length) + 3) / 4)
 #define BLOCKS_STRIDE(columns) (BLOCKS(columns) + 2 * MARGIN + 16)
