@@ -146,10 +146,10 @@ def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: A
 
 
 def odd_steps(captures: Sequence[MonoCapture], sweep: Sweep) -> tuple[str, ...]:
-    """Describe the monochromatic captures whose response contradicts the captures at both neighbouring wavelengths.
+    """Describe the monochromatic captures whose response does not fit the responses at both neighbouring wavelengths.
 
-    The response to such a capture is far above or far below the responses to both neighbours, in every channel that responds
-    to the wavelength of the capture. The function finds the worst capture, removes it, and repeats the search with the
+    The response to such a capture is far above or far below both of these responses, in every channel that responds to the
+    wavelength of the capture. The function finds the worst capture, removes it, and repeats the search with the
     remaining captures.
 
     Returns

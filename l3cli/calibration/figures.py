@@ -453,7 +453,7 @@ def doubts(camera: CameraModel) -> list[str]:
     """Return warnings about a calibration whose result can still be used.
 
     There is a warning if the lamps drifted more than the measurement file declares, and a warning for each photo whose
-    patches contradict the illuminant that the user specified.
+    patches fit another illuminant much better than the illuminant that the user specified.
     """
     if camera.fit and camera.fit.drift:
         drift = camera.fit.drift
@@ -482,8 +482,8 @@ def _times(logarithm: float) -> str:
 def shortfall(camera: CameraModel) -> str | None:
     """Return the reason why the result of a calibration should not be used, or None if there is no such reason.
 
-    Reasons are monochromatic captures that contradict their neighbours, an implausible quantum efficiency, a photo whose
-    patches do not fit the curves, and a channel that fails the validation.
+    Possible reasons are a monochromatic capture whose response is far from the responses at both neighbouring wavelengths,
+    an implausible quantum efficiency, a photo whose patches do not fit the curves, and a channel that fails the validation.
     """
     if camera.fit and camera.fit.sweep and camera.fit.sweep.odd:
         odd = camera.fit.sweep.odd

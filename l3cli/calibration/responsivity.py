@@ -436,7 +436,10 @@ def unsaturated_values(capture: ChartCapture, body: Body, limit: float, defects:
 
 
 def patch_illumination(capture: ChartCapture, body: Body, defects: Defects) -> Array:
-    """Return the illumination of each patch behind the lens, relative to the optical axis: (patch, 1)."""
+    """Return the relative illumination (cos⁴ falloff of the lens) at the image of each patch: (patch, 1).
+
+    On the optical axis, the relative illumination is 1.
+    """
     pixels, label, count = _cores(capture, body, defects)
     channels = len(body.channels)
     light = _per_label(label, body.relative_illumination.ravel()[pixels], channels)

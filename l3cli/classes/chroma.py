@@ -171,13 +171,13 @@ def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
 
 
 def entry(table: TransformTable, chroma: int) -> dict[str, Any]:
-    """Describe a chroma for reports and JSON: the number of the chroma, and the channel values of its centre."""
+    """Describe a chroma class for reports and JSON: its number and the channel values of its centre."""
     shares = chroma_centres(table.first.rule)[chroma].tolist()
     return {"chroma": chroma, "shares": dict(zip(table.channels, shares, strict=True))}
 
 
 def heading(entry: dict[str, Any]) -> str:
-    """Return the label of a chroma in the first column of a table, such as "1: r 0.30 g 0.45 b 0.25"."""
+    """Return the label of a chroma class in the first column of a table, such as "1: r 0.30 g 0.45 b 0.25"."""
     return f"{entry['chroma']}: " + " ".join(f"{name} {share:.2f}" for name, share in entry["shares"].items())
 
 

@@ -92,7 +92,10 @@ def _of(index: int, count: int, ends: tuple[str, str]) -> str:
 
 
 def feature_names(table: TransformTable, combination: int) -> list[str]:
-    """Return the name of each additional feature's value. `combination` is the combined index of these values."""
+    """Return the name of the value that each additional feature has in a combination of values.
+
+    `combination` is the index of the combination.
+    """
     values = table.first.rule.split_features(combination)
     return [module.name(table, value) for (module, _), value in zip(features_of(table.first.rule), values, strict=True)]
 

@@ -133,7 +133,10 @@ def cases(rule: ClassRule, code: Integers) -> Integers:
 
 
 def entry(table: TransformTable, case: int) -> dict[str, Any]:
-    """Describe a saturation case for reports and JSON: its number, and the channels that clip in all of its codes."""
+    """Describe a saturation case for reports and JSON: its number and the channels that clip in all its codes.
+
+    The codes of a case are the saturation codes that `cases` maps to it.
+    """
     codes = np.flatnonzero(table.first.rule.case_of_code == case)
     common = int(np.bitwise_and.reduce(codes)) if codes.size else 0
     return {"case": case, "saturated": _channels(table, common)}

@@ -65,15 +65,17 @@ assert len(EVERY) == TESTS
 
 @dataclass(frozen=True)
 class Evidence:
-    """The numerators and denominators of all tests at every pixel. In the shapes, … stands for the axes of the array of
-    pixels."""
+    """The numerators and denominators of all tests of a decision tree at every pixel.
+
+    In the shapes, … stands for the axes of the array of pixels.
+    """
 
     numerators: NDArray[np.float32]  # (test, …)
     denominators: NDArray[np.float32]  # (denominator, …)
 
 
 def evidence(planes: Integers, factor: Integers, shift: Integers) -> Evidence:
-    """Compute the numerators and denominators of all tests at every pixel.
+    """Compute the numerators and denominators of all tests of a decision tree at every pixel.
 
     Parameters
     ----------

@@ -53,7 +53,10 @@ def _show(lines: list[str]) -> None:
 
 
 def _verify(file: Path, inputs: tuple[Path, ...]) -> Result:
-    """Verify an artifact and compare its inputs. If an input does not match, the result contains an InputFileError."""
+    """Verify an artifact, and check that it was made from the files `inputs`.
+
+    If the history of the artifact does not contain one of these files, the result contains an InputFileError.
+    """
     from l3cli.stages.information import verification
 
     files = files_to_read({"artifact": [file], "inputs": inputs})

@@ -174,7 +174,7 @@ class Task:
         return every
 
     def bayer(self, filters: Sequence[int]) -> list[Cfa]:
-        """Return the Bayer array for each combination of three filters with enough independent outputs.
+        """Return one Bayer array for each combination of three filters that provides enough independent outputs.
 
         The filter with the intermediate centre wavelength is at the two green sites. The remaining two filters
         are at the red and the blue site.

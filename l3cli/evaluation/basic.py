@@ -383,12 +383,18 @@ def merged(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Arr
 
 
 def most_sensitive(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
-    """Return, for each colour filter, only the planes of its most sensitive channel (longest exposure or highest gain)."""
+    """For each colour filter, copy the plane of the most sensitive channel to all channels with this filter.
+
+    The most sensitive channel has the longest exposure or the highest gain.
+    """
     return _chosen(planes, camera, np.argmax)
 
 
 def least_sensitive(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
-    """Return, for each colour filter, only the planes of its least sensitive channel (shortest exposure or lowest gain)."""
+    """For each colour filter, copy the plane of the least sensitive channel to all channels with this filter.
+
+    The least sensitive channel has the shortest exposure or the lowest gain.
+    """
     return _chosen(planes, camera, np.argmin)
 
 

@@ -60,7 +60,7 @@ class Comparison:
 
     @property
     def doubt(self) -> str | None:
-        """Warning that the cameras cannot be compared, or may not be comparable. None if they can be compared."""
+        """Warning if a comparison of the cameras is impossible or doubtful, otherwise None."""
         return {False: OTHER_SCENES, None: UNKNOWN_SCENES}.get(self.alike) if len(self.cameras) > 1 else None
 
     @property

@@ -456,7 +456,10 @@ def cropped(planes: NDArray[Any], border: int) -> NDArray[Any]:
 
 
 def of_counted(planes: NDArray[Any], counted: NDArray[np.bool_] | None) -> NDArray[Any]:
-    """Select the pixels in the mask `counted` from planes (…, row, col): (…, pixel). Without a mask, return `planes`."""
+    """Return the pixels of `planes`, (…, row, col), that lie in the mask `counted`, as an array (…, pixel).
+
+    If there is no mask, return `planes`.
+    """
     return planes if counted is None else planes[..., counted]
 
 

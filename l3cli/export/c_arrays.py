@@ -66,7 +66,7 @@ class Array:
 
     @property
     def alias(self) -> list[str]:
-        """A line with a macro that maps the name of a packed array to its values. Empty if the array is not packed."""
+        """A line with a macro that maps the name of a packed array to its values. Other arrays need no line."""
         return [f"#define {self.name} {self.name}_data.value"] if self.packed else []
 
     def public(self) -> list[str]:

@@ -189,7 +189,10 @@ def _features(rule: ClassRule) -> str:
 
 
 def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
-    """Return the macros of l3_table.h by name, without prefix: sizes of loops and arrays, and constants in formulas."""
+    """Return the macros of l3_table.h: the sizes of loops and arrays, and the constants in formulas.
+
+    The names lack the prefix that they have in the file.
+    """
     rule, columns = table.first.rule, table.cfa.shape[1]
     group = math.lcm(columns, TAP_GROUP)
     values: dict[str, int | str] = {

@@ -70,7 +70,7 @@ def _submit(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> "
 def _script_left_alone(function: Callable[..., object]) -> Iterator[None]:
     """Prevent new processes from importing the running script, unless the script defines `function`.
 
-    If a script calls l3cli outside a function, every process that imports the script would start the complete work again.
+    If a script calls l3cli outside a function, every process that imports the script would call l3cli again.
     """
     script = sys.modules["__main__"]
     if getattr(function, "__module__", None) == "__main__":

@@ -107,7 +107,10 @@ def _less_chromatic(linear: NDArray[np.float64], gamut: Gamut) -> NDArray[np.flo
 
 
 def _darker(linear: NDArray[np.float64], gamut: Gamut) -> NDArray[np.float64]:
-    """Limit colours (colour, 3) to 1, by a mixture of darkening and clipping in which clipping has the weight Y⁴."""
+    """Limit colours (colour, 3) to 1.
+
+    The result is the weighted mean of the clipped colour and the darkened colour. The weights are Y⁴ and 1 − Y⁴.
+    """
     square = np.square(np.clip(linear @ gamut.luminance, 0, 1))[:, None]
     clipped, scaled = np.minimum(linear, 1), linear / linear.max(axis=1, keepdims=True)
     return scaled + square * square * (clipped - scaled)

@@ -169,8 +169,8 @@ def average(curve: Array, source: Array, grid: Array) -> NDArray[np.float64]:
     Returns
     -------
     ndarray, (…, grid)
-        Means. If a bin extends beyond the range of `source`, the curve is constant there. At wavelengths of `grid` outside
-        the range of `source`, the result is zero.
+        Mean over each bin. For wavelengths of `grid` outside the range of `source`, the mean is set to zero. Bins at the
+        ends of the range may extend beyond it. The curve is assumed to keep its end values there.
     """
     inside = (grid >= source.min()) & (grid <= source.max())
     return np.asarray(curve @ (_step_matrix(source, grid, extended=True) * inside[:, None]).T, dtype=np.float64)

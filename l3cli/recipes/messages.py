@@ -94,10 +94,10 @@ def _values(tables: Sequence[type[Recipe]], name: str) -> tuple[str, ...]:
 
 
 def _tables(recipe: type[Recipe], content: Any, path: KeyPath) -> list[type[Recipe]]:
-    """Return the possible classes of the table at `path` in a recipe.
+    """Return the subclasses of Recipe that can describe the table at `path` in a recipe.
 
-    If a tag such as `source` selects one of several classes, the result contains only this class. If the tag is missing or
-    unknown, the result contains all classes.
+    If a tag such as `source` selects one of several subclasses, the result contains only this subclass. If the tag is
+    missing or unknown, the result contains all of them.
     """
     tables = [recipe]
     for part in path:

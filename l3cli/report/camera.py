@@ -98,7 +98,7 @@ def _lead(camera: CameraModel, figures: dict[str, Any]) -> str:
 
 
 def drift_note(camera: CameraModel) -> str:
-    """Return a sentence, with a leading space, about an unexpected lamp drift. Empty if no drift was detected."""
+    """Return a sentence, with a leading space, about an unexpected lamp drift, or "" if no drift was detected."""
     if camera.fit is None or camera.fit.drift is None:
         return ""
     return (

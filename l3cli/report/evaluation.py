@@ -422,7 +422,10 @@ def lit_as(luminance: float, at: float | None) -> bool:
 
 
 def brightness(frame: dict[str, Any]) -> str:
-    """Format the luminance of a frame for a caption, with a leading comma. Empty if the frame has no scene fingerprint."""
+    """Format the luminance of a frame for a caption, with a leading comma.
+
+    The text is empty if the frame has no scene fingerprint.
+    """
     if frame["shown"] is None:
         return ""
     return f", {tidy(frame['luminance'])} cd/m² ({tidy(np.pi * frame['luminance'])} lux)"

@@ -166,7 +166,7 @@ def _light_blocks(head: TrainingSet, survey: Survey) -> tuple[Block, ...]:
 
 
 def _range(values: list[float]) -> str:
-    """Format the smallest and the largest value as a range, or as a single number if both have the same text."""
+    """Format the smallest and the largest value as a range, or as a single number if both are equal after rounding."""
     low, high = tidy(min(values)), tidy(max(values))
     return low if low == high else f"{low}–{high}"
 

@@ -287,7 +287,7 @@ def taps(table: TransformTable, index: int) -> Integers:
 def _noise_figures(table: TransformTable) -> Figures:
     """Plot the median noise gain of trained unsaturated classes against the level.
 
-    Empty if the table has no such classes.
+    There is no figure if the table has no such classes.
     """
     rule, gains = table.first.rule, np.sqrt((table.first.weights.astype(np.float64) ** 2).sum(axis=2))
     gain = rule.by_feature(gains)[..., rule.kinds_of(0), :]

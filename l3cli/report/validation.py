@@ -1,7 +1,8 @@
 """The validation of a camera model in a report: how accurately the model predicts the charts to which it was fitted.
 
 For lab measurements, the report also shows how the smoothing was chosen. For photos, the report shows the uncertainty of the
-responsivities and of the colours. Drawings of charts compare two colours of each patch.
+responsivities and of the colours. In drawings of charts, each patch shows two
+colours, such as the predicted and the measured colour.
 """
 
 from typing import Any
@@ -164,7 +165,10 @@ def table_of(caption: str, heading: str, rows: dict[str, dict[str, float]]) -> T
 
 
 def _prediction_figures(camera: CameraModel, fit: Fit) -> list[Figure]:
-    """Plot the measured values, and their residuals, against the predicted values. Empty if no values were used."""
+    """Plot the measured values, and their residuals, against the predicted values.
+
+    The list is empty if no values were used.
+    """
     assert fit.validation is not None
     measured, predicted = fit.validation.measured, fit.validation.predicted
     used = np.ones(measured.shape, bool) if fit.chart is not None or fit.series is None else fit.series.used
@@ -191,7 +195,10 @@ def _prediction_figures(camera: CameraModel, fit: Fit) -> list[Figure]:
 
 
 def _smoothing_figure(sweep: SweepFit) -> list[Figure]:
-    """Plot the cross-validated error against the smoothing δ. Empty if fewer than two values of δ were tested."""
+    """Plot the cross-validated error against the smoothing δ.
+
+    The list is empty if fewer than two values of δ were tested.
+    """
     tried = sweep.smoothing > 0
     if tried.sum() < 2:
         return []

@@ -322,7 +322,7 @@ def refuse_protected(output: Path | int) -> None:
 
 
 def identity(file: Path | int) -> Identity | None:
-    """Return the device and the inode of a regular file. Links are followed. None if `file` is not a regular file."""
+    """Return the device and the inode of a file, or None if it is not a regular file. Links are followed."""
     try:
         state = os.stat(file)
     except OSError:

@@ -211,7 +211,7 @@ class Composer:
     camera : CameraModel or None
         The camera, if it is known.
     folder : str
-        Folder of the frames, as it is written in the draft. "." for the folder of the draft.
+        Folder of the frames, as it is written in the draft. "." is the folder that contains the draft.
     read : callable
         Function that returns the raw values of the frame with a given path.
     """

@@ -212,8 +212,8 @@ def _same_light(group: Group, other: Group, scale: Scale) -> bool:
 def guess_array(steps: Sequence[Group], scale: Scale, period: tuple[int, int]) -> CfaRecipe | None:
     """Guess the colour filter array from the wavelengths to which its sites respond.
 
-    `steps` are monochromatic captures. The result is None if fewer than LEAST_STEPS of them are unclipped, bright enough and
-    have a wavelength in their names, or if no site responds.
+    `steps` are monochromatic captures. Captures that clip, are too dark or have no wavelength in their names are not used.
+    The result is None if fewer than LEAST_STEPS captures remain, or if no site responds.
     """
     steps = [step for step in steps if step.first.name.nm is not None and not scale.clipped(step)]
     if len(steps) < LEAST_STEPS:

@@ -87,8 +87,8 @@ FORMATS = (
     ),
     SceneFormat(
         "channels", "bands", has_files=True, holds="OpenEXR or TIFF with one channel per band; TIFF with one page per band",
-        states="wavelengths in the names of channels and pages, in labels of ImageJ, channels of OME, metadata of tifffile "
-        "and GDAL; scale, offset and nodata value of GDAL",
+        states="wavelengths in the names of channels and pages, in ImageJ labels, in OME channels, and in the metadata of "
+        "tifffile and GDAL; scale, offset and nodata value of GDAL",
     ),
     SceneFormat(
         "polariser", "polariser", keys=("pictures", "angles_deg"), is_folder=None, has_files=True,
