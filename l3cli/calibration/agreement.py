@@ -54,7 +54,7 @@ def check_whites(captures: Sequence[Capture], lit: Array, signal: Array) -> None
 
 
 def check_darks(captures: Sequence[Capture], signal: Array, deviation: float = 0.0) -> None:
-    """Raise InputFileError if a dark capture contradicts the straight line through the other dark captures.
+    """Raise InputFileError if a dark capture is far from the straight line through the other dark captures.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def check_darks(captures: Sequence[Capture], signal: Array, deviation: float = 0
 
 
 def check_series(captures: Sequence[BandCapture], light: NDArray[np.int64], values: Array, valid: NDArray[np.bool_]) -> None:
-    """Raise InputFileError if a capture contradicts the other captures behind the same filter.
+    """Raise InputFileError if a capture does not fit the other captures behind the same filter.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def check_series(captures: Sequence[BandCapture], light: NDArray[np.int64], valu
 
 
 def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: Array, absolute: bool) -> None:
-    """Raise InputFileError if a chart contradicts the other charts or the monochromatic captures.
+    """Raise InputFileError if a chart does not fit the other charts or the monochromatic captures.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
 
 
 def _check_alike(captures: Sequence[Capture], rates: Array, kind: str) -> None:
-    """Raise InputFileError if the signals per second of captures under one illuminant differ by more than FACTOR (a ratio).
+    """Raise InputFileError if captures under one illuminant differ in signal per second by more than a factor of FACTOR.
 
     Two captures are compared with each other. If there are more captures, each capture is compared with the median.
     """

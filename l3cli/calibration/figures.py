@@ -342,7 +342,7 @@ def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
     result : dict
         The result of `figures`. If the true camera is known, the entry "truth" contains the result of `compare`.
     width : int, optional
-        Largest width in characters. Wider tables are split. None: no limit.
+        Largest width in characters. Wider tables are split. If None, the width is not limited.
     """
     truth = result.get("truth")
     lines = []

@@ -114,7 +114,7 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
     3. The remaining temporal noise is the temporal variance without row noise and column noise, divided by the number of
        frames. This noise is subtracted from the spatial variance.
 
-    Raises InputFileError if all frames have the same exposure time, or if a capture contradicts the other captures.
+    Raises InputFileError if all frames have the same exposure time, or if a capture does not fit the other captures.
     """
     exposures = np.array([capture.exposure for capture in captures])
     if np.unique(exposures).size < 2:

@@ -28,7 +28,7 @@ def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[in
     Code 0, in which no channel clips, is case 0. The most frequent of the remaining codes become cases. All other codes
     are assigned to the nearest case. The nearest case is determined by these criteria, in this order:
 
-    1. The case agrees with the code on whether all channels of some colour filter clip.
+    1. All channels of some colour filter clip both in the case and in the code, or in neither of them.
     2. The case differs from the code in as few channels as possible.
     3. The case contains all clipped channels of the code.
 

@@ -217,7 +217,7 @@ def _range(low: float, high: float) -> str:
 
 
 def clipping(curve: Curve) -> str | None:
-    """Describe from which luminance a camera clips. The result is None if the camera does not clip at the highest
+    """State the luminance from which a camera clips. The result is None if the camera does not clip at the highest
     luminance."""
     some = [share >= CLIPPING for share in curve.clipped]
     if not some[-1]:

@@ -9,8 +9,8 @@ lightness and hue are on the line s(t) = L + t (s − L). Along this line, each 
    starting point, which is computed from the cubic that is lowest at t = 1: the root of the straight line through this cubic
    at t = 0 and at t = 1.
 2. **Values above 1.** The colour is darkened until no linear value is above 1. Darkening preserves the OkLab hue. A second
-   solution clips each value to 1. The result is a mixture of the two solutions, in which clipping has the weight Y⁴. Bright
-   highlights therefore become as bright as possible and end in white.
+   solution clips each value to 1. The result is the mean of the darkened and the clipped colour with the weights 1 − Y⁴ and
+   Y⁴. Bright highlights therefore become as bright as possible and end in white.
 
 References
 ----------

@@ -1,8 +1,8 @@
 """The validation of a camera model in a report: how accurately the model predicts the charts to which it was fitted.
 
 For lab measurements, the report also shows how the smoothing was chosen. For photos, the report shows the uncertainty of the
-responsivities and of the colours. In drawings of charts, each patch shows two
-colours, such as the predicted and the measured colour.
+responsivities and of the colours. In drawings of charts, each patch shows two colours, such as the predicted and the
+measured colour.
 """
 
 from typing import Any
