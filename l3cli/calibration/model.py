@@ -218,7 +218,7 @@ def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, b
 def check_charts(
     measurements: Measurements, charts: Charts, sweep: responsivity.Sweep, smoothing: float, black_level: Array
 ) -> None:
-    """Raise InputFileError if a chart does not fit the other charts, or if all charts do not fit the sweep.
+    """Raise InputFileError if a chart does not fit the other charts, or if the charts together do not fit the sweep.
 
     `smoothing` is the smoothing weight with which the curves are computed from the sweep.
     """

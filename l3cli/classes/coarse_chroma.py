@@ -33,8 +33,8 @@ def scales_of(chroma: CoarseChroma, noise_ratio: float = 1.0) -> Array:
     Returns
     -------
     ndarray, (step, plane, power of luminance)
-            Polynomial coefficients. The scale of each step and plane is a polynomial in the luminance. The unit of the
-            planes is PLANE_STEP.
+        Polynomial coefficients. The scale of each step and plane is a polynomial in the luminance. The unit of the planes is
+        PLANE_STEP.
     """
     steps = chroma.variance * (noise_ratio / PLANE_STEP**2) * PLANE_STEP ** np.arange(chroma.variance.shape[-1])
     return steps * (4 * POWER * ALIKE**2)[:, None, None]

@@ -68,7 +68,7 @@ def principal_spectra(power: Array, white: Array) -> NDArray[np.float64]:
     power : ndarray, (wavelength, wavelength)
         Second moment of the photon spectra.
     white : ndarray, (wavelength,)
-        Photons from a white. The spectra are scaled by the mean of these values.
+        Photon spectrum of a perfect white. The spectra are scaled by the mean of these values.
 
     Returns
     -------

@@ -217,8 +217,10 @@ def _range(low: float, high: float) -> str:
 
 
 def clipping(curve: Curve) -> str | None:
-    """State the luminance from which a camera clips. The result is None if the camera does not clip at the highest
-    luminance."""
+    """Return a sentence with the lowest luminance from which a camera clips.
+
+    The result is None if the camera does not clip at the highest luminance.
+    """
     some = [share >= CLIPPING for share in curve.clipped]
     if not some[-1]:
         return None

@@ -413,8 +413,8 @@ def black_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> float | None:
     """Return the probable black level, in DN, of a frame whose file states a black level of 0.
 
     If the stated level is wrong, the darkest values of all channels are at about the same level, far above 0. Relative to
-    their mean, these values differ less between the channels than the medians. If the darkest values were caused by light,
-    they would differ in proportion to the transmittances of the colour filters.
+    their mean, these values differ less between the channels than the medians do. If light caused the darkest values, they
+    would differ in proportion to the transmittances of the colour filters.
 
     Returns
     -------

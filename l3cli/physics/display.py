@@ -179,7 +179,10 @@ def displayed(xyz: Array, white: Array, scale: float) -> Array:
 
 
 def scene_xyz(linear: Array, white: Array, scale: float) -> Array:
-    """Convert a picture to the XYZ (3, row, col) of the scene. Inverse of `displayed`, except for clipped values."""
+    """Convert a picture to the XYZ (3, row, col) of the scene.
+
+    This is the inverse of `displayed`, except for clipped values.
+    """
     matrix = adaptation_matrix(daylight(), white) @ xyz_from_srgb_matrix() * scale
     return np.einsum("co,rko->crk", matrix, linear)
 

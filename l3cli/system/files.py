@@ -73,7 +73,7 @@ def dated(path: Path) -> Dated | None:
 
 
 def fingerprint(path: Path) -> tuple[int, ...]:
-    """Return the size, modification time, change time and inode of a file, with which a later run can detect changes.
+    """Return the size, modification time, change time and inode of a file. A later run compares them to detect changes.
 
     Programs can set the modification time of a file, but not its change time. Raises OSError if the file does not exist.
     """
