@@ -78,7 +78,8 @@ FIELDS = (
     HeaderField("data gain values", READ, "factors by which l3 multiplies the stored values"),
     HeaderField("data offset values", READ, "offsets that l3 adds after the gains have been applied"),
     HeaderField(
-        "data reflectance gain values", READ,
+        "data reflectance gain values",
+        READ,
         "factors that convert stored values to reflectances; l3 uses them instead of the data gain values",
     ),
     HeaderField(
