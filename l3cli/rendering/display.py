@@ -127,7 +127,7 @@ def linear_matrix(adaptation: NDArray[np.floating], scale: float, space: Space) 
 def require_xyz(outputs: tuple[str, ...]) -> None:
     """Raise a RecipeError unless pictures can be made from these outputs.
 
-    Pictures can be made from X, Y and Z, which other outputs can follow, from Y alone, and from Stokes parameters.
+    Pictures can be made from X, Y and Z, from Y alone, and from Stokes parameters. Other outputs may follow X, Y and Z.
     """
     if outputs[:3] not in (("X", "Y", "Z"), GREY, STOKES):
         raise RecipeError(

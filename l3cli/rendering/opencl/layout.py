@@ -195,7 +195,7 @@ def table_macros(table: TransformTable, sets: int = 1) -> Macros:
         "SHIFT": rule.shift,
         "MAX_RAW": 2**table.bits - 1,
         "RAW_MIDDLE": raw_middle(table.bits),
-        **({} if table.later else white_macros(table)),  # the outputs of the last layer are limited
+        **({} if table.later else white_macros(table)),  # only the last layer limits its outputs
         **plane_kernel.kernel_macros(rule),
     }
 

@@ -107,8 +107,8 @@ class TrainingRun:
         """Whether refinement layers can be trained for the outputs.
 
         A table with three outputs can have any number of refinement layers. A table with spectral outputs can have exactly
-        one refinement layer, with structure classes, which refines the leading components of the spectra. The same holds for
-        colours with Stokes parameters, whose refinement layer can also have coarse chroma.
+        one refinement layer, with structure classes, which refines the leading components of the spectra. A table with
+        colours and Stokes parameters can also have one refinement layer, with or without coarse chroma.
         """
         layers = self.recipe.layer
         corrects = len(layers) == 1 and has_components(self.head) and not layers[0].leaves

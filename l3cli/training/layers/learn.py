@@ -47,7 +47,7 @@ class LayerGoal:
     noise_weights: tuple[float, ...]  # (output) weight of the noise covariance in the fit
     white: Array  # (plane) planes of a white with Y = 1; the layer must preserve this white
     windows: int  # number of window taps; the remaining taps are 0 in uniform areas
-    # (output) chroma plane that an output must preserve in uniform areas of unsaturated classes, or -1; empty for no plane
+    # (output) chroma plane that the output preserves in uniform areas of unsaturated classes, or -1; () if no plane is kept
     keeps: tuple[int, ...] = ()
     strength_pool: float = 0.0  # weight of samples from the classes with the next lower and the next higher strength
     corrects: bool = False  # whether the layer corrects the outputs of the first layer; corrections are 0 for white
@@ -168,7 +168,8 @@ def _constrained(
     of : list of int
         Indices of the solved outputs.
     keeps : bool
-        Whether a chroma plane in `goal.keeps` that the common response would fade is instead preserved in uniform areas.
+        Whether the chroma planes in `goal.keeps` are preserved in uniform areas if the common response would fade these
+        planes.
 
     Returns
     -------
