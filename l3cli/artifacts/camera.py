@@ -219,6 +219,7 @@ class Noise:
         doc="standard deviation of the random offset of each column, which changes from frame to frame",
         optional=0.0,
     )
+    row_noise: float = data("float64", unit="e-", doc="standard deviation of the fixed offsets of rows", optional=0.0)
 
     def __post_init__(self) -> None:
         if not (min(dataclasses.astuple(self)) >= 0 and self.well_capacity > 0):
@@ -242,8 +243,11 @@ class Noise:
 
     @property
     def fixed(self) -> float:
-        """Variance of the fixed-pattern noise in the dark, in (e-)²: the DSNU and the column offsets."""
-        return self.dsnu**2 + self.column_noise**2
+        """Variance of the fixed-pattern noise in the dark, in (e-)².
+
+        It consists of the DSNU of the pixels and the fixed offsets of rows and columns.
+        """
+        return self.dsnu**2 + self.column_noise**2 + self.row_noise**2
 
 
 @dataclass(frozen=True)
@@ -697,15 +701,15 @@ class CameraModel(Artifact):
     @property
     def has_line_noise(self) -> bool:
         """Whether the camera has row noise or column noise (see `line_variances`)."""
-        return bool(self.noise.lines or self.noise.column_noise)
+        return bool(self.noise.lines or self.noise.column_noise or self.noise.row_noise)
 
     def line_variances(self, dark: float = 0.0) -> tuple[float, float]:
         """Return the variance of row noise and the variance of column noise.
 
         Row noise is an offset that is the same for all pixels of a row, and column noise is an offset that is the same for
-        all pixels of a column. Column noise includes the fixed offsets of columns. Both variances are contained in the
-        constant term of `noise_terms`. The variances apply to a channel with a relative gain of 1. In the other channels,
-        the offsets are multiplied by the relative gain.
+        all pixels of a column. Both include the fixed offsets. Both variances are contained in the constant term of
+        `noise_terms`. The variances apply to a channel with a relative gain of 1. In the other channels, the offsets are
+        multiplied by the relative gain.
 
         Parameters
         ----------
@@ -719,5 +723,5 @@ class CameraModel(Artifact):
         """
         noise, span = self.noise, self.white_level - self.black_level
         unit = (self.gain * span / (span - dark)) ** 2
-        rows = self.noise_left * noise.row_temporal_noise**2
+        rows = self.noise_left * noise.row_temporal_noise**2 + noise.row_noise**2
         return unit * rows, unit * (self.noise_left * noise.column_temporal_noise**2 + noise.column_noise**2)

@@ -237,6 +237,7 @@ class NoiseRecipe(Recipe):
     column_noise_e: NotNegative = 0.0  # fixed offset of each column
     row_temporal_noise_e: NotNegative = 0.0  # offset of each row that changes from frame to frame
     column_temporal_noise_e: NotNegative = 0.0  # offset of each column that changes from frame to frame
+    row_noise_e: NotNegative = 0.0  # fixed offset of each row
 
 
 def noise_of(recipe: NoiseRecipe) -> Noise:

@@ -26,8 +26,15 @@ class NoiseFit:
     )
     read_noise: NDArray[np.float64] = data("float64", "channel", unit="e-", doc="temporal dark noise at zero exposure")
     dark_current: NDArray[np.float64] = data("float64", "channel", unit="e-/s", doc="dark current")
-    dsnu: NDArray[np.float64] = data("float64", "channel", unit="e-", doc="dark signal nonuniformity")
-    prnu: NDArray[np.float64] = data("float64", "channel", doc="photo response nonuniformity, as a fraction of the signal")
+    dsnu: NDArray[np.float64] = data(
+        "float64",
+        "channel",
+        unit="e-",
+        doc="dark signal nonuniformity of the pixels, without fixed offsets of rows and columns",
+    )
+    prnu: NDArray[np.float64] = data(
+        "float64", "channel", doc="photo response nonuniformity of pixels, rows and columns, as a fraction of the signal"
+    )
     saturation_capacity: NDArray[np.float64] = data("float64", "channel", unit="e-", doc="electrons at saturation")
     linearity_error: NDArray[np.float64] = data(
         "float64", "channel", doc="mean relative deviation of the signal from a line over 5-95 % of saturation"
@@ -76,6 +83,32 @@ class NoiseFit:
         doc="part of the temporal dark noise that pixels do not share with their row or column; None: as read_noise",
         optional=None,
     )
+    dsnu_error: NDArray[np.float64] | None = data(
+        "float64", "channel", unit="e-", doc="standard error of dsnu; None: unknown", optional=None
+    )
+    prnu_error: NDArray[np.float64] | None = data(
+        "float64", "channel", doc="standard error of prnu; None: unknown", optional=None
+    )
+    row_noise: float = data(
+        "float64", unit="e-", doc="standard deviation of the fixed offsets of rows; 0: not significant", optional=0.0
+    )
+    row_noise_error: float = data("float64", unit="e-", doc="standard error of row_noise", optional=0.0)
+    column_noise: float = data(
+        "float64", unit="e-", doc="standard deviation of the fixed offsets of columns; 0: not significant", optional=0.0
+    )
+    column_noise_error: float = data("float64", unit="e-", doc="standard error of column_noise", optional=0.0)
+    row_prnu: float = data(
+        "float64",
+        doc="part of prnu that all pixels of a row have in common, as a fraction of the signal; 0: not significant",
+        optional=0.0,
+    )
+    row_prnu_error: float = data("float64", doc="standard error of row_prnu", optional=0.0)
+    column_prnu: float = data(
+        "float64",
+        doc="part of prnu that all pixels of a column have in common, as a fraction of the signal; 0: not significant",
+        optional=0.0,
+    )
+    column_prnu_error: float = data("float64", doc="standard error of column_prnu", optional=0.0)
 
 
 @dataclass(frozen=True)

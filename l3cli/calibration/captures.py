@@ -49,10 +49,9 @@ class Sensor:
 
     dark: noise.DarkNoise
     transfer: noise.PhotonTransfer
-    prnu: Array  # (channel,): PRNU as a fraction of the signal
+    response: noise.ResponseNoise
     exposure: Array  # (capture,): exposure times of the white captures in s
     defects: statistics.Defects
-    response: Array  # (row, col): DN/s under white light; the values of defective pixels are interpolated
 
     @property
     def saturation(self) -> float:
@@ -95,9 +94,9 @@ def measure_sensor(measurements: Measurements, each: statistics.Each = map) -> S
     )
     agreement.check_whites(whites, np.array([level.lit for level in levels]), signal)
     transfer = noise.photon_transfer(levels, body, dark)
-    prnu, dead, response = noise.prnu(whites, levels, transfer.used, body, dark.hot, each)
+    response = noise.response_noise(whites, levels, transfer.used, body, dark, each)
     exposure = np.array([level.exposure for level in levels])
-    return Sensor(dark, transfer, prnu, exposure, statistics.joined_defects(dark.hot, dead), response)
+    return Sensor(dark, transfer, response, exposure, statistics.joined_defects(dark.hot, response.dead))
 
 
 def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Body) -> Array:
@@ -287,7 +286,7 @@ def with_corrections(camera: CameraModel, sensor: Sensor, body: Body) -> CameraM
     shape = (body.rows, body.cols)
     defects = statistics.defect_map(sensor.defects, sensor.dark.hot, shape)
     try:
-        return replace(camera, defects=defects, flat_field=flat_field(sensor.response, body))
+        return replace(camera, defects=defects, flat_field=flat_field(sensor.response.slopes, body))
     except InputFileError:
         return replace(camera, defects=defects)
 

@@ -31,14 +31,14 @@ def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
     Returns
     -------
     dict
-        Value and unit of each parameter. The keys are the names in EMVA 1288. Row temporal noise, column temporal noise and
-        column noise are included only if they are not zero. Calibration does not measure column noise, which is the fixed
-        offset of columns, but a camera recipe may declare it.
+        Value and unit of each parameter. The keys are the names in EMVA 1288. The noise of rows and columns is included only
+        if it is not zero. "row noise" and "column noise" are the fixed offsets, which "DSNU" does not contain.
     """
     noise = camera.noise
     lines = {
         "row temporal noise": noise.row_temporal_noise,
         "column temporal noise": noise.column_temporal_noise,
+        "row noise": noise.row_noise,
         "column noise": noise.column_noise,
     }
     return {
@@ -54,8 +54,8 @@ def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
     }
 
 
-def line_errors(camera: CameraModel) -> dict[str, tuple[float, str]]:
-    """Return the 95 % confidence intervals of the temporal noise of rows and of columns.
+def noise_errors(camera: CameraModel) -> dict[str, tuple[float, str]]:
+    """Return the 95 % confidence intervals of DSNU, PRNU and the noise of rows and of columns.
 
     Returns
     -------
@@ -67,10 +67,25 @@ def line_errors(camera: CameraModel) -> dict[str, tuple[float, str]]:
     if fit is None:
         return {}
     errors = {
-        "row": fit.row_temporal_noise_error if noise.row_temporal_noise else 0.0,
-        "column": fit.column_temporal_noise_error if noise.column_temporal_noise else 0.0,
+        "DSNU": (_error_of_mean(camera, noise.dsnu, fit.dsnu, fit.dsnu_error), "e-"),
+        "PRNU": (100.0 * _error_of_mean(camera, noise.prnu, fit.prnu, fit.prnu_error), "%"),
+        "row temporal noise": (fit.row_temporal_noise_error if noise.row_temporal_noise else 0.0, "e-"),
+        "column temporal noise": (fit.column_temporal_noise_error if noise.column_temporal_noise else 0.0, "e-"),
+        "row noise": (fit.row_noise_error if noise.row_noise else 0.0, "e-"),
+        "column noise": (fit.column_noise_error if noise.column_noise else 0.0, "e-"),
     }
-    return {f"{line} temporal noise ±": (1.96 * error, "e-") for line, error in errors.items() if error}
+    return {f"{name} ±": (COVERAGE * error, unit) for name, (error, unit) in errors.items() if error}
+
+
+def _error_of_mean(camera: CameraModel, mean: float, deviations: Any, errors: Any) -> float:
+    """Return the standard error of the quadratic mean over all pixels of standard deviations per channel.
+
+    The result is 0 if the mean is 0 or if the standard errors of the channels are unknown.
+    """
+    if errors is None or not mean:
+        return 0.0
+    pixels = np.bincount(camera.cfa.ravel(), minlength=len(camera.channels)) / camera.cfa.size
+    return float(np.sqrt(np.sum((pixels * deviations * errors) ** 2)) / mean)
 
 
 def figures(camera: CameraModel) -> dict[str, Any]:
@@ -101,7 +116,7 @@ def figures(camera: CameraModel) -> dict[str, Any]:
     return {
         "camera": {
             name: {"value": value, "unit": unit}
-            for name, (value, unit) in (camera_figures(camera) | line_errors(camera)).items()
+            for name, (value, unit) in (camera_figures(camera) | noise_errors(camera)).items()
         },
         "channels": _by_channel(camera, columns) if columns else {},
         "lights": _lights(camera, fit.chart) if fit.chart else {},

@@ -32,9 +32,8 @@ LEAST_R_SQUARED = 0.5  # if R² is lower, the description of the charts in the m
 Array = NDArray[np.float64]
 TOLERANCE = 0.1  # largest relative difference between a gain or exposure in the measurement file and its measured value
 SAME_SPEED = 1.25  # largest factor between a measured gain and the gain that the ISO speed implies
-# Temporal noise of rows or columns that is weaker than this fraction of the temporal dark noise is left out of the
-# camera model. Such noise is not visible, but would make training slower. Stripes become visible at about twice this
-# strength.
+# Noise of rows or columns that is weaker than this fraction of the temporal dark noise is left out of the camera model.
+# Such noise is not visible, but would make training slower. Stripes become visible at about twice this strength.
 LEAST_LINE_NOISE = 0.05
 CERTAIN = 4.0  # a measured gain contradicts the file only if it deviates by more than this number of standard deviations
 
@@ -293,7 +292,8 @@ def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
     Raises InputFileError if the measured gains of the channels contradict the measurement file.
     """
     dark, transfer, pixel_noise = sensor.dark, sensor.transfer, None
-    own = conversion_gain(sensor, body) * body.channel_gains  # (channel,): conversion gain in DN/e-
+    gain = conversion_gain(sensor, body)
+    own = gain * body.channel_gains  # (channel,): conversion gain in DN/e-
     check_gains(transfer.gain, transfer.gain_error, body)
     if dark.pixel_variance is not None and (dark.rows.deviation or dark.columns.deviation):
         pixel_noise = np.sqrt(dark.pixel_variance) / own
@@ -303,7 +303,7 @@ def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
         read_noise=np.sqrt(dark.variance) / own,
         dark_current=dark.slope / (own * body.channel_exposures),
         dsnu=dark.dsnu / own,
-        prnu=sensor.prnu,
+        prnu=sensor.response.prnu,
         saturation_capacity=(transfer.white_level - dark.black_level) / own,
         linearity_error=transfer.linearity_error,
         white_level_reached=transfer.white_level_reached,
@@ -311,11 +311,21 @@ def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
         exposure=sensor.exposure,
         photon_transfer_mean=transfer.mean,
         photon_transfer_variance=transfer.variance,
-        row_temporal_noise=dark.rows.deviation / conversion_gain(sensor, body),
-        row_temporal_noise_error=dark.rows.error / conversion_gain(sensor, body),
-        column_temporal_noise=dark.columns.deviation / conversion_gain(sensor, body),
-        column_temporal_noise_error=dark.columns.error / conversion_gain(sensor, body),
+        row_temporal_noise=dark.rows.deviation / gain,
+        row_temporal_noise_error=dark.rows.error / gain,
+        column_temporal_noise=dark.columns.deviation / gain,
+        column_temporal_noise_error=dark.columns.error / gain,
         pixel_noise=pixel_noise,
+        dsnu_error=None if dark.dsnu_error is None else dark.dsnu_error / own,
+        prnu_error=sensor.response.prnu_error,
+        row_noise=dark.fixed_rows.deviation / gain,
+        row_noise_error=dark.fixed_rows.error / gain,
+        column_noise=dark.fixed_columns.deviation / gain,
+        column_noise_error=dark.fixed_columns.error / gain,
+        row_prnu=sensor.response.rows.deviation,
+        row_prnu_error=sensor.response.rows.error,
+        column_prnu=sensor.response.columns.deviation,
+        column_prnu_error=sensor.response.columns.error,
     )
 
 
@@ -352,9 +362,14 @@ def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
     )
     dark_current = max(float(pixels @ figures.dark_current), 0.0)
     well = (sensor.transfer.white_level - black_level) / conversion
-    rows, columns = (
+    rows, columns, fixed_rows, fixed_columns = (
         deviation if deviation >= LEAST_LINE_NOISE * read_noise else 0.0
-        for deviation in (figures.row_temporal_noise, figures.column_temporal_noise)
+        for deviation in (
+            figures.row_temporal_noise,
+            figures.column_temporal_noise,
+            figures.row_noise,
+            figures.column_noise,
+        )
     )
     if (rows or columns) and figures.pixel_noise is not None:
         read_noise = quadratic(np.where(lowest, figures.pixel_noise, 0.0)) / share
@@ -364,8 +379,10 @@ def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
         dsnu=dsnu,
         prnu=prnu,
         well_capacity=well,
+        column_noise=fixed_columns,
         row_temporal_noise=rows,
         column_temporal_noise=columns,
+        row_noise=fixed_rows,
     )
     return SensorFigures(conversion, black_level, sensor.transfer.white_level, noise)
 

@@ -8,6 +8,7 @@ left out.
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,10 @@ from l3cli.calibration.statistics import (
     Each,
     Level,
     by_site,
+    channel_shares,
     joined_defects,
+    line_squares,
+    mean_squares,
     mean_value,
     measure_level,
     no_defects,
@@ -40,6 +44,12 @@ LINEAR = (0.05, 0.95)  # fractions of saturation between which EMVA 1288 evaluat
 CHANCE = 0.01  # probability that row noise is found in a sensor without row noise; the same applies to column noise
 # side of the window of local means, in samples of one CFA site; with more than 9 samples, dust would increase the PRNU
 WINDOW = 7
+# Each sample is part of its own local mean. The variance of the deviations from local means is therefore reduced to the
+# following fractions, for noise of pixels and for noise of rows or columns.
+PIXELS_LEFT, LINES_LEFT = 1.0 - 1.0 / WINDOW**2, 1.0 - 1.0 / WINDOW
+# Deviations of neighbouring lines from local means are correlated. The number of independent lines is smaller by this
+# factor, the sum of the squared autocorrelation coefficients of white noise minus its moving average over 7 samples.
+LINE_CORRELATION = 1.0 + 2.0 * (8**2 + 9**2 + 10**2 + 3**2 + 2**2 + 1**2) / 42**2
 Array = NDArray[np.float64]
 
 
@@ -53,20 +63,36 @@ class DarkNoise:
     dsnu: Array  # DN
     hot: Defects = field(default_factory=no_defects)
     pixel_variance: Array | None = None  # DN²; part of `variance` that pixels do not share with their row or column
+    dsnu_error: Array | None = None  # DN; standard error of `dsnu`
     # temporal noise of rows and of columns in the channels with the lowest gain; it is a part of `variance`
     rows: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
     columns: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
+    # fixed offsets of rows and of columns in the channels with the lowest gain; `dsnu` does not include them
+    fixed_rows: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
+    fixed_columns: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
 
 
 @dataclass(frozen=True)
 class LineNoise:
-    """Temporal noise that all pixels of a row, or all pixels of a column, have in common.
+    """Noise that all pixels of a row, or all pixels of a column, have in common.
 
     Both values are 0 if the noise is not significant.
     """
 
-    deviation: float  # DN
-    error: float  # DN; standard deviation of `deviation`
+    deviation: float  # DN for offsets, relative to the response for PRNU
+    error: float  # standard error of `deviation`, in the same unit
+
+
+@dataclass(frozen=True)
+class ResponseNoise:
+    """Results from the response of each pixel to light: PRNU and dead pixels."""
+
+    prnu: Array  # (channel,): relative standard deviation of the response, including rows and columns
+    prnu_error: Array  # (channel,): standard error of `prnu`
+    rows: LineNoise  # part of the PRNU that all pixels of a row have in common
+    columns: LineNoise  # part of the PRNU that all pixels of a column have in common
+    dead: Defects  # pixels whose response differs from the local mean by at least 10 %
+    slopes: Array  # (row, col): response in DN/s; the values of defective pixels are interpolated
 
 
 @dataclass(frozen=True)
@@ -104,13 +130,13 @@ def line_weights(exposures: Array) -> tuple[Array, Array]:
 def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> DarkNoise:
     """Measure black level, dark signal, read noise, DSNU and hot pixels from dark frames.
 
-    The DSNU is computed from three variances:
+    The DSNU of the pixels is computed from three variances:
 
     1. The temporal variance is computed from differences between frames. This variance contains all noise that changes
        from frame to frame, including row noise and column noise. The read noise is computed from this variance too.
     2. The spatial variance is the variance of the mean frame, extrapolated to zero exposure time. The variances of row means
-       and column means are subtracted, because the DSNU does not include row noise and column noise. The result consists of
-       the DSNU and the temporal noise that remains after averaging.
+       and column means are subtracted, because row noise and column noise are measured separately (`fixed_line_noise`).
+       The result consists of the DSNU and the temporal noise that remains after averaging.
     3. The remaining temporal noise is the temporal variance without row noise and column noise, divided by the number of
        frames. This noise is subtracted from the spatial variance.
 
@@ -133,18 +159,38 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
     of_means = [(each.rows + each.columns) / (body.rows * body.cols) for each in squares]
     agreement.check_darks(captures, mean.mean(axis=1), float(np.sqrt(max(of_means))))
     variance = np.array([level.variance for level in levels])
-    left = (intercept**2 / [level.trials for level in levels]) @ np.array([level.pixel_variance for level in levels])
+    trials = np.array([level.trials for level in levels])
+    kept = intercept**2 / trials  # fraction of the temporal variance of each exposure that remains in `offsets`
+    of_pixels = np.array([level.pixel_variance for level in levels])
+    left = kept @ of_pixels
     spatial = pooled([pixel_variance(site) for _, site in by_site(offsets, body.cfa)], body.cfa)
+    pixels = channel_shares(body) * body.rows * body.cols
+    spread = 2 * (spatial**2 + (kept**2 / (trials // 2)) @ of_pixels**2) / pixels  # squared error of `spatial` − `left`
+    dsnu = np.sqrt(np.maximum(spatial - left, 0.0))
+    fixed = mean_squares([line_squares(offsets, body)], body)
+    row_squares = [(each.rows, each.pixels, each.row_freedom) for each in squares]
+    column_squares = [(each.columns, each.pixels, each.column_freedom) for each in squares]
     return DarkNoise(
         black_level=intercept @ mean,
         slope=slope @ mean,
         variance=np.maximum(intercept @ variance - QUANTISATION, 0.0),
-        dsnu=np.sqrt(np.maximum(spatial - left, 0.0)),
+        dsnu=dsnu,
         hot=hot,
-        pixel_variance=np.maximum(intercept @ np.array([level.pixel_variance for level in levels]) - QUANTISATION, 0.0),
-        rows=line_noise([(each.rows, each.pixels, each.row_freedom) for each in squares], body.cols),
-        columns=line_noise([(each.columns, each.pixels, each.column_freedom) for each in squares], body.rows),
+        pixel_variance=np.maximum(intercept @ of_pixels - QUANTISATION, 0.0),
+        dsnu_error=error_of_root(dsnu, np.sqrt(spread)),
+        rows=line_noise(row_squares, body.cols),
+        columns=line_noise(column_squares, body.rows),
+        fixed_rows=fixed_line_noise((fixed.rows, fixed.pixels, fixed.row_freedom), row_squares, kept, body.cols),
+        fixed_columns=fixed_line_noise((fixed.columns, fixed.pixels, fixed.column_freedom), column_squares, kept, body.rows),
     )
+
+
+def error_of_root(deviation: Any, error: Any) -> Any:
+    """Return the standard error of a standard deviation, from the standard error of its square.
+
+    For a deviation near 0, the error is limited to the square root of the error of the square.
+    """
+    return np.sqrt(error) * np.minimum(np.sqrt(error) / np.maximum(2 * np.asarray(deviation), np.finfo(float).tiny), 1.0)
 
 
 def line_noise(squares: Sequence[tuple[float, float, int]], pixels: int) -> LineNoise:
@@ -180,6 +226,48 @@ def line_noise(squares: Sequence[tuple[float, float, int]], pixels: int) -> Line
     error = float(np.sqrt((weight * lines) ** 2 @ (2 / freedom))) / pixels
     deviation = np.sqrt(max(variance, 0.0))
     return LineNoise(float(deviation), float(error / (2 * deviation)) if deviation else 0.0)
+
+
+def fixed_line_noise(
+    fixed: tuple[float, float, float], temporal: Sequence[tuple[float, float, int]], kept: Array, pixels: int
+) -> LineNoise:
+    """Estimate the fixed noise of rows or columns in a mean of frames (docs/method.md#row-and-column-noise).
+
+    Without fixed line noise, the mean square of the lines in the mean frame has two parts: the mean square of the pixels,
+    and the temporal line noise that remains after averaging. The ratio between the mean square and the sum of these parts is
+    tested with the F distribution. The noise is significant if, in a sensor without fixed line noise, a ratio at least this
+    large has a probability of at most `CHANCE`.
+
+    Parameters
+    ----------
+    fixed : (float, float, float)
+        In the mean frame, the mean square of the lines, the mean square of the pixels, and the degrees of freedom of the
+        lines.
+    temporal : sequence of (float, float, int)
+        The same values for the temporal noise of each capture, as for `line_noise`.
+    kept : ndarray, (capture,)
+        For each capture, the fraction of the variance of the temporal line noise that remains in the mean frame.
+    pixels : int
+        Number of pixels in a line.
+
+    Returns
+    -------
+    LineNoise
+        Both values are 0 if the noise is not significant. The error includes the finite number of lines.
+    """
+    from scipy.special import fdtrc
+
+    lines, independent, freedom = fixed
+    of_lines, of_pixels, freedoms = np.array(temporal, np.float64).T
+    expected = max(independent + float(kept @ (of_lines - of_pixels)), 0.0)
+    spread = float(kept**2 @ (2 * of_lines**2 / np.maximum(freedoms, 1)))  # squared error of `expected`
+    if freedom <= 0 or lines <= expected:
+        return LineNoise(0.0, 0.0)
+    if expected > 0 and spread > 0 and fdtrc(freedom, 2 * expected**2 / spread, lines / expected) > CHANCE:
+        return LineNoise(0.0, 0.0)
+    deviation = np.sqrt((lines - expected) / pixels)
+    error = np.sqrt(2 * lines**2 / freedom + spread) / pixels
+    return LineNoise(float(deviation), float(error_of_root(deviation, error)))
 
 
 # ----------------------------------------------------------------------------------------------------------- white
@@ -288,10 +376,18 @@ def saturation(levels: Sequence[Level], variance: Array, top: int) -> tuple[floa
     return float(np.searchsorted(cumulated, cumulated[-1] / 2)), True
 
 
-def prnu(
-    captures: Sequence[Capture], levels: Sequence[Level], used: NDArray[np.bool_], body: Body, hot: Defects, each: Each = map
-) -> tuple[Array, Defects, Array]:
+def response_noise(
+    captures: Sequence[Capture],
+    levels: Sequence[Level],
+    used: NDArray[np.bool_],
+    body: Body,
+    dark: DarkNoise,
+    each: Each = map,
+) -> ResponseNoise:
     """Measure the PRNU and find dead pixels, from the slope of each pixel's signal as a function of exposure time.
+
+    The PRNU is the relative standard deviation of the slopes around their local mean. Uneven light changes a slope and its
+    local mean by the same factor, so it does not increase the PRNU.
 
     Parameters
     ----------
@@ -303,32 +399,96 @@ def prnu(
         Whether the channel is below saturation in the capture.
     body : Body
         Geometry of the camera.
-    hot : ndarray, (defect, 2)
-        Row and column of the hot pixels.
+    dark : DarkNoise
+        Results from dark frames.
     each : callable
         Function with the signature of the built-in `map`, which may use several processes.
-
-    Returns
-    -------
-    prnu : ndarray, (channel,)
-        Relative standard deviation of the slopes around their local mean. Uneven light changes a slope and its local mean
-        by the same factor, so it does not increase the PRNU.
-    dead : ndarray, (defect, 2)
-        Row and column of the pixels whose slope differs from the local mean by at least 10 %.
-    slopes : ndarray, (row, col)
-        Slopes in DN/s. The values of defective pixels are interpolated.
     """
     weights = np.zeros(used.shape)
     for channel in range(used.shape[1]):
         chosen = used[:, channel]
         weights[chosen, channel] = line_weights(np.array([level.lit for level in levels])[chosen])[1]
-    variance = np.array([level.variance for level in levels])
     trials = np.array([level.trials for level in levels])
-    temporal = (weights**2 * variance / trials[:, None]).sum(axis=0)
-    slopes = patched(weighted_sums(captures, weights[None], body, each)[0], body.cfa, hot)
+    slopes = patched(weighted_sums(captures, weights[None], body, each)[0], body.cfa, dark.hot)
     dead, slopes = dead_pixels(slopes, body.cfa)
-    spread = [_local_spread(site, temporal[channel]) for channel, site in by_site(slopes, body.cfa)]
-    return np.sqrt(np.maximum(pooled(spread, body.cfa), 0.0)), dead, slopes
+    deviations = [relative_deviation(site) for _, site in by_site(slopes, body.cfa)]
+    rows, columns = _response_lines(deviations, levels, weights / trials[:, None] ** 0.5, body)
+    lines = any(line.deviation for line in (dark.rows, dark.columns, rows, columns))
+    variance = np.array([level.pixel_variance if lines else level.variance for level in levels])
+    temporal = (weights**2 * variance / trials[:, None]).sum(axis=0)
+    measure = _spread_of_pixels if lines else _spread
+    spread = pooled([measure(each) for each, _ in deviations], body.cfa)
+    inverse = pooled([float(np.mean(1.0 / local**2)) for _, local in deviations], body.cfa)
+    found = np.sqrt(np.maximum(spread - temporal * inverse, 0.0) + rows.deviation**2 + columns.deviation**2)
+    pixels = channel_shares(body) * body.rows * body.cols
+    squares = 2 * spread**2 / pixels + sum((2 * line.deviation * line.error) ** 2 for line in (rows, columns))
+    return ResponseNoise(found, error_of_root(found, np.sqrt(squares)), rows, columns, dead, slopes)
+
+
+def _spread(deviation: Array) -> float:
+    """Return the variance of the response of one CFA site, from deviations from local means."""
+    return float(np.mean(deviation**2)) / PIXELS_LEFT
+
+
+def _spread_of_pixels(deviation: Array) -> float:
+    """Return the part of the variance of the response that pixels do not share with their row or column."""
+    centred = deviation - deviation.mean()
+    lines = sum(float(np.mean(centred.mean(axis=axis) ** 2)) for axis in (0, 1))
+    return (float(np.mean(centred**2)) - lines) / (PIXELS_LEFT - LINES_LEFT * sum(1 / count for count in deviation.shape))
+
+
+def relative_deviation(site: Array) -> tuple[Array, Array]:
+    """Return the relative deviation of each pixel of a CFA site from its local mean, and the local mean.
+
+    Both results lack the pixels at the border, whose local mean would extend beyond the frame.
+    """
+    inner = slice(WINDOW // 2, -(WINDOW // 2))
+    local = _local_mean(site)[inner, inner]
+    return site[inner, inner] / local - 1.0, local
+
+
+def _response_lines(
+    deviations: Sequence[tuple[Array, Array]], levels: Sequence[Level], weights: Array, body: Body
+) -> tuple[LineNoise, LineNoise]:
+    """Estimate the PRNU of rows and of columns: differences in response that all pixels of a line have in common.
+
+    Parameters
+    ----------
+    deviations : sequence of (ndarray, ndarray)
+        Result of `relative_deviation` for each CFA site.
+    levels : sequence of Level
+        Statistics of the white captures.
+    weights : ndarray, (capture, channel)
+        Weight of each capture in the response, divided by the square root of its number of frames.
+    body : Body
+        Geometry of the camera.
+    """
+    down, across = body.cfa.shape
+    shape = (body.rows - (WINDOW - 1) * down, body.cols - (WINDOW - 1) * across)
+    deviation = np.empty(shape)
+    # relative deviation of the response that is caused by an offset of 1 DN in a capture
+    scale = np.empty((len(levels), down, across))
+    places = zip(deviations, by_site(deviation, body.cfa), np.ndindex(down, across), strict=True)
+    for (relative, local), (channel, target), (row, col) in places:
+        target[...] = relative - relative.mean()
+        scale[:, row, col] = weights[:, channel] * body.channel_gains[channel] / local.mean()
+    row_square, column_square = (float(np.mean(deviation.mean(axis=axis) ** 2)) / LINES_LEFT for axis in (1, 0))
+    of_pixels = _spread_of_pixels(deviation)
+    lines = [level.lines for level in levels]
+    return (
+        fixed_line_noise(
+            (row_square * shape[1], of_pixels, (shape[0] - down) / LINE_CORRELATION),
+            [(each.rows, each.pixels, each.row_freedom) for each in lines],
+            (scale.mean(axis=2) ** 2).mean(axis=1) * shape[1] / body.cols,
+            shape[1],
+        ),
+        fixed_line_noise(
+            (column_square * shape[0], of_pixels, (shape[1] - across) / LINE_CORRELATION),
+            [(each.columns, each.pixels, each.column_freedom) for each in lines],
+            (scale.mean(axis=1) ** 2).mean(axis=1) * shape[0] / body.rows,
+            shape[0],
+        ),
+    )
 
 
 def dead_pixels(response: Array, cfa: NDArray[np.uint8]) -> tuple[Defects, Array]:
@@ -366,15 +526,3 @@ def _over_local_mean(picture: Array, patched: Array, cfa: NDArray[np.uint8]) -> 
     ):
         into[...] = site / _local_mean(whole) - 1.0
     return deviation
-
-
-def _local_spread(site: Array, temporal: float) -> float:
-    """Return the spatial variance of pixels relative to their local mean, excluding temporal noise.
-
-    `temporal` is the temporal variance of a pixel.
-    """
-    inner = slice(WINDOW // 2, -(WINDOW // 2))
-    local = _local_mean(site)[inner, inner]
-    deviation = site[inner, inner] / local - 1.0
-    # Each sample is part of its own local mean, which reduces the variance of the deviations by a factor of 1 − 1/n.
-    return float(np.mean(deviation**2) / (1.0 - 1.0 / WINDOW**2) - temporal * np.mean(1.0 / local**2))

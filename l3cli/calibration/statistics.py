@@ -133,10 +133,11 @@ class Level:
 
 @dataclass(frozen=True)
 class LineSquares:
-    """Half the mean squares from a two-way analysis of variance of the difference between two frames.
+    """Mean squares from a two-way analysis of variance of a picture.
 
     If there is no row noise, `rows` and `pixels` have the same expected value. Row noise increases the expected value of
-    `rows` by the variance of the rows, multiplied by the number of pixels in a row. The same applies to columns.
+    `rows` by the variance of the rows, multiplied by the number of pixels in a row. The same applies to columns. For the
+    temporal noise, the picture is the difference between two frames, and the mean squares are halved.
     """
 
     rows: float  # DN²
@@ -146,23 +147,24 @@ class LineSquares:
     column_freedom: int  # degrees of freedom of `columns`
 
 
-def line_squares(difference: NDArray[np.integer], body: Body) -> Array:
-    """Return half the sums of squares of rows, of columns and of pixels in the difference between two frames.
+def line_squares(picture: NDArray[Any], body: Body) -> Array:
+    """Return the sums of squares of rows, of columns and of pixels in a picture.
 
-    Before the sums are computed, the difference is divided by the relative gain of each channel, and the mean of each CFA
-    site is subtracted.
+    Before the sums are computed, the picture is divided by the relative gain of each channel, and the mean of each CFA site
+    is subtracted.
     """
-    scaled = np.empty(difference.shape)
-    for (channel, site), (_, target) in zip(by_site(difference, body.cfa), by_site(scaled, body.cfa), strict=True):
-        target[...] = (site - site.mean()) / (np.sqrt(2) * body.channel_gains[channel])
+    scaled = np.empty(picture.shape)
+    for (channel, site), (_, target) in zip(by_site(picture, body.cfa), by_site(scaled, body.cfa), strict=True):
+        target[...] = (site - site.mean()) / body.channel_gains[channel]
     rows, columns = (scaled.shape[1 - axis] * (scaled.mean(axis=1 - axis) ** 2).sum() for axis in (0, 1))
     return np.array([rows, columns, (scaled**2).sum() - rows - columns])
 
 
 def mean_squares(sums: Sequence[Array], body: Body) -> LineSquares:
-    """Return the mean squares of rows, of columns and of pixels for one exposure time.
+    """Return the mean squares of rows, of columns and of pixels.
 
-    `sums` contains the result of `line_squares` for each pair of frames with this exposure time.
+    `sums` contains the result of `line_squares` for each of several pictures with the same noise, for example for each pair
+    of frames with the same exposure time.
     """
     (down, across), pairs = body.cfa.shape, len(sums)
     rows, columns = body.rows - down, body.cols - across
@@ -234,7 +236,7 @@ def measure_level(capture: Capture, body: Body, defects: Defects) -> Level:
         sites = [site for _, site in by_site(difference, body.cfa)]
         variances.append(pooled([site.var(dtype=np.float64) / 2 for site in sites], body.cfa))
         pixel_variances.append(pooled([pixel_variance(site) / 2 for site in sites], body.cfa))
-        squares.append(line_squares(difference, body))
+        squares.append(line_squares(difference, body) / 2)
         previous = None
     if not variances:
         raise InputFileError(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from l3cli import __version__
 from l3cli.artifacts.camera import CameraModel, FlatField
-from l3cli.calibration.figures import camera_figures
+from l3cli.calibration.figures import camera_figures, noise_errors
 from l3cli.calibration.responsivity import COVERAGE
 from l3cli.frames.shading import interpolation
 from l3cli.io.curves import curve_text
@@ -49,7 +49,7 @@ DECLARED_AS = {  # quantity in the data sheet → its name in `CameraModel.decla
     "black level": "black level",
     "white level": "white level",
 }
-NOISE = ("dark current", "DSNU", "PRNU", "row temporal noise", "column temporal noise", "column noise")
+NOISE = ("dark current", "DSNU", "PRNU", "row temporal noise", "column temporal noise", "row noise", "column noise")
 Row = tuple[str, str, float | str, str, str]
 # Files that are written for every camera.
 CURVES, RAWTOACES_JSON, DATASHEET = "responsivity.csv", "rawtoaces.json", "datasheet.csv"
@@ -347,7 +347,7 @@ def datasheet(camera: CameraModel) -> list[Row]:
     ]
     rows += [
         (name, "", value, unit, given if _declared(name, camera) else source)
-        for name, (value, unit) in camera_figures(camera).items()
+        for name, (value, unit) in (camera_figures(camera) | noise_errors(camera)).items()
     ]
     peaks, unit = camera.responsivity.argmax(axis=1), "e-/photon" if camera.absolute else "relative"
     for index, (channel, peak) in enumerate(zip(camera.channels, peaks, strict=True)):

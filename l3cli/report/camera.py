@@ -33,9 +33,21 @@ SNR_CURVE_START = 1e-3  # lower end of the SNR curve, as a fraction of the satur
 MEANINGS = (
     "η is the quantum efficiency at the peak wavelength of the channel, including lens and filters. SNR max is the square "
     "root of the saturation capacity. The threshold is the signal with a signal-to-noise ratio of 1. DR is the saturation "
-    "capacity divided by the threshold. DSNU and PRNU are standard deviations over the pixels. LE is the mean relative "
-    "deviation from a line that is fitted between 5 % and 95 % of saturation. Photons are counted per pixel and exposure, "
-    "at the peak wavelength, before the lens. Photons are not listed if the responsivities are relative."
+    "capacity divided by the threshold. DSNU and PRNU are standard deviations over the pixels. Both consist of a part that "
+    "all pixels of a row have in common (.row), a part that all pixels of a column have in common (.col), and the part of "
+    "the individual pixels (.pix). The parts of rows and columns apply to the whole sensor. They are 0 if they are not "
+    "significant. LE is the mean relative deviation from a line that is fitted between 5 % and 95 % of saturation. Photons "
+    "are counted per pixel and exposure, at the peak wavelength, before the lens. Photons are not listed if the "
+    "responsivities are relative."
+)
+MISSING = (
+    "EMVA 1288, release 4.0, also defines results that this data sheet does not contain. The doubling temperature of the "
+    "dark current would require captures at several sensor temperatures. Spectrograms, profiles and histograms of the "
+    "nonuniformity would require the frames, which are not part of the camera model."
+)
+MISSING_PHOTONS = (
+    " The quantum efficiency, and the threshold and the saturation capacity in photons, would require captures of charts or "
+    "of monochromatic light with known radiance."
 )
 
 
@@ -301,7 +313,8 @@ def data_sheet(camera: CameraModel, noise: NoiseFit) -> Subsection:
     """Build the EMVA 1288 data sheet of a camera: the operation point, the values of each channel, and the plots."""
     plots = (transfer_figure, linearity_figure, deviation_figure, snr_figure)
     figures = Figures(tuple(plot(camera, noise) for plot in plots))
-    blocks = (operation_point(camera, noise), figures_table(camera, noise), Text(MEANINGS), figures)
+    missing = Text(MISSING if camera.absolute else MISSING + MISSING_PHOTONS)
+    blocks = (operation_point(camera, noise), figures_table(camera, noise), Text(MEANINGS), missing, figures)
     return Subsection("EMVA 1288 data sheet", blocks)
 
 
@@ -351,9 +364,7 @@ def figures_table(camera: CameraModel, noise: NoiseFit) -> Table:
     lines += [
         ("dynamic range DR (dB)", 20 * np.log10(capacity / least)),
         ("dynamic range DR (bit)", np.log2(capacity / least)),
-        ("DSNU1288 (e⁻)", noise.dsnu),
-        ("DSNU1288 (DN)", gain * noise.dsnu),
-        ("PRNU1288 (%)", 100 * noise.prnu),
+        *_nonuniformity_rows(noise),
         ("linearity error LE (%)", 100 * noise.linearity_error),
         ("dark current (e⁻/s)", noise.dark_current),
     ]
@@ -374,6 +385,63 @@ def _line_noise_rows(noise: NoiseFit) -> list[tuple[str, Array]]:
         if deviation
         for what, value in (("", deviation), (", standard error", error))
     ]
+
+
+def _nonuniformity_rows(noise: NoiseFit) -> list[tuple[str, Array]]:
+    """Return DSNU and PRNU, and their parts, with those standard errors that are known.
+
+    DSNU1288 and PRNU1288 are the totals. The parts of rows and columns are the same for all channels.
+    """
+    every = np.ones_like(noise.dsnu)
+    unknown = np.zeros_like(noise.dsnu)
+    dsnu_error = unknown if noise.dsnu_error is None else noise.dsnu_error
+    prnu_error = unknown if noise.prnu_error is None else noise.prnu_error
+    dsnu_lines = ((every * noise.row_noise, noise.row_noise_error), (every * noise.column_noise, noise.column_noise_error))
+    prnu_lines = ((every * noise.row_prnu, noise.row_prnu_error), (every * noise.column_prnu, noise.column_prnu_error))
+    dsnu = (
+        combined((noise.dsnu, dsnu_error), *dsnu_lines),
+        *dsnu_lines,
+        (noise.dsnu, dsnu_error),
+    )
+    prnu = (
+        (noise.prnu, prnu_error),
+        *prnu_lines,
+        combined((noise.prnu, prnu_error), *prnu_lines, sign=-1),
+    )
+    rows: list[tuple[str, Array]] = []
+    for name, in_unit, scale, values in (("DSNU1288", "e⁻", 1.0, dsnu), ("PRNU1288", "%", 100.0, prnu)):
+        for part, (deviation, error) in zip(("", ".row", ".col", ".pix"), values, strict=True):
+            rows.append((f"{name}{part} ({in_unit})", scale * deviation))
+            if np.any(error):
+                rows.append((f"standard error of {name}{part} ({in_unit})", scale * error * every))
+        if in_unit == "e⁻":
+            rows.append((f"{name} (DN)", noise.conversion_gain * values[0][0]))
+    return rows
+
+
+def combined(whole: tuple[Array, Any], *lines: tuple[Array, Any], sign: int = 1) -> tuple[Array, Array]:
+    """Add the variances of rows and columns to the variance of pixels, or subtract them from it.
+
+    Parameters
+    ----------
+    whole : (ndarray, ndarray)
+        Standard deviation of each channel, and its standard error.
+    lines : (ndarray, float)
+        Standard deviation of the noise of rows or columns, and its standard error.
+    sign : int
+        1 to add the variances of lines, −1 to subtract them.
+
+    Returns
+    -------
+    (ndarray, ndarray)
+        Standard deviation of each channel, and its standard error.
+    """
+    variance, square = whole[0] ** 2, (whole[0] * whole[1]) ** 2
+    for deviation, error in lines:
+        variance, square = variance + sign * deviation**2, square + sign * (deviation * error) ** 2
+    deviation = np.sqrt(np.maximum(variance, 0.0))
+    error = np.sqrt(np.maximum(square, 0.0)) / np.where(deviation > 0, deviation, 1.0)
+    return deviation, np.where(deviation > 0, error, 0.0)
 
 
 def _lit(camera: CameraModel, noise: NoiseFit, channel: int) -> tuple[Array, Array, Array]:

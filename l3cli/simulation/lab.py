@@ -19,7 +19,7 @@ from l3cli.physics import spectra
 from l3cli.physics.lens import relative_illumination
 from l3cli.recipes.faults import Fault, fault, refuse_first
 from l3cli.recipes.toml import MAX_COUNT, Count, CountOrNone, NotNegative, Positive, Recipe
-from l3cli.simulation.sensor import DefectRecipe, FixedPattern, defects_of, fixed_pattern, read_out
+from l3cli.simulation.sensor import DefectRecipe, defects_of, fixed_pattern, read_out
 
 # Margin in nm by which the spectrometer extends beyond the wavelengths of the camera and the monochromator at each end.
 SPECTROMETER_MARGIN = 5.0
@@ -407,7 +407,7 @@ def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe
         Raw values in DN.
     """
     rng = np.random.default_rng([seed, 1 + capture.first + trial])
-    defects, pattern = defects_of(camera, recipe), fixed_pattern(camera)
+    defects = defects_of(camera, recipe)
     shape = (camera.rows, camera.cols)
     region = chart_regions(camera) if capture.kind == "chart" else 0
     y, x = np.linspace(-1.0, 1.0, camera.rows), np.linspace(-1.0, 1.0, camera.cols)
@@ -416,7 +416,7 @@ def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe
     light[defects.dead[:, 0], defects.dead[:, 1]] = 0.0
     electrons = capture.electrons[region, camera.channel_map(shape)] * light
     electrons[defects.hot[:, 0], defects.hot[:, 1]] += recipe.hot_current_e_per_s * capture.exposure
-    return read_out(camera, FixedPattern(pattern.prnu, pattern.dsnu + defects.columns), electrons, capture.exposure, rng)
+    return read_out(camera, fixed_pattern(camera), electrons, capture.exposure, rng)
 
 
 def falloff(y: Array, x: Array, missing: float) -> Array:

@@ -27,21 +27,23 @@ class FixedPattern:
     """Differences between the pixels of a camera that are the same in every frame."""
 
     prnu: NDArray[np.float32]  # (row, col), relative deviation of the response
-    dsnu: NDArray[np.float32]  # (row, col), offset in e-, including the offset of the column
+    dsnu: NDArray[np.float32]  # (row, col), offset in e-, including the fixed offsets of the row and of the column
 
 
 def fixed_pattern(camera: CameraModel) -> FixedPattern:
     """Return the PRNU and DSNU of each pixel of the sensor, as determined by the `fixed_pattern_seed` of the camera."""
     noise = camera.noise
-    return _fixed_pattern(camera.fixed_pattern_seed, camera.rows, camera.cols, noise.prnu, noise.dsnu, noise.column_noise)
+    shape = (camera.rows, camera.cols)
+    return _fixed_pattern(camera.fixed_pattern_seed, shape, noise.prnu, noise.dsnu, noise.column_noise, noise.row_noise)
 
 
 @functools.lru_cache(maxsize=1)
-def _fixed_pattern(seed: int, rows: int, cols: int, prnu: float, dsnu: float, column: float) -> FixedPattern:
+def _fixed_pattern(seed: int, shape: tuple[int, int], prnu: float, dsnu: float, column: float, row: float) -> FixedPattern:
     rng = np.random.default_rng(seed)
-    response = rng.standard_normal((rows, cols), dtype=np.float32) * np.float32(prnu)
-    offset = rng.standard_normal((rows, cols), dtype=np.float32) * np.float32(dsnu)
-    offset += rng.standard_normal(cols, dtype=np.float32) * np.float32(column)
+    response = rng.standard_normal(shape, dtype=np.float32) * np.float32(prnu)
+    offset = rng.standard_normal(shape, dtype=np.float32) * np.float32(dsnu)
+    offset += rng.standard_normal(shape[1], dtype=np.float32) * np.float32(column)
+    offset += rng.standard_normal((shape[0], 1), dtype=np.float32) * np.float32(row)
     return FixedPattern(response, offset)
 
 
@@ -253,7 +255,6 @@ class DefectRecipe(Recipe):
     dust_specks_per_million: Annotated[float, msgspec.Meta(ge=0, le=10_000)] = 4.0  # each speck casts a soft shadow
     dust_depth: Share = 0.03  # fraction of the light lost at the centre of a shadow
     dust_radius_px: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 12.0
-    column_noise_e: NotNegative = 2.0  # standard deviation of the column offsets, in e-
 
 
 @dataclass(frozen=True)
@@ -263,7 +264,6 @@ class SensorDefects:
     hot: NDArray[np.int64]  # (pixel, 2), row and column of each hot pixel
     dead: NDArray[np.int64]  # (pixel, 2), row and column of each dead pixel
     shade: NDArray[np.float32]  # (row, col), transmittance of the dust
-    columns: NDArray[np.float32]  # (col,), offset of each column in e-
 
 
 def defects_of(camera: CameraModel, recipe: DefectRecipe) -> SensorDefects:
@@ -291,5 +291,4 @@ def _draw(seed: int, rows: int, cols: int, figures: tuple[float, ...]) -> Sensor
         part = shade[top : row + reach, left : col + reach]
         y, x = np.arange(part.shape[0]) + top - row, np.arange(part.shape[1]) + left - col
         part -= (recipe.dust_depth * np.exp(-0.5 * (y[:, None] ** 2 + x**2) / recipe.dust_radius_px**2)).astype(np.float32)
-    columns = (recipe.column_noise_e * rng.standard_normal(cols)).astype(np.float32)
-    return SensorDefects(hot, dead, shade, columns)
+    return SensorDefects(hot, dead, shade)

@@ -47,7 +47,8 @@ def orientations_of_frames(camera: CameraModel) -> Allowed:
     noise, rows must remain rows.
     """
     noise = camera.noise
-    same = noise.row_temporal_noise == np.hypot(noise.column_temporal_noise, noise.column_noise)
+    rows = np.hypot(noise.row_temporal_noise, noise.row_noise)
+    same = rows == np.hypot(noise.column_temporal_noise, noise.column_noise)
     return tuple(number for number in orientations_of_scenes(camera) if same or number in LINES_KEPT)
 
 

@@ -1,6 +1,7 @@
 """The data sheet in the report on a measured camera: the values of `l3 calibrate`, and the plots of EMVA 1288."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +9,13 @@ import pytest
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
-from l3cli.report.camera import data_sheet, deviation_figure
+from l3cli.calibration.captures import measure_sensor
+from l3cli.calibration.model import describe_noise
+from l3cli.frames.measurement import Body, Capture, Measurements
+from l3cli.report.camera import data_sheet, deviation_figure, figures_table
 from l3cli.report.parts import Figures, Table
+from l3cli.simulation import lab
+from l3cli.simulation.lab import LabRecipe
 from tests.helpers.calls import L3
 from tests.helpers.pages import Tags
 
@@ -19,7 +25,7 @@ SAME = {  # name in the sheet: that of the figures of calibration
     "temporal dark noise (e⁻)": "dark noise (e-)",
     "SNR max (dB)": "SNR max (dB)",
     "dynamic range DR (dB)": "DR (dB)",
-    "DSNU1288 (e⁻)": "DSNU (e-)",
+    "DSNU1288.pix (e⁻)": "DSNU (e-)",
     "PRNU1288 (%)": "PRNU (%)",
     "linearity error LE (%)": "LE (%)",
 }
@@ -50,3 +56,42 @@ def test_the_data_sheet_holds_figures_and_plots(lab_folder: Path, tmp_path: Path
     assert figure.data is not None
     deviations = [abs(float(row[2])) for row in figure.data.rows if row[0] == camera.channels[0]]
     assert 0 < np.mean(deviations) < 0.5  # per cent: the lamp drifts by so much
+
+
+def test_all_values_of_a_virtual_lab_are_right_within_their_uncertainty(bayer: CameraModel) -> None:
+    """A sensor with temporal and fixed noise of rows and columns, and without differences in response between lines."""
+    lines = {"row_temporal_noise": 3.0, "column_temporal_noise": 2.0, "row_noise": 3.0, "column_noise": 4.0}
+    true = replace(bayer, noise=replace(bayer.noise, **lines))
+    recipe = LabRecipe(wavelength_error_nm=0.0, lamp_drift=0.0)
+    captures: dict[str, list[Capture]] = {"white": [], "dark": []}
+    for plan in lab.plan(true, recipe, 1):
+        if plan.kind in captures:
+            frames = [lab.take(true, plan, trial, 1, recipe.defects) for trial in range(plan.trials)]
+            captures[plan.kind].append(Capture(plan.name, plan.exposure, frames, monitor=plan.monitor))
+    c = true
+    body = Body(c.name, c.rows, c.cols, c.pixel_pitch, c.bits, c.channels, c.cfa, c.optics)
+    measured = Measurements(body, darks=tuple(captures["dark"]), whites=tuple(captures["white"]))
+    table = figures_table(true, describe_noise(measure_sensor(measured), body))
+    rows = {row[0]: np.array([float(cell) for cell in row[1:]]) for row in table.rows}
+    noise = true.noise
+    expected = {
+        "DSNU1288 (e⁻)": np.sqrt(noise.fixed),
+        "DSNU1288.row (e⁻)": noise.row_noise,
+        "DSNU1288.col (e⁻)": noise.column_noise,
+        "DSNU1288.pix (e⁻)": noise.dsnu,
+        "PRNU1288 (%)": 100 * noise.prnu,
+        "PRNU1288.pix (%)": 100 * noise.prnu,
+    }
+    for name, value in expected.items():
+        assert (np.abs(rows[name] - value) < 4 * rows[f"standard error of {name}"]).all(), name
+        assert (rows[f"standard error of {name}"] < 0.12 * value).all(), name
+    assert not rows["PRNU1288.row (%)"].any()
+    assert not rows["PRNU1288.col (%)"].any()
+    for line in ("row", "column"):
+        name = f"{line} temporal noise"
+        error = rows[f"{name}, standard error (e⁻)"]
+        assert (np.abs(rows[f"{name} (e⁻)"] - lines[f"{line}_temporal_noise"]) < 4 * error).all(), name
+    assert np.abs(rows["overall system gain K (DN/e⁻)"] - true.gain).max() < 4 * rows["standard error of K (DN/e⁻)"].max()
+    assert rows["temporal dark noise (e⁻)"] == pytest.approx(noise.dark_noise, rel=0.03)
+    assert rows["dark current (e⁻/s)"] == pytest.approx(noise.dark_current, rel=0.1)
+    assert rows["saturation capacity (e⁻)"] == pytest.approx(min(noise.well_capacity, true.full_scale), rel=0.03)

@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from l3cli.cli import run
 from l3cli.io.frames import read_frame
 from l3cli.recipes.load import load_recipe
 from l3cli.simulation.lab import LabRecipe, MonoRecipe, plan, take
-from l3cli.simulation.sensor import DefectRecipe, defects_of
+from l3cli.simulation.sensor import DefectRecipe, defects_of, fixed_pattern
 from l3cli.spectra.file import read_table
 from tests.helpers import stages
 from tests.helpers.calls import L3, Refused
@@ -128,9 +129,18 @@ def test_hot_and_dead_pixels_and_dust_are_where_the_recipe_states(bayer: CameraM
     dark, lit = take(bayer, cap, 0, 0, recipe).astype(float), take(bayer, white, 0, 0, recipe).astype(float)
     assert (dark[tuple(defects.hot.T)] > np.percentile(dark, 99.9)).all()
     assert lit[tuple(defects.dead.T)].max() < bayer.black_level + 10
-    columns = np.mean([take(bayer, cap, trial, 0, recipe).mean(axis=0) for trial in range(6)], axis=0)
-    cool = np.setdiff1d(np.arange(bayer.cols), defects.hot[:, 1])
-    assert np.corrcoef(columns[cool], defects.columns[cool])[0, 1] > 0.8
+
+
+def test_frames_of_the_lab_have_the_fixed_offsets_of_the_camera(bayer: CameraModel) -> None:
+    striped = replace(bayer, noise=replace(bayer.noise, column_noise=3.0, row_noise=2.0))
+    cap = next(capture for capture in plan(striped, LabRecipe(), seed=0) if capture.kind == "dark")
+    recipe = DefectRecipe(hot_pixels_per_million=0.0)
+    mean = np.mean([take(striped, cap, trial, 0, recipe) for trial in range(6)], axis=0) / bayer.gain
+    pattern = fixed_pattern(striped).dsnu
+    for axis, deviation in ((0, 3.0), (1, 2.0)):
+        offsets = mean.mean(axis=axis) - mean.mean()
+        assert np.corrcoef(offsets, pattern.mean(axis=axis))[0, 1] > 0.97
+        assert offsets.std() == pytest.approx(deviation, rel=0.15)
 
 
 def test_the_monitor_follows_the_lamp_and_the_scale_is_off_by_one_error(bayer: CameraModel) -> None:

@@ -193,9 +193,9 @@ def test_a_saturated_monochromatic_capture_is_left_out_of_its_channel_alone() ->
 
 def test_dark_current_is_no_light(body: Body) -> None:
     """A long exposure in weak light: 40 DN of light above 60 DN of dark signal, in mono and chart captures alike."""
-    sensor = Sensor(
-        replace(DARK, slope=np.full(3, 30.0)), white_transfer(), np.zeros(3), np.ones(1), no_defects(), np.ones((16, 16))
-    )
+    none = noise.LineNoise(0.0, 0.0)
+    response = noise.ResponseNoise(np.zeros(3), np.zeros(3), none, none, no_defects(), np.ones((16, 16)))
+    sensor = Sensor(replace(DARK, slope=np.full(3, 30.0)), white_transfer(), response, np.ones(1), no_defects())
     wavelength, slit = np.arange(500.0, 521.0), np.r_[0.0, np.ones(19), 0.0]
     frame = np.full((192, 256), 64 + 60 + 40, dtype=np.uint16)
     light = MonoCapture("mono.tif", 2.0, [frame], wavelength, slit)
@@ -367,11 +367,12 @@ def test_photon_transfer_stops_where_the_well_is_full(body: Body) -> None:
 def test_prnu_of_uneven_light(body: Body) -> None:
     captures, response = white_levels(9000.0, [0.1, 0.25, 0.4, 0.55], trials=20)
     levels = [measure_level(capture, body, no_defects()) for capture in captures]
-    measured, dead, _ = noise.prnu(captures, levels, np.ones((4, 3), dtype=bool), body, no_defects())
-    assert not dead.size
+    found = noise.response_noise(captures, levels, np.ones((4, 3), dtype=bool), body, DARK)
+    assert not found.dead.size
+    assert (found.rows.deviation, found.columns.deviation) == (0, 0)
     sites = (response[0::2, 0::2], np.stack([response[0::2, 1::2], response[1::2, 0::2]]), response[1::2, 1::2])
     # Known to ~0.4 %; a local mean that shrinks what it is subtracted from would cost 1 %.
-    assert np.mean(measured / [site.std() for site in sites]) == pytest.approx(1.0, abs=0.006)
+    assert np.mean(found.prnu / [site.std() for site in sites]) == pytest.approx(1.0, abs=0.006)
 
 
 def test_single_frames_and_single_exposures_are_refused(body: Body) -> None:

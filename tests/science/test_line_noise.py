@@ -8,8 +8,9 @@ import pytest
 
 from l3cli.artifacts.camera import AnalogGains, CameraModel
 from l3cli.artifacts.training_set import TrainingSet
-from l3cli.calibration.noise import dark_noise, line_noise
-from l3cli.calibration.statistics import line_squares, mean_squares
+from l3cli.calibration.noise import DarkNoise, dark_noise, fixed_line_noise, line_noise, line_weights, response_noise
+from l3cli.calibration.noise import LineNoise as NoiseOfLines
+from l3cli.calibration.statistics import line_squares, mean_squares, measure_level, no_defects
 from l3cli.classes.contrast import noise_of_grey, stored_edges
 from l3cli.classes.direction import DirectionKeys
 from l3cli.classes.features import ClassRecipe
@@ -33,9 +34,15 @@ from tests.helpers.training_sets import a_frame
 PATCH = 5
 
 
-def with_lines(camera: CameraModel, row: float, column: float, fixed: float = 0.0) -> CameraModel:
+def with_lines(camera: CameraModel, row: float, column: float, fixed: float = 0.0, fixed_row: float = 0.0) -> CameraModel:
     noise = dataclasses.replace(
-        camera.noise, row_temporal_noise=row, column_temporal_noise=column, column_noise=fixed, dsnu=0.0, prnu=0.0
+        camera.noise,
+        row_temporal_noise=row,
+        column_temporal_noise=column,
+        column_noise=fixed,
+        row_noise=fixed_row,
+        dsnu=0.0,
+        prnu=0.0,
     )
     return dataclasses.replace(camera, noise=noise)
 
@@ -203,7 +210,14 @@ def test_class_edges_are_what_such_noise_reaches(lined: CameraModel) -> None:
 def test_transposed_sites_are_trained_together_if_rows_and_columns_have_equal_noise(bayer: CameraModel) -> None:
     recipe = LearningRecipe()
     assert recipe.orientations(with_lines(bayer, 5, 5)) == EVERY_ORIENTATION
-    for camera in (with_lines(bayer, 5, 0), with_lines(bayer, 0, 0, 3), with_lines(bayer, 5, 5, 1)):
+    assert recipe.orientations(with_lines(bayer, 5, 4, 3)) == EVERY_ORIENTATION
+    assert recipe.orientations(with_lines(bayer, 0, 0, 3, 3)) == EVERY_ORIENTATION
+    for camera in (
+        with_lines(bayer, 5, 0),
+        with_lines(bayer, 0, 0, 3),
+        with_lines(bayer, 5, 5, 1),
+        with_lines(bayer, 0, 0, 0, 3),
+    ):
         assert recipe.orientations(camera) == LINES_KEPT
 
 
@@ -261,6 +275,60 @@ def test_dark_frames_give_the_noise_of_rows_and_columns(bayer: CameraModel, row:
     assert np.sqrt(dark.pixel_variance) / camera.gain == pytest.approx(4.0, rel=0.03)
 
 
+@pytest.mark.parametrize(("row", "column", "temporal"), [(2.0, 0.0, 0.0), (0.0, 3.0, 0.0), (2.0, 3.0, 4.0), (0.0, 0.0, 8.0)])
+def test_dark_frames_give_the_fixed_offsets_of_rows_and_columns(
+    bayer: CameraModel, row: float, column: float, temporal: float
+) -> None:
+    """Temporal noise of lines that is left in the mean of the frames is neither fixed noise of lines nor DSNU."""
+    camera = with_lines(bayer, temporal, temporal, column, row)
+    pattern = sensor.fixed_pattern(camera).dsnu
+    dark = dark_noise(captures_of(camera, 1), body_of(camera))
+    for found, true, own in (
+        (dark.fixed_rows, row, pattern.mean(axis=1)),
+        (dark.fixed_columns, column, pattern.mean(axis=0)),
+    ):
+        assert found.deviation / camera.gain == pytest.approx(own.std() if true else 0.0, abs=0.15 if temporal else 0.05)
+        assert abs(found.deviation / camera.gain - true) <= 3 * found.error / camera.gain
+        assert (found.error > 0) == (true > 0)
+    assert dark.dsnu_error is not None
+    assert np.mean(dark.dsnu) / camera.gain == pytest.approx(1.0, abs=0.05)
+    assert (np.abs(dark.dsnu / camera.gain - 1.0) < 4 * dark.dsnu_error / camera.gain).all()
+
+
+def white_captures(rows: float, columns: float, temporal: float) -> list[Capture]:
+    """White captures of four exposure times with eight frames each, uneven light, and a PRNU of 1 % of the pixels."""
+    rng = np.random.default_rng(5)
+    shape = (192, 256)
+    response = 1 + rng.normal(0, 0.01, shape) + rng.normal(0, rows, (192, 1)) + rng.normal(0, columns, 256)
+    y, x = np.linspace(-1, 1, 192), np.linspace(-1, 1, 256)
+    light = 12000.0 * (1 - (y[:, None] ** 2 + x**2) / 6) * response
+
+    def frame(exposure: float) -> np.ndarray:
+        offsets = rng.normal(0, temporal, (192, 1))
+        return np.rint(rng.normal(light * exposure, np.sqrt(light * exposure)) * 0.25 + 64 + offsets).astype(np.uint16)
+
+    return [Capture(f"{t}", t, [frame(t) for _ in range(8)]) for t in (0.1, 0.25, 0.4, 0.55)]
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "temporal"), [(0.0, 0.0, 0.0), (0.0, 0.0, 30.0), (0.004, 0.0, 0.0), (0.003, 0.006, 3.0)]
+)
+def test_white_frames_give_the_response_of_rows_and_columns(
+    bayer: CameraModel, rows: float, columns: float, temporal: float
+) -> None:
+    captures, body = white_captures(rows, columns, temporal), body_of(dataclasses.replace(bayer, rows=192, cols=256))
+    levels = [measure_level(capture, body, no_defects()) for capture in captures]
+    zero = np.zeros(3)
+    dark = DarkNoise(np.full(3, 64.0), zero, zero, zero, rows=NoiseOfLines(temporal, 0.0))
+    found = response_noise(captures, levels, np.ones((4, 3), bool), body, dark)
+    for line, true in ((found.rows, rows), (found.columns, columns)):
+        assert line.deviation == pytest.approx(true, rel=0.15)
+        assert abs(line.deviation - true) <= 3 * line.error
+    total = np.sqrt(0.01**2 + rows**2 + columns**2)
+    assert found.prnu == pytest.approx(total, rel=0.04)
+    assert (np.abs(found.prnu - total) < 4 * found.prnu_error).all()
+
+
 def test_no_line_noise_is_found_where_there_is_none(bayer: CameraModel) -> None:
     """In at most one of twenty sets of three exposure times."""
     body, rng = body_of(dataclasses.replace(bayer, rows=48, cols=64)), np.random.default_rng(1)
@@ -273,6 +341,28 @@ def test_no_line_noise_is_found_where_there_is_none(bayer: CameraModel) -> None:
         columns = line_noise([(each.columns, each.pixels, each.column_freedom) for each in squares], 48)
         found += rows.deviation > 0 or columns.deviation > 0
     assert found <= 15
+
+
+def test_no_fixed_offsets_are_found_where_there_are_none(bayer: CameraModel) -> None:
+    """At most one of twenty sets of dark frames gives an offset, also if the rows have temporal noise."""
+    body, rng = body_of(dataclasses.replace(bayer, rows=48, cols=64)), np.random.default_rng(1)
+    weights = line_weights(np.array([0.1, 1.0, 2.0]))[0]
+    found = 0
+    for trial in range(150):
+        noise = rng.normal(0, 2, (3, 4, 48, 64)) + rng.normal(0, 2.0 * (trial % 2), (3, 4, 48, 1))
+        frames = np.rint(64 + rng.normal(0, 1, (48, 64)) + noise)  # three exposure times with four frames each
+        pairs = [[line_squares(one[0] - one[1], body) / 2, line_squares(one[2] - one[3], body) / 2] for one in frames]
+        squares = [mean_squares(each, body) for each in pairs]
+        mean = mean_squares([line_squares(np.tensordot(weights, frames.mean(axis=1), 1), body)], body)
+        rows, columns = (
+            fixed_line_noise(lines(mean), [lines(each) for each in squares], weights**2 / 4, pixels)
+            for lines, pixels in (
+                (lambda each: (each.rows, each.pixels, each.row_freedom), 64),
+                (lambda each: (each.columns, each.pixels, each.column_freedom), 48),
+            )
+        )
+        found += rows.deviation > 0 or columns.deviation > 0
+    assert found <= 7
 
 
 def test_read_noise_is_what_pixels_do_not_share(bayer: CameraModel) -> None:

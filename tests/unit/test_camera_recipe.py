@@ -24,28 +24,28 @@ def test_every_field_comes_back() -> None:
 
 def test_a_new_term_of_the_noise_is_not_lost(bayer: CameraModel, monkeypatch: pytest.MonkeyPatch) -> None:
     @dataclass(frozen=True)
-    class WithRows(Noise):
-        row_noise: float = data("float64", unit="e-", doc="offset of each row", default=0.0)
+    class WithCorners(Noise):
+        corner_noise: float = data("float64", unit="e-", doc="offset of each corner", default=0.0)
 
-    class WithRowsRecipe(NoiseRecipe):
-        row_noise_e: float = 0.0
+    class WithCornersRecipe(NoiseRecipe):
+        corner_noise_e: float = 0.0
 
-    monkeypatch.setattr(camera_recipe, "Noise", WithRows)
-    monkeypatch.setattr(camera_recipe, "NoiseRecipe", WithRowsRecipe)
-    noise = WithRows(**{field.name: getattr(bayer.noise, field.name) for field in fields(Noise)}, row_noise=1.5)
-    assert noise_of(WithRowsRecipe(**noise_entries(noise))) == noise
+    monkeypatch.setattr(camera_recipe, "Noise", WithCorners)
+    monkeypatch.setattr(camera_recipe, "NoiseRecipe", WithCornersRecipe)
+    noise = WithCorners(**{field.name: getattr(bayer.noise, field.name) for field in fields(Noise)}, corner_noise=1.5)
+    assert noise_of(WithCornersRecipe(**noise_entries(noise))) == noise
     camera = replace(bayer, noise=noise)
-    assert "row_noise_e = 1.5" in camera_texts(camera, "a test")["camera.toml"]
+    assert "corner_noise_e = 1.5" in camera_texts(camera, "a test")["camera.toml"]
     draft = DraftText()
     sensor_figures(draft, camera)
-    assert "row_noise_e = 1.5" in str(draft)
+    assert "corner_noise_e = 1.5" in str(draft)
 
 
 def test_temporal_and_fixed_terms_are_the_noise_in_the_dark(bayer: CameraModel) -> None:
     """A reading in the dark has the terms of both kinds, and a temporal filter leaves the fixed ones."""
     noise = replace(bayer.noise, read_noise=3.0, dsnu=2.0, column_noise=1.5)
-    lines = replace(noise, row_temporal_noise=2.0, column_temporal_noise=1.0)
-    assert (lines.temporal, lines.fixed, lines.dark_noise) == (9.0 + 4.0 + 1.0, 4.0 + 2.25, pytest.approx(14**0.5))
+    lines = replace(noise, row_temporal_noise=2.0, column_temporal_noise=1.0, row_noise=3.0)
+    assert (lines.temporal, lines.fixed, lines.dark_noise) == (9.0 + 4.0 + 1.0, 4.0 + 2.25 + 9.0, pytest.approx(14**0.5))
     camera = replace(bayer, noise=noise)
     assert (noise.temporal, noise.fixed, noise.dark_noise) == (9.0, 4.0 + 2.25, 3.0)
     assert camera.noise_terms()[0] == pytest.approx(camera.gain**2 * (9.0 + 4.0 + 2.25) + 1 / 12)
@@ -65,7 +65,8 @@ def test_column_noise_is_a_figure_of_the_camera_that_declares_it(bayer: CameraMo
 
 
 def test_terms_that_a_camera_lacks_are_not_written(bayer: CameraModel) -> None:
-    """Recipes of cameras without temporal noise of rows and columns are what they were before it was known."""
+    """Recipes of cameras without noise of rows and columns are what they were before it was known."""
     assert "temporal" not in camera_texts(bayer, "a test")["camera.toml"]
+    assert "row_noise_e" not in camera_texts(bayer, "a test")["camera.toml"]
     lined = replace(bayer, noise=replace(bayer.noise, row_temporal_noise=4.0))
     assert "row_temporal_noise_e = 4.0" in camera_texts(lined, "a test")["camera.toml"]
