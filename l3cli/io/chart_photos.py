@@ -1,4 +1,4 @@
-"""Read photos of charts, and the illuminant and the chart of each photo (docs/method.md#charts-in-photographs)."""
+"""Read photos of charts, each with its illuminant and its chart (docs/method.md#charts-in-photographs)."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

@@ -174,8 +174,8 @@ def clips_in(folder: Path, sensor: Callable[[], Sensor], known: RawOverrides, wa
     Returns
     -------
     list of Path
-        The clips, in natural order. The list is empty if the folder itself is one clip, because its first readable file
-        contains a single frame.
+        The clips, in natural order. If the first readable file contains a single frame, the folder itself is one clip, and
+        the list is empty.
     """
     paths = [path for path in folder.iterdir() if path.name[0] != "."]
     frames = {path.name for path in paths if is_frame(path)}

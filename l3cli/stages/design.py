@@ -251,7 +251,7 @@ def _scene(wanted: WantedScene, run: SimulationRun) -> Scene:
 
 
 def _spectra(run: SimulationRun, chunk: Chunk) -> dict[str, NDArray]:
-    """Sum the second moments of the photon spectra over some scenes.
+    """Sum the second moments of the photon spectra over the scenes of a chunk.
 
     The result is one array "power", with the axes (illuminant, wavelength, wavelength).
     """
@@ -265,7 +265,7 @@ def _spectra(run: SimulationRun, chunk: Chunk) -> dict[str, NDArray]:
 
 
 def _moments(run: SimulationRun, bases: Sequence[NDArray[np.float64]], patches: int, chunk: Chunk) -> dict[str, NDArray]:
-    """Sum the second moments of randomly chosen patches over some scenes.
+    """Sum the second moments of randomly chosen patches over the scenes of a chunk.
 
     The name of each array ends in the index of the illuminant. The same patches are used under all illuminants.
     """

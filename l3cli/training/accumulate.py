@@ -137,7 +137,7 @@ class _Batch:
     def _scale(self, patch_level: Floats, places: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the factors that scale the patches to random levels.
 
-        `places` contains the quantile of each level in the distribution of levels.
+        `places` contains random numbers between 0 and 1, which `levels_at` converts to levels.
         """
         if not self.pass_.recipe.rescale:
             return np.ones(patch_level.size)
@@ -146,10 +146,9 @@ class _Batch:
     def _seen(
         self, batch: slice, scale: Floats, order: TapOrder, rng: np.random.Generator
     ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-        """Scale patches to several levels, add noise, and determine the classes.
+        """For each draw, yield the classes and the levels of a slice of the patches after scaling and noise.
 
-        Each row of `scale` (draw, patch) contains the factors by which the patches are multiplied in one draw. For each
-        draw, the method yields the classes and the levels of the noisy patches.
+        Each row of `scale` (draw, patch) contains the factors by which the patches are multiplied in one draw.
         """
         pass_, patches = self.pass_, self.patches
         signal: Floats = np.ascontiguousarray(patches.signal[batch].T)[order.taps]
@@ -206,7 +205,7 @@ class _Batch:
         sums : ClassSums
             Sums of the site, which are changed in place.
         large : ndarray, (level, pair)
-            Numbers that round the products to grid steps, from `rounding_number`.
+            Results of `rounding_number`, with which the products are rounded to grid steps.
         label : ndarray, (patch)
             Class of each patch. The patches are sorted by class.
         level : ndarray, (patch)

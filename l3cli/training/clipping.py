@@ -29,7 +29,7 @@ def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Ar
     camera : CameraModel
         Camera whose channels clip.
     light : LightSpectrum or None
-        Mean illuminant of the training, or None if the illuminant is unknown.
+        Mean illuminant of the training frames, or None if the illuminant is unknown.
     white : ndarray, (output)
         X, Y, Z of a perfect white under the illuminant, with Y = 1.
 
@@ -86,10 +86,11 @@ def _colours(signals: Array, outputs: Array) -> Array:
 
 
 def _target(outputs: Array, over: Array, white: Array, brightest: float) -> Array:
-    """Return the target outputs of clipped surfaces at the exposures `over`.
+    """Return the target outputs of clipped surfaces.
 
-    At an exposure of 1, the first channel of a surface just clips. At higher exposures, the target colour becomes paler. The
-    luminance is limited to `brightest`, the luminance of a white whose last channel just clips.
+    `over` contains the exposure of each surface, relative to the exposure at which its first channel just clips. Above a
+    relative exposure of 1, the target colour becomes paler. The luminance is limited to `brightest`, the luminance of a
+    white whose last channel just clips.
     """
     luminance = np.minimum(outputs[:, 1:2], brightest)
     chroma = outputs / outputs[:, 1:2] - white

@@ -47,8 +47,9 @@ def grey_patches(
 ) -> dict[int, Array]:
     """Return the moments of uniform greys for the saturated classes of the lowest contrast.
 
-    The moments of a class are a weighted mean over all greys of the class. The weight of a grey is the number of greys per
-    training patch (see `GREYS_PER_PATCH`). Each grey also belongs to the same class at the next darker and the next brighter
+    The moments of a class are the mean over all greys of the class. In this mean, each grey is multiplied by a weight
+    relative to a training patch: `GREYS_PER_PATCH` times the ratio of clipped to unclipped filters, up to
+    `MAX_GREYS_PER_PATCH`. Each grey is also added to the corresponding classes of the next darker and the next brighter
     level. For the saturation case in which every channel clips, only greys that are fully clipped in every channel are used.
 
     Parameters
@@ -64,7 +65,7 @@ def grey_patches(
     black_level, white_level : float
         Levels of the camera, in DN.
     signal : ndarray, (channel), or None
-        Signals of this white, as fractions of full scale, or None if unknown.
+        Signals of the perfect white, as fractions of full scale, or None if they are unknown.
     filters : tuple of int
         For each channel, the first channel with the same filter, as in `Goal`. A filter counts as clipped only if all its
         channels clip.
@@ -169,9 +170,9 @@ def white_channels(
     window : ndarray, (tap)
         Channel of each tap.
     white : ndarray, (output)
-        Outputs of this white.
+        Outputs of the white.
     known : ndarray, (channel), or None
-        Signals of this white according to the camera model, or None if unknown.
+        Signals of the white according to the camera model, or None if they are unknown.
     white_error : ndarray, (channel), or float
         Relative error to expect if the signals of white are estimated from surfaces.
 

@@ -65,7 +65,7 @@ class Patches:
     def concatenated(cls, parts: list["Patches"]) -> "Patches":
         """Join several sets of patches.
 
-        If only some sets contain measured noise, simulated patches have a `carried` noise of zero.
+        If only some sets contain measured noise, the `carried` noise of all other patches is set to zero.
         """
         colourless = [np.zeros(len(p.signal), bool) if p.colourless is None else p.colourless for p in parts]
         carried = None
@@ -311,8 +311,9 @@ def _centres(frame: TrainingFrame, side: int, count: int, rng: np.random.Generat
 def levels_at(recipe: LearningRecipe, places: NDArray[np.float64]) -> NDArray[np.float64]:
     """Draw levels for patches (docs/method.md#level-rescaling).
 
-    Most levels are log-uniform between `darkest` and `brightest`. The fraction `highlight_share` is log-uniform between
-    `highlight_from` and `brightest`. The fraction `dark_share` is log-uniform between half of `darkest` and `darkest`.
+    Most levels are drawn from a log-uniform distribution between `darkest` and `brightest`. A fraction `highlight_share` of
+    the levels is drawn between `highlight_from` and `brightest`, and a fraction `dark_share` between half of `darkest` and
+    `darkest`. These distributions are also log-uniform.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 Most patches of scenes are textured. From such patches, a class learns to infer colour from detail, which gives wrong colours
 in uniform areas. Each class of uniform areas is therefore also trained on measured surfaces that have the chroma of the
-class. Each surface is used in several versions: paler, with and without titanium white. White and grey paints, which are
+class. Each surface is used at several saturations, both bare and with titanium white. White and grey paints, which are
 common in man-made scenes, are added.
 
 Some chromas occur only in stripes that have the period of the CFA. Classes of such a chroma are trained to be grey
@@ -380,7 +380,7 @@ def single_bands(moments: Array, window: NDArray[np.int64], gains: Array) -> Arr
 def has_single_bands(rule: ClassRule, index: int) -> bool:
     """Return whether `single_bands` applies to a class.
 
-    The class must be unsaturated and have the lowest of several contrasts.
+    The class rule must distinguish several contrasts. The class must be unsaturated and have the lowest contrast.
     """
     place = rule.split(index)
     return bool(rule.contrasts > 1 and place.contrast == 0 and not rule.case(place.kind))

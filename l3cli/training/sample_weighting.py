@@ -141,7 +141,7 @@ def sample_weighting(table: TransformTable, site: int, power: float) -> SampleWe
 
 
 def lab_error(error: Floats, target: Floats, level: Floats, white: NDArray[np.floating]) -> Floats:
-    """Convert errors of X, Y and Z to squared errors in CIELAB units, in which chroma counts less than lightness.
+    """Convert errors of X, Y and Z to squared errors in CIELAB units. Errors of chroma have less weight than in CIELAB.
 
     Parameters
     ----------

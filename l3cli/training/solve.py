@@ -289,8 +289,8 @@ def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Arr
     """Return the moments of additional training patches for each unsaturated class of the lowest contrast.
 
     Classes without a direction are trained on uniform surfaces. Classes whose chroma occurs only in stripes are trained on
-    stripes, regardless of their direction. The result is empty if the goal contains no surfaces, or if the training
-    patches do not confirm the signals of white that are computed from the camera model.
+    stripes, regardless of their direction. The result is empty if the goal contains no surfaces. It is also empty unless
+    `white`, from `white_channels`, equals the signals of white that are computed from the camera model.
     """
     if goal.surfaces is None or white is None or goal.white_signal is None or not np.array_equal(white, goal.white_signal):
         return {}
@@ -419,8 +419,8 @@ def _constrained(
 def _exact_white(solutions: list[Solution], goal: Goal) -> Array | None:
     """Return the signals of white according to the camera model, or None if classes need not render white exactly.
 
-    The result is None if the signals are unknown, if the patches of any site do not confirm them, or if the outputs are
-    neither colours nor Stokes parameters.
+    The result is None if the signals are unknown, if the signals were instead estimated from the patches at any site, or if
+    the outputs are neither colours nor Stokes parameters.
     """
     known, borne = goal.white_signal, [solution.white for solution in solutions]
     if (

@@ -47,7 +47,7 @@ def insight(table: TransformTable) -> dict[str, Any]:
           others, as a median over the trained unsaturated classes
         * ``condition``: median and maximum of the condition number over the trained classes
         * ``worst``: the trained classes with the largest noise gain of Y, or of all outputs if there is no Y
-        * ``later``: `refinement_layer` of each refinement layer
+        * ``later``: result of `refinement_layer` for each refinement layer
         * ``lights``: name and colour temperature, in K, of each illuminant that has separate transforms
         * ``noises``: analog gain and remaining fraction of the noise, for each additional set of transforms
         * ``spectra``: window, in pixels, and brightness reach of the smoothing of spectra
@@ -259,7 +259,7 @@ def _kinds(layer: dict[str, Any]) -> str:
 def class_meaning(recipe: TrainingRecipe, source: RecipeSource) -> Meaning:
     """Return the summary of a class recipe for ``l3 check``.
 
-    The list of faults in the result is always empty, because this function finds no faults.
+    The second element of the result is an empty list of faults, because this function does not check the recipe.
     """
     return class_figures(recipe, source.camera), []
 

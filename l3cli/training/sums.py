@@ -73,7 +73,7 @@ def add_rounded(total: Array, more: NDArray[np.float32], large: Array) -> None:
     more : ndarray of float32
         Numbers to add.
     large : ndarray of float64
-        Numbers that round `more` to grid steps, from `rounding_number`.
+        Results of `rounding_number`, with which `more` is rounded to grid steps.
     """
     rounded = more + large
     rounded -= large
@@ -119,7 +119,7 @@ def add_products(
     runs : list of (class, first sample, end sample)
         Result of `runs_of`.
     large : sequence of ndarray
-        For each run, the numbers that round the products to grid steps, from `rounding_number`.
+        For each run, the results of `rounding_number` with which the products are rounded to grid steps.
     columns : ndarray, optional
         Indices of the columns to multiply. [default: all columns]
     """

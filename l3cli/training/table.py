@@ -190,9 +190,9 @@ def _joined(observed: list[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray
 
 
 def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) -> list[int]:
-    """Return the canonical sites, which are trained.
+    """Return the canonical sites, for which transforms are trained.
 
-    All other sites use rotated or mirrored copies of the trained transforms.
+    All other sites use rotated or mirrored copies of these transforms.
     """
     neighbours = neighbourhoods(head.camera.cfa, rule.patch, len(head.camera.channels))
     maps = site_maps(neighbours.channel, rule.patch, recipe.orientations(head.camera))

@@ -203,7 +203,7 @@ def work_shares(pass_: TrainingPass, divisors: Mapping[int, int], blocks: list[r
     pass_ : TrainingPass
         Settings of the pass.
     divisors : mapping of int to int
-        For each canonical site to process, the divisor of its number of patches.
+        Canonical sites to process. For each site, the number by which its number of patches is divided.
     blocks : list of range
         Blocks of frames, from `frame_blocks`.
     jobs : int

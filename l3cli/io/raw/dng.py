@@ -355,7 +355,8 @@ def _stated_black(
     Returns
     -------
     levels : tuple of ndarray
-        Repeated levels (row, col), and the levels that are added to each row (row,) and to each column (col,).
+        Pattern of levels (row, col) that repeats over the image, and the offsets of each row (row,) and of each column
+        (col,) that are added to the pattern.
     fault : str
         Empty if the tags are valid. Otherwise a message about the damaged tag, and all levels are 0.
     """

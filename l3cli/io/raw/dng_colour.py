@@ -143,7 +143,7 @@ def _white_of(content: Any) -> tuple[float, float] | None:
 
 
 def _fractions(content: bytes, order: str, start: int, count: int) -> list[float]:
-    """Read `count` unsigned fractions (pairs of 32-bit integers), starting at the byte `start`."""
+    """Read `count` unsigned fractions (pairs of 32-bit integers), starting at byte `start`."""
     parts = struct.unpack_from(f"{order}{2 * count}I", content, start)
     return [above / below for above, below in zip(parts[::2], parts[1::2], strict=True)]
 

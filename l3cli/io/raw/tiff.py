@@ -268,7 +268,7 @@ def _layout(stream: BinaryIO) -> _Plain | None:
 
 
 def _directory(stream: BinaryIO, at: int) -> dict[int, list[Any]]:
-    """Return the values of each tag in the TIFF directory at the byte `at`.
+    """Return the values of each tag in the TIFF directory that starts at byte `at`.
 
     Raises ValueError or KeyError if a tag is repeated, if the type of a tag is not in TYPES, or if a second directory
     follows.
@@ -289,7 +289,7 @@ def _directory(stream: BinaryIO, at: int) -> dict[int, list[Any]]:
 
 
 def _numbers(stream: BinaryIO, at: int, dtype: np.dtype, count: int) -> list[Any]:
-    """Read `count` numbers at the byte `at`. Raises ValueError if `count` is too large, or if the file is too short."""
+    """Read `count` numbers from byte `at`. Raises ValueError if `count` is too large, or if the file is too short."""
     if count > MAX_STRIPS or at + count * dtype.itemsize > os.fstat(stream.fileno()).st_size:
         raise ValueError
     stream.seek(at)

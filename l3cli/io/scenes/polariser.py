@@ -140,11 +140,13 @@ def _angles(folder: Path, paths: list[Path], stated: Sequence[float] | None) -> 
 
 
 def _named_angles(names: list[str]) -> tuple[float, ...] | None:
-    """Return the angle in degrees in the name of each picture, or None if not every name contains exactly one angle.
+    """Return the angle in degrees in the name of each picture, or None if the angles cannot be identified.
 
-    The angle is the only number with a unit (45deg, 45°) in each name. If the names contain no such numbers, the angle is
-    the only number in each name. If the names contain several numbers, the angle is the only number that differs between the
-    names.
+    The first of these rules that applies to all names is used:
+
+    1. Each name contains exactly one number with a unit (45deg, 45°). This number is the angle.
+    2. Each name contains exactly one number. This number is the angle.
+    3. The names differ in exactly one number, and in nothing else. This number is the angle.
     """
     with_unit = [DEGREES.findall(name) for name in names]
     if all(len(each) == 1 for each in with_unit):

@@ -58,7 +58,10 @@ def scratch(context: Any, buffer: Any, size: int) -> Any:
 
 
 class Track:
-    """A command queue, and the device buffers for rendering one band at a time. Buffers grow when a band needs more."""
+    """A command queue, and the device buffers for rendering one band at a time.
+
+    A buffer that is too small for a band is replaced by a larger buffer.
+    """
 
     def __init__(self, context: Any, layers: int) -> None:
         """Create a queue without buffers, for a table with `layers` refinement layers."""

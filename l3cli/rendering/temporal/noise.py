@@ -86,7 +86,10 @@ class Grid:
 
 
 def _sides(period: int, lanes: int) -> tuple[int, int, int]:
-    """Return the sides of a period, a cell and a block along one axis. The side of a block is a multiple of `lanes`."""
+    """Return the lengths, in pixels, of a period, a cell and a block along one axis.
+
+    The length of a block is a multiple of `lanes`.
+    """
     cell = period * -(-MIN_CELL // period)
     block = next(side for side in range(cell, 8 * MIN_BLOCK, cell) if side >= MIN_BLOCK and side % lanes == 0)
     return period, cell, block

@@ -1,7 +1,7 @@
-"""Rendering of measured frames to finished pictures, in this process or in workers on other machines.
+"""Rendering of frames to finished pictures, in this process or in workers on other machines.
 
-This process and the workers both use `PictureMaker.pictures`. A worker also encodes the file of the picture. If a frame need
-not be measured, the worker also reads the raw file.
+This process and the workers both use `PictureMaker.pictures`. If each picture is a separate file, the workers also encode
+the files. The workers then usually also read the frames, unless the frames must be measured or filtered in time.
 """
 
 import functools
@@ -192,10 +192,10 @@ def _is_made(job: tuple[RenderSetup, FrameTask], made: Any) -> bool:
 
 
 def _read_by_worker(task: FrameTask, setup: RenderSetup, table: TransformTable) -> FrameTask:
-    """Return a task whose frame has the corrections of the camera model.
+    """Complete a task in a worker, so that its frame includes the corrections from the camera model.
 
-    If the task contains no frame, the frame is read from its file. Otherwise, the shading of the camera model is added to
-    the frame.
+    If the task contains no frame, the frame is read from its file and corrected. Otherwise, only the shading of the camera
+    model is added to the frame, because the defects have already been corrected.
     """
     correction = None if setup.camera is None else correction_again(setup.camera)
     if task.frame is None:
@@ -220,7 +220,7 @@ def _renderer_of_worker(
 
 
 class Renderers:
-    """Cache of the latest renderer, so that the next clip can use this renderer again.
+    """Cache of the latest renderer, which is reused for the next clip if the settings have not changed.
 
     Creating a renderer takes time, and OpenCL never frees the programs that it has built.
     """

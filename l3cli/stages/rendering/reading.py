@@ -56,7 +56,7 @@ class FrameReader:
     meter : FrameMeter
         Measures exposure and white.
     origins : FrameOrigins
-        Computes the origins of pictures for the checkpoint.
+        Computes, for the checkpoint, a digest of the frames and settings from which each picture is made.
     workers_read : bool
         Whether workers can read files. Workers then read all frames that need not be measured.
     """

@@ -85,7 +85,7 @@ class TrainingSource:
     chosen: tuple[int, ...] | None = None  # indices of the frames to use; None for all frames in the file
 
     def places(self, frames: range) -> Iterable[int]:
-        """Convert a range of the chosen frames to indices of frames in the file."""
+        """Return the indices in the file of some of the frames that the run uses. `frames` counts only these frames."""
         return frames if self.chosen is None else self.chosen[frames.start : frames.stop]
 
 

@@ -2,8 +2,8 @@
 
 As in the first layer, classes with few samples are supported by other classes. An unsaturated class also uses samples of
 classes with neighbouring levels and strengths. Every class uses pseudo-samples of a *parent*, which is a weighted mean of
-many classes. The parent of an unsaturated class is mainly the mean over the unsaturated classes with an equal level. The
-parent of a saturated class is a mean over the classes with an equal saturation case, with larger weights for nearby levels.
+many classes. The parent of an unsaturated class is mainly the mean over all unsaturated classes of the same level. The
+parent of a saturated class is a mean over all classes of the same saturation case, with larger weights for nearby levels.
 """
 
 import functools
@@ -195,7 +195,10 @@ def _constrained(
 
 
 class _Parents:
-    """The parents of all classes: sums per sample for each level, and for each pair of level and saturation case."""
+    """The parents of all classes, as mean sums per sample.
+
+    Unsaturated classes have one parent per level. Saturated classes have one parent per level and saturation case.
+    """
 
     def __init__(self, sums: LayerSums, rule: PlaneRule) -> None:
         def means(values: Array) -> tuple[Array, Array]:

@@ -67,8 +67,9 @@ class Reading:
     def offsets(self, cols: int) -> Integers:
         """Return the offset of each tap from the central pixel, in elements of a flattened plane.
 
-        The fourth value that is read at each tap stores a ratio tap, the constant 1 or an ideal output (see `columns`). If
-        there are more of these columns than taps per plane, offsets of 0 are appended until every column has a place.
+        At each tap, a sample has the values of three planes and a fourth value, which stores a ratio tap, the constant 1 or
+        an ideal output (see `columns`). If there are more of these columns than taps per plane, offsets of 0 are appended
+        until every column has a place.
 
         Parameters
         ----------
@@ -126,9 +127,9 @@ def sample_weights(
 ) -> Floats:
     """Return the sample weight of every pixel (docs/method.md#sample-weights, docs/method.md#second-pass).
 
-    The weight depends on the brightness, and is lower for pixels with a large error in the previous layers. The squared
-    error from noise is averaged over 5 × 5 pixels. If the outputs are not X, Y, Z, the whole squared error is averaged over
-    the mosaic.
+    The weight depends on the brightness. It is lower for pixels with a large squared error after the previous layers. If the
+    outputs are X, Y, Z, the error is the squared error without noise, plus the squared error from noise averaged over 5 × 5
+    pixels. For other outputs, the whole squared error is averaged over the mosaic.
 
     Parameters
     ----------
