@@ -12,7 +12,7 @@ from l3cli.artifacts.recipe_source import Meaning, RecipeSource
 from l3cli.errors import InputFileError, listed
 from l3cli.simulation.lab import LabRecipe, plan
 from l3cli.simulation.light import camera_unknown, make_light, named_beyond_known, white_rates
-from l3cli.system.text import array_lines, columns, seconds_text, size_text
+from l3cli.system.text import array_lines, columns, counted, seconds_text, size_text
 
 LIGHTS = ("D65", "A")
 LUMINANCE = 100.0  # luminance of white, in cd/m², for which exposure times are reported; typical of indoor scenes
@@ -134,14 +134,15 @@ def lab_lines(lab: dict[str, Any], width: int | None) -> list[str]:
 
 def scene_lines(scenes: dict[str, Any], width: int | None) -> list[str]:
     """Format the summary of a scene recipe as lines."""
-    exposures = [f"{len(values)} exposures ({unit})" for unit, values in scenes["exposures"].items()]
+    exposures = [f"{counted(len(values), 'exposure')} ({unit})" for unit, values in scenes["exposures"].items()]
     factors = [
-        f"{scenes['scenes']} scenes" + (f" ({scenes['clips']} of them clips)" if scenes["clips"] else ""),
-        f"{len(scenes['illuminants'])} illuminants ({listed(scenes['illuminants'])})",
+        counted(scenes["scenes"], "scene") + (f" ({scenes['clips']} of them clips)" if scenes["clips"] else ""),
+        f"{counted(len(scenes['illuminants']), 'illuminant')} ({listed(scenes['illuminants'])})",
     ]
-    factors += [f"{len(scenes['luminances_cd_m2'])} luminances", *exposures]
-    pairs = f" and {scenes['pairs']} pairs" if scenes["pairs"] else ""
-    lines = [f"{scenes['frames']} frames: {' × '.join(factors)}{pairs}" if scenes["scenes"] else f"{scenes['pairs']} pairs"]
+    factors += [counted(len(scenes["luminances_cd_m2"]), "luminance"), *exposures]
+    pairs = f" and {counted(scenes['pairs'], 'pair')}" if scenes["pairs"] else ""
+    simulated = f"{counted(scenes['frames'], 'frame')}: {' × '.join(factors)}{pairs}"
+    lines = [simulated if scenes["scenes"] else counted(scenes["pairs"], "pair")]
     if "bytes" in scenes:
         rows, cols = scenes["largest"]
         lines.append(

@@ -317,7 +317,9 @@ def _refinement_classes(layer: LayerRecipe, levels: int, cases: int) -> int:
 def class_lines(classes: dict[str, Any], width: int | None) -> list[str]:
     """Convert the result of `class_figures` to lines of text."""
     features = "".join(f" × {size} values of {name}" for name, size in classes["features"].items())
-    kinds = f"({classes['chromas']} chromas + at most {classes['saturation_cases'] - 1} saturation cases)"
+    kinds = (
+        f"({counted(classes['chromas'], 'chroma')} + at most {counted(classes['saturation_cases'] - 1, 'saturation case')})"
+    )
     lines = []
     for number, layer in enumerate(classes["layers"], 1):
         how = (

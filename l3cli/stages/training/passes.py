@@ -21,6 +21,7 @@ from l3cli.physics.spectra import light_grid
 from l3cli.recipes.faults import refuse_first
 from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
 from l3cli.system.console import Console
+from l3cli.system.text import counted
 from l3cli.training.accumulate import sum_sites
 from l3cli.training.recipe import TrainingRecipe, layer_faults, learning_faults
 from l3cli.training.sample_weighting import SampleWeighting, sample_weighting
@@ -69,9 +70,9 @@ def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
     units = [PilotUnit(*about, frames, patches[frames.start : frames.stop]) for frames in chunks]
     pilots = execution.console.progress(execution.pool(_pilot, units, _is_pilot_of), len(units), "pilot")
     rule, white, exposure, light = survey(pilots, run.patches, run.head, run.recipe, run.seed)
-    kinds = f"({rule.chromas} chromas + {rule.cases - 1} saturation cases)"
+    kinds = f"({counted(rule.chromas, 'chroma')} + {counted(rule.cases - 1, 'saturation case')})"
     features = "".join(f" × {feature.size} values of {feature.name}" for feature in rule.feature_list)
-    classes = f"{rule.levels} levels × {rule.contrasts} contrasts{features} × {kinds}"
+    classes = f"{counted(rule.levels, 'level')} × {counted(rule.contrasts, 'contrast')}{features} × {kinds}"
     execution.console.info(f"{len(run.patches)} frames, classes per site: {classes}")
     return TrainingPass(run.head, run.patches, rule, learning, white, run.seed, _first_number(run), exposure, light)
 
