@@ -110,11 +110,10 @@ INLINE void look(Evidence *e, const Columns *c, const Products *middle, uints tu
 // a test, the leaves below the first branch of the test are excluded. The first remaining leaf is the leaf of the pixel. Parts are found in
 // the same way, 32 at a time.
 //
-// `tests` contains, in this order: the start of the tests for every 32 parts, the start of the tests of each part, the end of all tests, the
-// first leaf of each part, and the tests. A test has three words: the bits of its threshold; the index of its numerator and, from bit 8, of
-// its denominator; and the leaves or parts that it excludes. Products and comparisons of float32 are the same on every device.
-#define WORDS ((PARTS + 31) / 32)
-#define AT_ONCE 2  // AT_ONCE times LANES pixels are processed together, so that each test is read once for all of them
+// `tests` contains: the indices at which the tests begin that choose one of 32 parts, the indices at which the tests of each part begin, the
+// index after the last test, the first leaf of each part, and the tests. A test has three words: the bits of its threshold; the index of its
+// numerator and, from bit 8, of its denominator; and the leaves or parts that it excludes. Products and comparisons of float32 are the same on
+// every device.
 
 // Returns the index of the lowest set bit.
 INLINE uints lowest_bit(uints bits) {
