@@ -79,7 +79,7 @@ class FrameSequence:
 
     @property
     def rendered(self) -> int | None:
-        """Number of frames to render; None for a stream of unknown length."""
+        """Number of frames to render, or None for a stream of unknown length."""
         return self.count if self.part is None else len(self.part)
 
     def renders(self, place: int) -> bool:

@@ -422,8 +422,8 @@ def _places(folder: Path, names: Sequence[str]) -> dict[str, Path]:
 def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
     """Build a camera from raw files.
 
-    l3 uses the responsivities from the first available source: a ColorChecker in one of the first MAX_CHART_PHOTOS photos,
-    measured curves of this camera, the colour matrices in the file, and the mean of the measured cameras.
+    l3 fits the responsivities to a ColorChecker in one of the first MAX_CHART_PHOTOS photos. If no photo shows a usable
+    chart, l3 uses the sources that `_without_chart` lists.
 
     Raises
     ------

@@ -157,7 +157,7 @@ SUM_BYTES = 200 << 20  # memory limit in bytes for the sums of one process, whic
 
 @dataclass(frozen=True)
 class WorkShare:
-    """Part of a pass that one process computes: blocks of frames, and the sites to sum."""
+    """Part of a pass that one process computes: blocks of frames, and the sites whose patches are summed."""
 
     blocks: tuple[tuple[range, tuple[int, ...]], ...]  # frames of each block, and the canonical sites to sum
     whole: tuple[int, ...]  # sites whose sums this share computes over all blocks

@@ -170,7 +170,7 @@ def write_dng(
     matrices : mapping of str to ndarray, (channel, 3)
         Colour matrix for each illuminant in LIGHT_CODES. The matrix converts XYZ to channel signals.
     neutral : ndarray, (channel,), or None
-        Signal of a grey surface in each channel, or None if unknown.
+        Signal of a grey surface in each channel, or None if the signals are unknown.
     exposure : float
         Exposure time in s.
     """

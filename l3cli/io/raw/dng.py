@@ -406,7 +406,7 @@ def _notes(raw: Any) -> Iterator[str]:
 
 
 def _neutral(first: Any, raw: Any) -> NDArray[np.float64] | None:
-    """Return the CFA code of each colour plane and the signal of a grey surface (plane, 2), or None if unknown."""
+    """Return the CFA code of each colour plane and the signal of a grey surface (plane, 2), or None if tags are unusable."""
     try:
         codes = np.asarray(tags.numbers(raw, "CFAPlaneColor", (0, 1, 2)), np.float64)
     except tags.BROKEN:  # the pixels can be used without this tag

@@ -1,8 +1,8 @@
 """The division of a frame into cells and blocks for the temporal filter, and the noise of the camera in integers.
 
-The filter computes with integers in the unit u = 2^−`protect` DN, where `protect` is the number of the 16 bits that raw
-values leave unused. The recursive filter therefore preserves fractions of a DN, and the values of every camera use all
-16 bits.
+The filter computes with integers in the unit u = 2^−`protect` DN, where `protect` is the number of bits that raw values
+leave unused in a 16-bit word. The recursive filter therefore preserves fractions of a DN, and the values of every camera use
+all 16 bits.
 """
 
 from dataclasses import dataclass
@@ -206,9 +206,9 @@ def settings_of(frame: RawFrame) -> tuple[float, float | None]:
 
 
 def times_brighter(now: tuple[float, float | None], before: tuple[float, float | None]) -> float:
-    """Return how many times brighter a scene is with the settings `now` than with the settings `before`.
+    """Return the factor by which a frame becomes brighter if the settings change from `before` to `now`.
 
-    `now` and `before` are results of `settings_of`. If one of the exposure times is unknown, only the gains are compared.
+    `before` and `now` are results of `settings_of`. If one of the exposure times is unknown, only the gains are compared.
     """
     times = now[1] / before[1] if now[1] and before[1] else 1.0
     return times * now[0] / before[0]

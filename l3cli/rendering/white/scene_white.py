@@ -300,9 +300,9 @@ class SceneWhite:
 class Whites:
     """Computes the white balance of frames that are rendered with a table.
 
-    If the table records its camera and its training illuminant, channel gains give grey objects the channel ratios of the
-    training illuminant. Without these gains, highlights and the edges of grey objects would be coloured. If the table
-    records its camera and the scene illuminant is plausible, the output matrix also corrects the colours of surfaces.
+    If the table records its camera and its training illuminant, channel gains give grey objects the same channel ratios as
+    under the training illuminant. Without these gains, highlights and the edges of grey objects would be coloured. If the
+    table records its camera and the scene illuminant is plausible, the output matrix also corrects the colours of surfaces.
     """
 
     def __init__(self, table: TransformTable) -> None:

@@ -122,7 +122,7 @@ def _is_pilot_of(unit: PilotUnit, pilot: Pilot) -> bool:
 
 @dataclass(frozen=True)
 class WorkUnit:
-    """A work unit of a pass, for which a worker sums the normal equations of some sites over some blocks of frames."""
+    """A work unit of a pass: blocks of frames, and the sites for which a worker sums the normal equations."""
 
     training: tuple[TrainingSource, ...]
     remote: bool  # whether the worker is on another machine and must verify the bytes of its files

@@ -222,7 +222,7 @@ class _Parents:
 
 
 def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goal: LayerGoal) -> tuple[Array, Array] | None:
-    """Return the moments and the noise of a class, supported by other classes. Return None if the parent has no samples.
+    """Return the moments and the noise of a class with support from other classes, or None if the parent has no samples.
 
     Pseudo-samples of the parent are always added. If the class is unsaturated and has samples, samples of classes with
     neighbouring levels or strengths are also added.
