@@ -114,6 +114,8 @@ INLINE void look(Evidence *e, const Columns *c, const Products *middle, uints tu
 // index after the last test, the first leaf of each part, and the tests. A test has three words: the bits of its threshold; the index of its
 // numerator and, from bit 8, of its denominator; and the leaves or parts that it excludes. Products and comparisons of float32 are the same on
 // every device.
+#define WORDS ((PARTS + 31) / 32)
+#define AT_ONCE 2  // AT_ONCE times LANES pixels are processed together, so that each test is read once for all of them
 
 // Returns the index of the lowest set bit.
 INLINE uints lowest_bit(uints bits) {
