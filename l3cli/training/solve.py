@@ -288,19 +288,24 @@ def _averaged(
 def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Array | None) -> dict[int, Array]:
     """Return the moments of additional training patches for each unsaturated class of the lowest contrast.
 
-    Classes without a direction are trained on uniform surfaces. Classes whose chroma occurs only in stripes are trained on
-    stripes, regardless of their direction. The result is empty if the goal contains no surfaces. It is also empty unless
-    `white`, from `white_channels`, equals the signals of white that are computed from the camera model.
+    Classes without a direction are trained on uniform surfaces. If the rule has only one chroma, classes with a direction
+    are also trained on uniform surfaces, because textured surfaces must not change their colour. With several chromas, this
+    would make charts worse. Classes whose chroma occurs only in stripes are trained on stripes, regardless of their
+    direction. The result is empty if the goal contains no surfaces. It is also empty unless `white`, from
+    `white_channels`, equals the signals of white that are computed from the camera model.
     """
     if goal.surfaces is None or white is None or goal.white_signal is None or not np.array_equal(white, goal.white_signal):
         return {}
     plain = {chroma: each for chroma, each in enumerate(goal.surfaces.moments(rule, window)) if each is not None}
     levels = np.arange(rule.levels)
-    taught = {index: each for chroma, each in plain.items() for index in rule.join(levels, 0, chroma).tolist()}
     every = np.arange(rule.combinations)[:, None]  # pixels near uniform areas may have a direction
+    trained: dict[int, Array] = {}
+    for chroma, each in plain.items():
+        combinations = every if rule.chromas == 1 else 0
+        trained |= dict.fromkeys(np.ravel(rule.join(levels, 0, chroma, combination=combinations)).tolist(), each)
     for chroma, each in goal.surfaces.moments_of_stripes(rule, window).items():
-        taught |= dict.fromkeys(rule.join(levels, 0, chroma, combination=every).ravel().tolist(), each)
-    return taught
+        trained |= dict.fromkeys(np.ravel(rule.join(levels, 0, chroma, combination=every)).tolist(), each)
+    return trained
 
 
 def _near_white(rule: ClassRule, goal: Goal) -> Array:

@@ -33,7 +33,7 @@ CLASSES = """
 [classes]
 patch = 5
 levels = {levels}
-chromas = 6
+chromas = {chromas}
 contrasts = []
 [learning]
 patches = 1500
@@ -118,14 +118,23 @@ def test_a_chroma_of_few_surfaces_is_left_to_its_patches(fiveband: CameraModel) 
     assert few.moments(rule, neighbourhoods(fiveband.cfa, 5, 5).channel[0]) == [None]
 
 
-def learned(lights: list[str], weight: float, folder: Path, l3: L3, more: str = "", levels: int = 2) -> TransformTable:
-    """A small table of the five-band camera, of classes with `more` keys."""
+def learned(
+    lights: list[str],
+    weight: float,
+    folder: Path,
+    l3: L3,
+    more: str = "",
+    levels: int = 2,
+    chromas: int = 6,
+    camera: str = "fiveband",
+) -> TransformTable:
+    """A small table of a camera, of classes with `more` keys."""
     folder.mkdir(exist_ok=True)
     (folder / "scenes.toml").write_text(SCENES.format(lights=str(lights).replace("'", '"')))
-    (folder / "classes.toml").write_text(CLASSES.format(weight=weight, levels=levels) + more)
+    (folder / "classes.toml").write_text(CLASSES.format(weight=weight, levels=levels, chromas=chromas) + more)
     if not (folder / "scenes.h5").exists():
-        camera = CONFIGS / "cameras/fiveband.toml"
-        assert l3("simulate", folder / "scenes.toml", "--camera", camera, "-o", folder / "scenes.h5", "--quiet")[0] == 0
+        recipe = CONFIGS / f"cameras/{camera}.toml"
+        assert l3("simulate", folder / "scenes.toml", "--camera", recipe, "-o", folder / "scenes.h5", "--quiet")[0] == 0
     table = folder / f"table {weight}.h5"
     assert l3("train", folder / "scenes.h5", "--classes", folder / "classes.toml", "-o", table, "--quiet")[0] == 0
     return load(TransformTable, table)
@@ -194,6 +203,21 @@ def test_classes_of_a_direction_are_left_to_their_patches(tmp_path: Path, l3: L3
     np.testing.assert_array_equal(taught.weights[directed], without.weights[directed])
     for plain in (place.combination == 0, (place.combination > 0) & of_stripes):
         assert (taught.weights[plain] != without.weights[plain]).any()
+
+
+def test_classes_of_a_direction_are_taught_surfaces_where_there_are_no_chromas(tmp_path: Path, l3: L3) -> None:
+    """An edge then hides no chroma, and a patch keeps the colour of its middle towards its edges."""
+    camera = load_camera(CONFIGS / "cameras/rccb.toml")
+    surfaces, white = surfaces_of(camera, "D65")
+    assert surfaces is not None
+    errors = []
+    for weight in (0.0, 30.0):
+        first = learned(["D65"], weight, tmp_path, l3, DIRECTION, levels=4, chromas=1, camera="rccb").first
+        signals = surfaces.signals[:, neighbourhoods(camera.cfa, first.rule.patch, 3).channel[0]]
+        directed = first.weights[first.rule.join(2, 0, 0, combination=np.arange(1, first.rule.combinations))]
+        shown = lab(np.einsum("dot,st->dso", directed, signals), white)
+        errors.append(delta_e_2000(shown, np.broadcast_to(lab(surfaces.outputs, white), shown.shape)).mean(axis=1))
+    assert errors[1].max() < 0.92 * errors[0].min()
 
 
 def test_training_under_several_lights_is_left_to_its_patches(tmp_path: Path, l3: L3) -> None:
