@@ -6,10 +6,10 @@ Two scenes (data/polarisation/colour) are sampled without noise, and with noise 
 green channel is sampled by the array 90 45 / 135 0. All channels are simulated and sampled by the array `polarised_colour`.
 The rivals are bilinear interpolation, and the methods of docs/peers/polarisation_rivals.py: Newton's polynomials, residual
 interpolation (IGRI), and LMMSE, which is trained on the other scene with the same noise. In colour, the other rivals
-interpolate the twelve channels, and the best linear function from these channels to X, Y, Z, S1 and S2 is fitted to the
-other scene. LMMSE is trained on these outputs. Intensities of the green channel are clipped at full scale, as in the
-photographs, which are noisy themselves: I0 + I90 and I45 + I135 differ by 1.3 % RMS. With L3_TABLES, a folder with
-polarised0.h5, polarised1.h5 and polarised2.h5 (and polarised_colour0.h5 and so on), nothing is trained.
+interpolate the twelve channels, and the shares of red, green and blue in the luminance are fitted to the other scene.
+LMMSE is trained on X, Y, Z, S1 and S2. Intensities of the green channel are clipped at full scale, as in the photographs,
+which are noisy themselves: I0 + I90 and I45 + I135 differ by 1.3 % RMS. If L3_TABLES is a folder with polarised0.h5,
+polarised1.h5 and polarised2.h5 (and polarised_colour0.h5 and so on), nothing is trained.
 """
 
 import importlib
@@ -165,19 +165,29 @@ def test_photographs_in_colour(
         training = sampled(other, noise, np.random.default_rng(5), trained.cfa)
         codes = np.clip(np.rint(trained.black_level + raw * span), 0, 2**trained.bits - 1).astype(np.uint16)
         frame = RawFrame("frame", codes, trained.black_level, trained.white_level)
-        colours = np.linalg.lstsq(other.reshape(len(other), -1).T, ideal.reshape(len(ideal), -1).T)[0].T
+        parts = np.stack([as_outputs(each).ravel() for each in np.split(other, 3)], axis=1)
+        share = np.linalg.lstsq(parts, in_order(ideal).ravel())[0]  # of each colour in the luminance
         methods = {"bilinear": interpolate, "Newton": rivals.newton, "IGRI": rivals.igri}
         made = {
-            "l3": renderer.outputs(frame).astype(np.float64) * trained.output_unit,
-            **{name: np.tensordot(colours, method(raw, trained.cfa), 1) for name, method in methods.items()},
-            "LMMSE": rivals.lmmse(ideal, training, raw, trained.cfa),
+            "l3": in_order(renderer.outputs(frame).astype(np.float64) * trained.output_unit),
+            **{name: in_luminance(method(raw, trained.cfa), share) for name, method in methods.items()},
+            "LMMSE": in_order(rivals.lmmse(ideal, training, raw, trained.cfa)),
         }
         white = np.array([0.0, trained.output_unit / trained.white_signals.max(), 0.0])
-        for name, planes in made.items():
-            stokes, wanted = (stokes_of(each, COLOUR_STOKES)[[1, 0, 2]] for each in (planes, target))
-            quality, _ = judge_stokes(stokes, wanted, white, STOKES, BORDER)
+        for name, stokes in made.items():
+            quality, _ = judge_stokes(stokes, in_order(target), white, STOKES, BORDER)
             found.setdefault(name, []).append(quality)
     require_best(noise, found)
+
+
+def in_order(planes: Array) -> Array:
+    """Return S1, S0 and S2 of X, Y, Z, S1 and S2."""
+    return stokes_of(planes, COLOUR_STOKES)[[1, 0, 2]].astype(np.float64)
+
+
+def in_luminance(intensities: Array, share: Array) -> Array:
+    """Return S1, S0 and S2 of the luminance, from the intensities of red, green and blue behind the polarisers."""
+    return np.tensordot(share, np.stack([as_outputs(each) for each in np.split(intensities, 3)]), 1)
 
 
 def colour_scenes(folder: Path, work: Path) -> list[tuple[Array, Array]]:
