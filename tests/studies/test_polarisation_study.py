@@ -155,9 +155,8 @@ def test_photographs_in_colour(
 ) -> None:
     """The same for a colour camera, whose S1 and S2 are of the luminance."""
     noise, trained = colour_table
-    assert trained.white_signals is not None
     found = dict[str, list[StokesQuality]]()
-    scenes = colour_scenes(l3_data / "polarisation/colour", tmp_path)
+    scenes, white = colour_scenes(l3_data / "polarisation/colour", tmp_path)
     renderer, span = make_renderer("opencl", trained), trained.white_level - trained.black_level
     for number, (full, target) in enumerate(scenes):
         other, ideal = scenes[1 - number]
@@ -169,11 +168,10 @@ def test_photographs_in_colour(
         share = np.linalg.lstsq(parts, in_order(ideal).ravel())[0]  # of each colour in the luminance
         methods = {"bilinear": interpolate, "Newton": rivals.newton, "IGRI": rivals.igri}
         made = {
-            "l3": in_order(renderer.outputs(frame).astype(np.float64) * trained.output_unit),
-            **{name: in_luminance(method(raw, trained.cfa), share) for name, method in methods.items()},
+            "l3": in_order(renderer.outputs(frame).astype(np.float64)),
+            **{name: in_luminance(method(raw, trained.cfa).astype(np.float64), share) for name, method in methods.items()},
             "LMMSE": in_order(rivals.lmmse(ideal, training, raw, trained.cfa)),
         }
-        white = np.array([0.0, trained.output_unit / trained.white_signals.max(), 0.0])
         for name, stokes in made.items():
             quality, _ = judge_stokes(stokes, in_order(target), white, STOKES, BORDER)
             found.setdefault(name, []).append(quality)
@@ -190,8 +188,17 @@ def in_luminance(intensities: Array, share: Array) -> Array:
     return np.tensordot(share, np.stack([as_outputs(each) for each in np.split(intensities, 3)]), 1)
 
 
-def colour_scenes(folder: Path, work: Path) -> list[tuple[Array, Array]]:
-    """Return the signals (channel, row, col) of each scene, as fractions of full scale, and X, Y, Z, S1, S2 in cd s/m²."""
+def colour_scenes(folder: Path, work: Path) -> tuple[list[tuple[Array, Array]], Array]:
+    """Simulate the photographs in colour, without noise.
+
+    Returns
+    -------
+    scenes : list of (ndarray, ndarray)
+        For each scene, the signals (channel, row, col) as fractions of full scale, and X, Y, Z, S1 and S2. The unit of the
+        outputs is proportional to full scale, so the well of the camera does not matter.
+    white : ndarray, (3,)
+        S1, S0 and S2 of an unpolarised white.
+    """
     text = f'illuminants = ["D65"]\nexposure_share = [0.9]\n{SHARP}[target]\noutputs = "CIE 1931 + Stokes"\n'
     for number in (1, 2):
         text += f'[[scene]]\nsource = "polariser"\nfile = "{folder}"\npictures = "*_{number}.png"\n'
@@ -199,12 +206,14 @@ def colour_scenes(folder: Path, work: Path) -> list[tuple[Array, Array]]:
     path = work / "photographs.h5"
     assert run(["simulate", str(work / "scenes.toml"), "--camera", "polarised_colour", "-o", str(path), "--quiet"]) == 0
     with open_training_set(path) as reader:
-        full_scale = reader.head.camera.full_scale
-        return [
-            (np.minimum(each.electrons / full_scale, 1).astype(np.float64), (each.target * each.exposure).astype(np.float64))
-            for each in reader
-            if isinstance(each, TrainingFrame)
-        ]
+        camera, scenes, white = reader.head.camera, [], 1.0
+        for frame in reader:
+            assert isinstance(frame, TrainingFrame)
+            unit = frame.exposure / camera.output_unit
+            signals, target = np.minimum(frame.electrons / camera.full_scale, 1), frame.target * unit
+            scenes.append((signals.astype(np.float64), target.astype(np.float64)))
+            white = float(frame.white[1]) * unit
+    return scenes, np.array([0.0, white, 0.0])
 
 
 def require_best(noise: float, found: dict[str, list[StokesQuality]]) -> None:
