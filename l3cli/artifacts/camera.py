@@ -16,7 +16,7 @@ from l3cli.physics.mosaic import tiled
 from l3cli.system.limits import most_pixels
 
 # Types of defective pixels. "row" and "column" mean that a whole line is defective.
-DEFECTS = ("hot", "dead", "row", "column")
+DEFECTS = ("hot", "dead", "blinking", "row", "column")
 MAX_SHADING = 16.0  # largest gain of a flat field
 MAX_COLOUR_SHADING = 0.5  # largest relative difference between the gain of a channel and the mean gain of all channels
 MIN_EXPOSURE = 1e-4  # shortest exposure time of a channel, as a fraction of the longest exposure time
@@ -27,6 +27,9 @@ MAX_BITS = 16  # largest bit depth of raw values
 ROUNDING = 1e-6  # tolerance for rounding: a quantum efficiency may exceed 1 by this amount
 MAX_WAVELENGTHS = 10_000  # largest number of samples in a spectrum
 QUANTISATION = 1 / 12  # DN²; variance of the error from rounding to whole DN
+# DN²; mean variance of the error from rounding an offset up in some pixels of a line and down in the others
+DITHER = 1 / 6
+MAX_MASKED = 4096  # largest number of masked rows or columns on each side of the sensor
 
 
 def sensitivity_threshold(read_noise: Any, gain: Any) -> Any:
@@ -251,6 +254,48 @@ class Noise:
 
 
 @dataclass(frozen=True)
+class MaskedPixels:
+    """Rows and columns of optically black pixels around the light-sensitive pixels (docs/method.md#masked-pixels).
+
+    Frames of the camera contain these pixels in addition to the `rows` × `cols` light-sensitive pixels.
+    """
+
+    left: int = data("int64", unit="pixel", doc="masked columns to the left of the first light-sensitive column", default=0)
+    right: int = data("int64", unit="pixel", doc="masked columns to the right of the last light-sensitive column", default=0)
+    top: int = data("int64", unit="pixel", doc="masked rows above the first light-sensitive row", default=0)
+    bottom: int = data("int64", unit="pixel", doc="masked rows below the last light-sensitive row", default=0)
+
+    def __post_init__(self) -> None:
+        sides = dataclasses.astuple(self)
+        if not (min(sides) >= 0 and 0 < max(sides) <= MAX_MASKED):
+            raise ValueError(f"the camera has masked pixels on no side, or more than {MAX_MASKED} on one side")
+
+    def around(self, rows: int, cols: int) -> tuple[int, int]:
+        """Return the size of a frame with masked pixels, given the numbers of light-sensitive rows and columns."""
+        return rows + self.top + self.bottom, cols + self.left + self.right
+
+
+def variance_left(lines: float, pixel: float, masked: int) -> float:
+    """Return the variance of the offsets of rows or columns after the correction with masked pixels.
+
+    Parameters
+    ----------
+    lines : float
+        Variance of the offsets before the correction.
+    pixel : float
+        Noise variance of a masked pixel, without the offset.
+    masked : int
+        Number of masked pixels in each line.
+
+    Notes
+    -----
+    The mean of n masked pixels estimates the offset with the variance pixel / n. The correction subtracts this mean times
+    its reliability lines / (lines + pixel / n). The remaining variance is lines · (pixel / n) / (lines + pixel / n).
+    """
+    return lines * pixel / (lines * masked + pixel) if lines and masked else lines
+
+
+@dataclass(frozen=True)
 class NoiseScale:
     """Noise of a frame, relative to the calibrated camera.
 
@@ -412,6 +457,8 @@ class CameraModel(Artifact):
     polarisers : Polarisers or None
         Polarisers in front of the pixels. `responsivity` is then the responsivity to light that is polarised along the
         transmission axis. None if no channel has a polariser.
+    masked : MaskedPixels or None
+        Masked pixels in the frames of the camera. None if the frames contain none.
     noise_left : float
         Fraction of the temporal noise variance that remains after a temporal filter. The method `under` sets this
         attribute, which is not stored in files.
@@ -460,6 +507,7 @@ class CameraModel(Artifact):
     readout: Readout | None = group(default=None)
     gains: AnalogGains | None = group(default=None)
     polarisers: Polarisers | None = group(default=None)
+    masked: MaskedPixels | None = group(default=None)
     noise_left: float = 1.0
 
     def __post_init__(self) -> None:
@@ -476,6 +524,8 @@ class CameraModel(Artifact):
             raise ValueError(f"the peak quantum efficiency is {self.responsivity.max():.4g}, but cannot exceed 1")
         if self.defects and (self.defects.position >= (self.rows, self.cols)).any():
             raise ValueError(f"defects contains positions outside the {self.rows}×{self.cols} pixels of the sensor")
+        if self.masked and self.readout:
+            raise ValueError("masked pixels are not supported if the channels differ in exposure time, gain or read noise")
         if self.flat_field and not self.flat_field.covers(self.rows, self.cols):
             raise ValueError(f"the flat field does not cover the {self.rows}×{self.cols} pixels of the sensor")
 
@@ -680,7 +730,7 @@ class CameraModel(Artifact):
         ValueError
             If the dark current alone saturates a pixel.
         """
-        noise, left, span = self.noise, self.noise_left, self.white_level - self.black_level
+        noise, left, span = self.corrected_noise(dark), self.noise_left, self.white_level - self.black_level
         if not dark < span:
             raise ValueError(
                 f"the dark current alone saturates the pixels of camera {self.name}, because the dark signal is {dark:.4g} "
@@ -698,6 +748,44 @@ class CameraModel(Artifact):
         constant += (left * gain + prnu * channel_dark) * channel_dark
         return stretch**2 * constant, stretch * (left * gain + 2 * prnu * channel_dark), prnu
 
+    def pixel_variance(self, dark: float = 0.0) -> float:
+        """Return the noise variance of a masked pixel in (e-)², without the offsets of its row and its column.
+
+        The variance includes the quantisation noise. `dark` is the dark signal in DN, as in `noise_terms`.
+        """
+        return self.noise.read_noise**2 + self.noise.dsnu**2 + QUANTISATION / self.gain**2 + dark / self.gain
+
+    def corrected_noise(self, dark: float = 0.0) -> Noise:
+        """Return the noise of frames after the correction of rows and columns with masked pixels.
+
+        Without masked pixels, this is `noise`. Otherwise, the noise of rows and columns is lower (see `variance_left`), and
+        the read noise is higher, because corrected offsets are rounded to whole DN. `dark` is the dark signal in DN, as in
+        `noise_terms`.
+        """
+        noise, masked = self.noise, self.masked
+        if masked is None:
+            return noise
+        pixel = self.pixel_variance(dark)
+        by_row = noise.row_temporal_noise**2 + noise.row_noise**2
+        by_column = noise.column_temporal_noise**2 + noise.column_noise**2
+        rows = variance_left(by_row, pixel, masked.left + masked.right)
+        columns = variance_left(by_column, pixel, masked.top + masked.bottom)
+        down = float(np.sqrt(rows / by_row)) if by_row else 1.0
+        across = float(np.sqrt(columns / by_column)) if by_column else 1.0
+        rounded = (rows, columns) != (by_row, by_column)
+        return replace(
+            noise,
+            read_noise=float(np.sqrt(noise.read_noise**2 + rounded * DITHER / self.gain**2)),
+            row_temporal_noise=noise.row_temporal_noise * down,
+            row_noise=noise.row_noise * down,
+            column_temporal_noise=noise.column_temporal_noise * across,
+            column_noise=noise.column_noise * across,
+        )
+
+    def as_corrected(self) -> "CameraModel":
+        """Return a camera without masked pixels, whose frames have the noise of corrected frames of this camera."""
+        return self if self.masked is None else replace(self, noise=self.corrected_noise(), masked=None)
+
     @property
     def has_line_noise(self) -> bool:
         """Whether the camera has row noise or column noise (see `line_variances`)."""
@@ -707,9 +795,10 @@ class CameraModel(Artifact):
         """Return the variance of row noise and the variance of column noise.
 
         Row noise is an offset that is the same for all pixels of a row, and column noise is an offset that is the same for
-        all pixels of a column. Both include the fixed offsets. Both variances are contained in the constant term of
-        `noise_terms`. The variances apply to a channel with a relative gain of 1. In the other channels, the offsets are
-        multiplied by the relative gain.
+        all pixels of a column. Both include the fixed offsets. If the camera has masked pixels, the variances are the
+        variances after the correction with these pixels. Both variances are contained in the constant term of `noise_terms`.
+        The variances apply to a channel with a relative gain of 1. In the other channels, the offsets are multiplied by the
+        relative gain.
 
         Parameters
         ----------
@@ -721,7 +810,7 @@ class CameraModel(Artifact):
         rows, columns : float
             Variances in DN².
         """
-        noise, span = self.noise, self.white_level - self.black_level
+        noise, span = self.corrected_noise(dark), self.white_level - self.black_level
         unit = (self.gain * span / (span - dark)) ** 2
         rows = self.noise_left * noise.row_temporal_noise**2 + noise.row_noise**2
         return unit * rows, unit * (self.noise_left * noise.column_temporal_noise**2 + noise.column_noise**2)

@@ -1,5 +1,6 @@
 """Camera recipes: TOML files that describe a camera, for example with the values of a data sheet (configs/cameras)."""
 
+import dataclasses
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -14,9 +15,11 @@ from l3cli.artifacts.camera import (
     MAX_CFA,
     MAX_CHANNELS,
     MAX_GAIN,
+    MAX_MASKED,
     MIN_EXPOSURE,
     AnalogGains,
     CameraModel,
+    MaskedPixels,
     Noise,
     Optics,
     Polarisers,
@@ -42,6 +45,7 @@ PITCHES_UM, MIN_F_NUMBER, MIN_FOCAL_MM = (0.1, 1000.0), 0.5, 0.05  # values outs
 PITCH_UM, FOCAL_MM, F_NUMBER = 5.0, 50.0, 4.0  # assumed values if l3 has only a raw file of the camera
 MAX_PRNU = 0.2  # a larger PRNU cannot be corrected
 Bits = Annotated[int, msgspec.Meta(ge=1, le=MAX_BITS)]
+Masked = Annotated[int, msgspec.Meta(ge=0, le=MAX_MASKED)]
 ReadNoise = Annotated[float, msgspec.Meta(ge=0, le=MAX_READ_NOISE_E)]
 
 
@@ -146,8 +150,7 @@ def readout_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], re
     Channels without the key `read_noise_e` have the read noise `read_noise`, in e-. The result is None if the recipe has no
     section [channel.NAME], or if these sections describe polarisers but no differences in readout.
     """
-    polarised = any(one.polariser_deg is not None for one in channel.values())
-    if not channel or (polarised and not any(one.read_out_differently for one in channel.values())):
+    if not _read_out_differently(channel):
         return None
     each = [channel.get(name, ChannelRecipe()) for name in channels]
     return Readout(
@@ -156,6 +159,12 @@ def readout_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], re
         channel_read_noise=np.array([read_noise if one.read_noise_e is None else one.read_noise_e for one in each]),
         same_filter=np.array([channels.index(name) for name in filters_of(channel, channels)]),
     )
+
+
+def _read_out_differently(channel: Mapping[str, ChannelRecipe]) -> bool:
+    """Return whether sections [channel.NAME] describe differences between channels, apart from polarisers."""
+    polarised = any(one.polariser_deg is not None for one in channel.values())
+    return bool(channel) and (not polarised or any(one.read_out_differently for one in channel.values()))
 
 
 def polarisers_of(
@@ -313,6 +322,36 @@ def gain_faults(recipe: GainRecipe, read_noise: float) -> Iterator[Fault]:
         yield fault(message, "gain.read_noise_before_e")
 
 
+class MaskedRecipe(Recipe):
+    """Section [masked]: optically black rows and columns that frames contain in addition to sensor.rows and sensor.cols."""
+
+    left: Masked = 0  # columns to the left of the light-sensitive pixels
+    right: Masked = 0
+    top: Masked = 0  # rows above the light-sensitive pixels
+    bottom: Masked = 0
+
+
+def masked_recipe(masked: MaskedPixels | None) -> MaskedRecipe | None:
+    """Return the section [masked] that declares these masked pixels. It is the inverse of `masked_of`."""
+    return None if masked is None else MaskedRecipe(*dataclasses.astuple(masked))
+
+
+def masked_of(recipe: MaskedRecipe | None) -> MaskedPixels | None:
+    """Return the masked pixels that the section [masked] declares, or None without this section."""
+    return None if recipe is None else MaskedPixels(**msgspec.structs.asdict(recipe))
+
+
+def masked_faults(recipe: MaskedRecipe | None, channels: Mapping[str, ChannelRecipe]) -> Iterator[Fault]:
+    """Yield the faults of the section [masked]. `channels` contains the sections [channel.NAME]."""
+    if recipe is None:
+        return
+    if not any(msgspec.structs.astuple(recipe)):
+        yield fault("[masked] declares no masked pixels; write their number on at least one side", "masked")
+    if _read_out_differently(channels):
+        message = "[masked] cannot be combined with channels that differ in exposure, gain or read noise; remove [masked]"
+        yield fault(message, "masked")
+
+
 class OpticsRecipe(Recipe):
     focal_length_mm: Positive
     f_number: Positive
@@ -350,6 +389,7 @@ class CameraRecipe(Recipe):
     optics: OpticsRecipe
     channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # channels that differ in more than the filter
     gain: GainRecipe | None = None  # other analog gains of the whole sensor
+    masked: MaskedRecipe | None = None  # optically black pixels around the light-sensitive pixels
 
 
 class PhaseRecipe(Recipe):
@@ -486,6 +526,7 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
             readout=readout_of(recipe.channel, recipe.cfa.channels, noise.read_noise_e),
             gains=gains_of(recipe.gain, noise.read_noise_e),
             polarisers=polarisers_of(recipe.channel, recipe.cfa.channels, wavelength, path.parent),
+            masked=masked_of(recipe.masked),
         )
 
 
@@ -499,6 +540,7 @@ def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:
     yield from share_faults(noise.prnu, "noise.prnu", MAX_PRNU)
     yield from length_faults(sensor.pixel_pitch_um, optics)
     yield from cfa_faults(recipe.cfa)
+    yield from masked_faults(recipe.masked, recipe.channel)
     yield from channel_faults(recipe.channel, recipe.cfa.channels)
     yield from curve_faults(recipe.responsivity, _filters(recipe))
     yield from _model_faults(recipe)

@@ -109,6 +109,20 @@ class NoiseFit:
         optional=0.0,
     )
     column_prnu_error: float = data("float64", doc="standard error of column_prnu", optional=0.0)
+    blinking_frames: int = data(
+        "int64", doc="number of dark frames in which blinking pixels were searched; 0: too few dark frames", optional=0
+    )
+    blinking: NDArray[np.int64] | None = data(
+        "int64",
+        "blinking_pixel",
+        "coordinate",
+        unit="pixel",
+        doc="row and column of pixels that blink in dark frames; None: none were found",
+        optional=None,
+    )
+    blinking_step: NDArray[np.float64] | None = data(
+        "float64", "blinking_pixel", unit="e-", doc="difference between the two levels of each blinking pixel", optional=None
+    )
 
 
 @dataclass(frozen=True)

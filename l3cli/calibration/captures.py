@@ -8,7 +8,7 @@ narrow-band filters (docs/method.md#sweeps-and-band-series), and frames behind a
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel, FlatField, Noise
 from l3cli.artifacts.fit import Fit, PolariserFit, SeriesFit
 from l3cli.calibration import agreement, noise, polarisers, responsivity, statistics
+from l3cli.calibration.blinking import BlinkingPixels, find_blinking
 from l3cli.calibration.responsivity import COVERAGE, Curves, light_centre
 from l3cli.errors import InputFileError, raised_as
 from l3cli.frames.measurement import (
@@ -52,6 +53,9 @@ class Sensor:
     response: noise.ResponseNoise
     exposure: Array  # (capture,): exposure times of the white captures in s
     defects: statistics.Defects
+    blinking: BlinkingPixels | None = None  # None if there are too few dark frames to find blinking pixels
+    # blinking pixels that are part of `defects`
+    blinking_defects: statistics.Defects = field(default_factory=statistics.no_defects)
 
     @property
     def saturation(self) -> float:
@@ -96,7 +100,10 @@ def measure_sensor(measurements: Measurements, each: statistics.Each = map) -> S
     transfer = noise.photon_transfer(levels, body, dark)
     response = noise.response_noise(whites, levels, transfer.used, body, dark, each)
     exposure = np.array([level.exposure for level in levels])
-    return Sensor(dark, transfer, response, exposure, statistics.joined_defects(dark.hot, response.dead))
+    blinking = find_blinking(measurements.darks, dark.trials, body)
+    listed = statistics.no_defects() if blinking is None or not measurements.blinking_defects else blinking.position
+    defects = statistics.joined_defects(dark.hot, response.dead, listed)
+    return Sensor(dark, transfer, response, exposure, defects, blinking, listed)
 
 
 def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Body) -> Array:
@@ -284,7 +291,7 @@ def with_corrections(camera: CameraModel, sensor: Sensor, body: Body) -> CameraM
     measure noise.
     """
     shape = (body.rows, body.cols)
-    defects = statistics.defect_map(sensor.defects, sensor.dark.hot, shape)
+    defects = statistics.defect_map(sensor.defects, sensor.dark.hot, shape, sensor.blinking_defects)
     try:
         return replace(camera, defects=defects, flat_field=flat_field(sensor.response.slopes, body))
     except InputFileError:
@@ -320,14 +327,18 @@ def correct_by_frames(camera: CameraModel, measurements: Measurements) -> Camera
         _check_level(mean, camera, capture.name)
         response += mean - dark
     dead, response = noise.dead_pixels(response, body.cfa)
-    every = statistics.joined_defects(hot, dead)
+    every, blinking = statistics.joined_defects(hot, dead), statistics.no_defects()
+    if measurements.blinking_defects:
+        found = find_blinking(darks, [sum(1 for _ in capture.frames) for capture in darks], body)
+        blinking = blinking if found is None else found.position
+        every = statistics.joined_defects(every, blinking)
     if len(every) > MOST_DEFECTIVE * response.size:
         raise InputFileError(
             f"{len(every) / response.size:.0%} of the pixels seem to be defective; check that no light reached the sensor "
             "in the dark frames and that the white frames are evenly lit"
         )
-    found = statistics.defect_map(every, hot, (body.rows, body.cols))
-    return replace(camera, defects=found, flat_field=flat_field(response, body), fit=camera.fit or Fit())
+    defects = statistics.defect_map(every, hot, (body.rows, body.cols), blinking)
+    return replace(camera, defects=defects, flat_field=flat_field(response, body), fit=camera.fit or Fit())
 
 
 def _nearest(darks: Sequence[Capture], exposure: float) -> int:

@@ -88,6 +88,24 @@ def _error_of_mean(camera: CameraModel, mean: float, deviations: Any, errors: An
     return float(np.sqrt(np.sum((pixels * deviations * errors) ** 2)) / mean)
 
 
+def blinking_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
+    """Return the number of blinking pixels per million, the number of dark frames, and the median difference of the levels.
+
+    The result is empty if there were too few dark frames. Without blinking pixels, the difference is left out.
+    """
+    fit = camera.fit.noise if camera.fit else None
+    if fit is None or not fit.blinking_frames:
+        return {}
+    count = 0 if fit.blinking is None else len(fit.blinking)
+    found = {
+        "blinking pixels": (1e6 * count / (camera.rows * camera.cols), "per million"),
+        "dark frames for blinking pixels": (float(fit.blinking_frames), "frames"),
+    }
+    if fit.blinking_step is not None:
+        found["step of blinking pixels"] = (float(np.median(fit.blinking_step)), "e-")
+    return found
+
+
 def figures(camera: CameraModel) -> dict[str, Any]:
     """Return all results of a calibration, ready for JSON.
 
@@ -116,7 +134,7 @@ def figures(camera: CameraModel) -> dict[str, Any]:
     return {
         "camera": {
             name: {"value": value, "unit": unit}
-            for name, (value, unit) in (camera_figures(camera) | noise_errors(camera)).items()
+            for name, (value, unit) in (camera_figures(camera) | noise_errors(camera) | blinking_figures(camera)).items()
         },
         "channels": _by_channel(camera, columns) if columns else {},
         "lights": _lights(camera, fit.chart) if fit.chart else {},

@@ -1,6 +1,7 @@
 """Builds a camera model from measurements (docs/method.md#calibration)."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -326,7 +327,20 @@ def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
         row_prnu_error=sensor.response.rows.error,
         column_prnu=sensor.response.columns.deviation,
         column_prnu_error=sensor.response.columns.error,
+        **_blinking(sensor, body),
     )
+
+
+def _blinking(sensor: Sensor, body: Body) -> dict[str, Any]:
+    """Return the fields of NoiseFit that describe blinking pixels."""
+    found = sensor.blinking
+    if found is None:
+        return {}
+    if not len(found.position):
+        return {"blinking_frames": found.frames}
+    (down, across), (row, col) = body.cfa.shape, found.position.T
+    gains = conversion_gain(sensor, body) * body.channel_gains[body.cfa[row % down, col % across]]
+    return {"blinking_frames": found.frames, "blinking": found.position, "blinking_step": found.step / gains}
 
 
 def conversion_gain(sensor: Sensor, body: Body) -> float:
@@ -439,6 +453,7 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
             declared=_declared(fit),
             fit=fit,
             readout=measured_readout(body, fit.noise, sensor.noise),
+            masked=body.masked,
         )
         return with_polarisers(camera, fit.polarisers, body)
 

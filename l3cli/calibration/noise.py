@@ -70,6 +70,7 @@ class DarkNoise:
     # fixed offsets of rows and of columns in the channels with the lowest gain; `dsnu` does not include them
     fixed_rows: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
     fixed_columns: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
+    trials: tuple[int, ...] = ()  # number of frames of each capture
 
 
 @dataclass(frozen=True)
@@ -182,6 +183,7 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
         columns=line_noise(column_squares, body.rows),
         fixed_rows=fixed_line_noise((fixed.rows, fixed.pixels, fixed.row_freedom), row_squares, kept, body.cols),
         fixed_columns=fixed_line_noise((fixed.columns, fixed.pixels, fixed.column_freedom), column_squares, kept, body.rows),
+        trials=tuple(level.trials for level in levels),
     )
 
 

@@ -74,7 +74,7 @@ def patched(picture: Array, cfa: NDArray[np.uint8], defects: Defects) -> Array:
     return result
 
 
-def defect_map(defects: Defects, hot: Defects, shape: tuple[int, int]) -> DefectMap:
+def defect_map(defects: Defects, hot: Defects, shape: tuple[int, int], blinking: Defects | None = None) -> DefectMap:
     """Build the defect map of a sensor.
 
     If nearly all pixels of a row or column are defective, the whole row or column is marked as defective.
@@ -87,15 +87,20 @@ def defect_map(defects: Defects, hot: Defects, shape: tuple[int, int]) -> Defect
         Row and column of the defective pixels that were found in dark frames.
     shape : tuple of int
         Rows and columns of the sensor.
+    blinking : ndarray, (defect, 2), optional
+        Row and column of the defective pixels that blink. They have the type "blinking" even if they are also hot.
+        [default: none]
     """
-    bad, warm = np.zeros(shape, bool), np.zeros(shape, bool)
+    bad, named = np.zeros(shape, bool), np.full(shape, "dead", dtype="<U8")
     bad[tuple(defects.T)] = True
-    warm[tuple(hot.T)] = True
+    named[tuple(hot.T)] = "hot"
+    if blinking is not None:
+        named[tuple(blinking.T)] = "blinking"
     whole_cols, whole_rows = bad.mean(axis=0) >= WHOLE_LINE, bad.mean(axis=1) >= WHOLE_LINE
     lined = whole_cols | whole_rows[:, None]
     position = np.argwhere(bad | lined)
     row, col = position.T
-    kinds = np.where(whole_cols[col], "column", np.where(whole_rows[row], "row", np.where(warm[row, col], "hot", "dead")))
+    kinds = np.where(whole_cols[col], "column", np.where(whole_rows[row], "row", named[row, col]))
     return DefectMap(position.astype(np.int64), tuple(map(str, kinds)))
 
 
@@ -104,7 +109,7 @@ def defect_counts(defects: DefectMap, shape: tuple[int, int]) -> dict[str, int]:
     from scipy.ndimage import label
 
     kind, (row, col) = np.array(defects.pixel_kind, dtype=str), defects.position.T
-    single = np.isin(kind, ("hot", "dead"))
+    single = np.isin(kind, ("hot", "dead", "blinking"))
     alone = np.zeros(shape, bool)
     alone[row[single], col[single]] = True
     groups, _ = label(alone, np.ones((3, 3)))
@@ -112,6 +117,7 @@ def defect_counts(defects: DefectMap, shape: tuple[int, int]) -> dict[str, int]:
     return {
         "hot": int((kind == "hot").sum()),
         "dead": int((kind == "dead").sum()),
+        **({"blinking": int((kind == "blinking").sum())} if "blinking" in kind else {}),
         "rows": len(np.unique(row[kind == "row"])),
         "columns": len(np.unique(col[kind == "column"])),
         "clusters": int((sizes > 1).sum()),

@@ -181,7 +181,7 @@ def noise_of(camera: CameraModel) -> Noise:
 
     Differences in exposure or gain between channels are ignored.
     """
-    noise = camera.noise
+    noise = camera.corrected_noise()
     floor = noise.temporal + noise.fixed + QUANTISATION / camera.gain**2
     rows, columns = (each / camera.gain**2 for each in camera.line_variances())
     return Noise(floor, noise.dark_current, camera.full_scale, noise.prnu, rows, columns)

@@ -16,6 +16,7 @@ from l3cli.artifacts.camera_recipe import (
     SensorRecipe,
     camera_files,
     load_camera,
+    masked_recipe,
     noise_entries,
     optics_recipe,
 )
@@ -416,6 +417,8 @@ def camera_texts(camera: CameraModel, origin: str) -> dict[str, str]:
     }
     if (gains := camera.gains) is not None:
         tables["gain"] = GainRecipe(gains.iso, tuple(gains.analog_gain.tolist()), tuple(gains.gain_read_noise.tolist()))
+    if (masked := masked_recipe(camera.masked)) is not None:
+        tables["masked"] = masked
     recipe = [f"# {printable(origin)}", f"name = {toml_value(camera.name)}", f'responsivity = {{ file = "{CURVES}" }}']
     for name, table in tables.items():
         entries = table if isinstance(table, dict) else msgspec.structs.asdict(table)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CameraModel, Noise, Optics, Polarisers, Readout
+from l3cli.artifacts.camera import CameraModel, MaskedPixels, Noise, Optics, Polarisers, Readout
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.lens import relative_illumination
 
@@ -45,6 +45,7 @@ class Body:
     readout: Readout | None = None  # exposure and gain of each channel, without read noise; None if all channels are equal
     # polarisers in the measurement file, with leakages at LEAKAGE_NM; None if the file states none
     polarisers: Polarisers | None = None
+    masked: MaskedPixels | None = None  # masked pixels in the files, which are cut off before frames are used; or None
 
     @property
     def channel_gains(self) -> NDArray[np.float64]:
@@ -258,6 +259,7 @@ class Measurements:
     base: CameraModel | None = None  # existing camera model to which the new measurements are added
     lamp_drift: float = 0.0  # relative standard deviation of the lamps' intensity since their spectra were measured
     wavelength_uncertainty: float = 0.0  # nm; standard deviation of the error in the spectrometer's wavelength scale
+    blinking_defects: bool = False  # whether blinking pixels are added to the defects
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera import CameraModel, MaskedPixels
 from l3cli.errors import InputFileError, L3Error
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.measurement import CaptureFolder, RawFile
@@ -83,15 +83,16 @@ class FrameFiles:
     shape: tuple[int, int]  # required rows and columns of each frame
     bits: int  # bit depth of the sensor
     array: FilterArray | None = None  # CFA that the raw files must have; None to permit any CFA
+    masked: MaskedPixels | None = None  # masked pixels that are cut off; None if the files contain none
 
     def __iter__(self) -> Iterator[NDArray[np.uint16]]:
         for path in self.paths:
             pages = pages_of(path)
             if pages is None:
-                yield read_frame(path, self.shape, self.bits, self.array)
+                yield read_frame(path, self.shape, self.bits, self.array, self.masked)
                 continue
             for name, content in pages:
-                yield _whole_frame(Path(name), content, self.shape, self.bits, self.array)
+                yield _whole_frame(Path(name), content, self.shape, self.bits, self.array, self.masked)
 
 
 @dataclass(frozen=True)
@@ -168,7 +169,9 @@ def _counted(pages: MultiFrameFile, number: int) -> RawContent:
     return content
 
 
-def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray | None = None) -> NDArray[np.uint16]:
+def read_frame(
+    path: Path, shape: tuple[int, int], bits: int, array: FilterArray | None = None, masked: MaskedPixels | None = None
+) -> NDArray[np.uint16]:
     """Read a frame from a raw file or from a single-channel 16-bit picture.
 
     Parameters
@@ -181,6 +184,9 @@ def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray
         Bit depth of the sensor.
     array : FilterArray, optional
         CFA of the sensor. If a raw file states a CFA, the stated CFA must be equal to `array` and have the same phase.
+    masked : MaskedPixels, optional
+        Masked pixels that the file contains in addition to the pixels in `shape`. They are cut off. DNG files may also
+        contain them outside their crop.
 
     Returns
     -------
@@ -198,15 +204,19 @@ def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray
     elif bits > 8 and path.suffix.lower() in TIFF and (plain := read_plain(path, (16,))) is not None:
         content = plain
     else:
-        content = RawContent(values=_read_picture(path, *shape, bits))
-    return _whole_frame(path, content, shape, bits, array)
+        content = RawContent(values=_read_picture(path, *(masked.around(*shape) if masked else shape), bits))
+    return _whole_frame(path, content, shape, bits, array, masked)
 
 
 def _whole_frame(
-    path: Path, content: RawContent, shape: tuple[int, int], bits: int, array: FilterArray | None
-) -> NDArray[np.uint16]:
+    path: Path, content: RawContent, shape: tuple[int, int], bits: int, array: FilterArray | None,
+    masked: MaskedPixels | None = None,
+) -> NDArray[np.uint16]:  # fmt: skip
     """Check the content of a file and return its values as uint16. For arguments and errors, see `read_frame`."""
     values, pattern = content["values"], content.get("pattern")
+    if masked is not None and values.shape == masked.around(*shape):
+        values = values[masked.top : masked.top + shape[0], masked.left : masked.left + shape[1]]
+        pattern = None if pattern is None else np.roll(pattern, (-masked.top, -masked.left), axis=(0, 1))
     if array is not None and pattern is not None:
         phase = phase_of(path, pattern, array)
         if not np.array_equal(shifted_cfa(array.cfa, phase), array.cfa):

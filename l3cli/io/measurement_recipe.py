@@ -20,11 +20,14 @@ from l3cli.artifacts.camera_recipe import (
     Bits,
     CfaRecipe,
     ChannelRecipe,
+    MaskedRecipe,
     NoiseRecipe,
     OpticsRecipe,
     cfa_faults,
     channel_faults,
     length_faults,
+    masked_faults,
+    masked_recipe,
     optics_recipe,
     settings_of,
     share_faults,
@@ -216,6 +219,9 @@ class MeasurementRecipe(Recipe):
     # exposures or gains that differ between channels, and the polariser angles of the channels
     channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)
     uncertainty: UncertaintyRecipe = msgspec.field(default_factory=UncertaintyRecipe)
+    masked: MaskedRecipe | None = None  # optically black pixels around the light-sensitive pixels, as in a camera recipe
+    # whether blinking pixels, which are found in 32 or more dark frames with the same exposure, are added to the defects
+    blinking_defects: bool = False
 
     def __post_init__(self) -> None:
         common, captures = self.common or CommonRecipe(), list[MonoRecipe | ChartRecipe]([*self.mono, *self.band])
@@ -250,6 +256,7 @@ class CorrectionRecipe(Recipe):
     # captures behind a rotating polariser, which determine the polarisers of the channels
     polariser: list[PolariserRecipe] = msgspec.field(default_factory=list)
     rotator: RotatorRecipe | None = None
+    blinking_defects: bool = False  # as in a measurement file without `base`
 
 
 def captures_of(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[tuple[str, int, CaptureRecipe]]:
@@ -365,6 +372,7 @@ def _sensor_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
                 *size,
             )
     yield from channel_faults(recipe.channel, recipe.cfa.channels)
+    yield from masked_faults(recipe.masked, recipe.channel)
     if recipe.datasheet is not None:
         yield from _datasheet_faults(recipe.datasheet, 2**sensor.bits - 1)
 
@@ -447,6 +455,7 @@ def describe(camera: CameraModel, uncertainty: UncertaintyRecipe, **captures: An
         optics=optics_recipe(camera.optics),
         uncertainty=uncertainty,
         channel=_channels(camera),
+        masked=masked_recipe(camera.masked),
         **captures,
     )
 

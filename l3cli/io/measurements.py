@@ -22,6 +22,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import (
     camera_files,
     load_camera,
+    masked_of,
     noise_of,
     optics_of,
     parse_cfa,
@@ -509,6 +510,7 @@ def _assembled(
         datasheet=None if recipe.datasheet is None else _figures(recipe.datasheet),
         lamp_drift=math.hypot(uncertainty.lamp_drift, uncertainty.photodiode),
         wavelength_uncertainty=uncertainty.wavelength_nm,
+        blinking_defects=recipe.blinking_defects,
     )
 
 
@@ -528,6 +530,7 @@ def _corrections(recipe: CorrectionRecipe, camera: CameraModel, folder: Path) ->
         darks=tuple(Capture(**frames(each)) for each in recipe.dark),
         whites=tuple(Capture(**frames(each)) for each in recipe.white),
         base=camera,
+        blinking_defects=recipe.blinking_defects,
         **_polarisers(recipe, frames),
     )
 
@@ -563,6 +566,7 @@ def _body(recipe: MeasurementRecipe, path: Path) -> Body:
         optics=optics_of(recipe.optics),
         readout=settings_from(recipe.channel, recipe.cfa.channels, path),
         polarisers=polarisers_of(recipe.channel, recipe.cfa.channels, LEAKAGE_NM, path.parent),
+        masked=masked_of(recipe.masked),
     )
 
 
@@ -588,7 +592,8 @@ def _by_speed(recipes: Sequence[SensorCaptureRecipe], body: Body, folder: Path) 
 
 def _frames(capture: CaptureRecipe, body: Body, folder: Path) -> dict[str, Any]:
     """Return the arguments of Capture for an entry in the measurement file. The frames are read later."""
-    files = FrameFiles(tuple(folder / name for name in capture.frames), (body.rows, body.cols), body.bits, body)
+    paths = tuple(folder / name for name in capture.frames)
+    files = FrameFiles(paths, (body.rows, body.cols), body.bits, body, body.masked)
     return {"name": capture.frames[0], "exposure": capture.seconds, "frames": files, "monitor": capture.monitor}
 
 

@@ -334,8 +334,20 @@ def operation_point(camera: CameraModel, noise: NoiseFit) -> Table:
             "reached" if noise.white_level_reached else "not reached; the largest possible raw value is assumed",
         ),
         ("Lens", f"{tidy(1e3 * camera.optics.focal_length)} mm, f/{camera.optics.f_number:g}"),
+        *_blinking_rows(camera, noise),
     )
     return Table("Operation point", ("quantity", "value"), rows)
+
+
+def _blinking_rows(camera: CameraModel, noise: NoiseFit) -> list[tuple[str, str]]:
+    """Return a row with the number of blinking pixels, if it was measured."""
+    if not noise.blinking_frames:
+        return []
+    count = 0 if noise.blinking is None else len(noise.blinking)
+    text = f"{count} ({tidy(1e6 * count / (camera.rows * camera.cols))} per million) in {noise.blinking_frames} dark frames"
+    if noise.blinking_step is not None:
+        text += f", median step {tidy(float(np.median(noise.blinking_step)))} e⁻"
+    return [("Blinking pixels", text)]
 
 
 def figures_table(camera: CameraModel, noise: NoiseFit) -> Table:

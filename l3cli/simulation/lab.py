@@ -19,7 +19,7 @@ from l3cli.physics import spectra
 from l3cli.physics.lens import relative_illumination
 from l3cli.recipes.faults import Fault, fault, refuse_first
 from l3cli.recipes.toml import MAX_COUNT, Count, CountOrNone, NotNegative, Positive, Recipe
-from l3cli.simulation.sensor import DefectRecipe, defects_of, fixed_pattern, read_out
+from l3cli.simulation.sensor import DefectRecipe, FixedPattern, defects_of, fixed_pattern, read_out, with_masked
 
 # Margin in nm by which the spectrometer extends beyond the wavelengths of the camera and the monochromator at each end.
 SPECTROMETER_MARGIN = 5.0
@@ -404,7 +404,7 @@ def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe
     Returns
     -------
     ndarray of uint16, (row, col)
-        Raw values in DN.
+        Raw values in DN, with the masked pixels of the camera.
     """
     rng = np.random.default_rng([seed, 1 + capture.first + trial])
     defects = defects_of(camera, recipe)
@@ -416,7 +416,14 @@ def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe
     light[defects.dead[:, 0], defects.dead[:, 1]] = 0.0
     electrons = capture.electrons[region, camera.channel_map(shape)] * light
     electrons[defects.hot[:, 0], defects.hot[:, 1]] += recipe.hot_current_e_per_s * capture.exposure
-    return read_out(camera, fixed_pattern(camera), electrons, capture.exposure, rng)
+    pattern = fixed_pattern(camera)
+    if defects.steps.size:
+        offsets = pattern.dsnu.copy()
+        blinks = defects.blinks(np.random.default_rng([seed, 1 + capture.first + trial, 1]))
+        np.add.at(offsets, tuple(defects.blinking.T), blinks)
+        pattern = FixedPattern(pattern.prnu, offsets)
+    pattern, electrons = with_masked(camera, pattern, electrons)
+    return read_out(camera, pattern, electrons, capture.exposure, rng)
 
 
 def falloff(y: Array, x: Array, missing: float) -> Array:

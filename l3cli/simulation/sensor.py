@@ -124,6 +124,8 @@ def expose(
 ) -> NDArray[np.uint16]:
     """Simulate one raw frame (docs/method.md#sensor).
 
+    If the camera has masked pixels, the frame is a frame after the correction with these pixels.
+
     Parameters
     ----------
     camera : CameraModel
@@ -152,6 +154,7 @@ def expose(
         raise ValueError(
             f"a frame of {rows}×{cols} pixels is larger than the sensor of {camera.rows}×{camera.cols}; use a smaller frame"
         )
+    camera = camera.as_corrected()
     whole = fixed_pattern(camera)
     pattern = FixedPattern(whole.prnu[:rows, :cols], whole.dsnu[:rows, :cols])
     return read_out(camera, pattern, electrons, exposure, rng, noises)
@@ -212,6 +215,31 @@ def _collected(
     return signal
 
 
+def with_masked(
+    camera: CameraModel, pattern: FixedPattern, electrons: NDArray[np.floating]
+) -> tuple[FixedPattern, NDArray[np.floating]]:
+    """Surround the pixels of the sensor with its masked pixels, which collect no light, for `read_out`.
+
+    Masked pixels above and below a column have the fixed offset of the column, which is estimated by the mean of `pattern`
+    over the column. The same applies to masked pixels beside a row. Masked columns have fixed offsets of their own. If the camera has no masked pixels, the arguments are
+    returned.
+    """
+    masked, noise = camera.masked, camera.noise
+    if masked is None:
+        return pattern, electrons
+    rng, shape = np.random.default_rng([camera.fixed_pattern_seed, 2]), masked.around(*electrons.shape)
+    offsets = rng.standard_normal(shape, dtype=np.float32) * np.float32(noise.dsnu)
+    columns = rng.standard_normal(shape[1], dtype=np.float32) * np.float32(noise.column_noise)
+    inner = np.s_[masked.top : masked.top + electrons.shape[0], masked.left : masked.left + electrons.shape[1]]
+    columns[inner[1]] = pattern.dsnu.mean(axis=0)
+    offsets += columns
+    if noise.row_noise:
+        offsets[inner[0]] += pattern.dsnu.mean(axis=1, keepdims=True) - pattern.dsnu.mean()
+    response, light = np.zeros(shape, np.float32), np.zeros(shape, electrons.dtype)
+    response[inner], offsets[inner], light[inner] = pattern.prnu, pattern.dsnu, electrons
+    return FixedPattern(response, offsets), light
+
+
 @functools.cache
 def noise_plugin(name: str) -> EntryPoint:
     """Find a noise model in an installed package (docs/python.md#a-noise-model).
@@ -255,6 +283,8 @@ class DefectRecipe(Recipe):
     dust_specks_per_million: Annotated[float, msgspec.Meta(ge=0, le=10_000)] = 4.0  # each speck casts a soft shadow
     dust_depth: Share = 0.03  # fraction of the light lost at the centre of a shadow
     dust_radius_px: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 12.0
+    blinking_pixels_per_million: OfMillion = 0.0  # pixels that switch between two levels at random (telegraph noise)
+    blinking_step_e: NotNegative = 50.0  # mean difference of the two levels, which is exponentially distributed
 
 
 @dataclass(frozen=True)
@@ -264,6 +294,12 @@ class SensorDefects:
     hot: NDArray[np.int64]  # (pixel, 2), row and column of each hot pixel
     dead: NDArray[np.int64]  # (pixel, 2), row and column of each dead pixel
     shade: NDArray[np.float32]  # (row, col), transmittance of the dust
+    blinking: NDArray[np.int64]  # (pixel, 2), row and column of each blinking pixel
+    steps: NDArray[np.float32]  # (pixel,), difference between the two levels of each blinking pixel in e-
+
+    def blinks(self, rng: np.random.Generator) -> NDArray[np.float32]:
+        """Draw the offset of each blinking pixel in one frame, in e-. A pixel is on either level with equal probability."""
+        return self.steps * rng.integers(0, 2, self.steps.size).astype(np.float32)
 
 
 def defects_of(camera: CameraModel, recipe: DefectRecipe) -> SensorDefects:
@@ -291,4 +327,6 @@ def _draw(seed: int, rows: int, cols: int, figures: tuple[float, ...]) -> Sensor
         part = shade[top : row + reach, left : col + reach]
         y, x = np.arange(part.shape[0]) + top - row, np.arange(part.shape[1]) + left - col
         part -= (recipe.dust_depth * np.exp(-0.5 * (y[:, None] ** 2 + x**2) / recipe.dust_radius_px**2)).astype(np.float32)
-    return SensorDefects(hot, dead, shade)
+    blinking = scattered(recipe.blinking_pixels_per_million)  # drawn last, so that the other defects do not depend on it
+    steps = rng.exponential(recipe.blinking_step_e, len(blinking)).astype(np.float32)
+    return SensorDefects(hot, dead, shade, blinking, steps)

@@ -46,7 +46,7 @@ def orientations_of_frames(camera: CameraModel) -> Allowed:
     A turned frame must be as likely as the original frame, including its noise. If rows and columns have different line
     noise, rows must remain rows.
     """
-    noise = camera.noise
+    noise = camera.corrected_noise()
     rows = np.hypot(noise.row_temporal_noise, noise.row_noise)
     same = rows == np.hypot(noise.column_temporal_noise, noise.column_noise)
     return tuple(number for number in orientations_of_scenes(camera) if same or number in LINES_KEPT)

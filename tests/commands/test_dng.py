@@ -272,6 +272,9 @@ READ: dict[str, tuple[Tags, list[bytes] | None, Callable[[RawFrame], bool]]] = {
     "AsShotNeutral": ({50728: (RATIONAL, [1, 2, 1, 1, 2, 3])}, None, lambda frame: frame.neutral == (0.5, 1, 2 / 3)),
     "BaselineExposure": ({50730: (SRATIONAL, [-1, 2])}, None, lambda frame: frame.baseline_exposure == -0.5),
     "ActiveArea": (MASK, None, at(np.s_[2:30], np.s_[4:40])),
+    "MaskedAreas": (  # the camera of these files has no row noise
+        MASK | {50830: (LONG, [0, 0, 32, 4])}, None, lambda frame: not frame.notes and at(np.s_[2:30], np.s_[4:40])(frame)
+    ),
     "RowInterleaveFactor": ({50975: (SHORT, [3])}, [in_fields(MOSAIC, 3).tobytes()], the_mosaic),
     "ColumnInterleaveFactor": (
         {52547: (LONG, [2]), 50975: (LONG, [2]), **MASK}, [in_fields(in_fields(MOSAIC, 2).T, 2).T.tobytes()],
@@ -312,7 +315,7 @@ OF_OTHERS = {  # tags that lie between those of DNG
 HARMLESS = {  # they change no pixel of the mosaic: hints, colours, looks, previews, names, times, checksums
     "NoiseProfile", "BaselineExposureOffset", "BaselineNoise", "BaselineSharpness", "BayerGreenSplit",
     "LinearResponseLimit", "ChromaBlurRadius", "AntiAliasStrength", "ShadowScale", "BestQualityScale",
-    "DefaultBlackRender", "NoiseReductionApplied", "RawToPreviewGain", "MaskedAreas", "ColorMatrix1", "ColorMatrix2",
+    "DefaultBlackRender", "NoiseReductionApplied", "RawToPreviewGain", "ColorMatrix1", "ColorMatrix2",
     "ColorMatrix3", "CameraCalibration1", "CameraCalibration2", "CameraCalibration3", "ReductionMatrix1",
     "ReductionMatrix2", "ReductionMatrix3", "ForwardMatrix1", "ForwardMatrix2", "ForwardMatrix3",
     "CalibrationIlluminant1", "CalibrationIlluminant2", "CalibrationIlluminant3", "IlluminantData1", "IlluminantData2",

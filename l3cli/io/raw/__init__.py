@@ -28,6 +28,8 @@ class RawContent(TypedDict):
     shot: NotRequired[dict[str, str | float]]  # fields of Shot that the file states
     gain: NotRequired[NDArray[np.float32]]  # (row, col) factor that the file requests for the values above the black level
     warps: NotRequired[tuple[dict[str, Any], ...]]  # fields of each LensWarp, in the order in which the warps are applied
+    # masked pixels beside the rows (row, masked pixel), and above and below the columns (masked pixel, col), in DN
+    masked: NotRequired[tuple[NDArray[Any], NDArray[Any]]]
     notes: NotRequired[tuple[str, ...]]  # warnings about properties of the file that l3 ignores
     # parameter that resolves a fault of the file, or a request that l3 does not support → message
     faults: NotRequired[dict[str, str]]

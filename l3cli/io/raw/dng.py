@@ -85,6 +85,7 @@ class Mosaic:
     planes: tuple[int, ...]  # colour code of each colour plane
     shape: tuple[int, int]  # rows and columns, including masked borders
     fields: tuple[int, int]  # numbers of interleaved fields into which the rows and the columns are divided
+    masked: tuple[tuple[int, ...], ...]  # top, left, bottom and right edges of each area of masked pixels
     notes: tuple[str, ...]  # warnings about unsupported tags
 
 
@@ -170,9 +171,49 @@ def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawCon
         content["black_level"] = common
     if gain is not None:
         content["gain"] = gain
+    beside, above = _masked_values(mosaic, stored)
+    if beside.size or above.size:
+        content["masked"] = (beside, above)
     if mosaic.opcodes.warps:
         content["warps"] = tuple(asdict(replace(warp, origin=(row, col))) for warp in mosaic.opcodes.warps)
     return content
+
+
+def _masked_values(mosaic: Mosaic, stored: NDArray[np.uint16]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the masked pixels beside the rows, and above and below the columns, of the default crop.
+
+    Areas that do not extend over all rows or all columns of the crop are not used. The black levels that the file states are
+    subtracted, because they are also subtracted from the frame. Black levels of the array are repeated outside the active
+    area.
+
+    Returns
+    -------
+    beside : ndarray, (row, masked pixel)
+        Masked pixels of each row in DN.
+    above : ndarray, (masked pixel, col)
+        Masked pixels of each column in DN.
+    """
+    row, col, rows, cols = mosaic.crop
+    top, left = mosaic.active[0] + row, mosaic.active[1] + col
+    beside, above = [np.zeros((rows, 0), np.float32)], [np.zeros((0, cols), np.float32)]
+    for first_row, first_col, last_row, last_col in mosaic.masked:
+        if first_row <= top and last_row >= top + rows:
+            black = mosaic.black_of_row[row : row + rows, None] + _repeated_black(
+                mosaic, (top, first_col), (rows, last_col - first_col)
+            )
+            beside.append((stored[top : top + rows, first_col:last_col] - black).astype(np.float32))
+        elif first_col <= left and last_col >= left + cols:
+            black = mosaic.black_of_col[col : col + cols] + _repeated_black(
+                mosaic, (first_row, left), (last_row - first_row, cols)
+            )
+            above.append((stored[first_row:last_row, left : left + cols] - black).astype(np.float32))
+    return np.concatenate(beside, axis=1), np.concatenate(above)
+
+
+def _repeated_black(mosaic: Mosaic, corner: tuple[int, int], shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Return the repeated black levels (row, col) of an area of the image, whose first pixel is `corner`."""
+    shift = [active - first for active, first in zip(mosaic.active, corner, strict=False)]
+    return np.asarray(tiled(np.roll(mosaic.black_level, shift, axis=(0, 1)), shape))
 
 
 def _changed(
@@ -323,6 +364,7 @@ def _mosaic(path: Path, first: Any, raw: Any) -> Mosaic:
         )
     pattern = _pattern(path, raw)
     planes = tuple(raw.tags.valueof("CFAPlaneColor") or (0, 1, 2))
+    masked, damaged = _masked_areas(raw, shape, (top, left, bottom, right))
     black, fault = _stated_black(raw, pattern.shape, (rows, cols))
     return Mosaic(
         orientation=tags.flip_of(path, first.tags.valueof("Orientation", tags.UPRIGHT)),
@@ -343,7 +385,8 @@ def _mosaic(path: Path, first: Any, raw: Any) -> Mosaic:
         planes=planes,
         shape=shape,
         fields=_fields(raw),
-        notes=tuple(_notes(raw)),
+        masked=masked,
+        notes=(*_notes(raw), *damaged),
     )
 
 
@@ -384,6 +427,26 @@ def _repeating_black(raw: Any, cfa_shape: tuple[int, ...]) -> NDArray[np.float64
         return levels[:1, None]
     repeat = "×".join(map(str, stated))
     raise ValueError(f"BlackLevel has {levels.size} values, but BlackLevelRepeatDim is {repeat}")
+
+
+def _masked_areas(
+    raw: Any, shape: tuple[int, int], active: tuple[int, int, int, int]
+) -> tuple[tuple[tuple[int, ...], ...], tuple[str, ...]]:
+    """Read the areas of masked pixels from the tags, and return them with a warning if the tag is damaged.
+
+    Each area contains the top, left, bottom and right edges. Areas must be inside the image and outside the active area.
+    """
+    try:
+        areas = np.asarray(tags.numbers(raw, "MaskedAreas", ()), np.int64).reshape(-1, 4)
+        (first_row, first_col, last_row, last_col), (top, left, bottom, right) = areas.T, active
+        inside = (first_row >= 0) & (first_row < last_row) & (last_row <= shape[0])
+        inside &= (first_col >= 0) & (first_col < last_col) & (last_col <= shape[1])
+        outside = (last_row <= top) | (first_row >= bottom) | (last_col <= left) | (first_col >= right)
+        if (inside & outside).all():
+            return tuple(map(tuple, areas.tolist())), ()
+    except tags.BROKEN:  # the pixels can be used without this tag
+        pass
+    return (), ("the tag MaskedAreas is damaged, so the masked pixels are not used",)
 
 
 def _fields(raw: Any) -> tuple[int, int]:

@@ -17,11 +17,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import InputFileError
 from l3cli.frames.correction import Correction, DarkFrame, HotTest, without_dark
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.lens_warp import LensWarp
+from l3cli.frames.masked import MaskedValues, split_masked, without_line_offsets
 from l3cli.frames.raw_sanity import smoother_reading
 from l3cli.frames.shading import shading_of_gain
 from l3cli.io.raw import MultiFrameFile, RawContent, refuse_faults
@@ -301,8 +304,42 @@ def _layout(kind: RawFormat, path: Path, table: Sensor, known: RawOverrides) -> 
 
 
 def _headerless_layout(path: Path, table: Sensor, known: RawOverrides) -> Layout:
-    size = known.size or (table.rows, table.cols)
+    camera, size = table if isinstance(table, CameraModel) else table.camera, (table.rows, table.cols)
+    size = known.size or (camera.masked.around(*size) if camera is not None and camera.masked else size)
     return layout_of(path, size, known.packing, known.stride, known.skip, known.byte_order)
+
+
+def _without_masked(content: RawContent, table: Sensor) -> tuple[RawContent, MaskedValues | None, tuple[int, int]]:
+    """Cut the masked pixels of the camera off a frame that contains them.
+
+    Returns
+    -------
+    content : RawContent
+        The light-sensitive pixels. If the camera has masked pixels but the frame does not, a note is added.
+    masked : MaskedValues or None
+        The masked pixels. None if there are none.
+    corner : tuple of int
+        Row and column of the first light-sensitive pixel in the values of the file.
+    """
+    camera = table if isinstance(table, CameraModel) else table.camera
+    if "masked" in content:
+        return content, MaskedValues(*content["masked"]), (0, 0)
+    if camera is None or camera.masked is None:
+        return content, None, (0, 0)
+    parts, corner = split_masked(content["values"], camera), (camera.masked.top, camera.masked.left)
+    if parts is None and not camera.has_line_noise:
+        return content, None, (0, 0)
+    if parts is None:
+        rows, cols = camera.masked.around(camera.rows, camera.cols)
+        note = (
+            f"the frame does not have the {rows}×{cols} pixels of the sensor with its masked pixels, so offsets of rows and "
+            "columns are not subtracted; use uncropped frames, unless your camera has already subtracted the offsets"
+        )
+        return {**content, "notes": (*content.get("notes", ()), note)}, None, (0, 0)
+    content = {**content, "values": parts[0]}
+    if "pattern" in content:
+        content["pattern"] = np.roll(content["pattern"], np.negative(corner), axis=(0, 1))
+    return content, parts[1], corner
 
 
 def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides) -> RawFrame:
@@ -329,7 +366,7 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
         If the content is not an array (row, col), is too large, or has a fault, if its levels are invalid, or if its colour
         filter array does not match the table.
     """
-    values, pattern = content["values"], content.get("pattern")
+    values = content["values"]
     if values.size == 0:
         raise InputFileError(f"{name} contains no pixels; use a raw file")
     if values.ndim != 2:
@@ -340,6 +377,8 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
     if dn is None:
         dn = scaled_dn(name, values, known.black_level, known.white_level)
         known = replace(known, black_level=SCALED_BLACK, white_level=SCALED_WHITE)
+    content, masked, corner = _without_masked({**content, "values": dn}, table)
+    pattern = content.get("pattern")
     black_level = content.get("black_level", table.black_level) if known.black_level is None else known.black_level
     white_level = content.get("white_level", table.white_level) if known.white_level is None else known.white_level
     if not 0 <= black_level < white_level <= TOP:
@@ -353,7 +392,7 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
     left = ("the lens warp that the file requests is not applied",) if leave and warps else ()
     frame = RawFrame(
         name,
-        np.ascontiguousarray(dn),
+        np.ascontiguousarray(content["values"]),
         black_level,
         white_level,
         frame_phase,
@@ -367,14 +406,18 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
         notes=(*content.get("notes", ()), *left, *_displaced(content, table, frame_phase)),
         baseline_exposure=content.get("baseline_exposure", 0.0),
         exchangeable=content.get("exchangeable", False),
-        misread=_misread(content, table, frame_phase if known.phase is None else known.phase),
+        misread=_misread(content, table, np.subtract(frame_phase if known.phase is None else known.phase, corner)),
     )
-    return _corrected(frame, table, known)
+    return _corrected(frame, table, known, masked)
 
 
-def _misread(content: RawContent, table: Sensor, phase: tuple[int, int]) -> str:
-    """Return the option that would decode a headerless file to a much smoother frame, or "" if no such option exists."""
-    return smoother_reading(content["readings"](), shifted_cfa(table.cfa, phase)) if "readings" in content else ""
+def _misread(content: RawContent, table: Sensor, phase: NDArray[np.integer]) -> str:
+    """Return the option that would decode a headerless file to a much smoother frame, or "" if no such option exists.
+
+    `phase` contains the CFA row and CFA column of the first stored pixel, which may be a masked pixel.
+    """
+    first = int(phase[0]), int(phase[1])
+    return smoother_reading(content["readings"](), shifted_cfa(table.cfa, first)) if "readings" in content else ""
 
 
 def _displaced(content: RawContent, table: Sensor, phase: tuple[int, int]) -> tuple[str, ...]:
@@ -389,11 +432,12 @@ def _displaced(content: RawContent, table: Sensor, phase: tuple[int, int]) -> tu
     return (f"{begins}, but the frame has the size of the whole sensor; check ‹packing›, or set ‹phase›",)
 
 
-def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides) -> RawFrame:
+def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides, masked: MaskedValues | None) -> RawFrame:
     """Set the phase, exposure time, gain and dark signal of a frame, and apply the corrections in `known`.
 
-    Only the dark frame, the correction and the hot-pixel test in `known` change pixel values. The dark signal is stored in
-    the frame, but is not subtracted from the values. Raises InputFileError if the dark signal reaches the white level.
+    Only the masked pixels, and the dark frame, the correction and the hot-pixel test in `known` change pixel values. The
+    dark signal is stored in the frame, but is not subtracted from the values. Raises InputFileError if the dark signal
+    reaches the white level.
     """
     phase = frame.phase if known.phase is None else known.phase
     rows, cols = table.cfa.shape
@@ -419,6 +463,9 @@ def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides) -> RawFrame:
         dark=dark,
         gain=gain,
     )
+    camera = table if isinstance(table, CameraModel) else table.camera
+    if masked is not None and camera is not None:
+        corrected = without_line_offsets(corrected, masked, camera)
     corrected = corrected if known.dark is None else without_dark(corrected, known.dark)
     corrected = corrected if known.correction is None else known.correction.corrected(corrected)
     return corrected if known.hot is None else known.hot.without_hot(corrected, shifted_cfa(table.cfa, corrected.phase))

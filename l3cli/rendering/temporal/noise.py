@@ -23,6 +23,9 @@ NOISE_FRACTIONS = (1.0, 0.5, 0.25)  # fractions of the camera's noise variance t
 MAX_UNEVEN = 1 << 20  # limit of the quadratic term; the fixed pattern is then a quarter of the signal
 MAX_FIXED = 1 << 28  # limit of the constant fixed-pattern term; the fixed pattern is then a quarter of the range
 ROW_PERIODS_PER_READ = 8  # the mean level of a frame is computed from every eighth CFA period along the columns
+# Largest variance of row and column noise, relative to the noise variance of a pixel. With this much row noise, 5 % more of
+# the noise of a static scene remains.
+MAX_LINES = 1 / 16
 TABULATED_LEVELS = 256  # number of levels for which the noise of a difference is tabulated
 
 
@@ -142,7 +145,7 @@ def noise_of(camera: CameraModel, black_level: float, white_level: float, sites:
     protect = DEEP - int(white_level).bit_length()
     unit = 2.0**protect * (white_level - black_level) / (camera.white_level - camera.black_level)
     constant, linear, uneven = camera.noise_terms()
-    fixed = camera.gain**2 * camera.noise.fixed
+    fixed = camera.gain**2 * camera.corrected_noise().fixed
     black = round(black_level * 2**protect)
     signal = np.maximum((np.arange(TABULATED_LEVELS) + 0.5) * 2 ** (DEEP - 8) - black, 0.0)
     variance = (constant - fixed) * unit**2 + linear * unit * signal
@@ -167,7 +170,7 @@ def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
     stretch = (camera.white_level - camera.black_level) / (frame.white_level - frame.black_level)
     signal = max(_mean(frame.values, camera.cfa.shape[0]) - frame.black_level, 0.0) * stretch
     constant, linear, quadratic = camera.noise_terms()
-    fixed = camera.gain**2 * camera.noise.fixed + quadratic * signal**2
+    fixed = camera.gain**2 * camera.corrected_noise().fixed + quadratic * signal**2
     whole = constant + (linear + quadratic * signal) * signal
     share = (fixed + left * (whole - fixed)) / whole
     return min((each for each in NOISE_FRACTIONS if each >= share), default=1.0)
@@ -217,15 +220,17 @@ def times_brighter(now: tuple[float, float | None], before: tuple[float, float |
 def require_noise(camera: CameraModel | None) -> CameraModel:
     """Return `camera`. Raise a RecipeError if the temporal filter cannot be used with this camera.
 
-    `camera` is None if the table does not contain its camera. Cameras with row or column noise cause an error, because the
-    filter compares sums over cells, and the offset of a row or column does not average out in these sums.
+    `camera` is None if the table does not contain its camera. Cameras with strong row or column noise cause an error,
+    because the filter compares sums over cells, and the offset of a row or column does not average out in these sums. Noise
+    that is removed with masked pixels is not counted.
     """
     if camera is None:
         raise RecipeError(
             "‹temporal› needs the camera's noise model, which this table does not contain; train the table again"
         )
-    if camera.noise.lines:
+    if camera.corrected_noise().lines > MAX_LINES * camera.pixel_variance():
         raise RecipeError(
-            "‹temporal› would mistake the temporal noise of the camera's rows and columns for motion; remove ‹temporal›"
+            "‹temporal› would mistake the temporal noise of the camera's rows and columns for motion, because it exceeds a "
+            "quarter of the pixel noise; remove ‹temporal›, or use frames with masked pixels"
         )
     return camera

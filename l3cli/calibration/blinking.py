@@ -1,0 +1,118 @@
+"""Finds blinking pixels in dark frames (docs/method.md#blinking-pixels).
+
+A blinking pixel switches between two levels at random, for example because a single electron is trapped and released in its
+transistors (random telegraph noise). The values of such a pixel have two peaks. The values of a hot pixel have a larger
+variance than usual, but only one peak.
+
+1. Offsets of whole rows and columns of a frame are subtracted. The variance of every pixel over the frames is computed.
+2. Pixels whose variance is less than twice the usual variance are not blinking. For the other pixels, the values are sorted
+   and divided into a lower and an upper group, such that the variance between the groups is as large as possible (Otsu,
+   1979). Each group contains at least `MIN_STATE` values.
+3. The pixel blinks if the variance between the groups is a larger fraction of the whole variance than `highest_share`. For
+   normally distributed values, whatever their variance, the probability of a larger fraction is `FALSE_ALARMS`. In addition,
+   the levels must differ by `MIN_SIGMAS` standard deviations of a usual pixel, and by more than rounding can explain.
+"""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.calibration.statistics import Defects, by_site
+from l3cli.frames.measurement import Body, Capture
+
+MIN_FRAMES = 32  # minimum number of dark frames with the same exposure time
+FALSE_ALARMS = 1e-6  # probability that a pixel with normally distributed noise is called blinking
+# Results of `two_levels` for normally distributed values, which a pixel exceeds with the probability FALSE_ALARMS, by number
+# of frames. They were simulated (tests/science/test_blinking.py checks them), with an exponential tail above 0.1 %.
+SHARE_OF_COUNT = {32: 0.896, 64: 0.832, 128: 0.778, 256: 0.740, 512: 0.710}
+MIN_STATE = 3  # minimum number of values on each level, so that particles that hit a pixel once or twice have no effect
+MIN_SIGMAS = 4.0  # minimum difference of the levels, in standard deviations of a usual pixel
+MIN_STEP_DN = 2.0  # minimum difference of the levels in DN, because rounding alone produces two levels 1 DN apart
+MIN_EXCESS = 2.0  # minimum variance, relative to the usual variance
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BlinkingPixels:
+    """The blinking pixels of a sensor."""
+
+    frames: int  # number of dark frames in which they were found
+    position: Defects  # (pixel, 2): row and column
+    step: Array  # (pixel,) DN; difference between the levels
+
+
+def find_blinking(captures: Sequence[Capture], trials: Sequence[int], body: Body) -> BlinkingPixels | None:
+    """Find blinking pixels in the dark capture with the most frames. Return None if it has fewer than MIN_FRAMES frames.
+
+    `trials` contains the number of frames of each capture.
+    """
+    most = int(np.argmax(trials))
+    if trials[most] < MIN_FRAMES:
+        return None
+    count, variance = trials[most], np.zeros((body.rows, body.cols))
+    total = np.zeros_like(variance)
+    for difference in _levelled(captures[most], body):
+        total += difference
+        variance += difference**2
+    variance = (variance - total**2 / count) / (count - 1)
+    usual = np.empty_like(variance)
+    for (_, site), (_, target) in zip(by_site(variance, body.cfa), by_site(usual, body.cfa), strict=True):
+        target[...] = np.median(site)
+    row, col = np.nonzero(variance > MIN_EXCESS * usual)
+    values = np.array([difference[row, col] for difference in _levelled(captures[most], body)])
+    share, step = two_levels(values)
+    blinking = (share > highest_share(count)) & (step > np.maximum(MIN_SIGMAS * np.sqrt(usual[row, col]), MIN_STEP_DN))
+    position = np.stack([row, col], axis=1)[blinking].astype(np.int64)
+    return BlinkingPixels(count, position, step[blinking])
+
+
+def _levelled(capture: Capture, body: Body) -> Iterator[Array]:
+    """Yield the difference between each frame and the first frame, without the offsets of rows and columns of the frame."""
+    frames = iter(capture.frames)
+    first = next(frames)
+    for frame in itertools.chain([first], frames):
+        difference = frame.astype(np.float64) - first
+        for _, site in by_site(difference, body.cfa):
+            site -= site.mean(axis=1, keepdims=True)
+            site -= site.mean(axis=0)
+        yield difference
+
+
+def two_levels(values: Array) -> tuple[Array, Array]:
+    """Divide the values of each pixel into two groups whose means differ most.
+
+    Parameters
+    ----------
+    values : ndarray, (frame, pixel)
+        Values of the pixels.
+
+    Returns
+    -------
+    share : ndarray, (pixel,)
+        Variance between the groups as a fraction of the whole variance.
+    step : ndarray, (pixel,)
+        Difference between the means of the groups.
+    """
+    count, centred = len(values), np.sort(values - values.mean(axis=0), axis=0)
+    below = np.arange(MIN_STATE, count - MIN_STATE + 1)[:, None]
+    sums = centred.cumsum(axis=0)[MIN_STATE - 1 : count - MIN_STATE]  # sum of the lower group; the sum of all values is 0
+    between = sums**2 * count / (below * (count - below))
+    best = between.argmax(axis=0)
+    pixels = np.arange(values.shape[1])
+    squares = (centred**2).sum(axis=0)
+    share = between[best, pixels] / np.where(squares > 0, squares, 1.0)
+    lower = below[best, 0]
+    step = -sums[best, pixels] * count / (lower * (count - lower))
+    return share, step
+
+
+def highest_share(count: int) -> float:
+    """Return the share from `two_levels` that normally distributed values exceed with a probability of FALSE_ALARMS.
+
+    `count` is the number of values.
+    """
+    counts, shares = zip(*SHARE_OF_COUNT.items(), strict=True)
+    return float(np.interp(np.log(count), np.log(counts), shares))
