@@ -221,8 +221,8 @@ def with_masked(
     """Surround the pixels of the sensor with its masked pixels, which collect no light, for `read_out`.
 
     Masked pixels above and below a column have the fixed offset of the column, which is estimated by the mean of `pattern`
-    over the column. The same applies to masked pixels beside a row. Masked columns have fixed offsets of their own. If the camera has no masked pixels, the arguments are
-    returned.
+    over the column. The same applies to masked pixels beside a row. Masked columns have fixed offsets of their own. If the
+    camera has no masked pixels, the arguments are returned.
     """
     masked, noise = camera.masked, camera.noise
     if masked is None:
