@@ -224,10 +224,10 @@ class Renderer:
     backend : {"opencl", "reference"}, default "opencl"
         "opencl" runs the OpenCL kernels. "reference" computes in float64 with numpy, which is slow.
     device : str, optional
-        OpenCL device: a part of its name, or its number in the list of `l3 bench`. [default: the environment variable
-        L3_DEVICE]
+        OpenCL device: a part of its name, or its number in the list that `l3 bench --list` prints. [default: the environment
+        variable L3_DEVICE]
     variant : {"processor", "graphics"}, optional
-        Kernels for CPUs ("processor") or for GPUs ("graphics"). [default: the kernels for the type of the device]
+        Kernels for CPUs ("processor") or for GPUs ("graphics"). [default: depends on the device type]
 
     Attributes
     ----------

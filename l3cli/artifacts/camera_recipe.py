@@ -573,7 +573,7 @@ def white_level(recipe: CameraRecipe) -> float:
 
 
 def gain_of(recipe: CameraRecipe) -> float:
-    """Return the conversion gain of the camera in DN/e-. The recipe must not have faults.
+    """Return the conversion gain of the camera in DN/e-. The recipe must be valid.
 
     If the recipe does not declare a gain, the result is the gain at which a full well reaches the white level.
     """

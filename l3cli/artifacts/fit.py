@@ -182,9 +182,9 @@ class DriftFit:
 
 @dataclass(frozen=True)
 class SeriesFit:
-    """Fit of captures of a chart behind narrow-band filters.
+    """Fit of captures of a chart through narrow-band filters.
 
-    The value of each patch is predicted from the other exposures behind the same filter.
+    The value of each patch is predicted from the other exposures with the same filter.
     """
 
     lights: tuple[str, ...] = data("str", "band", doc="name of each band")

@@ -173,8 +173,8 @@ def check(instance: Any) -> None:
     Each field must have the declared dtype and number of axes. Numbers must not exceed LARGEST_VALUE. Axes with the same
     name must have the same length, with two exceptions:
 
-    1. If a dataset has only one axis, and the axis has the same name as the dataset, the axis is local to the group of the
-       dataset and its subgroups. Outside this group, an axis with the same name may have a different length.
+    1. An axis that has the same name as a dataset with only this axis is valid only in the group that contains the dataset
+       and in the subgroups of that group. Elsewhere, an axis with the same name may have a different length.
     2. An axis that occurs only in numbered groups may have a different length in each of these groups.
 
     Raises

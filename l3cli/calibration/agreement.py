@@ -19,7 +19,8 @@ FACTOR = 1.5  # largest plausible ratio between signals per second under the sam
 # light of a monochromator fills the frame differently.
 SCALE = 3.0
 STEP = 3.0  # largest plausible ratio between the response to a monochromatic capture and the responses to both neighbours
-# like STEP, but for the first and last capture, which are compared with an extrapolation from the next two captures
+# Like STEP, but for the first and the last capture, which are compared with the nearest capture and with an extrapolation
+# from the two nearest captures
 END = 20.0
 LEAST = 0.02  # differences below this fraction of the largest response or signal are ignored
 NEAR_TOP = 0.85  # signals above this fraction of the largest signal may be saturated
@@ -87,12 +88,12 @@ def check_darks(captures: Sequence[Capture], signal: Array, deviation: float = 0
 
 
 def check_series(captures: Sequence[BandCapture], light: NDArray[np.int64], values: Array, valid: NDArray[np.bool_]) -> None:
-    """Raise InputFileError if a capture does not fit the other captures behind the same filter.
+    """Raise InputFileError if a capture does not fit the other captures with the same filter.
 
     Parameters
     ----------
     captures : sequence of BandCapture
-        Captures of a chart behind narrow-band filters.
+        Captures of a chart through narrow-band filters.
     light : ndarray, (capture,)
         Index of the filter of each capture.
     values : ndarray, (capture, patch, channel)

@@ -1,6 +1,6 @@
 """Evaluates the captures of a measurement file, and computes defect maps and flat fields.
 
-The captures are dark and white frames, monochromatic captures, charts (docs/method.md#calibration), charts behind
+The captures are dark and white frames, monochromatic captures, charts (docs/method.md#calibration), charts through
 narrow-band filters (docs/method.md#sweeps-and-band-series), and frames behind a rotating polariser
 (docs/method.md#polarisers). docs/method.md#corrections describes defect maps and flat fields.
 """
@@ -358,7 +358,7 @@ def _check_level(mean: NDArray[np.floating], camera: CameraModel, name: str) -> 
 
 @dataclass(frozen=True)
 class Series:
-    """Patch values in all captures of a chart behind narrow-band filters."""
+    """Patch values in all captures of a chart through narrow-band filters."""
 
     lights: tuple[str, ...]  # names of the filters, sorted by central wavelength
     light: NDArray[np.int64]  # (capture,): index of the filter of each capture
@@ -370,14 +370,14 @@ class Series:
 def fit_series(
     captures: Sequence[BandCapture], darks: Sequence[Capture], body: Body, black_level: float, white_level: float
 ) -> tuple[Curves, SeriesFit]:
-    """Fit the response of each channel to the light behind each narrow-band filter, and measure the linearity.
+    """Fit the response of each channel to the light that passes through each narrow-band filter, and measure the linearity.
 
     Saturated patches are not used.
 
     Parameters
     ----------
     captures : sequence of BandCapture
-        Captures of the chart behind each filter, with at least two exposure times per filter.
+        Captures of the chart through each filter, with at least two exposure times per filter.
     darks : sequence of Capture
         Dark captures. The sequence may be empty.
     body : Body
@@ -395,7 +395,7 @@ def fit_series(
     Raises
     ------
     InputFileError
-        If a channel has fewer than two unsaturated exposure times behind a filter, or if captures contradict each other.
+        If a channel has fewer than two unsaturated exposure times with a filter, or if captures contradict each other.
     """
     limit = black_level + noise.SATURATED * (white_level - black_level)
     series = measure_series(captures, darks, body, black_level, limit)
@@ -505,12 +505,12 @@ def _figures_of(camera: CameraModel) -> SensorFigures:
 def measure_series(
     captures: Sequence[BandCapture], darks: Sequence[Capture], body: Body, black_level: float, limit: float
 ) -> Series:
-    """Measure the patches in every capture behind narrow-band filters, and subtract the dark signal.
+    """Measure the patches in every capture through narrow-band filters, and subtract the dark signal.
 
     Parameters
     ----------
     captures : sequence of BandCapture
-        Captures of the chart behind each filter.
+        Captures of the chart through each filter.
     darks : sequence of Capture
         Dark captures. The sequence may be empty.
     body : Body
@@ -566,9 +566,9 @@ def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
     Returns
     -------
     rates : ndarray, (filter, patch, channel)
-        Signal per second in DN/s, fitted to all unsaturated captures behind a filter. NaN if all captures are saturated.
+        Signal per second in DN/s, fitted to all unsaturated captures with a filter. NaN if all captures are saturated.
     predicted : ndarray, (capture, patch, channel)
-        Signal in DN, predicted from the other captures behind the same filter. 0 if there is no prediction.
+        Signal in DN, predicted from the other captures with the same filter. 0 if there is no prediction.
     used : ndarray of bool, (capture, patch, channel)
         Whether the patch is unsaturated and has a prediction.
     """
@@ -584,19 +584,19 @@ def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
 
 
 def band_centre(capture: BandCapture) -> float:
-    """Return the central wavelength in nm of the light behind a filter, from the sum of the radiances of all patches."""
+    """Return the central wavelength in nm of the light that passes through a filter, from the radiances of all patches."""
     return light_centre(capture.wavelength, capture.radiance.sum(axis=0))
 
 
 def band_photons(captures: Sequence[BandCapture], series: Series) -> tuple[Array, Array]:
-    """Return the central wavelengths of the filters, and the radiances of the patches behind each filter.
+    """Return the central wavelength of each filter, and the radiance of each patch as seen through each filter.
 
     Returns
     -------
     centres : ndarray, (filter,)
         Central wavelengths in nm.
     photons : ndarray, (filter, patch)
-        Radiances, integrated over wavelength.
+        Photon radiance of each patch, integrated over wavelength.
     """
     first = [captures[int(np.argmax(series.light == band))] for band in range(len(series.lights))]
     photons = [capture.radiance @ spectra.bin_widths(capture.wavelength) for capture in first]
@@ -604,10 +604,10 @@ def band_photons(captures: Sequence[BandCapture], series: Series) -> tuple[Array
 
 
 def respond(rates: Array, photons: Array) -> tuple[Array, Array]:
-    """Return the mean response of the patches behind each filter, and the relative spread of this response.
+    """Return the mean response of the patches, seen through each filter, and the relative spread of this response.
 
-    Uneven illumination multiplies the signal of a patch by the same factor behind all filters. This factor is estimated from
-    the channel with the largest response behind each filter, and removed before the spread is computed.
+    Uneven illumination multiplies the signal of a patch by the same factor with all filters. This factor is estimated from
+    the channel with the largest response for each filter, and removed before the spread is computed.
 
     Parameters
     ----------

@@ -159,7 +159,7 @@ def from_data_sheet(measurements: Measurements, figures: SensorFigures, each: Ea
     """Build a camera model with relative responsivity curves, and with the noise and the levels of a data sheet.
 
     If the measurements contain curves, from a table or from a sweep with a photodiode, these curves are used. Otherwise the
-    responsivities are fitted to captures of a chart behind narrow-band filters.
+    responsivities are fitted to captures of a chart through narrow-band filters.
     """
     body, drift, shift = measurements.body, measurements.lamp_drift, measurements.wavelength_uncertainty
     polarisers = measure_polarisers(measurements, figures, each)

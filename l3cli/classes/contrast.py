@@ -64,7 +64,7 @@ def stored_edges(
 
 
 def noise_of_grey(levels: NDArray[np.float64], camera: CameraModel, dark: float) -> NDArray[np.floating]:
-    """Return the noise variance of greys in DN², averaged over the channels. Clipped channels count as free of noise.
+    """Return the noise variance, in DN², of grey patches, averaged over the channels. Clipped channels count as noise-free.
 
     Parameters
     ----------

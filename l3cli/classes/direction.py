@@ -140,7 +140,7 @@ def check(feature: Feature, rule: ClassRule) -> None:
         )
     straight, diagonal, orientations, strengths, coherence = feature.constants[:HEAD].tolist()
     if not (1 <= straight <= SCALE and 1 <= diagonal <= SCALE and orientations in (4, 8) and 0 <= coherence <= SHARES):
-        raise ValueError(f"the constants {feature.constants[:HEAD].tolist()} of the direction are out of range")
+        raise ValueError(f"the direction constants {feature.constants[:HEAD].tolist()} are out of range")
     size = 1 + strengths * (2 if coherence else 1) * orientations
     if strengths < 1 or size != feature.size or len(feature.constants) != HEAD + strengths * rule.levels:
         raise ValueError(

@@ -110,7 +110,7 @@ def saturation_codes(
 def codes(values: NDArray[np.unsignedinteger], rule: ClassRule, order: TapOrder) -> Integers:
     """Return the saturation code of each patch.
 
-    `values`, (tap, patch), contains raw values in DN, whose taps are sorted as in `order`.
+    `values`, (tap, patch), contains raw values in DN. The taps are sorted as in `order`.
     """
     code = np.zeros(values.shape[1], np.int64)
     for bit, taps in enumerate(order.inner):

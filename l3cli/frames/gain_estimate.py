@@ -37,8 +37,9 @@ CLIPPED, MAX_CLIPPED = 0.99, 0.02
 # Minimum difference of a mean from black and from white, in standard deviations, so that almost no noise is clipped
 MIN_DEVIATIONS = 2.5
 SIGNAL_RANGES, MIN_PLAIN = 8, 32  # maximum number of signal ranges, and minimum number of uniform patches in each range
-# Criteria for uniform patches, in the order in which they are tried. The first number is the fraction of the patches in a
-# signal range that is selected. The second number is the maximum ratio of the mean squares of strong and weak components.
+# Criteria for uniform patches, in the order in which they are tried. The first number is the fraction of the patches
+# to select in each signal range. The second number is the maximum ratio between the mean squares of the strong and of the
+# weak principal components of the selected patches.
 PLAIN = ((0.05, 1.0), (0.01, 2.0))
 AGREE = 1.3  # a signal range is consistent with a gain if measured and predicted variance differ by a smaller factor
 LOWEST, HIGHEST = 2.0**-8, 2.0**10  # range of gains

@@ -30,7 +30,8 @@ INVERSE_STEPS = 12  # number of fixed-point iterations in `corrected_places`, ea
 class LensWarp:
     """The warp that corrects the pictures of one lens.
 
-    Centre and farthest corner refer to the active area of the sensor, which may be larger than the frame.
+    The unit of length is the distance from the optical centre to the farthest corner of the active area of the sensor. The
+    active area may be larger than the frame.
     """
 
     terms: tuple[Terms, Terms, Terms]  # coefficients for red, green and blue

@@ -111,7 +111,7 @@ class ChartCapture(Capture):
 
 @dataclass(frozen=True)
 class BandCapture(ChartCapture):
-    """Frames of a ColorChecker behind a narrow-band filter, all with the same exposure time. The radiance may be
+    """Frames of a ColorChecker through a narrow-band filter, all with the same exposure time. The radiance may be
     relative."""
 
 

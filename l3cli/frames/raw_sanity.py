@@ -240,11 +240,10 @@ def _factors(blocks: NDArray[np.float64], along: tuple[int, int]) -> NDArray[np.
 
 
 def _are_checks(means: NDArray[np.float64], period: tuple[int, ...]) -> bool:
-    """Whether `means` is the product of the mean super-pixel and a checkerboard.
+    """Whether `means` is the mean super-pixel multiplied by a checkerboard, 1 + f(row) · g(col).
 
-    The checkerboard is 1 plus the product of a function of the row and a function of the column. A CFA with a different
-    period is not mistaken for a checkerboard: either the sites of its mean super-pixel are nearly equal, as for a quad Bayer
-    CFA, or `means` equals the mean super-pixel at some sites.
+    The result is False if the frame has a CFA with a different period. With such a CFA, either the sites of the mean
+    super-pixel are nearly equal, as for a quad Bayer CFA, or some sites of `means` equal the mean super-pixel.
     """
     sites = _super_pixels(means, period).mean(axis=(0, 2))
     if np.ptp(sites) < CHECKED_SITES_DIFFER * sites.mean() or sites.min() <= 0:

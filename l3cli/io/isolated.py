@@ -1,9 +1,8 @@
 """Decode untrusted files in an isolated process with limited time and memory.
 
-If a third-party decoder crashes, only the isolated process ends, and this process continues. The isolated process starts
-when the first file is read, and forks a worker process for each file (decoder_process.py). If the kernel supports this
-restriction, a worker can read only its own file. If a worker dies, the isolated process also ends, and a new isolated
-process is started for the next file.
+A crash of a third-party decoder ends only the isolated process. The isolated process starts when the first file is read, and
+forks a worker process for each file (decoder_process.py). If the kernel supports Landlock, a worker can read only its own
+file. If a worker dies, the isolated process also ends, and l3 starts a new isolated process for the next file.
 
 Requests and replies are JSON. Arrays are passed through a file in memory, and are copied after their sizes have been
 checked. Data from a worker are never executed. With `--trust` or L3_TRUST=1, files are decoded in the current process.

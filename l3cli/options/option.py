@@ -336,13 +336,13 @@ class DeviceOptions(Options):
 
     device: str | None = option(
         None,
-        'OpenCL device: part of its name, or its number in the list of "l3 bench" [default: the environment variable '
-        "L3_DEVICE].",
+        'OpenCL device: part of its name, or its number in the list that "l3 bench --list" prints [default: the environment '
+        "variable L3_DEVICE].",
         metavar="NAME|INDEX",
         shared=True,
     )
     variant: Literal["processor", "graphics"] | None = option(
-        None, "Kernels for processors or for graphics cards [default: by the type of the device].", shared=True
+        None, "Kernels for processors or for graphics cards [default: depends on the device type].", shared=True
     )
 
 

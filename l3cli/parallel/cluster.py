@@ -239,7 +239,7 @@ def _answer(client: Any, workers: _Workers, future: Any) -> Any:
         raise _missing(error) from error
     except KilledWorker as error:
         raise L3Error(
-            "several workers died during the computation of the same item, perhaps because memory ran out; use workers with "
+            "several workers died while computing the same item, perhaps because they ran out of memory; use workers with "
             "more memory"
         ) from error
     except L3Error:

@@ -112,4 +112,4 @@ def _pooled(pool: ProcessPoolExecutor, most: int, function: Callable[[T], R], it
         while waiting:
             yield waiting.popleft().result()
     except BrokenProcessPool as error:
-        raise L3Error("a worker process was killed, perhaps because memory ran out; reduce ‹jobs›") from error
+        raise L3Error("a worker process was killed, perhaps because it ran out of memory; reduce ‹jobs›") from error

@@ -14,7 +14,7 @@ from l3cli.physics import spectra
 Array = NDArray[np.floating]
 
 WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # wavelengths, in nm, at which XYZ is computed
-# Reciprocal colour temperatures of the model illuminants, in mired (10^6/K), from 25 000 K to 1600 K.
+# Reciprocal colour temperatures of the model illuminants, in mired (10^-6/K), from 25 000 K to 1600 K.
 MIREDS = np.concatenate([np.arange(40.0, 250.0, 10.0), np.arange(250.0, 631.0, 10.0)])
 DAYLIGHT_MIRED = 250.0  # up to this value (4000 K or more), model illuminants are daylight; above this value, black bodies
 GREENS = np.arange(-0.8, 1.01, 0.1)  # tints: natural logarithm of the factor at GREEN_NM; negative values are magenta
@@ -40,7 +40,7 @@ def radiance(mired: float, green: float, wavelength: Array) -> Array:
     Parameters
     ----------
     mired : float
-        Reciprocal correlated colour temperature in mired (10^6/K).
+        Reciprocal correlated colour temperature in mired (10^-6/K).
     green : float
         Tint: the natural logarithm of the factor by which light at 545 nm is increased. Negative values are magenta.
     wavelength : ndarray, (wavelength,)

@@ -32,7 +32,7 @@ def in_upright_frame(planes: Floats, outputs: tuple[str, ...], orientation: int)
 
 
 def names_in_files(outputs: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of the values in a linear file.
+    """Return the names of the planes that are written to a file with linear outputs.
 
     If the outputs contain S1 and S2, the names are the outputs, followed by DoLP and AoLP. S0, S1 and S2 are in this order
     for monochrome cameras. Other outputs keep their names and their order.
@@ -43,9 +43,10 @@ def names_in_files(outputs: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def planes_in_files(planes: Floats, outputs: tuple[str, ...]) -> Floats:
-    """Return the values of a linear file as an array (value, row, col), in the order of `names_in_files`.
+    """Return the planes that are written to a file with linear outputs, (value, row, col), in the order of `names_in_files`.
 
-    `planes` (output, row, col) are the outputs of a table. DoLP is between 0 and 1, and AoLP is in degrees.
+    `planes` (output, row, col) are the outputs of a table. If the outputs contain S1 and S2, DoLP (0 to 1) and AoLP (in
+    degrees) are appended.
     """
     if not has_stokes(outputs):
         return planes

@@ -159,7 +159,7 @@ class NoiseRenderer:
         return gain, None if by_pixel else frame.noise_share
 
     def of_frame(self, frame: RawFrame) -> Renderer:
-        """Return a renderer with one set of transforms, for the gain and the mean noise fraction of a frame."""
+        """Return a renderer with a single set of transforms, which match the gain and the mean noise fraction of a frame."""
         return self._of((nearest_step(frame.gain), frame.noise_share))
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.integer]:

@@ -4,14 +4,14 @@ The standard deviation of an output at pixel p is modelled as
 
     σ(p) = G(class) · K(kind) · E(p) · s(p)
 
-s is the standard deviation of a raw value that is as bright as the output. G is a gain for each class of the last layer. K
-is a factor for each kind (chroma or saturation case) of the first layer. E is a factor for the outermost rows and columns,
-where outputs have more noise, because mirrored windows contain some raw values twice.
+s is the standard deviation of a raw value at the signal level of the output. G is a gain for each class of the last layer.
+K is a factor for each kind of the first layer, which is a chroma or a saturation case. E is a factor for the outermost rows
+and columns. Outputs in these rows and columns have more noise, because mirrored windows contain some raw values twice.
 
 G, K and E are determined by a parametric bootstrap. The rendered picture is treated as the true scene. Frames of this scene
-are simulated several times with new noise and are rendered. G, K and E are fitted so that the mean σ of each class, kind
-and border equals the standard deviation over these renderings. The result therefore includes the effect of noise on the
-choice of classes.
+are simulated several times with new noise and are rendered. G, K and E are fitted so that the mean σ equals the standard
+deviation over these renderings, for each class, each kind, and the outermost rows and columns. The result therefore
+includes the effect of noise on the choice of classes.
 """
 
 import math
@@ -116,7 +116,7 @@ def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = 
     Parameters
     ----------
     renderer : Renderer
-        A renderer with one set of transforms, for the gain and the noise of the frame.
+        A renderer with a single set of transforms, which must match the gain and the noise of the frame.
     frame : RawFrame
         The raw frame.
     like : Uncertainty, optional
@@ -314,7 +314,7 @@ def _sides(planes: NDArray[Any]) -> list[NDArray[Any]]:
 def _raw_sigma(
     table: TransformTable, terms: tuple[Array, Array, float], unit: float, outputs: Array, scale: Array
 ) -> Array:  # fmt: skip
-    """Return, for each pixel, the noise s of a raw value that is as bright as the output of the pixel.
+    """Return, for each pixel, the noise s of a raw value at the signal level of the output of the pixel.
 
     The noise is a standard deviation, as a fraction of full scale. The noise terms are averaged over the channels. `outputs`
     are already multiplied by `scale`, which is the product of `RawFrame.light_share` and the shading gain of each pixel. The

@@ -38,12 +38,12 @@ class Sheen:
     kind: NDArray[np.intp]  # (leaf) MATT, SMOOTH, FLAT, SKY or PLASTIC
     degree: Floats  # (leaf) degree of polarisation, or its largest value on the leaf
     angle: Floats  # (leaf) angle of polarisation at the centre, in radians
-    # (2, leaf) change of the angle over one leaf radius, down and across; for SKY, direction of increasing degree
+    # (2, leaf) vertical and horizontal change of the angle over one leaf radius; for SKY, direction of increasing degree
     slope: Floats
     # (leaf) The degree is proportional to brightness^-power. The power is 1 if only the surface reflects polarised light.
     albedo_power: Floats
     colour: Floats  # (leaf) relative change of the degree per 100 nm
-    # (3, leaf) in cycles at 550 nm: value at the centre, and change over one leaf radius, down and across
+    # (3, leaf) in cycles at 550 nm: value at the centre, vertical change and horizontal change over one leaf radius
     retardance: Floats
 
 

@@ -18,7 +18,7 @@ SURFACE_STEP = 7  # only every seventh surface is used, to save time
 SAMPLE_RIDGE = 1e-3  # absolute ridge of the fit of the corrections
 COLOUR_RIDGE = 1e-3  # ridge of the colour matrix, relative to the mean power of the channels' deviations from grey
 EXPOSURE_POWER = 2  # clipped samples have the weight exposure^−2, because brighter areas are rarer
-CHANGE_WEIGHT = 3.0  # weight of changes between exposures; high, because a step is more visible than a wrong colour
+CHANGE_WEIGHT = 3.0  # weight of changes between adjacent exposures; high, because a step is more visible than a wrong colour
 
 
 def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Array) -> Clipping | None:

@@ -78,7 +78,8 @@ class LearningRecipe(Recipe):
     # number of pseudo-patches of the parent that every class gets; the parent is the mean of all chromas of a level,
     # contrast and saturation case
     parent_patches: CountOrNone = 200
-    # number of uniform areas of measured surfaces per patch in classes of uniform areas (docs/method.md#uniform-surfaces)
+    # in classes of uniform areas: weight of uniform patches with measured reflectances, relative to the other patches
+    # (docs/method.md#uniform-surfaces)
     plain_surfaces: NotNegative = 0.3
     # spectral outputs only: width in pixels (odd) of the window over which spectra are smoothed; the brightness of each
     # pixel does not change (docs/method.md#smoothed-spectra); with 0, spectra are not smoothed

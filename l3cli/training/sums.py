@@ -179,9 +179,9 @@ def require_exact(sums: ClassSums, rule: ClassRule, steps: Array) -> None:
 
 
 def turned_places(turn: NDArray[np.integer], width: int) -> NDArray[np.intp]:
-    """Return the permutation of the stored pairs of columns that corresponds to the permutation `turn` of the taps.
+    """Return the order of the stored products of column pairs after the taps are permuted by `turn`.
 
-    The taps are the first of the `width` columns. The other columns stay in place.
+    The first columns are the taps. The remaining columns, up to `width`, keep their order.
     """
     row, col = pairs(width)
     place = np.empty((width, width), dtype=np.intp)

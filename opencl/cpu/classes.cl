@@ -98,7 +98,7 @@ INLINE void write_classes(__global uint *to, uints label, int count) {
     else WRITE_FIRST(uint, uints, to, label, count);
 }
 
-#if !defined(TRANSFORM_ONLY) && !defined(JOINED)  // otherwise another program contains this kernel, or joined.cl replaces it
+#if !defined(TRANSFORM_ONLY) && !defined(JOINED)  // with TRANSFORM_ONLY, another program contains this kernel; with JOINED, joined.cl replaces it
 COMPILED_ONCE classes_of_tile(int x0, int y0, CLASSES_PARAMETERS,
                               __global uint *restrict labels,  // (row, col)
                               int phase_row, int phase_column, int rows, int columns) {

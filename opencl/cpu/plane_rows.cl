@@ -1,4 +1,5 @@
-// Processor variant: reads padded rows of planes for a tile, and the element of label_words for each pixel.
+// Processor variant: reads the padded rows of planes for a tile, and each pixel's element of label_words. This element belongs to the class of
+// the pixel in the first layer.
 
 #define REACHED (TILE + 2 * STRUCTURE_REACH + 4 * LANES)
 

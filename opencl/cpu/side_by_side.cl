@@ -8,8 +8,8 @@
 // If there are three outputs, the weights of the fourth output are zero. In fixed point, the intercept of the fourth output is the number of
 // fractional bits of the class.
 //
-// In floating point, a vector contains only half as many taps. For large patches, the additional reads would cost more time than the simpler
-// sums over lanes save.
+// In floating point, a vector contains only half as many taps. For large patches, the additional reads would cost more time than is saved by
+// the simpler sums over lanes.
 
 #ifdef SIDE_BY_SIDE
 

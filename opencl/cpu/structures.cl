@@ -45,7 +45,7 @@ INLINE ints across(const int *at) {
                  LOAD_PRIVATE(ints, at + 4));
 }
 
-#ifndef TRANSFORM_ONLY  // otherwise another program contains this kernel
+#ifndef TRANSFORM_ONLY  // with TRANSFORM_ONLY, another program contains this kernel
 COMPILED_ONCE structures_of_tile(int x0, int y0, STRUCTURES_PARAMETERS) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const int span = width + 2 * STRUCTURE_REACH;

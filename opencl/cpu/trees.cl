@@ -105,10 +105,10 @@ INLINE void look(Evidence *e, const Columns *c, const Products *middle, uints tu
     weigh(e, &sums);
 }
 
-// A tree is divided into PARTS parts of at most 32 leaves. The part of each pixel is found first. Then the parts that contain pixels are
-// evaluated. Within a part, all tests are applied to all pixels, without branches. Leaves are numbered from left to right. If a pixel passes
-// a test, the leaves below the first branch of the test are excluded. The first remaining leaf is the leaf of the pixel. Parts are found in
-// the same way, 32 at a time.
+// A tree is split into PARTS parts (subtrees) of at most 32 leaves. The kernel first finds the part of each pixel, and then evaluates only the
+// parts that contain pixels. Within a part, all tests are applied to all pixels, without branches. Leaves are numbered from left to right. If a
+// pixel passes a test, the leaves below the first branch of the test are excluded. The first remaining leaf is the leaf of the pixel. Parts are
+// found in the same way, 32 at a time.
 //
 // `tests` contains: the indices at which the tests begin that choose one of 32 parts, the indices at which the tests of each part begin, the
 // index after the last test, the first leaf of each part, and the tests. A test has three words: the bits of its threshold; the index of its
@@ -171,7 +171,7 @@ INLINE void leaves_of(uints leaf[AT_ONCE], const Evidence e[AT_ONCE], __global c
     }
 }
 
-#ifndef TRANSFORM_ONLY  // otherwise another program contains this kernel
+#ifndef TRANSFORM_ONLY  // with TRANSFORM_ONLY, another program contains this kernel
 COMPILED_ONCE structures_of_tile(int x0, int y0, STRUCTURES_PARAMETERS) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0), span = width + 2 * STRUCTURE_REACH;
     const size_t stride = (size_t)source_rows * columns;

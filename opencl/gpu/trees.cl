@@ -12,7 +12,7 @@ INLINE uint next_node(uint node, const Evidence *e, __global const uint *nodes) 
     return (word >> 8) + (e->numerator[word & 0x3f] > as_float(nodes[2 * node]) * e->denominator[word >> 6 & 3]);
 }
 
-#ifndef TRANSFORM_ONLY  // otherwise another program contains this kernel
+#ifndef TRANSFORM_ONLY  // with TRANSFORM_ONLY, another program contains this kernel
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void structures(STRUCTURES_PARAMETERS) {
     const int x = get_group_id(0) * TILE + get_local_id(0), y = get_group_id(1) * BAND + get_local_id(1);

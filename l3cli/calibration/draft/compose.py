@@ -225,7 +225,7 @@ class Composer:
         self.whites, self.darks = seen.groups_of("white"), seen.groups_of("dark")
         if self.steps and self.bands:  # a file can contain only one of the two, and monochromatic captures are more accurate
             seen.notes.append(
-                f"skipped {len(self.bands)} captures of a chart behind filters, because there are monochromatic captures"
+                f"skipped {len(self.bands)} captures of a chart through filters, because there are monochromatic captures"
             )
             self.bands = []
 
@@ -387,7 +387,7 @@ class Composer:
                 self._unit(table.table, None)
 
     def _bands(self) -> None:
-        """Add the [[band]] captures, which show a chart behind narrow-band filters.
+        """Add the [[band]] captures, which show a chart through narrow-band filters.
 
         l3 finds the corners of the chart in the brightest captures, and uses the corners for all captures. A missing table
         of radiances is added as a TODO.
@@ -446,7 +446,7 @@ class Composer:
     # ---------------------------------------------------------------------------------------------------- sensor
 
     def _sensor_frames(self) -> None:
-        """Add the [[white]] and [[dark]] captures and, for captures behind filters, the section [datasheet].
+        """Add the [[white]] and [[dark]] captures and, for captures through filters, the section [datasheet].
 
         Missing captures are added as TODOs. If there are monochromatic captures, missing [[chart]] captures are added too. A
         draft with only photos needs none of these entries.

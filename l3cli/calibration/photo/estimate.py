@@ -531,11 +531,11 @@ def _under(shots: Sequence[Shot], index: int, light: Array) -> list[Shot]:
 
 
 def response_errors(responsivity: Array, covariance: Array, light: Array, surfaces: Array) -> Array:
-    """Return, for each channel, the relative uncertainty of the signals that surfaces cause under an illuminant.
+    """Return, for each channel, the relative uncertainty of the predicted signals of surfaces under an illuminant.
 
-    For each surface, the standard deviation of the signal is divided by the largest signal of all surfaces. The result is
-    the RMS over the surfaces. The mean signal of the surfaces is assumed to be known, because exposure and white balance
-    determine it.
+    For each surface, the standard deviation of the signal is divided by the largest signal among the surfaces. The
+    result is the RMS over the surfaces. The mean signal of the surfaces is assumed to be known, because exposure and white
+    balance determine it.
 
     Parameters
     ----------

@@ -450,7 +450,7 @@ def _masked_areas(
 
 
 def _fields(raw: Any) -> tuple[int, int]:
-    """Return the numbers of interleaved row fields and of column fields. Raises ValueError if a number is below 1."""
+    """Return how many row fields and column fields are interleaved. Raises ValueError if either count is below 1."""
     rows, cols = (int(tags.numbers(raw, tag, (1,))[0]) for tag in ("RowInterleaveFactor", "ColumnInterleaveFactor"))
     if min(rows, cols) < 1:
         raise ValueError(f"RowInterleaveFactor is {rows} and ColumnInterleaveFactor is {cols}, but both must be at least 1")

@@ -24,7 +24,7 @@ KELVIN = {  # value of CalibrationIlluminant (Exif LightSource) → correlated c
     1: 5500.0, 2: 4150.0, 3: 2856.0, 4: 5500.0, 9: 5500.0, 10: 6504.0, 11: 7504.0, 12: 6400.0, 13: 5050.0, 14: 4150.0,
     15: 3525.0, 16: 2925.0, 17: 2856.0, 18: 4874.0, 19: 6774.0, 20: 5503.0, 21: 6504.0, 22: 7504.0, 23: 5003.0, 24: 3200.0,
 }  # fmt: skip
-MIREDS = np.arange(40.0, 1000.0, 0.25)  # search grid of reciprocal colour temperatures, in mired (10^6/K)
+MIREDS = np.arange(40.0, 1000.0, 0.25)  # search grid of reciprocal colour temperatures, in mired (10^-6/K)
 DECIMALS = 4  # decimals of AsShotNeutral; signals from AsShotWhiteXY are rounded to as many decimals
 # Tag numbers of IlluminantData1, 2 and 3. They are listed here because the third number is wrong in tifffile.
 ILLUMINANT_DATA = {1: 52533, 2: 52534, 3: 52535}

@@ -237,10 +237,10 @@ def read_plain(path: Path, depths: tuple[int, ...] = (8, 16)) -> RawContent | No
 
 
 def _layout(stream: BinaryIO) -> _Plain | None:
-    """Return the layout of a TIFF file if l3 may have written the file as a mosaic, otherwise None.
+    """Return the layout of a TIFF file that looks like a mosaic written by l3, or None for any other file.
 
-    Mosaics of l3 are little-endian and uncompressed. They have one page, one channel of 8 or 16 bits, consecutive strips,
-    and no additional tags.
+    The mosaics that l3 writes are little-endian and uncompressed. They have one page, one channel of 8 or 16 bits,
+    consecutive strips, and no additional tags.
     """
     try:
         magic, at = struct.unpack("<4sI", stream.read(8))

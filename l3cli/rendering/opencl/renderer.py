@@ -152,7 +152,7 @@ class OpenCLRenderer:
         Number of the device, or a part of its name. [default: the value of the environment variable L3_DEVICE, otherwise the
         first GPU, otherwise the first device]
     variant : str, optional
-        A key of layout.VARIANTS. [default: the variant for the type of the device]
+        A key of layout.VARIANTS. [default: depends on the device type]
     lanes : int, optional
         Length of the vectors in the processor variant. [default: the width of the device's registers]
     by_noise : bool

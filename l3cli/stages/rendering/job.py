@@ -256,7 +256,7 @@ def _refuse_misplaced(destination: Destination, options: RenderOptions) -> None:
     if options.remosaic is not None and not destination.raw:
         raise RecipeError("‹remosaic› applies only to DNG files; remove ‹remosaic›, or write a .dng")
     if options.resume and destination.kind == "stream":
-        raise RecipeError("‹resume› cannot continue an output to stdout; remove ‹resume›, or write a file")
+        raise RecipeError("‹resume› does not work for output to stdout; remove ‹resume›, or write to a file")
     if options.uncertainty is not None and options.uncertainty.suffix.lower() != ".exr":
         raise RecipeError(f"‹uncertainty› {options.uncertainty} is not an .exr file; use a file name that ends in .exr")
     if options.uncertainty is not None and options.temporal:

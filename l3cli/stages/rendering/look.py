@@ -122,7 +122,7 @@ def _light_mix_of_first(source: WhiteSource, job: Job, sequence: FrameSequence) 
     light_mix = nearest_for(job.table, white.light.xyz)
     assert light_mix is not None
     extent = "" if is_single else ", for all frames"
-    console.info(f"{frame.name}: white {source.about}: using the transforms for {described(job.table, light_mix)}{extent}")
+    console.info(f"{frame.name}: using the transforms for {described(job.table, light_mix)}{extent} (white {source.about})")
     return light_mix, frames
 
 

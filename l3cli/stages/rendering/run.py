@@ -93,7 +93,7 @@ def _render_frames(job: Job, look: Look, makers: LocalPictures | RemotePictures,
             else:
                 writing.put((task.reference, picture))
         if not tally.done:
-            raise InputFileError("none of the frames can be read, so no output was written; check the errors above")
+            raise InputFileError("none of the frames could be read, so no output was written; check the errors above")
     tally.seconds = max(time.monotonic() - start, 1e-9)
     if warnings.assumption:
         console.info(warnings.assumption)

@@ -29,7 +29,7 @@ from l3cli.training.sums import runs_of
 from l3cli.training.symmetry import HALF_TURN, Allowed, orientations_of_scenes
 
 Floats = NDArray[np.float32]
-LARGEST_SIDE = 156  # largest side of a mosaic in pixels, and largest side of the area whose mean is set to the level
+LARGEST_SIDE = 156  # largest side of a mosaic in pixels, and of the area whose mean signal is scaled to the drawn level
 SHEET = 1 << 17  # number of pixels that are rendered as one batch; larger batches take less time per pixel
 
 
@@ -210,7 +210,7 @@ def _drawn_turn(
     Returns
     -------
     part : Turn
-        A larger area around the mosaic, whose mean is set to the drawn level.
+        A larger area around the mosaic, whose mean signal is scaled to the drawn level.
     piece : Turn
         The mosaic.
     """
@@ -368,29 +368,30 @@ class _Transforms:
     def __call__(
         self, noisy: NDArray, clean: NDArray | None, side: int, count: int, label: Integers
     ) -> tuple[NDArray[np.int32], Floats | None, Floats]:
-        """Transform the windows of mosaics.
+        """Apply the transforms of the layer to every window of a stack of mosaics.
 
         Parameters
         ----------
-        noisy : ndarray, (source, row, col)
-            Raw values or planes with noise, as integers. Their sums in float64 are exact.
-        clean : ndarray or None, (source, row, col)
-            Raw values or planes without noise. The resulting planes are not rounded.
+        noisy : ndarray, (input, row, col)
+            Raw values or planes with noise. They are integers, and must be small enough for exact sums in float64.
+        clean : ndarray or None, (input, row, col)
+            Raw values or planes without noise.
         side : int
             Side of the windows, in pixels.
         count : int
-            Number of stacked mosaics.
+            Number of mosaics, which are stacked vertically.
         label : ndarray, (row, col)
             Class of each pixel.
 
         Returns
         -------
         planes : ndarray, (plane, row, col)
-            Planes computed from `noisy`.
+            Planes computed from `noisy` with the fixed-point transforms, as integers.
         clean_planes : ndarray or None, (plane, row, col)
-            Planes computed from `clean`.
-        outputs : ndarray, (version, row, col, output)
-            Results of the floating-point transforms. Version 0 has noise. If `clean` is not None, version 1 has no noise.
+            Planes computed from `clean` with the same transforms, but without rounding. None if `clean` is None.
+        outputs : ndarray, (source, row, col, output)
+            Outputs of the floating-point transforms. The first source is `noisy`. If `clean` is given, the second source is
+            `clean`. Without floating-point transforms, the array has no outputs.
         """
         _, rows, cols = noisy.shape
         reach = np.arange(side) - side // 2
