@@ -4,7 +4,7 @@
 #define REACHED (TILE + 2 * STRUCTURE_REACH + 4 * LANES)
 
 typedef struct {
-    ulong of[REACHED];  // element of label_words for each pixel
+    ulong of[REACHED];  // each pixel's element of label_words
 } Words;
 
 // Reads `end` padded columns from a row of a plane or of the class map. The first column is STRUCTURE_REACH columns to the left of the tile.

@@ -35,7 +35,7 @@ INLINE void slide(Columns *columns, const ushort *entering, __global const ushor
             STORE_PRIVATE(full_shorts, sum) = LOAD_PRIVATE(full_shorts, sum) + change;
         }
     }
-#if CONTRASTS > 1  // otherwise squares are not needed
+#if CONTRASTS > 1  // with a single contrast, squares are not needed
     for (int p = 0, at = phase; p < span; p += LANES, at = PHASE_AFTER(at, LANES)) {
         const uints in = CONVERT(LOAD_PRIVATE(shorts, entering + p) >> SHIFT, uints);
         const uints out = CONVERT(LOAD_PRIVATE(shorts, leaving + p) >> SHIFT, uints);
