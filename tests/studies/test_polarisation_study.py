@@ -169,7 +169,7 @@ def test_photographs_in_colour(
         methods = {"bilinear": interpolate, "Newton": rivals.newton, "IGRI": rivals.igri}
         made = {
             "l3": in_order(renderer.outputs(frame).astype(np.float64)),
-            **{name: in_luminance(method(raw, trained.cfa).astype(np.float64), share) for name, method in methods.items()},
+            **{name: in_luminance(method(raw, trained.cfa), share) for name, method in methods.items()},
             "LMMSE": in_order(rivals.lmmse(ideal, training, raw, trained.cfa)),
         }
         for name, stokes in made.items():
@@ -183,7 +183,7 @@ def in_order(planes: Array) -> Array:
     return stokes_of(planes, COLOUR_STOKES)[[1, 0, 2]].astype(np.float64)
 
 
-def in_luminance(intensities: Array, share: Array) -> Array:
+def in_luminance(intensities: NDArray[np.floating], share: NDArray[np.floating]) -> Array:
     """Return S1, S0 and S2 of the luminance, from the intensities of red, green and blue behind the polarisers."""
     return np.tensordot(share, np.stack([as_outputs(each) for each in np.split(intensities, 3)]), 1)
 
