@@ -410,12 +410,12 @@ def _nonuniformity_rows(noise: NoiseFit) -> list[tuple[str, Array]]:
     prnu_error = unknown if noise.prnu_error is None else noise.prnu_error
     dsnu_lines = ((every * noise.row_noise, noise.row_noise_error), (every * noise.column_noise, noise.column_noise_error))
     prnu_lines = ((every * noise.row_prnu, noise.row_prnu_error), (every * noise.column_prnu, noise.column_prnu_error))
-    dsnu = (
+    dsnu: tuple[tuple[Array, Any], ...] = (
         combined((noise.dsnu, dsnu_error), *dsnu_lines),
         *dsnu_lines,
         (noise.dsnu, dsnu_error),
     )
-    prnu = (
+    prnu: tuple[tuple[Array, Any], ...] = (
         (noise.prnu, prnu_error),
         *prnu_lines,
         combined((noise.prnu, prnu_error), *prnu_lines, sign=-1),

@@ -38,6 +38,7 @@ class Sensor:
     cols: int = 40
     black_level: float = 64.0
     white_level: float = 4095.0
+    camera: None = None
 
     def dark_signal(self, exposure: float | None) -> float:
         return 0.0
