@@ -676,8 +676,8 @@ def make_large(path: Path) -> None:
 @pytest.mark.parametrize(
     ("spoil", "cure"),
     [
-        (lambda folder: (folder / "scene.img").unlink(), "to the folder of the header"),
-        (lambda folder: (folder / "scene.img").write_bytes(b"x"), "use the complete data file"),
+        (lambda folder: (folder / "scene.img").unlink(), "beside the header"),
+        (lambda folder: (folder / "scene.img").write_bytes(b"x"), "use the whole file"),
         (lambda folder: (folder / "scene.hdr").write_text("#?RADIANCE"), "use the .hdr file"),
         (lambda folder: make_large(folder / "scene.hdr"), "use the .hdr file"),
         (lambda folder: written(folder, TRUTH.astype("<f4"), drop="lines"), "use a complete ENVI header"),

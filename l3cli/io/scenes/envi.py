@@ -262,14 +262,14 @@ def _fields(path: Path) -> dict[str, str]:
     """
     with open_regular(path, "use the .hdr file") as stream:  # checked first, because `read_bounded` rejects large data files
         if b"ENVI" not in stream.read(64):
-            raise InputFileError(f"{path} is not an ENVI header; use the .hdr file of the cube")
+            raise InputFileError(f"{path} is not an ENVI header; give the .hdr file of the cube")
     content = read_bounded(path)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = content.decode("latin-1")
     if not text.lstrip().startswith("ENVI"):
-        raise InputFileError(f"{path} is not an ENVI header; use the .hdr file of the cube")
+        raise InputFileError(f"{path} is not an ENVI header; give the .hdr file of the cube")
     lines = [line for line in text.splitlines() if not line.lstrip().startswith(";")]  # a semicolon starts a comment
     fields, at = {}, 0
     while at < len(lines):
@@ -299,9 +299,7 @@ def _data(path: Path) -> Path:
         for data in (stem.with_name(stem.name + suffix), stem.with_name(stem.name + suffix.upper())):
             if data.is_file() and data != path:
                 return data
-    raise InputFileError(
-        f"{path}: the data file is missing; copy {stem.name} or {stem.name}.img to the folder of the header"
-    )
+    raise InputFileError(f"{path}: the data file is missing; put {stem.name} or {stem.name}.img beside the header")
 
 
 def _whole_data(path: Path, layout: Layout) -> Path:
@@ -309,7 +307,7 @@ def _whole_data(path: Path, layout: Layout) -> Path:
     data = _data(path)
     size = data.stat().st_size
     if size < layout.end:
-        raise InputFileError(f"{data} has {size} bytes, but its header requires {layout.end}; use the complete data file")
+        raise InputFileError(f"{data} has {size} bytes, but its header requires {layout.end}; use the whole file")
     return data
 
 
