@@ -123,7 +123,7 @@ def measure(capture: PhotoCapture, body: Body) -> Photograph:
 
 
 def light_of(capture: PhotoCapture) -> Array:
-    """Return the photon radiance of a photo's illuminant at the wavelengths WAVELENGTH, scaled to a mean of 1."""
+    """Return the photon radiance of the illuminant of a photo, sampled at WAVELENGTH and divided by its mean."""
     light = np.maximum(spectra.resample(capture.radiance, capture.wavelength, WAVELENGTH), 0.0)
     return np.asarray(light / light.mean())
 
@@ -376,10 +376,12 @@ def _padded(parts: Sequence[NDArray], fill: float | bool) -> NDArray:
 
 
 def _sensor(photographs: Sequence[Photograph], measurements: Measurements) -> tuple[SensorFigures, bool]:
-    """Return the noise and the levels of the sensor, and whether the noise was estimated from the patches.
+    """Return the gain, noise and levels of the sensor, and whether gain and noise were estimated from the patches.
 
-    Gain and noise are read from the data sheet, if there is one. Otherwise, they are estimated from the patches. The levels
-    always come from the first photo. Raises InputFileError if the white level exceeds the bit depth of the camera, or if the
+    Gain and noise come from the data sheet. Without a data sheet, they are estimated from the patches. The black and white
+    levels always come from the first photo.
+
+    Raises InputFileError if there is no data sheet, and the white level exceeds the largest value of the bit depth, or the
     noise of the patches does not increase with the signal.
     """
     first = photographs[0]
@@ -412,8 +414,8 @@ class ColourMatrix:
 def curves_of_matrices(matrices: Sequence[ColourMatrix], prior: Prior) -> Curves:
     """Return the most probable responsivities of a camera with these colour matrices, with 95 % confidence bands.
 
-    The matrices predict the values of the patches of a ColorChecker. The responsivities are then estimated from these values
-    in the same way as from photos.
+    The channel values of the patches of a ColorChecker are predicted with the matrices. The responsivities are then estimated
+    from these values in the same way as from the values in a photo.
     """
     reflectance = spectra.colorchecker(WAVELENGTH)[1]
     shots = [_shot(matrix, reflectance) for matrix in matrices]
