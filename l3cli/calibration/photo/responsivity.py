@@ -414,8 +414,8 @@ class ColourMatrix:
 def curves_of_matrices(matrices: Sequence[ColourMatrix], prior: Prior) -> Curves:
     """Return the most probable responsivities of a camera with these colour matrices, with 95 % confidence bands.
 
-    The channel values of the patches of a ColorChecker are predicted with the matrices. The responsivities are then estimated
-    from these values in the same way as from the values in a photo.
+    The matrices predict the channel values of the patches of a ColorChecker. The responsivities are then estimated from
+    these values in the same way as from the values in a photo.
     """
     reflectance = spectra.colorchecker(WAVELENGTH)[1]
     shots = [_shot(matrix, reflectance) for matrix in matrices]
