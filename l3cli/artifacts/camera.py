@@ -207,7 +207,11 @@ class Noise:
     read_noise: float = data("float64", unit="e-", doc="standard deviation of one reading in the dark")
     dark_current: float = data("float64", unit="e-/s", doc="mean dark current")
     dsnu: float = data("float64", unit="e-", doc="dark signal nonuniformity: standard deviation over pixels")
-    prnu: float = data("float64", unit="1", doc="photo response nonuniformity: relative standard deviation over pixels")
+    prnu: float = data(
+        "float64",
+        unit="1",
+        doc="photo response nonuniformity: relative standard deviation over pixels, without rows and columns",
+    )
     well_capacity: float = data("float64", unit="e-", doc="electrons at which a pixel saturates")
     column_noise: float = data("float64", unit="e-", doc="standard deviation of the fixed offsets of columns", default=0.0)
     row_temporal_noise: float = data(
@@ -223,6 +227,12 @@ class Noise:
         optional=0.0,
     )
     row_noise: float = data("float64", unit="e-", doc="standard deviation of the fixed offsets of rows", optional=0.0)
+    row_prnu: float = data(
+        "float64", unit="1", doc="relative standard deviation of the response of rows, in addition to prnu", optional=0.0
+    )
+    column_prnu: float = data(
+        "float64", unit="1", doc="relative standard deviation of the response of columns, in addition to prnu", optional=0.0
+    )
 
     def __post_init__(self) -> None:
         if not (min(dataclasses.astuple(self)) >= 0 and self.well_capacity > 0):
@@ -251,6 +261,11 @@ class Noise:
         It consists of the DSNU of the pixels and the fixed offsets of rows and columns.
         """
         return self.dsnu**2 + self.column_noise**2 + self.row_noise**2
+
+    @property
+    def uneven(self) -> float:
+        """Variance of the relative response: the PRNU of the pixels, of the rows and of the columns."""
+        return self.prnu**2 + self.row_prnu**2 + self.column_prnu**2
 
 
 @dataclass(frozen=True)
@@ -736,7 +751,7 @@ class CameraModel(Artifact):
                 f"the dark current alone saturates the pixels of camera {self.name}, because the dark signal is {dark:.4g} "
                 f"DN but full scale is only {span:.4g} DN; check the exposure time"
             )
-        stretch, prnu = span / (span - dark), noise.prnu**2
+        stretch, prnu = span / (span - dark), noise.uneven
         gain: Any = self.gain
         temporal: Any = noise.temporal
         channel_dark: Any = dark

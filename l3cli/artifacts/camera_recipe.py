@@ -247,6 +247,8 @@ class NoiseRecipe(Recipe):
     row_temporal_noise_e: NotNegative = 0.0  # offset of each row that changes from frame to frame
     column_temporal_noise_e: NotNegative = 0.0  # offset of each column that changes from frame to frame
     row_noise_e: NotNegative = 0.0  # fixed offset of each row
+    row_prnu: NotNegative = 0.0  # relative deviation of the response that all pixels of a row have in common
+    column_prnu: NotNegative = 0.0  # relative deviation of the response that all pixels of a column have in common
 
 
 def noise_of(recipe: NoiseRecipe) -> Noise:
@@ -537,13 +539,19 @@ def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:
         yield from share_faults(recipe.responsivity.peak_efficiency, "responsivity.peak_efficiency", 1.0)
     if recipe.gain is not None:
         yield from gain_faults(recipe.gain, noise.read_noise_e)
-    yield from share_faults(noise.prnu, "noise.prnu", MAX_PRNU)
+    yield from prnu_faults(noise, "noise")
     yield from length_faults(sensor.pixel_pitch_um, optics)
     yield from cfa_faults(recipe.cfa)
     yield from masked_faults(recipe.masked, recipe.channel)
     yield from channel_faults(recipe.channel, recipe.cfa.channels)
     yield from curve_faults(recipe.responsivity, _filters(recipe))
     yield from _model_faults(recipe)
+
+
+def prnu_faults(noise: NoiseRecipe, section: str) -> Iterator[Fault]:
+    """Yield a fault for each PRNU that is too large to be corrected. `section` is the section with the keys of `noise`."""
+    for key in ("prnu", "row_prnu", "column_prnu"):
+        yield from share_faults(getattr(noise, key), f"{section}.{key}", MAX_PRNU)
 
 
 def _model_faults(recipe: CameraRecipe) -> Iterator[Fault]:

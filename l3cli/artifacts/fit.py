@@ -124,6 +124,21 @@ class NoiseFit:
         "float64", "blinking_pixel", unit="e-", doc="difference between the two levels of each blinking pixel", optional=None
     )
 
+    @property
+    def pixel_prnu(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """PRNU without the parts of rows and columns, and its standard error, for each channel.
+
+        The error is 0 if the standard error of `prnu` is unknown.
+        """
+        variance = self.prnu**2 - self.row_prnu**2 - self.column_prnu**2
+        deviation = np.sqrt(np.maximum(variance, 0.0)) if self.row_prnu or self.column_prnu else self.prnu
+        if self.prnu_error is None:
+            return deviation, np.zeros_like(deviation)
+        lines = ((self.row_prnu, self.row_prnu_error), (self.column_prnu, self.column_prnu_error))
+        square = (self.prnu * self.prnu_error) ** 2 - sum((value * error) ** 2 for value, error in lines)
+        error = np.sqrt(np.maximum(square, 0.0)) / np.where(deviation > 0, deviation, 1.0)
+        return deviation, np.where(deviation > 0, error, 0.0)
+
 
 @dataclass(frozen=True)
 class SweepFit:

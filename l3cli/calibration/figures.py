@@ -32,14 +32,17 @@ def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
     -------
     dict
         Value and unit of each parameter. The keys are the names in EMVA 1288. The noise of rows and columns is included only
-        if it is not zero. "row noise" and "column noise" are the fixed offsets, which "DSNU" does not contain.
+        if it is not zero. "row noise" and "column noise" are the fixed offsets, which "DSNU" does not contain. "PRNU" does
+        not contain the PRNU of rows and columns.
     """
     noise = camera.noise
     lines = {
-        "row temporal noise": noise.row_temporal_noise,
-        "column temporal noise": noise.column_temporal_noise,
-        "row noise": noise.row_noise,
-        "column noise": noise.column_noise,
+        "row temporal noise": (noise.row_temporal_noise, "e-"),
+        "column temporal noise": (noise.column_temporal_noise, "e-"),
+        "row noise": (noise.row_noise, "e-"),
+        "column noise": (noise.column_noise, "e-"),
+        "row PRNU": (100.0 * noise.row_prnu, "%"),
+        "column PRNU": (100.0 * noise.column_prnu, "%"),
     }
     return {
         "overall system gain K": (camera.gain, "DN/e-"),
@@ -50,7 +53,7 @@ def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
         "saturation capacity": (min(noise.well_capacity, camera.full_scale), "e-"),
         "black level": (camera.black_level, "DN"),
         "white level": (camera.white_level, "DN"),
-        **{name: (value, "e-") for name, value in lines.items() if value},
+        **{name: entry for name, entry in lines.items() if entry[0]},
     }
 
 
@@ -66,13 +69,16 @@ def noise_errors(camera: CameraModel) -> dict[str, tuple[float, str]]:
     fit, noise = camera.fit.noise if camera.fit else None, camera.noise
     if fit is None:
         return {}
+    pixel_prnu, prnu_error = fit.pixel_prnu
     errors = {
         "DSNU": (_error_of_mean(camera, noise.dsnu, fit.dsnu, fit.dsnu_error), "e-"),
-        "PRNU": (100.0 * _error_of_mean(camera, noise.prnu, fit.prnu, fit.prnu_error), "%"),
+        "PRNU": (100.0 * _error_of_mean(camera, noise.prnu, pixel_prnu, prnu_error), "%"),
         "row temporal noise": (fit.row_temporal_noise_error if noise.row_temporal_noise else 0.0, "e-"),
         "column temporal noise": (fit.column_temporal_noise_error if noise.column_temporal_noise else 0.0, "e-"),
         "row noise": (fit.row_noise_error if noise.row_noise else 0.0, "e-"),
         "column noise": (fit.column_noise_error if noise.column_noise else 0.0, "e-"),
+        "row PRNU": (100.0 * fit.row_prnu_error if noise.row_prnu else 0.0, "%"),
+        "column PRNU": (100.0 * fit.column_prnu_error if noise.column_prnu else 0.0, "%"),
     }
     return {f"{name} ±": (COVERAGE * error, unit) for name, (error, unit) in errors.items() if error}
 
@@ -200,7 +206,7 @@ def _emva_columns(noise: NoiseFit) -> dict[str, Any]:
         "dark noise (e-)": noise.read_noise,
         "dark current (e-/s)": noise.dark_current,
         "DSNU (e-)": noise.dsnu,
-        "PRNU (%)": 100.0 * noise.prnu,
+        "PRNU (%)": 100.0 * noise.pixel_prnu[0],
         "SNR max (dB)": 10.0 * np.log10(noise.saturation_capacity),
         "DR (dB)": 20.0 * np.log10(noise.saturation_capacity / least),
         "LE (%)": 100.0 * noise.linearity_error,
@@ -308,8 +314,9 @@ def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
     Returns
     -------
     dict
-        Entry "camera": measured value ("recovered"), true value, unit and error of each parameter. Entry "channels":
-        errors of the curves and, if both cameras have polarisers, of the polarisers.
+        Entry "camera": measured value ("recovered"), true value, unit and error of each parameter. Noise of rows or columns
+        that only one of the cameras has is 0 in the other. Entry "channels": errors of the curves and, if both cameras have
+        polarisers, of the polarisers.
 
     Raises
     ------
@@ -333,14 +340,14 @@ def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
         columns["gain alpha·r error (%)"] = 100.0 * (fitted_gain / true_gain - 1.0)
     if camera.polarisers is not None and truth.polarisers is not None:
         columns |= _polariser_errors(camera.polarisers, truth)
-    true = camera_figures(truth)
+    found, true = camera_figures(camera), camera_figures(truth)
+    parameters: dict[str, dict[str, Any]] = {}
+    for name, (_, unit) in (found | true).items():
+        value, known = (each.get(name, (0.0, unit))[0] for each in (found, true))
+        percent = 100.0 * (value / known - 1.0) if known else None
+        parameters[name] = {"recovered": value, "true": known, "unit": unit, "error %": percent}
     return {
-        "camera": {
-            name: {"recovered": value, "true": true[name][0], "unit": unit}
-            | {"error %": 100.0 * (value / true[name][0] - 1.0) if true[name][0] else None}
-            for name, (value, unit) in camera_figures(camera).items()
-            if name in true
-        },
+        "camera": parameters,
         "channels": _by_channel(camera, columns),
     }
 
@@ -379,7 +386,9 @@ def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
     """
     truth = result.get("truth")
     lines = []
-    for name, entry in result["camera"].items():
+    missed = {name: known for name, known in truth["camera"].items() if name not in result["camera"]} if truth else {}
+    zeros = {name: {"value": 0.0, "unit": known["unit"]} for name, known in missed.items()}
+    for name, entry in (result["camera"] | zeros).items():
         line = f"{name:24}{figure(entry['value'], '.5g'):>12} {entry['unit']:6}"
         if truth and name in truth["camera"]:
             known = truth["camera"][name]

@@ -372,7 +372,7 @@ def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
     read_noise, dsnu, prnu = (
         quadratic(np.where(lowest, figures.read_noise, 0.0)) / share,
         quadratic(figures.dsnu),
-        quadratic(figures.prnu),
+        quadratic(figures.pixel_prnu[0]),
     )
     dark_current = max(float(pixels @ figures.dark_current), 0.0)
     well = (sensor.transfer.white_level - black_level) / conversion
@@ -397,6 +397,8 @@ def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
         row_temporal_noise=rows,
         column_temporal_noise=columns,
         row_noise=fixed_rows,
+        row_prnu=figures.row_prnu,
+        column_prnu=figures.column_prnu,
     )
     return SensorFigures(conversion, black_level, sensor.transfer.white_level, noise)
 

@@ -171,7 +171,7 @@ class Noise:
     floor: float  # (e-)²; variance of read noise, fixed offsets and quantisation
     dark: float  # e-/s; dark current
     full: float  # e-; full scale
-    prnu: float  # relative standard deviation of the response between pixels
+    uneven: float  # relative variance of the response between pixels, including rows and columns
     rows: float = 0.0  # (e-)²; variance of the noise that all pixels of a row share, which is a part of `floor`
     columns: float = 0.0  # (e-)²; variance of the noise that all pixels of a column share, which is a part of `floor`
 
@@ -184,7 +184,7 @@ def noise_of(camera: CameraModel) -> Noise:
     noise = camera.corrected_noise()
     floor = noise.temporal + noise.fixed + QUANTISATION / camera.gain**2
     rows, columns = (each / camera.gain**2 for each in camera.line_variances())
-    return Noise(floor, noise.dark_current, camera.full_scale, noise.prnu, rows, columns)
+    return Noise(floor, noise.dark_current, camera.full_scale, noise.uneven, rows, columns)
 
 
 @dataclass(frozen=True)
@@ -335,7 +335,7 @@ def array_errors(seen: Seen, cfa: Cfa, noise: Noise, level: Level) -> NDArray[np
     cross = seen.cross[:, :, tap, filters].transpose(2, 0, 3, 1)  # (site, group, tap, output)
     power, mean = np.einsum("sKpp->sKp", matrix), seen.mean[:, tap, filters].transpose(1, 0, 2)
     dose, seconds = exposure(level, noise, float(seen.white[np.unique(cfa)].max()))
-    variance = (noise.floor + noise.dark * seconds) * weight / dose**2 + mean / dose + noise.prnu**2 * power
+    variance = (noise.floor + noise.dark * seconds) * weight / dose**2 + mean / dose + noise.uneven * power
     variance += TAP_RIDGE * power.mean(axis=2, keepdims=True) + EMPTY_NOISE * (seen.patches == 0)[:, None]
     clipped = mean / np.maximum(weight, 1e-12) * dose > noise.full
     matrix[..., tap, tap] += np.where(clipped, CLIPPED_NOISE * power, variance)

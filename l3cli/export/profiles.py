@@ -49,7 +49,10 @@ DECLARED_AS = {  # quantity in the data sheet → its name in `CameraModel.decla
     "black level": "black level",
     "white level": "white level",
 }
-NOISE = ("dark current", "DSNU", "PRNU", "row temporal noise", "column temporal noise", "row noise", "column noise")
+NOISE = (
+    "dark current", "DSNU", "PRNU", "row temporal noise", "column temporal noise", "row noise", "column noise", "row PRNU",
+    "column PRNU",
+)  # fmt: skip
 Row = tuple[str, str, float | str, str, str]
 # Files that are written for every camera.
 CURVES, RAWTOACES_JSON, DATASHEET = "responsivity.csv", "rawtoaces.json", "datasheet.csv"

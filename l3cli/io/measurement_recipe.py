@@ -16,7 +16,6 @@ import msgspec
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_curves import column_faults
 from l3cli.artifacts.camera_recipe import (
-    MAX_PRNU,
     Bits,
     CfaRecipe,
     ChannelRecipe,
@@ -29,8 +28,8 @@ from l3cli.artifacts.camera_recipe import (
     masked_faults,
     masked_recipe,
     optics_recipe,
+    prnu_faults,
     settings_of,
-    share_faults,
 )
 from l3cli.physics.mosaic import array_rows
 from l3cli.recipes.faults import Fault, fault
@@ -383,7 +382,7 @@ def _datasheet_faults(declared: DatasheetRecipe, most: int) -> Iterator[Fault]:
         yield fault(
             f"[datasheet] must satisfy 0 ≤ black_level_dn < white_level_dn ≤ {most}; correct these keys", "datasheet"
         )
-    yield from share_faults(declared.prnu, "datasheet.prnu", MAX_PRNU)
+    yield from prnu_faults(declared, "datasheet")
 
 
 def _source_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:

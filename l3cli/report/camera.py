@@ -411,14 +411,14 @@ def _nonuniformity_rows(noise: NoiseFit) -> list[tuple[str, Array]]:
     dsnu_lines = ((every * noise.row_noise, noise.row_noise_error), (every * noise.column_noise, noise.column_noise_error))
     prnu_lines = ((every * noise.row_prnu, noise.row_prnu_error), (every * noise.column_prnu, noise.column_prnu_error))
     dsnu: tuple[tuple[Array, Any], ...] = (
-        combined((noise.dsnu, dsnu_error), *dsnu_lines),
+        with_lines((noise.dsnu, dsnu_error), *dsnu_lines),
         *dsnu_lines,
         (noise.dsnu, dsnu_error),
     )
     prnu: tuple[tuple[Array, Any], ...] = (
         (noise.prnu, prnu_error),
         *prnu_lines,
-        combined((noise.prnu, prnu_error), *prnu_lines, sign=-1),
+        noise.pixel_prnu,
     )
     rows: list[tuple[str, Array]] = []
     for name, in_unit, scale, values in (("DSNU1288", "e⁻", 1.0, dsnu), ("PRNU1288", "%", 100.0, prnu)):
@@ -431,29 +431,26 @@ def _nonuniformity_rows(noise: NoiseFit) -> list[tuple[str, Array]]:
     return rows
 
 
-def combined(whole: tuple[Array, Any], *lines: tuple[Array, Any], sign: int = 1) -> tuple[Array, Array]:
-    """Add the variances of rows and columns to the variance of pixels, or subtract them from it.
+def with_lines(pixels: tuple[Array, Any], *lines: tuple[Array, Any]) -> tuple[Array, Array]:
+    """Add the variances of rows and columns to the variance of pixels.
 
     Parameters
     ----------
-    whole : (ndarray, ndarray)
+    pixels : (ndarray, ndarray)
         Standard deviation of each channel, and its standard error.
     lines : (ndarray, float)
         Standard deviation of the noise of rows or columns, and its standard error.
-    sign : int
-        1 to add the variances of lines, −1 to subtract them.
 
     Returns
     -------
     (ndarray, ndarray)
         Standard deviation of each channel, and its standard error.
     """
-    variance, square = whole[0] ** 2, (whole[0] * whole[1]) ** 2
+    variance, square = pixels[0] ** 2, (pixels[0] * pixels[1]) ** 2
     for deviation, error in lines:
-        variance, square = variance + sign * deviation**2, square + sign * (deviation * error) ** 2
-    deviation = np.sqrt(np.maximum(variance, 0.0))
-    error = np.sqrt(np.maximum(square, 0.0)) / np.where(deviation > 0, deviation, 1.0)
-    return deviation, np.where(deviation > 0, error, 0.0)
+        variance, square = variance + deviation**2, square + (deviation * error) ** 2
+    deviation = np.sqrt(variance)
+    return deviation, np.sqrt(square) / np.where(deviation > 0, deviation, 1.0)
 
 
 def _lit(camera: CameraModel, noise: NoiseFit, channel: int) -> tuple[Array, Array, Array]:

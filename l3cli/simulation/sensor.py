@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera import CameraModel, Noise
 from l3cli.errors import RecipeError, shortened, suggestion
 from l3cli.recipes.toml import NotNegative, Recipe, Share
 from l3cli.system.plugins import NOISE, blamed, plugins
@@ -26,24 +26,25 @@ OfMillion = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
 class FixedPattern:
     """Differences between the pixels of a camera that are the same in every frame."""
 
-    prnu: NDArray[np.float32]  # (row, col), relative deviation of the response
+    prnu: NDArray[np.float32]  # (row, col), relative deviation of the response, including the row and the column
     dsnu: NDArray[np.float32]  # (row, col), offset in e-, including the fixed offsets of the row and of the column
 
 
 def fixed_pattern(camera: CameraModel) -> FixedPattern:
     """Return the PRNU and DSNU of each pixel of the sensor, as determined by the `fixed_pattern_seed` of the camera."""
-    noise = camera.noise
-    shape = (camera.rows, camera.cols)
-    return _fixed_pattern(camera.fixed_pattern_seed, shape, noise.prnu, noise.dsnu, noise.column_noise, noise.row_noise)
+    return _fixed_pattern(camera.fixed_pattern_seed, (camera.rows, camera.cols), camera.noise)
 
 
 @functools.lru_cache(maxsize=1)
-def _fixed_pattern(seed: int, shape: tuple[int, int], prnu: float, dsnu: float, column: float, row: float) -> FixedPattern:
+def _fixed_pattern(seed: int, shape: tuple[int, int], noise: Noise) -> FixedPattern:
     rng = np.random.default_rng(seed)
-    response = rng.standard_normal(shape, dtype=np.float32) * np.float32(prnu)
-    offset = rng.standard_normal(shape, dtype=np.float32) * np.float32(dsnu)
-    offset += rng.standard_normal(shape[1], dtype=np.float32) * np.float32(column)
-    offset += rng.standard_normal((shape[0], 1), dtype=np.float32) * np.float32(row)
+    response = rng.standard_normal(shape, dtype=np.float32) * np.float32(noise.prnu)
+    offset = rng.standard_normal(shape, dtype=np.float32) * np.float32(noise.dsnu)
+    offset += rng.standard_normal(shape[1], dtype=np.float32) * np.float32(noise.column_noise)
+    offset += rng.standard_normal((shape[0], 1), dtype=np.float32) * np.float32(noise.row_noise)
+    for lines, deviation in (((shape[0], 1), noise.row_prnu), (shape[1], noise.column_prnu)):
+        if deviation:
+            response += rng.standard_normal(lines, dtype=np.float32) * np.float32(deviation)
     return FixedPattern(response, offset)
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from l3cli.artifacts.camera import AnalogGains, CameraModel
 from l3cli.artifacts.training_set import TrainingSet
+from l3cli.calibration.figures import as_text, compare, figures
 from l3cli.calibration.noise import DarkNoise, dark_noise, fixed_line_noise, line_noise, line_weights, response_noise
 from l3cli.calibration.noise import LineNoise as NoiseOfLines
 from l3cli.calibration.statistics import line_squares, mean_squares, measure_level, no_defects
@@ -327,6 +328,37 @@ def test_white_frames_give_the_response_of_rows_and_columns(
     total = np.sqrt(0.01**2 + rows**2 + columns**2)
     assert found.prnu == pytest.approx(total, rel=0.04)
     assert (np.abs(found.prnu - total) < 4 * found.prnu_error).all()
+
+
+def test_rows_and_columns_of_a_sensor_differ_in_response(bayer: CameraModel) -> None:
+    """The response of each line is the same in every frame, and the pixels of a camera without it stay as they are."""
+    noise = dataclasses.replace(bayer.noise, row_prnu=0.02, column_prnu=0.03)
+    plain, lined = (sensor.fixed_pattern(c).prnu for c in (bayer, dataclasses.replace(bayer, noise=noise)))
+    lines = (lined - plain).astype(np.float64)
+    rows, columns = lines.mean(axis=1, keepdims=True), lines.mean(axis=0)
+    np.testing.assert_allclose(lines, rows + columns - lines.mean(), atol=1e-6)
+    assert rows.std() == pytest.approx(0.02, rel=0.15)
+    assert columns.std() == pytest.approx(0.03, rel=0.15)
+    camera = dataclasses.replace(bayer, noise=dataclasses.replace(noise, dsnu=0.0))
+    light = np.full((bayer.rows, bayer.cols), 2000.0, np.float32)
+    signal = sensor.expose(camera, light, 0.0, np.random.default_rng(1)) - bayer.black_level
+    assert signal.var() == pytest.approx(float(camera.noise_variance(signal.mean())), rel=0.05)
+    assert signal.var() > 1.5 * float(bayer.noise_variance(signal.mean()))
+
+
+def test_noise_of_lines_that_was_not_found_is_compared_too(bayer: CameraModel) -> None:
+    """Noise that only the true camera has is missing from the results, and noise that only the results have is false."""
+    true = with_lines(bayer, 4.0, 0.0)
+    true = dataclasses.replace(true, noise=dataclasses.replace(true.noise, row_prnu=0.01))
+    result = figures(with_lines(bayer, 0.0, 3.0))
+    result["truth"] = compare(with_lines(bayer, 0.0, 3.0), true)
+    known = result["truth"]["camera"]
+    missed = {"recovered": 0.0, "true": 4.0, "unit": "e-", "error %": -100.0}
+    assert known["row temporal noise"] == missed
+    assert known["row PRNU"] == missed | {"true": 1.0, "unit": "%"}
+    assert known["column temporal noise"] == missed | {"recovered": 3.0, "true": 0.0, "error %": None}
+    lines = {line[:24].strip(): line.split() for line in as_text(result)}
+    assert lines["row temporal noise"][3:] == ["0", "e-", "true", "4", "error", "-100.00", "%"]
 
 
 def test_no_line_noise_is_found_where_there_is_none(bayer: CameraModel) -> None:

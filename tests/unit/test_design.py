@@ -39,7 +39,7 @@ from l3cli.design.search import (
 )
 from l3cli.physics.mosaic import least_period
 
-TERMS, NOISE = 3, Noise(floor=9.0, dark=0.0, full=6000.0, prnu=0.01)
+TERMS, NOISE = 3, Noise(floor=9.0, dark=0.0, full=6000.0, uneven=1e-4)
 CURVES = np.array([[0.4, 0.1, 0.0], [0.1, 0.5, 0.1], [0.0, 0.1, 0.4], [0.5, 0.6, 0.5]])
 BASIS = 2000.0 * np.eye(3)
 HUES = ((0.4, 0.3, 0.1), (0.15, 0.2, 0.1), (0.1, 0.15, 0.4), (0.3, 0.2, 0.3))  # XYZ over white
@@ -122,7 +122,7 @@ def test_the_closed_form_is_what_regression_on_noisy_patches_reaches(
         off = np.arange(SIDE) - SIDE // 2
         filters = cfa[np.ix_((site[0] + off) % 2, (site[1] + off) % 2)].ravel()
         signal = dose * np.einsum("nti,ti->nt", z, CURVES[filters] @ BASIS)
-        variance = NOISE.floor + signal + (NOISE.prnu * signal) ** 2
+        variance = NOISE.floor + signal + NOISE.uneven * signal**2
         s = signal + np.sqrt(variance) * rng.standard_normal((draws, *signal.shape))
         for shared, axis in ((rows, 1), (columns, 0)):
             of_lines = rng.standard_normal((draws, count, SIDE)) * np.sqrt(shared) if shared else np.zeros(SIDE)
@@ -217,4 +217,4 @@ def test_designs_have_the_noise_of_cameras(fiveband: CameraModel) -> None:
     noise, (constant, linear, quadratic) = noise_of(fiveband), fiveband.noise_terms()
     assert constant == pytest.approx(noise.floor * fiveband.gain**2, rel=1e-9)
     assert linear == pytest.approx(fiveband.gain, rel=1e-9)
-    assert quadratic == pytest.approx(noise.prnu**2, rel=1e-9)
+    assert quadratic == pytest.approx(noise.uneven, rel=1e-9)
