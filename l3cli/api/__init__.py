@@ -1,7 +1,7 @@
 """Python interface of l3.
 
-Import the package as `l3cli`. It provides the stages of the pipeline, loading and saving of artifacts, raw frames, a
-renderer and metrics.
+Import the package as `l3cli`. It provides the stages of the pipeline, functions that load and save artifacts and raw
+frames, a renderer, and metrics.
 
     import l3cli as l3
 
@@ -10,17 +10,15 @@ renderer and metrics.
     table = l3.train("training.h5", "table.h5", jobs=2)
     picture = l3.Renderer(table).picture(l3.read_raw("frame.dng", table))
 
-The functions `calibrate`, `simulate`, `train`, `render` and `evaluate` do the same as the commands with these names. Their
-arguments are paths or artifacts, and the files that they write are identical to the files of the commands. `calibrate`,
-`simulate` and `train` return the artifact that was written. `render` returns the number of frames that could not be read.
-`evaluate` returns a dictionary of metrics.
+The functions `calibrate`, `simulate`, `train`, `render` and `evaluate` do the same work as the commands of the same names,
+and write identical files. Their arguments are paths or artifacts. `calibrate`, `simulate` and `train` return the artifact
+that they have written. `render` returns the number of skipped frames. `evaluate` returns a dictionary of metrics.
 
-These functions do not print anything. Warnings of the command become Python warnings (UserWarning). If you pass a `console`
-(`l3cli.system.console.Console`), the console receives all messages instead.
+These functions print nothing. Warnings become Python warnings (UserWarning). If you pass a `console`
+(`l3cli.system.console.Console`), it receives all messages instead.
 
-All errors of l3 are subclasses of `L3Error` in `l3cli.errors`: RecipeError for a wrong argument or recipe, InputFileError
-for an unusable file, and DeviceError if OpenCL fails. Messages show the names of parameters in angle quotes, such as
-‹force›.
+l3 raises `L3Error` or one of its subclasses in `l3cli.errors`: RecipeError for an invalid argument or recipe, InputFileError
+for an unusable file, and DeviceError for an OpenCL failure. Error messages quote parameter names as in ‹force›.
 """
 
 from l3cli.api.figures import delta_e_2000, psnr, scielab, ssim

@@ -1,7 +1,7 @@
 """Metrics that compare two pictures. `l3 evaluate` uses the same metrics (docs/method.md#quality-metrics).
 
-A picture is an array with the shape (row, col, 3) for colour or (row, col) for grey. Its values are encoded as in sRGB. They
-are uint8, uint16, or floats from 0 to 1.
+Colour pictures are arrays of shape (row, col, 3), and grey pictures are arrays of shape (row, col). Their values are
+sRGB-encoded, as uint8, uint16, or floats from 0 to 1.
 """
 
 import numpy as np
@@ -12,11 +12,11 @@ from l3cli.evaluation import quality
 from l3cli.physics.display import LUMA, daylight, displayed_delta_e, displayed_xyz, srgb_decoded
 
 Array = NDArray[np.floating]
-WHITE_CODES = {np.dtype(np.uint8): 255.0, np.dtype(np.uint16): 65535.0}  # value of display white in each integer dtype
+WHITE_CODES = {np.dtype(np.uint8): 255.0, np.dtype(np.uint16): 65535.0}  # display white
 
 
 def delta_e_2000(one: ArrayLike, other: ArrayLike) -> Array:
-    """Return the CIEDE2000 colour difference between two sRGB pictures for each pixel, on a display with a D65 white.
+    """Compute the CIEDE2000 colour difference between two sRGB pictures at each pixel, for a display with a D65 white.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def delta_e_2000(one: ArrayLike, other: ArrayLike) -> Array:
     Returns
     -------
     ndarray, (row, col)
-        ΔE00 of each pixel.
+        ΔE00 at each pixel.
 
     Raises
     ------
@@ -46,22 +46,21 @@ def delta_e_2000(one: ArrayLike, other: ArrayLike) -> Array:
 
 
 def scielab(one: ArrayLike, other: ArrayLike, viewing: float = quality.VIEWING) -> Array:
-    """Return the S-CIELAB difference between two sRGB pictures for each pixel.
+    """Compute the S-CIELAB difference between two sRGB pictures at each pixel.
 
-    S-CIELAB first applies the blur of the eye at the viewing distance to both pictures. Then it computes CIEDE2000.
+    S-CIELAB blurs both pictures as the eye does at the viewing distance, and then computes CIEDE2000.
 
     Parameters
     ----------
     one, other : array_like, (row, col, 3)
         sRGB pictures of the same shape: uint8, uint16, or floats from 0 to 1.
     viewing : float, default 50
-        Pixels per degree of visual angle, from 2 to 1000. A 110 dpi monitor at a distance of 66 cm has 50 pixels per
-        degree.
+        Pixels per degree of visual angle, from 2 to 1000. A 110 dpi monitor viewed from 66 cm has 50 pixels per degree.
 
     Returns
     -------
     ndarray, (row, col)
-        ΔE00 of each pixel of the blurred pictures.
+        ΔE00 between the blurred pictures at each pixel.
 
     Raises
     ------
@@ -76,7 +75,7 @@ def scielab(one: ArrayLike, other: ArrayLike, viewing: float = quality.VIEWING) 
 
     Examples
     --------
-    A pattern that is too fine for the eye hardly differs from its mean:
+    A pattern too fine for the eye to resolve hardly differs from its mean:
 
     >>> import numpy as np
     >>> import l3cli as l3
@@ -90,7 +89,7 @@ def scielab(one: ArrayLike, other: ArrayLike, viewing: float = quality.VIEWING) 
 
 
 def psnr(one: ArrayLike, other: ArrayLike) -> float:
-    """Return the peak signal-to-noise ratio of two pictures, computed from their encoded values.
+    """Compute the peak signal-to-noise ratio (PSNR) between the encoded values of two pictures.
 
     Parameters
     ----------
@@ -118,18 +117,18 @@ def psnr(one: ArrayLike, other: ArrayLike) -> float:
 
 
 def ssim(one: ArrayLike, other: ArrayLike) -> float:
-    """Return the mean structural similarity of two pictures, with a Gaussian window of 11 × 11 pixels (σ = 1.5).
+    """Compute the mean structural similarity (SSIM) of two pictures, with an 11 × 11 Gaussian window (σ = 1.5 pixels).
 
     Parameters
     ----------
     one, other : array_like, (row, col) or (row, col, 3)
-        Grey or sRGB pictures of the same shape: uint8, uint16, or floats from 0 to 1. If the pictures are sRGB, l3
-        compares their luma.
+        Grey or sRGB pictures of the same shape: uint8, uint16, or floats from 0 to 1. Of sRGB pictures, only the luma
+        is compared.
 
     Returns
     -------
     float
-        SSIM, which is 1 if the pictures are equal.
+        SSIM. It is 1 if the pictures are equal.
 
     Raises
     ------
@@ -155,10 +154,6 @@ def ssim(one: ArrayLike, other: ArrayLike) -> float:
 
 
 def _colours(one: ArrayLike, other: ArrayLike) -> tuple[Array, Array]:
-    """Return both pictures as colour pictures with values from 0 to 1.
-
-    Raises InputFileError if the pictures are grey, have different shapes, or are not pictures.
-    """
     pictures = _pictures(one, other)
     if pictures[0].ndim != 3:
         raise InputFileError(f"{_described(one)} is not a colour picture; pass an sRGB picture (row, col, 3)")
@@ -166,10 +161,6 @@ def _colours(one: ArrayLike, other: ArrayLike) -> tuple[Array, Array]:
 
 
 def _pictures(one: ArrayLike, other: ArrayLike) -> tuple[Array, Array]:
-    """Return both pictures with values from 0 to 1.
-
-    Raises InputFileError if the pictures have different shapes, or if one of the arrays is not a picture.
-    """
     pictures = _picture(one), _picture(other)
     if pictures[0].shape != pictures[1].shape:
         raise InputFileError(
@@ -179,6 +170,7 @@ def _pictures(one: ArrayLike, other: ArrayLike) -> tuple[Array, Array]:
 
 
 def _picture(given: ArrayLike) -> Array:
+    """Check a picture, and scale its values to the range from 0 to 1."""
     array = np.asarray(given)
     if array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,)) or not array.size:
         raise InputFileError(f"{_described(given)} is not a picture; pass an sRGB (row, col, 3) or grey (row, col) picture")

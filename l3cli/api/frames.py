@@ -1,7 +1,7 @@
-"""Raw frames in memory, a renderer for raw frames, and a class for the video plugins.
+"""Load and render raw frames in memory.
 
-`read_raw` reads a raw frame from a file, and `raw_frame` converts an array to a raw frame. `Renderer` renders raw frames.
-`Mosaics` converts the frames of a video program to raw frames (l3cli/video_hosts).
+`read_raw` reads a raw frame from a file, and `raw_frame` creates one from an array. `Renderer` renders raw frames. `Mosaics`
+creates raw frames from the frames of video software, for the plugins in l3cli/video_hosts.
 """
 
 import functools
@@ -51,36 +51,37 @@ def read_raw(
     path : str or path
         Raw file.
     sensor : TransformTable or CameraModel
-        Table or camera model for the frame. Its filter array must match the filter array of the file.
+        Transform table or model of the camera that took the frame. Its filter array must match the file's filter array.
     black_level, white_level : float, optional
-        Levels in DN, which replace the levels in the file.
+        Black and white level in DN. [default: the levels in the file, otherwise the levels of `sensor`]
     phase : (int, int), optional
-        CFA row and CFA column of the first pixel, counted from 0, which replace the phase in the file.
+        CFA row and column of the first pixel, counted from 0. [default: the phase in the file, otherwise (0, 0)]
     size : (int, int), optional
-        Headerless files only: rows and columns. [default: the size of `sensor`]
+        Headerless files only: number of rows and columns. [default: the size of `sensor`]
     packing : str, optional
-        Headerless files only: packing of the values, such as "u16", "raw10" or "Mono12Packed".
+        Headerless files only: pixel format, such as "u16", "raw10" or "Mono12Packed". [default: MIPI for .raw10 and .raw12
+        files, otherwise "u16"]
     stride : int, optional
-        Headerless files only: number of bytes from one row to the next. [default: rows without padding]
+        Headerless files only: number of bytes from the start of one row to the next. [default: rows without padding]
     exposure : float, optional
-        Exposure time in s, which replaces the exposure time in the file. l3 subtracts the dark signal of this exposure time.
+        Exposure time in s, for which l3 subtracts the dark signal. [default: the exposure time in the file]
     gain : float, optional
-        Analog gain as a multiple of the camera's gain, which replaces the gain that l3 derives from the file.
+        Analog gain relative to the gain in the camera model. [default: the gain that l3 derives from the file]
     camera : CameraModel, optional
-        Camera model whose defect map and flat field correct the frame.
+        Camera model with the defect map and the flat field that are used to correct the frame. [default: no correction]
     skip : int, default 0
-        Headerless files only: number of bytes before the frame.
+        Headerless files only: number of bytes before the first pixel.
     byte_order : {"little", "big"}, optional
         Headerless files only: byte order of 16-bit values. [default: "little"]
     opcodes : {"leave"}, optional
-        DNG files only: with "leave", l3 does not correct the distortion of the lens, and reads a file even if the file
-        requires opcodes that l3 does not support.
+        DNG files only: "leave" ignores lens-distortion opcodes, and also required opcodes that l3 does not support.
+        [default: correct lens distortion, and reject files with unsupported required opcodes]
 
     Returns
     -------
     RawFrame
-        The frame. Its attribute `values` contains the raw values in DN, with the shape (row, col). Further attributes
-        contain the levels, the CFA phase and metadata of the file.
+        The frame. The attribute `values`, (row, col), contains the raw values in DN. Other attributes contain the black
+        and white level, the CFA phase and the file's metadata.
 
     Raises
     ------
@@ -110,33 +111,32 @@ def raw_frame(
     neutral: Mapping[str, float] | None = None, exposure: float | None = None, gain: float | None = None,
     camera: CameraModel | None = None,
 ) -> RawFrame:  # fmt: skip
-    """Convert an array of raw values to a raw frame.
+    """Create a raw frame from an array of raw values.
 
-    Use this function if a different library has read the raw values. For files that l3 supports, use `read_raw`.
+    Use this function if another library has read the raw values. For files that l3 can read, use `read_raw`.
 
     Parameters
     ----------
     values : ndarray of uint8 or uint16, (row, col)
         Mosaic in DN.
     sensor : TransformTable or CameraModel
-        Table or camera model for the frame.
+        Transform table or model of the camera that took the frame.
     pattern : array_like of str, optional
-        Letter (R, G, B, C, M, Y or W) of each filter, with the shape (row, col). The first letter is the filter of the
-        first pixel. You can write a square array as one word, such as "rggb". [default: the filter array of `sensor`,
-        which begins at `phase`]
+        CFA pattern, (row, col): one letter (R, G, B, C, M, Y or W) per filter, starting at the first pixel. A square
+        pattern can also be one word, such as "rggb". [default: the filter array of `sensor`, starting at `phase`]
     black_level, white_level : float, optional
-        Levels in DN. [default: the levels of `sensor`]
+        Black and white level in DN. [default: the levels of `sensor`]
     phase : (int, int), optional
-        CFA row and CFA column of the first pixel, counted from 0. [default: (0, 0)]
+        CFA row and column of the first pixel, counted from 0. [default: (0, 0)]
     neutral : mapping of str to float, optional
-        White balance of the camera: for each letter of the pattern, the signal above black that a grey object causes, in
-        any unit. [default: the frame has no white balance]
+        Camera white balance: the signal above black of a grey object for each letter of the pattern, in any common unit.
+        [default: no white balance]
     exposure : float, optional
-        Exposure time in s. l3 subtracts the dark signal of this exposure time. [default: l3 subtracts no dark signal]
+        Exposure time in s, for which l3 subtracts the dark signal. [default: subtract no dark signal]
     gain : float, optional
-        Analog gain as a multiple of the camera's gain. [default: 1]
+        Analog gain relative to the gain in the camera model. [default: 1]
     camera : CameraModel, optional
-        Camera model whose defect map and flat field correct the frame.
+        Camera model with the defect map and the flat field that are used to correct the frame. [default: no correction]
 
     Returns
     -------
@@ -148,12 +148,12 @@ def raw_frame(
     InputFileError
         If `values` is not a mosaic of uint8 or uint16, or if `pattern` does not match the filter array of `sensor`.
     RecipeError
-        If `pattern` contains an unknown letter or is not a rectangle.
+        If `pattern` contains an unknown letter or is not rectangular.
 
     Warns
     -----
     UserWarning
-        If values exceed the bit depth of the table.
+        If `sensor` is a table and a value exceeds the bit depth of its camera.
 
     Examples
     --------
@@ -174,10 +174,9 @@ def raw_frame(
 
 
 def _codes(pattern: ArrayLike) -> NDArray[np.int64]:
-    """Return the colour code of each filter in an array of letters, with the shape (row, col).
+    """Convert a CFA pattern of letters, such as "rggb", to an array of colour codes, (row, col).
 
-    A word such as "rggb" must have a square number of letters, which fill the array row by row. Raises RecipeError if the
-    pattern is not a rectangle of known letters.
+    The number of letters in a word must be a perfect square. The letters fill the array row by row.
     """
     letters = np.array(list(pattern) if isinstance(pattern, str) else pattern)
     side = math.isqrt(letters.size)
@@ -195,11 +194,7 @@ def _of_array(
     values: NDArray[Any], sensor: TransformTable | CameraModel, known: RawOverrides, content: dict[str, NDArray],
     name: str = "the array",
 ) -> RawFrame:  # fmt: skip
-    """Check an array of raw values and convert it to a raw frame.
-
-    If `sensor` is a table and a value exceeds the bit depth of its camera, the function issues a Python warning. Raises
-    InputFileError if the array is not a mosaic of uint8 or uint16.
-    """
+    """Check an array of raw values, and create a raw frame from it."""
     array = np.asarray(values)
     if array.dtype not in (np.uint8, np.uint16) or array.ndim != 2 or not array.size:
         raise InputFileError(
@@ -213,18 +208,18 @@ def _of_array(
 
 
 class Renderer:
-    """Renders raw frames with one table, to pictures or to the linear outputs of the table.
+    """Renders raw frames with a transform table, either to pictures or to the table's linear outputs.
 
-    Several threads can share a renderer, but it renders only one frame at a time.
+    Several threads can share a renderer. It renders one frame at a time.
 
     Parameters
     ----------
     table : str, path or TransformTable
-        The table.
+        Transform table of the camera.
     backend : {"opencl", "reference"}, default "opencl"
         "opencl" runs the OpenCL kernels. "reference" computes in float64 with numpy, which is slow.
     device : str, optional
-        OpenCL device: a part of its name, or its number in the list that `l3 bench --list` prints. [default: the environment
+        OpenCL device: part of its name, or its number in the output of `l3 bench --list`. [default: the environment
         variable L3_DEVICE]
     variant : {"processor", "graphics"}, optional
         Kernels for CPUs ("processor") or for GPUs ("graphics"). [default: depends on the device type]
@@ -232,20 +227,20 @@ class Renderer:
     Attributes
     ----------
     table : TransformTable
-        The table.
+        The transform table.
 
     Raises
     ------
     InputFileError
-        If `table` is a file but not a transform table.
+        If `table` is the path of a file that is not a transform table.
     DeviceError
         If the OpenCL device does not work.
 
     Notes
     -----
-    Every method accepts frames as `RawFrame` (from `read_raw` or `raw_frame`) or as arrays of uint8 or uint16 with the
-    shape (row, col). For an array, l3 uses the black level and the white level of the table, and assumes that the first
-    pixel is at CFA site (0, 0).
+    All methods accept frames as `RawFrame` (from `read_raw` or `raw_frame`) or as arrays of uint8 or uint16 with the
+    shape (row, col). For an array, l3 uses the table's black and white level, and assumes that the first pixel is at CFA
+    site (0, 0).
 
     Examples
     --------
@@ -263,11 +258,10 @@ class Renderer:
         self.table = table if isinstance(table, TransformTable) else store.load(TransformTable, Path(table))
         chosen = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}
         self._renderer, self._backend, self._chosen = NoiseRenderer(backend, self.table, **chosen), backend, chosen
-        self._pictured = self.table.pictured()  # the table with only the outputs that pictures need
+        self._pictured = self.table.pictured()  # the table, reduced to the outputs that pictures need
         shows_all = self._pictured.outputs == self.table.outputs
         self._pictures = self._renderer if shows_all else NoiseRenderer(backend, self._pictured, **chosen)
-        # One renderer per mixture of training illuminants. The renderer with the key None uses the transforms that all
-        # illuminants share.
+        # One renderer per mixture of training illuminants. The key None stands for the transforms common to all illuminants.
         self._renderers: dict[Mix | None, NoiseRenderer] = {None: self._pictures}
         self._alone = ThreadLock()
 
@@ -275,29 +269,29 @@ class Renderer:
         self, frame: RawFrame | NDArray[np.uint16], *, exposure: float | None = None, white: str | None = None,
         space: str = "srgb", bits: int = 8,
     ) -> NDArray[Any]:  # fmt: skip
-        """Render one frame to a picture. The values are the same as in a file of `l3 render`.
+        """Render one frame to a picture, with the same pixel values as in a picture from `l3 render`.
 
         Parameters
         ----------
         frame : RawFrame or ndarray, (row, col)
             Raw frame.
         exposure : float, optional
-            Factor by which l3 multiplies X, Y and Z. A product of 1 in Y is display white. [default: the factor that
-            makes the 99th percentile of Y white]
+            Factor by which X, Y and Z are multiplied. After the multiplication, Y = 1 is display white. [default: the
+            factor that makes the 99th percentile of Y white]
         white : str, optional
             White of the scene, which becomes neutral in the picture:
 
             * an illuminant ("D50", "3200K") or a chromaticity "x,y";
             * one multiplier for each channel ("2.1,1,1.4");
-            * "camera" (the white balance in the file) or "table" (the white of the training);
+            * "camera" (the white balance in the file) or "table" (the white used in training);
             * "auto" (estimated from the frame) or "chart" (measured on a ColorChecker in the frame);
-            * "ROW,COL" or "ROW,COL,SIZE", the position and size of a grey area in the picture.
+            * "ROW,COL" or "ROW,COL,SIZE" (position and size of a grey area in the picture, in pixels).
 
-            [default: "camera" if the file contains a white balance, otherwise "table"]
+            [default: "camera" if the frame contains a white balance, otherwise "table"]
         space : {"srgb", "display-p3", "rec2020", "acescg", "xyz"}, default "srgb"
             Colour space. "acescg" and "xyz" are linear.
         bits : {8, 16, 32}, default 8
-            Bits per value. 32 means float32 values, which are linear and not clipped.
+            Bits per value. 32 returns float32 values that are linear and not clipped.
 
         Returns
         -------
@@ -307,15 +301,25 @@ class Renderer:
         Raises
         ------
         RecipeError
-            If an argument is invalid, or if the table has neither Y as its only output nor X, Y, Z as its first outputs.
+            If an argument is invalid, or if the table's outputs are neither Y alone nor begin with X, Y and Z.
         InputFileError
             If the frame does not fit the table, or if the white cannot be measured in the frame.
 
         Warns
         -----
         UserWarning
-            If `white` is far from the training illuminants, or if a channel of the camera collects more than 1 % of its
-            electrons at wavelengths at which the spectrum of the illuminant is unknown.
+            If `white` is far from the training illuminants, or if a camera channel collects more than 1 % of its electrons
+            at wavelengths for which the illuminant's spectrum is unknown.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import l3cli as l3
+        >>> renderer = l3.Renderer("table.h5")
+        >>> frame = l3.raw_frame(np.full((48, 64), 500, np.uint16), renderer.table)
+        >>> picture = renderer.picture(frame, white="D65", bits=16)
+        >>> picture.shape, picture.dtype
+        ((48, 64, 3), dtype('uint16'))
         """
         return next(self.pictures([frame], exposure=exposure, white=white, space=space, bits=bits))
 
@@ -323,20 +327,44 @@ class Renderer:
         self, frames: Iterable[RawFrame | NDArray[np.uint16]], *, exposure: float | None = None, white: str | None = None,
         space: str = "srgb", bits: int = 8,
     ) -> Iterator[NDArray[Any]]:  # fmt: skip
-        """Render frames lazily, one after the other. Automatic exposure is determined for each frame separately.
+        """Render frames lazily, one after the other, and determine automatic exposure separately for each frame.
 
-        If the table has transforms for several illuminants, all frames use the transforms that fit the white of the
-        first frame. The other parameters and the errors are the same as in `picture`.
+        If the table has transforms for several illuminants, the white of the first frame determines the transforms for
+        all frames.
 
         Parameters
         ----------
-        frames : iterable of RawFrame or ndarray
+        frames : iterable of RawFrame or ndarray, (row, col)
             Raw frames, for example a list or a generator.
+        exposure : float, optional
+            Factor by which X, Y and Z are multiplied. After the multiplication, Y = 1 is display white. [default: the
+            factor that makes the 99th percentile of Y white, separately for each frame]
+        white : str, optional
+            White of the scene, in any form that `picture` accepts. [default: "camera" for frames that contain a white
+            balance, otherwise "table"]
+        space : {"srgb", "display-p3", "rec2020", "acescg", "xyz"}, default "srgb"
+            Colour space. "acescg" and "xyz" are linear.
+        bits : {8, 16, 32}, default 8
+            Bits per value. 32 returns float32 values that are linear and not clipped.
 
-        Yields
+        Returns
+        -------
+        iterator of ndarray of uint8, uint16 or float32, (row, col, 3)
+            The picture of each frame, rotated upright.
+
+        Raises
         ------
-        ndarray, (row, col, 3)
-            The picture of the next frame.
+        RecipeError, InputFileError
+            As in `picture`, when the iterator is advanced.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import l3cli as l3
+        >>> renderer = l3.Renderer("table.h5")
+        >>> dark, bright = np.full((48, 64), 300, np.uint16), np.full((48, 64), 500, np.uint16)
+        >>> [picture.shape for picture in renderer.pictures([dark, bright])]
+        [(48, 64, 3), (48, 64, 3)]
         """
         renderer, shown = self._pictures, self._shown_as(exposure, white, space, bits)
         for place, each in enumerate(frames):
@@ -352,28 +380,47 @@ class Renderer:
         self, rate: Fraction | None, *, exposure: float | None = None, white: str | None = None, space: str = "srgb",
         bits: int = 8, temporal: bool = False,
     ) -> Callable[[RawFrame | NDArray[np.uint16]], NDArray[Any]]:  # fmt: skip
-        """Return a function that renders the frames of a sequence. Call this function once for each frame.
+        """Return a function that renders a sequence frame by frame.
 
-        The parameters `exposure`, `white`, `space` and `bits` are the same as in `picture`.
+        If `rate` is set, automatic exposure and measured white change smoothly over time, as in `l3 render`, and you must
+        pass the frames in order. If `rate` is None, all frames get the exposure and the white of the first frame that you
+        pass. You can then pass the other frames in any order and from any thread, unless `temporal` is set.
 
         Parameters
         ----------
         rate : Fraction or None
-            Frame rate in frames/s. With a frame rate, automatic exposure and measured white change smoothly over time,
-            as in `l3 render`, and you must pass the frames in order. With None, all frames use the exposure and the
-            white of the first frame that you pass. You can pass the other frames in any order and from any thread.
+            Frame rate in frames/s.
+        exposure : float, optional
+            Factor by which X, Y and Z are multiplied. After the multiplication, Y = 1 is display white. [default: the
+            factor that makes the 99th percentile of Y white]
+        white : str, optional
+            White of the scene, in any form that `picture` accepts. [default: "camera" if the frame contains a white
+            balance, otherwise "table"]
+        space : {"srgb", "display-p3", "rec2020", "acescg", "xyz"}, default "srgb"
+            Colour space. "acescg" and "xyz" are linear.
+        bits : {8, 16, 32}, default 8
+            Bits per value. 32 returns float32 values that are linear and not clipped.
         temporal : bool, default False
-            Filter the frames over time, as `l3 render --temporal` does. You must then pass the frames in order.
+            Whether to filter the frames over time, as `l3 render --temporal` does. You must then pass the frames in order.
 
         Returns
         -------
         callable
-            Function whose argument is a raw frame and whose result is the picture of this frame, (row, col, 3).
+            Function that takes a raw frame and returns its picture, (row, col, 3), as `picture` does.
 
         Raises
         ------
         RecipeError
-            If `temporal` is set and the table does not contain the noise model of its camera.
+            If an argument is invalid, or if `temporal` is set and the table does not contain its camera's noise model.
+
+        Examples
+        --------
+        >>> from fractions import Fraction
+        >>> import numpy as np
+        >>> import l3cli as l3
+        >>> render_next = l3.Renderer("table.h5").sequence(Fraction(25), bits=16)
+        >>> render_next(np.full((48, 64), 500, np.uint16)).shape
+        (48, 64, 3)
         """
         how = (exposure, white, space, bits)
         shown, starting = self._shown_as(*how), ThreadLock()
@@ -397,7 +444,7 @@ class Renderer:
         return picture
 
     def outputs(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.float32]:
-        """Render one frame to the linear outputs of the table, without exposure, white balance or encoding.
+        """Render one frame to the table's linear outputs, without exposure, white balance or encoding.
 
         Parameters
         ----------
@@ -407,40 +454,56 @@ class Renderer:
         Returns
         -------
         ndarray of float32, (row, col, output)
-            Outputs in the order of `table.outputs`, rotated upright. A value of 1 in Y corresponds to
+            Outputs in the order of `table.outputs`, rotated upright. Y = 1 corresponds to a luminous exposure of
             `table.output_unit` cd s/m².
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import l3cli as l3
+        >>> renderer = l3.Renderer("table.h5")
+        >>> renderer.table.outputs, renderer.outputs(np.full((48, 64), 500, np.uint16)).shape
+        (('X', 'Y', 'Z'), (48, 64, 3))
         """
         return self._pixels(self._renderer, self._frame(frame), OUTPUTS, 0.0, None)
 
     def uncertainty(self, frame: RawFrame | NDArray[np.uint16], *, like: Uncertainty | None = None) -> Uncertainty:
-        """Estimate the uncertainty of the outputs due to the noise of the camera (docs/measurement.md#uncertainty).
+        """Estimate the uncertainty of the outputs due to camera noise (docs/measurement.md#uncertainty).
 
         Parameters
         ----------
         frame : RawFrame or ndarray, (row, col)
             Raw frame with at least 32 × 32 pixels.
         like : Uncertainty, optional
-            Uncertainty of a previous frame of the same scene. l3 reuses the noise gains of that frame, which
-            reduces the computing time to a tenth.
+            Uncertainty of a previous frame of the same scene. l3 reuses that frame's noise gains, which reduces the
+            computing time to a tenth.
 
         Returns
         -------
         Uncertainty
-            Attribute `sigma`, (row, col, output): the standard deviation of each output, rotated upright. Attribute
-            `mask`, (row, col): 1 for pixels that clipped values affect, 2 for pixels whose class had no training
-            patches, 3 for pixels with both problems, and 0 for all other pixels.
+            The attribute `sigma`, (row, col, output), contains the standard deviation of each output. The attribute
+            `mask`, (row, col), is 1 for pixels affected by clipping, 2 for pixels in classes without training patches, 3
+            for pixels with both problems, and 0 for all other pixels. Both arrays are rotated upright.
 
         Raises
         ------
         RecipeError
             If the table does not contain its camera model, or if the frame is smaller than 32 × 32 pixels.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import l3cli as l3
+        >>> found = l3.Renderer("table.h5").uncertainty(np.full((48, 64), 500, np.uint16))
+        >>> found.sigma.shape, found.mask.shape
+        ((48, 64, 3), (48, 64))
         """
         given = self._frame(frame)
         with self._alone:
             return uncertainty(self._renderer.of_frame(given), given, like)
 
     def labels(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.integer]:
-        """Return the class of each pixel.
+        """Determine which class, and therefore which transform, the renderer uses for each pixel.
 
         Parameters
         ----------
@@ -450,7 +513,14 @@ class Renderer:
         Returns
         -------
         ndarray of int, (row, col)
-            Class numbers in the orientation of the sensor. Unlike pictures, they are not rotated upright.
+            Class numbers in sensor orientation. Unlike pictures, they are not rotated upright.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import l3cli as l3
+        >>> l3.Renderer("table.h5").labels(np.full((48, 64), 500, np.uint16)).shape
+        (48, 64)
         """
         with self._alone:
             return self._renderer.labels(self._frame(frame))
@@ -458,22 +528,21 @@ class Renderer:
     def _shown_as(
         self, exposure: float | None, white: str | None, space: str, bits: int
     ) -> tuple[Rendition, WhiteSource | None]:
-        """Return the settings of the pictures, and the method that determines the white of each frame.
+        """Return the picture settings, and the method that determines each frame's white.
 
-        The method is None if `white` is an explicit white, such as "D50". If an explicit white is far from the training
-        illuminants, l3 warns.
+        The method is None for an explicit white, such as "D50". l3 warns if that white is far from the training illuminants.
         """
         rendition, source = shown_as(self._pictured, exposure, white, space, bits)
         if white is not None and source is None and (given := given_white(white, self._pictured)) is not None:
-            from l3cli.stages.rendering.job import warn_of_white  # imported here, because few callers set a white
+            from l3cli.stages.rendering.job import warn_of_white  # slow import that few callers need
 
             warn_of_white(white, given, self._pictured, PythonWarnings())
         return rendition, source
 
     def _lit(self, white: str | None, source: WhiteSource | None, frame: RawFrame) -> NoiseRenderer:
-        """Return the renderer whose transforms fit `white` or, if `source` is set, the white of the frame.
+        """Return the renderer with the transforms for the frame's white (from `source`), or for `white` if `source` is None.
 
-        The cache contains the renderer of the common transforms, and the renderer of the latest mixture of illuminants.
+        Only the latest renderer is cached, in addition to the renderer with the common transforms.
         """
         found = source.white(frame) if source else given_white(white, self._pictured)
         mix = None if found is None else nearest_for(self._pictured, found.light.xyz)
@@ -499,23 +568,22 @@ PIXELS = Quantity(0, 1_000_000, "pixels", whole=True)
 
 
 class Mosaics:
-    """Prepares the frames of a video program for rendering. All frames must have the same size.
+    """Creates raw frames from the frames of video software. All frames must have the same size.
 
-    The plugins for video programs (l3cli/video_hosts) convert their frames with this class, and render the converted frames
-    with the attribute `renderer`.
+    The plugins in l3cli/video_hosts convert their frames with this class, and render them with the attribute `renderer`.
 
     Parameters
     ----------
     table : str or path
-        The table.
+        Transform table of the camera (.h5).
     black_level, white_level : float or None
-        Levels in DN, or None for the levels of the table.
+        Black and white level in DN, or None for the table's levels.
     phase : (int, int) or None
-        CFA row and CFA column of the first pixel of each frame, or None for (0, 0).
+        CFA row and column of each frame's first pixel, counted from 0, or None for (0, 0).
     size : (int, int) or None
-        Rows and columns of the frames, or None for the size of the table's camera.
+        Number of rows and columns, or None for the size of the table's camera.
     camera : str, path or None
-        Camera model whose defect map and flat field correct the frames, or None for no correction.
+        Camera model with the defect map and the flat field that are used to correct the frames, or None for no correction.
     backend : {"opencl", "reference"}
         Backend, as in `Renderer`.
     device : str or None
@@ -524,7 +592,7 @@ class Mosaics:
     Attributes
     ----------
     renderer : Renderer
-        The renderer of the table.
+        Renderer for the converted frames.
 
     Raises
     ------
@@ -545,69 +613,69 @@ class Mosaics:
         self._known = RawOverrides(black_level, white_level, phase, correction=correction)
 
     def require_size(self, rows: int, cols: int) -> None:
-        """Raise RecipeError unless `rows` and `cols` are the expected size of the frames.
+        """Raise RecipeError if a frame size differs from the expected size.
 
-        A frame of a different size may have been cropped, and may therefore begin at a different CFA site.
+        A frame with another size may have been cropped, and may therefore start at a different CFA site.
         """
         if (rows, cols) != self._size:
             raise RecipeError(
                 f"the frames have {rows}×{cols} pixels (rows × columns) instead of {self._size[0]}×{self._size[1]}; if this "
-                f"is correct, set ‹size› {rows}x{cols}, and set ‹phase› if the frames begin at a different CFA site"
+                f"is correct, set ‹size› {rows}x{cols}, and set ‹phase› if the frames start at a different CFA site"
             )
 
     def in_time(self, read: Callable[[int], RawFrame], cache: int) -> AnyOrder:
-        """Return a temporal filter from which the video program can request frames in any order.
+        """Create a temporal filter from which filtered frames can be requested in any order.
 
         Parameters
         ----------
         read : callable
-            Function that returns the raw frame with a given number.
+            Function that takes a frame number and returns the raw frame.
         cache : int
             Number of filtered frames that are kept in memory.
 
         Raises
         ------
         RecipeError
-            If the table does not contain the noise model of its camera.
+            If the table does not contain its camera's noise model.
         """
         return AnyOrder(self._filters(), read, cache)
 
     def frame(self, values: NDArray[Any], order: str | None = None) -> RawFrame:
-        """Convert an array of raw values to a raw frame.
+        """Create a raw frame from an array of raw values.
 
         Parameters
         ----------
         values : ndarray of uint8 or uint16, (row, col)
             Mosaic in DN.
         order : str, optional
-            Bayer order of the first 2 × 2 pixels according to the video program, such as "rggb". [default: the filter
-            array of the table]
+            Bayer pattern that the video software reports for the first 2 × 2 pixels, such as "rggb". [default: the table's
+            filter array]
 
         Raises
         ------
         InputFileError
-            If the array is not a mosaic, or if `order` does not match the filter array of the table.
+            If the array is not a mosaic, or if `order` does not match the table's filter array.
         """
         pattern = {} if order is None else {"pattern": _codes(order)}
         return _of_array(values, self.renderer.table, self._known, pattern, "the frame")
 
 
 def pair(text: str, separator: str, name: str) -> tuple[int, int] | None:
-    """Parse two whole numbers from a text such as "720x1280" or "0,1".
+    """Parse two whole numbers from text such as "720x1280" or "0,1".
 
     Parameters
     ----------
     text : str
-        The text, which is empty if the option is not set.
+        The text. It is empty if the option is not set.
     separator : str
-        The characters between the two numbers.
+        Text between the two numbers, such as "x".
     name : str
         Name of the option, for the error message.
 
     Returns
     -------
     (int, int) or None
-        The two numbers, or None if the text is empty.
+        The two numbers, or None if `text` is empty.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""The four stages and the evaluation as Python functions, and functions that load and save artifacts.
+"""Python functions that run the four stages and the evaluation, and that load and save artifacts.
 
-The stages read and write files. If you pass an artifact in memory to a stage, it is first saved to a temporary file.
+The stages read and write files. An artifact in memory is first saved to a temporary file.
 """
 
 import contextlib
@@ -12,7 +12,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
 from os import PathLike
 from pathlib import Path
-from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, get_args, get_origin, overload
+from types import NoneType, UnionType
+from typing import Any, Concatenate, Generic, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, overload
 
 from l3cli.artifacts import camera_recipe, store
 from l3cli.artifacts.camera import CameraModel
@@ -21,7 +22,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.errors import InputFileError, suggestion
 from l3cli.options.commands import CalibrateOptions, EvaluateOptions, SimulateOptions, TrainOptions
-from l3cli.options.option import Declaration, Given, Options, declarations
+from l3cli.options.option import Declaration, Given, Number, Options, declarations
 from l3cli.options.render import RenderOptions
 from l3cli.recipes.builtin import find_recipe
 from l3cli.system.console import PythonWarnings
@@ -34,23 +35,23 @@ LOADABLE: tuple[type[Artifact], ...] = (CameraModel, TrainingSet, TransformTable
 def load(path: Name) -> CameraModel | TransformTable | TrainingSet:
     """Load a camera model, a transform table or a training set.
 
-    If you know the type of the artifact, use `load_camera`, `load_table` or `load_training_set` instead, because type
-    checkers then know the type of the result.
+    If you know which type of artifact the file contains, use `load_camera`, `load_table` or `load_training_set` instead:
+    type checkers can then infer the type of the result.
 
     Parameters
     ----------
     path : str or path
-        HDF5 file that l3 has written.
+        HDF5 file written by l3.
 
     Returns
     -------
     CameraModel, TransformTable or TrainingSet
-        The artifact. Like `load_training_set`, this function loads a training set without its frames.
+        The artifact. A training set is loaded without its frames (see `load_training_set`).
 
     Raises
     ------
     InputFileError
-        If the file is not an artifact of one of these types, or if its bytes have changed since it was written.
+        If the file is not an artifact of one of these types, or if it was modified after l3 wrote it.
 
     Examples
     --------
@@ -70,24 +71,24 @@ def load(path: Name) -> CameraModel | TransformTable | TrainingSet:
 
 
 def load_camera(camera: Name) -> CameraModel:
-    """Load a camera model, or compute a camera model from a camera recipe.
+    """Load a camera model, or compute one from a camera recipe.
 
     Parameters
     ----------
     camera : str or path
-        Camera model (.h5), camera recipe (.toml), or the name of a recipe that comes with l3, such as "bayer".
+        Camera model (.h5), camera recipe (.toml), or name of a built-in camera recipe, such as "bayer".
 
     Returns
     -------
     CameraModel
-        Filter array, responsivities, noise and optics.
+        The camera's filter array, responsivities, noise and optics.
 
     Raises
     ------
     InputFileError
-        If the file is not a camera model, or if its bytes have changed since it was written.
+        If the file is not a camera model, or if it was modified after l3 wrote it.
     RecipeError
-        If the recipe has errors, or if there is no recipe with this name.
+        If the recipe has errors, or if no recipe with this name exists.
 
     Examples
     --------
@@ -108,17 +109,17 @@ def load_table(path: Name) -> TransformTable:
     Parameters
     ----------
     path : str or path
-        File that `l3 train` has written.
+        Transform table written by `l3 train` (.h5).
 
     Returns
     -------
     TransformTable
-        The transforms of all classes, with the camera for which they were trained.
+        The transforms of all classes, and the camera for which they were trained.
 
     Raises
     ------
     InputFileError
-        If the file is not a transform table, or if its bytes have changed since it was written.
+        If the file is not a transform table, or if it was modified after l3 wrote it.
 
     Examples
     --------
@@ -130,23 +131,23 @@ def load_table(path: Name) -> TransformTable:
 
 
 def load_training_set(path: Name) -> TrainingSet:
-    """Load the description of a training set, without its frames.
+    """Load the metadata of a training set, without its frames.
 
     Parameters
     ----------
     path : str or path
-        File that `l3 simulate` has written.
+        Training set written by `l3 simulate` (.h5).
 
     Returns
     -------
     TrainingSet
-        The camera, the outputs and the history. To read the frames one after the other, use
+        The camera, the outputs and the processing history. To iterate over the frames, use
         `l3cli.artifacts.training_set.open_training_set`.
 
     Raises
     ------
     InputFileError
-        If the file is not a training set, or if its bytes have changed since it was written.
+        If the file is not a training set, or if it was modified after l3 wrote it.
 
     Examples
     --------
@@ -160,15 +161,14 @@ def load_training_set(path: Name) -> TrainingSet:
 def save(artifact: CameraModel | TransformTable, path: Name) -> None:
     """Save a camera model or a transform table as an HDF5 file.
 
-    If a file with this name exists, it is replaced. If an error occurs, the existing file stays unchanged, and no incomplete
-    file remains.
+    An existing file is replaced. If an error occurs, the existing file stays unchanged and no partial file is left behind.
 
     Parameters
     ----------
     artifact : CameraModel or TransformTable
         The artifact to save.
     path : str or path
-        File to write (.h5).
+        Output file (.h5).
 
     Raises
     ------
@@ -185,21 +185,21 @@ def save(artifact: CameraModel | TransformTable, path: Name) -> None:
 
 @contextlib.contextmanager
 def file_of(given: Name | Artifact, kind: str | None = None) -> Iterator[Path]:
-    """Context manager that returns the path of an artifact's file. An artifact in memory is saved to a temporary file.
+    """Context manager that yields a file path for an artifact, which may be a file or an object in memory.
 
-    The temporary file is deleted at the end of the `with` block.
+    An artifact in memory is saved to a temporary file, which is deleted at the end of the `with` block.
 
     Parameters
     ----------
     given : str, path or Artifact
-        A file or an artifact in memory. If `kind` is set, `given` may also be the name of a recipe that comes with l3.
+        A file or an artifact in memory. If `kind` is set, `given` may also be the name of a built-in recipe.
     kind : str, optional
-        Folder in configs/ that contains the recipes, such as "cameras".
+        Type of the built-in recipes: a subfolder of configs/, such as "cameras".
 
     Yields
     ------
     Path
-        The file of the artifact or recipe.
+        File that contains the artifact or recipe.
     """
     if not isinstance(given, Artifact):
         yield Path(given) if kind is None else find_recipe(str(given), kind)
@@ -210,6 +210,11 @@ def file_of(given: Name | Artifact, kind: str | None = None) -> Iterator[Path]:
         yield path
 
 
+CONSOLE_ENTRY = """\
+console : l3cli.system.console.Console, optional
+    Object that receives progress and messages. [default: warnings become Python warnings, and everything else is
+    discarded]"""
+
 P = ParamSpec("P")
 O = TypeVar("O", bound=Options)  # noqa: E741
 A = TypeVar("A")
@@ -219,11 +224,11 @@ R = TypeVar("R")
 
 
 class by_keyword(Generic[P, O]):
-    """Decorator that replaces the parameter `options` of a function by one keyword parameter for each option of a command.
+    """Decorator that replaces a function's `options` parameter with one keyword parameter per command-line option.
 
-    The keyword parameters appear in the signature and in the docstring, with the types and help texts of the command line.
-    An unknown keyword raises TypeError. Warnings become Python warnings, unless the caller passes a `console`. The function
-    runs with one BLAS thread, as the command does, because rounding errors depend on the number of threads.
+    The keyword parameters appear in the signature and in the docstring, with the option's type and help text. An unknown
+    keyword raises TypeError. Warnings become Python warnings unless the caller passes a `console`. The function runs with
+    one BLAS thread, as the command does, because rounding depends on the number of threads.
     """
 
     def __init__(self, options: Callable[P, O]) -> None:
@@ -240,7 +245,7 @@ class by_keyword(Generic[P, O]):
 
         @functools.wraps(function)
         def called(*given: Any, **named: Any) -> Any:
-            import scipy.linalg  # noqa: F401 # load scipy's BLAS, whose threads can be limited only after loading
+            import scipy.linalg  # noqa: F401 # loads scipy's BLAS: threadpool_limits affects only loaded libraries
             from threadpoolctl import threadpool_limits
 
             given += tuple(named.pop(each.name) for each in paths[len(given) :] if each.name in named)
@@ -253,34 +258,51 @@ class by_keyword(Generic[P, O]):
         called.__signature__ = self._signature(paths, function)  # type: ignore[attr-defined]
         # Numpydoc expects the section "Other Parameters" between Returns and Raises.
         before, raises, after = (inspect.getdoc(function) or "").partition("Raises\n------")
-        listed = "\n".join(self._described(name, each) for name, each in declared.items())
-        called.__doc__ = f"{before}Other Parameters\n----------------\n{listed}\n\n{raises}{after}"
+        types = {each.name: _accepted_type(each.type) for each in fields(self._options)}
+        listed = "\n".join(self._described(name, types[name], each) for name, each in declared.items())
+        called.__doc__ = f"{before}Other Parameters\n----------------\n{listed}\n{CONSOLE_ENTRY}\n\n{raises}{after}"
         return called
 
-    def _described(self, name: str, declared: Declaration) -> str:
-        """Return the numpydoc entry of an option: its name, its default value and its help text."""
-        default = "optional" if declared.default in (None, ()) else f"default {declared.default!r}"
+    def _described(self, name: str, accepted: Any, declared: Declaration) -> str:
+        """Return the numpydoc entry for an option: its name, type, range and unit, default value and help text."""
+        facts = [_type_text(accepted)]
+        if isinstance(declared.reader, Number):
+            facts.append(str(declared.reader.quantity))
+        facts.append("optional" if declared.default in (None, ()) else f"default {declared.default!r}")
         text = textwrap.fill(declared.help, 110, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False)
-        return f"{name} : {default}\n{text}"
+        return f"{name} : {', '.join(facts)}\n{text}"
 
     def _signature(self, paths: list[inspect.Parameter], function: Callable[..., Any]) -> inspect.Signature:
         options = (
             inspect.Parameter(
-                each.name,
-                inspect.Parameter.KEYWORD_ONLY,
-                default=each.default,
-                annotation=get_args(each.type)[0] if get_origin(each.type) is Given else each.type,
+                each.name, inspect.Parameter.KEYWORD_ONLY, default=each.default, annotation=_accepted_type(each.type)
             )
             for each in fields(self._options)
         )
         return inspect.Signature([*paths, *options], return_annotation=function.__annotations__["return"])
 
 
+def _accepted_type(declared: Any) -> Any:
+    return get_args(declared)[0] if get_origin(declared) is Given else declared
+
+
+def _type_text(accepted: Any) -> str:
+    """Write a type annotation as in numpydoc, for example `str | PathLike[str] | None` as "str or path"."""
+    if get_origin(accepted) in (Union, UnionType):
+        *others, last = [_type_text(each) for each in get_args(accepted) if each is not NoneType]
+        return f"{', '.join(others)} or {last}" if others else last
+    if get_origin(accepted) is Literal:
+        return "{" + ", ".join(map(repr, get_args(accepted))) + "}"
+    if get_origin(accepted) is tuple:
+        return f"({', '.join(map(_type_text, get_args(accepted)))})"
+    if get_origin(accepted) is Sequence:
+        return f"sequence of {_type_text(get_args(accepted)[0])}"
+    return "path" if get_origin(accepted) is PathLike else accepted.__name__
+
+
 @by_keyword(CalibrateOptions)
 def calibrate(measurements: Name | None, output: Name, options: CalibrateOptions) -> CameraModel:
-    """Estimate a camera model from lab measurements or from raw photos of a ColorChecker.
-
-    This function does the same as `l3 calibrate`.
+    """Estimate a camera model from lab measurements or from raw photos of a ColorChecker, as `l3 calibrate` does.
 
     Parameters
     ----------
@@ -292,16 +314,16 @@ def calibrate(measurements: Name | None, output: Name, options: CalibrateOptions
     Returns
     -------
     CameraModel
-        The model that was written.
+        The camera model in `output`.
 
     Raises
     ------
     RecipeError
-        If the measurement file or an option has an error.
+        If the measurement file contains an error, or if an option is invalid.
     InputFileError
         If a capture cannot be used.
     L3Error
-        If `output` exists, or if the model fails its checks and `accept` is not set.
+        If `output` exists and `force` is not set, or if the model fails a check and `accept` is not set.
 
     Examples
     --------
@@ -317,32 +339,30 @@ def calibrate(measurements: Name | None, output: Name, options: CalibrateOptions
 
 @by_keyword(SimulateOptions)
 def simulate(scenes: Name, camera: Name | CameraModel, output: Name, options: SimulateOptions) -> TrainingSet:
-    """Simulate a training set: raw frames of many scenes, and the ideal output for each frame.
-
-    This function does the same as `l3 simulate`.
+    """Simulate raw frames of many scenes and compute the ideal output for each frame, as `l3 simulate` does.
 
     Parameters
     ----------
     scenes : str or path
-        Scene recipe (.toml), or the name of a recipe that comes with l3, such as "default" or "small".
+        Scene recipe (.toml), or name of a built-in scene recipe, such as "default" or "small".
     camera : str, path or CameraModel
-        Camera model, camera recipe (.toml), or the name of a recipe that comes with l3.
+        Camera model, camera recipe (.toml), or name of a built-in camera recipe.
     output : str or path
         Training set to write (.h5).
 
     Returns
     -------
     TrainingSet
-        The description of the training set that was written, without its frames.
+        Metadata of the training set in `output`, without its frames.
 
     Raises
     ------
     RecipeError
-        If a recipe or an option has an error.
+        If a recipe contains an error, or if an option is invalid.
     InputFileError
         If the camera or a scene file cannot be used.
     L3Error
-        If `output` exists.
+        If `output` exists and `force` is not set.
 
     Examples
     --------
@@ -360,30 +380,28 @@ def simulate(scenes: Name, camera: Name | CameraModel, output: Name, options: Si
 
 @by_keyword(TrainOptions)
 def train(training: Name | Sequence[Name], output: Name, options: TrainOptions) -> TransformTable:
-    """Train a transform table on one or more training sets.
-
-    This function does the same as `l3 train`.
+    """Train a transform table on one or more training sets, as `l3 train` does.
 
     Parameters
     ----------
     training : str, path or sequence of str or path
-        Training sets of the same camera (.h5).
+        Training sets (.h5), all for the same camera.
     output : str or path
         Transform table to write (.h5).
 
     Returns
     -------
     TransformTable
-        The table that was written.
+        The transform table in `output`.
 
     Raises
     ------
     RecipeError
-        If the class recipe or an option has an error.
+        If the class recipe contains an error, or if an option is invalid.
     InputFileError
-        If a training set cannot be used, or if the training sets do not fit together.
+        If a training set cannot be used, or if the training sets have different cameras or outputs.
     L3Error
-        If `output` exists.
+        If `output` exists and `force` is not set.
 
     Examples
     --------
@@ -399,34 +417,35 @@ def train(training: Name | Sequence[Name], output: Name, options: TrainOptions) 
 
 @by_keyword(RenderOptions)
 def render(table: Name | TransformTable, inputs: Name | Sequence[Name], output: Name, options: RenderOptions) -> int:
-    """Render raw files or a sequence to a picture, numbered files, a folder or a video.
+    """Render raw files or a sequence to pictures or a video, as `l3 render` does.
 
-    This function does the same as `l3 render`. For arrays in memory, use `Renderer`.
+    To render arrays in memory, use `Renderer`.
 
     Parameters
     ----------
     table : str, path or TransformTable
-        The table.
+        Transform table of the camera.
     inputs : str, path or sequence of str or path
-        Raw files, or one sequence. A sequence is a folder, a pattern such as "a_%04d.tif", a stack or a video.
+        Raw files, or one sequence. A sequence is a folder, a pattern such as "a_%04d.tif", a file that contains several
+        frames, or a video.
     output : str or path
-        Picture, pattern of numbered files, folder or video to write.
+        Output picture, pattern of numbered pictures such as "a_%04d.png", folder or video.
 
     Returns
     -------
     int
-        Number of frames that could not be read and were skipped. It is 0 unless `skip_bad` is set.
+        Number of frames that were skipped because they could not be read. Always 0 unless `skip_bad` is set.
 
     Raises
     ------
     RecipeError
-        If an option has an error, or if the output does not fit the inputs.
+        If an option is invalid, or if the output does not fit the inputs.
     InputFileError
         If an input or the table cannot be used.
     DeviceError
         If the OpenCL device does not work.
     L3Error
-        If `output` exists.
+        If `output` exists and `force` is not set.
 
     Examples
     --------
@@ -442,30 +461,30 @@ def render(table: Name | TransformTable, inputs: Name | Sequence[Name], output: 
 
 @by_keyword(EvaluateOptions)
 def evaluate(table: Name | TransformTable, frames: Name, options: EvaluateOptions) -> dict[str, Any]:
-    """Evaluate a table on the frames of a training set that was not used to train the table.
-
-    This function does the same as `l3 evaluate`.
+    """Evaluate a table on simulated frames that were not used to train it, as `l3 evaluate` does.
 
     Parameters
     ----------
     table : str, path or TransformTable
-        The table.
+        Transform table to evaluate.
     frames : str or path
         Training set (.h5) of the same camera. l3 warns if the table was trained on this set.
 
     Returns
     -------
     dict
-        The document that `l3 evaluate --json` prints, without its entry "run". The entries "frames" (metrics of each
-        frame), "mean" (mean metrics), "by_level", "by_illuminant" and "standards" contain the metrics of the table under
-        "ours", and the metrics of each baseline under the name of the baseline. "pipelines" lists these names.
+        The document that `l3 evaluate --json` prints, without its entry "run". "pipelines" lists the names of the
+        evaluated pipelines: "ours" for the table, followed by the baselines. The entries "frames" (metrics of each frame),
+        "mean" (mean metrics), "by_level", "by_illuminant" and "standards" contain metrics under these names.
 
     Raises
     ------
     RecipeError
-        If an option has an error.
+        If an option is invalid.
     InputFileError
         If a file cannot be used.
+    L3Error
+        If the folder `pictures` is not empty and `force` is not set.
 
     Examples
     --------

@@ -119,10 +119,10 @@ class Number(Reader):
     """A number with a unit, within a range that includes both limits."""
 
     def __init__(self, least: float, most: float, unit: str = "", whole: bool = False) -> None:
-        self._quantity = Quantity(least, most, unit, whole)
+        self.quantity = Quantity(least, most, unit, whole)
 
     def read(self, given: Any) -> Any:
-        return self._quantity.read(str(given))
+        return self.quantity.read(str(given))
 
 
 @dataclass(frozen=True)

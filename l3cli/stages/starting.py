@@ -303,12 +303,12 @@ def refuse_as_table(photo: Path, inputs: Sequence[Path], output: Path) -> None:
         If the file does not exist.
     """
     require_regular(photo, "specify a table and a raw file")
+    photos = list({path.resolve(): path for path in (photo, *inputs)}.values())  # each file once
     if table := next((each for each in inputs if each.suffix == ".h5"), None):
-        others = [photo, *(each for each in inputs if each != table)]
+        others = [each for each in photos if each != table]
         raise RecipeError(
             f"{photo} is a raw file; write the table before the raw files: {_rendering(table, others, output)}"
         )
-    photos = [photo, *inputs]
     making = f"l3 init --from {shlex.join(map(str, photos))} {NEW_FOLDER} && make -C {NEW_FOLDER} table.h5"
     rendering = _rendering(Path(NEW_FOLDER, "table.h5"), photos, output)
     raise RecipeError(

@@ -2,6 +2,7 @@
 
 import doctest
 import inspect
+import re
 import shutil
 import subprocess
 import sys
@@ -212,7 +213,13 @@ def test_options_have_names_types_and_ranges(tmp_path: Path) -> None:
             name for name, each in named.items() if each.kind is each.KEYWORD_ONLY
         ]
     assert inspect.signature(l3.render).parameters["fps"].annotation == Fraction | float | str | None
-    assert "\nwhite : optional\n    " in (inspect.getdoc(l3.render) or "")
+    text = inspect.getdoc(l3.render) or ""
+    assert "\nwhite : str, optional\n    " in text
+    assert "\nblack_level : float, 0…65535 DN, optional\n    " in text
+    assert "\ndark : str, path or sequence of str or path, optional\n    " in text
+    for function in (l3.calibrate, l3.simulate, l3.train, l3.render, l3.evaluate):
+        documented = set(re.findall(r"^(\w+) : \S", inspect.getdoc(function) or "", re.MULTILINE))
+        assert inspect.signature(function).parameters.keys() <= documented
     same = RenderOptions(exposure="+1EV", frames="1-5x2", fps=29.97002997, phase=(1, 0), dark=tmp_path, shard=(1, 4))
     assert same == RenderOptions(
         exposure=Exposure(None, 1.0), frames=range(1, 6, 2), fps="30000/1001", phase="1,0", dark=[tmp_path], shard="1/4"
@@ -254,7 +261,9 @@ def test_an_option_that_no_picture_has_is_described(options: dict[str, Any], des
         renderer.sequence(None, **options)
 
 
-EXAMPLES = [each for name in l3.__all__ if inspect.isfunction(each := getattr(l3, name)) or inspect.isclass(each)]
+METHODS = [each for name, each in vars(l3.Renderer).items() if inspect.isfunction(each) and not name.startswith("_")]
+PUBLIC = [each for name in l3.__all__ if inspect.isfunction(each := getattr(l3, name)) or inspect.isclass(each)]
+EXAMPLES = PUBLIC + METHODS
 
 
 @pytest.mark.parametrize("documented", [each for each in EXAMPLES if each is not L3Error])
@@ -266,6 +275,7 @@ def test_examples_run_as_shown(
     monkeypatch.chdir(tmp_path)
     text = inspect.getdoc(documented) or ""
     assert [each for each in ("Parameters\n---", "Examples\n---") if each not in text] == []
+    assert inspect.isclass(documented) or documented is l3.save or "Returns\n---" in text
     example = doctest.DocTestParser().get_doctest(text, {}, documented.__name__, None, None)
     assert doctest.DocTestRunner().run(example).failed == 0, capsys.readouterr().out
 

@@ -72,6 +72,8 @@ def test_a_photo_without_a_table_gets_the_commands_that_lead_to_its_picture(
     assert "\ntable.h5: " in (tmp_path / "mine/Makefile").read_text()
     assert then == ["l3", "render", "mine/table.h5", "my photo.dng", "-o", "p.png"]
     assert named.name in refused(2, "render", named, photo, "-o", "p.png")
+    twice = refused(2, "render", named.name, f"./{named.name}", "-o", "p.png")  # the photo in place of the table, too
+    assert "l3 render mine/table.h5 'my photo.dng' -o p.png" in twice
     (tmp_path / "table.h5").touch()
     swapped = refused(2, "render", "my photo.dng", "table.h5", "-o", "p.png")
     assert "write the table before the raw files: l3 render table.h5 'my photo.dng' -o p.png" in swapped
