@@ -64,7 +64,8 @@ def read_raw(
     stride : int, optional
         Headerless files only: number of bytes from the start of one row to the next. [default: rows without padding]
     exposure : float, optional
-        Exposure time in s, for which l3 subtracts the dark signal. [default: the exposure time in the file]
+        Exposure time in s, for which l3 subtracts the dark signal. [default: the exposure time in the file, otherwise the
+        training exposure if `sensor` is a table]
     gain : float, optional
         Analog gain relative to the gain in the camera model. [default: the gain that l3 derives from the file]
     camera : CameraModel, optional
@@ -132,7 +133,8 @@ def raw_frame(
         Camera white balance: the signal above black of a grey object for each letter of the pattern, in any common unit.
         [default: no white balance]
     exposure : float, optional
-        Exposure time in s, for which l3 subtracts the dark signal. [default: subtract no dark signal]
+        Exposure time in s, for which l3 subtracts the dark signal. [default: the training exposure if `sensor` is a table,
+        otherwise no dark signal is subtracted]
     gain : float, optional
         Analog gain relative to the gain in the camera model. [default: 1]
     camera : CameraModel, optional

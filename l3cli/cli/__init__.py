@@ -1,4 +1,4 @@
-"""The command line of l3. A command is imported only when it is called. All errors are reported here."""
+"""The command line of l3: imports and runs commands on demand, and reports all errors."""
 
 import errno
 import importlib
@@ -48,7 +48,7 @@ NO_THREAD = "can't start new thread"  # message of Python's RuntimeError if no t
 
 
 class Pipeline(click.Group):
-    """The group of all commands, in the order of the pipeline. Modules of commands are imported on demand."""
+    """The group of all commands, in pipeline order. The module of a command is imported on demand."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -70,7 +70,7 @@ class Pipeline(click.Group):
             raise click.Abort from stop  # click prints a line break after KeyboardInterrupt (^C), but not after Abort
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list["CompletionItem"]:
-        """Return the commands whose names begin with `incomplete`. This does not import any command."""
+        """Complete the name of a command without importing any command."""
         from click.shell_completion import CompletionItem
 
         commands = [CompletionItem(name, help=what) for name, what in COMMANDS.items() if name.startswith(incomplete)]
@@ -96,7 +96,7 @@ def l3(context: click.Context) -> None:
     transforms (train) and render raw frames with the table (render). Each stage writes one HDF5 file for the next.
     """
     require_address_space()
-    # a call without a command is an error, because in a script it usually means an empty variable
+    # A call without a command is an error, because its cause in a script is usually an empty variable.
     if context.invoked_subcommand is None:
         for line in context.get_help().splitlines():
             to_stderr(line)
@@ -105,7 +105,7 @@ def l3(context: click.Context) -> None:
 
 
 def main() -> None:
-    """Run the command line. A failure prints one line on stderr and sets the exit code (docs/guarantees.md#exit-codes)."""
+    """Run the command line. An error prints one line on stderr and sets the exit code (docs/guarantees.md#exit-codes)."""
     prepare()
     heed()
     one_blas_thread()
@@ -116,7 +116,7 @@ def main() -> None:
 
 
 def run(arguments: list[str]) -> int:
-    """Run `l3 ARGUMENTS`, and return its exit code."""
+    """Run l3 with these command-line arguments, and return the exit code."""
     record, results = begin(arguments), list[Result]()
     code = _guarded(lambda: _called(arguments, record, results), record)
     if not record.as_json or not (results or record.error):  # without result or error, the command only printed its help
@@ -128,7 +128,7 @@ def run(arguments: list[str]) -> int:
 def _called(arguments: list[str], record: Record, results: list[Result]) -> int:
     """Run the command, and return its exit code.
 
-    The result of the command is appended to `results`, and printed as text unless --json is set.
+    The command's result is appended to `results`. Unless --json is set, it is also printed as text.
     """
     try:
         result: Any = l3.main(arguments, prog_name="l3", standalone_mode=False, obj=record)
@@ -148,7 +148,7 @@ def _called(arguments: list[str], record: Record, results: list[Result]) -> int:
 
 
 def _guarded(work: Callable[[], int | None], record: Record) -> int:
-    """Run `work`, and return its exit code. Errors are printed on stderr and added to the record."""
+    """Run `work`, and return its exit code. Errors are printed to stderr and recorded."""
 
     def fail(message: str, code: int) -> int:
         line = " ".join(message.split())
@@ -167,7 +167,7 @@ def _guarded(work: Callable[[], int | None], record: Record) -> int:
     except L3Error as error:
         return fail(str(error), error.exit_code)
     except BrokenPipeError:
-        drop(sys.stdout)  # the program that reads from the pipe has ended
+        drop(sys.stdout)  # the program at the other end of the pipe has ended
         return 1
     except Terminated:
         signals.ignore()
@@ -191,7 +191,7 @@ def _guarded(work: Callable[[], int | None], record: Record) -> int:
 
 
 def _usage(error: click.ClickException) -> str:
-    """Return the message of a usage error, with a reference to the --help of the command."""
+    """Return the message of a usage error, with a pointer to the command's --help."""
     message = error.format_message().rstrip(".")
     if isinstance(error, click.NoSuchOption):
         similar = [name for name in error.possibilities or () if name.startswith("--")]

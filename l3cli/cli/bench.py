@@ -38,7 +38,7 @@ def _text(document: dict[str, Any]) -> None:
     for number, result in enumerate(document["results"], 1):
         times = [f"{result['stages_ms'][stage]:.2f}" if stage in result["stages_ms"] else "" for stage in stages]
         what = [
-            str(number),  # identifies the row if a narrow terminal splits the table
+            str(number),  # identifies the row after a narrow terminal has split the table
             f"{result['width']}×{result['height']}",
             *(str(result[key]) for key in ("channels", "patch", "classes", "outputs", "variant")),
         ]

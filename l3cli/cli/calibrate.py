@@ -44,9 +44,9 @@ def calibrate(measurements: Path | None, output: Path, options: DraftOptions) ->
 
 
 def _draft(folder: Path, measurements: Path | None, output: Path, options: DraftOptions) -> Result:
-    """Write the draft of a measurement file.
+    """Write a draft measurement file.
 
-    Raises UsageError if the user also specified a measurement file, or an option that is only for calibration.
+    Raises UsageError if the user also specified a measurement file or a calibration option.
     """
     from l3cli.stages.calibration import draft
 

@@ -16,7 +16,7 @@ from l3cli.system.files import files_to_read
 class AnyRecipe(declared.RecipeFile):
     """Parameter type for a recipe of any type, or for a folder of recipes.
 
-    The stage resolves the names of recipes, because recipes of different types may have the same name.
+    Recipe names are left to the stage, because recipes of different types may have the same name.
     """
 
     def __init__(self) -> None:

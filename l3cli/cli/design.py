@@ -17,7 +17,7 @@ from l3cli.options.commands import DesignOptions, MomentsOptions
 if TYPE_CHECKING:
     from l3cli.artifacts.design import Design
 
-SHOWN = 20  # largest number of arrays that are printed
+SHOWN = 20  # maximum number of arrays that are printed
 
 
 @click.command()
@@ -47,7 +47,7 @@ def moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -
 
 
 class _WithMoments(click.Command):
-    """A command that runs the command `moments` instead if its first argument is "moments"."""
+    """Command that runs the command `moments` instead if its first argument is "moments"."""
 
     def make_context(
         self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any

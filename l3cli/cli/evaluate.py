@@ -71,17 +71,17 @@ def _sequence(sequence: Path, table: Path | None, options: SequenceOptions) -> R
     return Result(figures.document(), lambda: print_sequence(figures), files=files)
 
 
-WIDE = 110  # characters; on narrower terminals, the metrics LESS_NEEDED are not printed
+WIDE = 110  # characters; narrower terminals do not show the metrics in LESS_NEEDED
 LESS_NEEDED = ("median_delta_e", "output_psnr", "ssim")
 NOT_SHOWN = ("visual_noise", "gfc", "delta_e_a", "delta_e_f11")  # metrics that are only in the JSON and in the report
 
 
 def print_tables(document: dict[str, Any]) -> None:
-    """Print the tables of an evaluation.
+    """Print the results of an evaluation as tables.
 
-    The tables contain the metrics of each frame, the mean metrics, the metrics by brightness and by illuminant, and the
-    metrics of standards. For baselines, only the main metrics are printed. Results for classes, patches, bands and gains are
-    only in the JSON and in the report.
+    The tables contain the metrics of each frame, their mean, the metrics by brightness and by illuminant, and the metrics
+    defined by standards. For baselines, only the main metrics are printed. Results for classes, patches, bands and gains
+    appear only in the JSON and in the report.
     """
     width = terminal.width()
     wide = width is None or width >= WIDE
@@ -113,14 +113,14 @@ def print_tables(document: dict[str, Any]) -> None:
 
 
 def _print_standards(figures: dict[str, dict[str, float | None]]) -> None:
-    """Print the sharpness in cycles/pixel and the lowest usable luminance of each pipeline (docs/measurement.md)."""
+    """Print each pipeline's sharpness in cycles/pixel and lowest usable luminance (docs/measurement.md)."""
     names = list(next(iter(figures.values())))
     rows = [[owner, *(figure_text(name, of[name]) for name in names)] for owner, of in figures.items()]
     show_table(["", "by standards"], ["pipeline", *(FIGURES[name].short for name in names)], rows)
 
 
 def print_sequence(figures: "SequenceFigures") -> None:
-    """Print the metrics of each frame of a sequence, then the metrics of the whole sequence."""
+    """Print the metrics of each frame, and then the metrics of the whole sequence."""
     named = ["frame", "mean L*", "jump", "step σ", "warped\nerror", "PSNR dB", "ΔE00 mean"]
     rows = []
     for each in figures.frames:

@@ -1,4 +1,4 @@
-"""l3 info: prints the content of an artifact, or the versions of this installation."""
+"""l3 info: prints the contents of an artifact, or the software versions of this installation."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -53,9 +53,9 @@ def _show(lines: list[str]) -> None:
 
 
 def _verify(file: Path, inputs: tuple[Path, ...]) -> Result:
-    """Verify an artifact, and check that it was made from the files `inputs`.
+    """Verify an artifact, and check that its history contains the files `inputs`.
 
-    If the history of the artifact does not contain one of these files, the result contains an InputFileError.
+    If a file is missing from the history, the result contains an InputFileError.
     """
     from l3cli.stages.information import verification
 
@@ -92,7 +92,7 @@ def _lines(content: dict[str, Any]) -> list[str]:
 
 
 def _verified(file: Path, verification: "Verification") -> list[str]:
-    """Return one line about the data of an artifact, and one line per role of its input files."""
+    """Return one line about the artifact's data, and one line per role of its input files."""
     intact = verification.intact
     whole = f"the contents match the digest; {intact.datasets} datasets can be read"
     lines = [f"{file}: {intact.kind}, format version {intact.version}: {whole}"]
@@ -112,7 +112,7 @@ def _line(item: dict[str, Any]) -> str:
 
 
 def _short(value: Any) -> str:
-    """Return a value as text, with six significant digits for numbers. The JSON contains all digits."""
+    """Format a value with six significant digits. The JSON contains all digits."""
     if isinstance(value, list):
         return f"[{', '.join(map(_short, value))}]"
     return figure(value, ".6g") if isinstance(value, float) else str(value)

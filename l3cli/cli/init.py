@@ -13,7 +13,7 @@ from l3cli.options.commands import InitOptions
 
 
 def _completed(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
-    """Return the names of recipes and cameras that begin with `incomplete`, for shell completion."""
+    """Complete the name of a recipe or camera in the shell."""
     from l3cli.recipes.builtin import cameras_by_name, starters
 
     return [name for name in (*starters(), *cameras_by_name()) if name.startswith(incomplete)]
@@ -48,7 +48,7 @@ def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options
 
     for_photos = "light", "phase", "pattern", "black_level", "white_level", "opcodes"
     of_photos = [name for name in for_photos if getattr(options, name) is not None]
-    if options.photos:  # if the shell has expanded a pattern to several files, all but the first are arguments
+    if options.photos:  # if the shell expands a glob to several files, all but the first become arguments
         named = [Path(each) for each in (recipe, folder, *more) if each is not None]
         if not named:
             raise click.UsageError('specify a new folder, for example "l3 init --from photo.dng mine"')

@@ -1,4 +1,4 @@
-"""Creates click options from the declarations in l3cli/options, and defines the options of all commands."""
+"""Create click options from the declarations in l3cli/options, and define the options that all commands share."""
 
 import functools
 import os
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-FILE = click.Path(path_type=Path, readable=False)  # click does not check files, because the messages of l3 are clearer
+FILE = click.Path(path_type=Path, readable=False)  # l3 checks files itself, because its messages are clearer than click's
 
 
 class RecipeFile(click.Path):
@@ -33,7 +33,7 @@ class RecipeFile(click.Path):
         return Recipe(self.kind).read(value)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list["CompletionItem"]:
-        """Return recipe names and file names. Bash itself adds file names only if a program returns no completions."""
+        """Complete recipe names and file names. Bash adds file names itself only if a program returns no completions."""
         from click.shell_completion import CompletionItem
 
         from l3cli.recipes.builtin import known_recipes
@@ -50,7 +50,7 @@ CAMERA = RecipeFile("cameras")
 
 
 class Value(click.ParamType):
-    """Parameter type for a value that a reader of l3cli/options parses."""
+    """Parameter type for a value that a `Reader` parses."""
 
     name = "value"
 
@@ -65,7 +65,7 @@ class Value(click.ParamType):
 
 
 class Word(click.Choice):
-    """Parameter type for a `Choice`, whose method `read` converts the text to a value."""
+    """Parameter type for one of the values of a `Choice`."""
 
     def __init__(self, reader: Choice) -> None:
         super().__init__(list(map(str, reader.values)))
@@ -86,7 +86,7 @@ def _type(reader: Reader) -> click.ParamType | None:
 
 
 def _option(name: str, declared: Declaration) -> Callable[[F], F]:
-    """Return the decorator that adds a declared option to a command."""
+    """Return a decorator that adds a declared option to a command."""
     default = declared.default
     return click.option(
         f"--{declared.flag or name.replace('_', '-')}",
@@ -102,13 +102,13 @@ def _option(name: str, declared: Declaration) -> Callable[[F], F]:
 
 
 def of(options: type[Options], *modes: Callable[[Any], Any]) -> Callable[[F], F]:
-    """Return a decorator that adds options to a command: the declared options, --quiet, --log FILE and --json.
+    """Return a decorator that adds the declared options, --quiet, --log and --json to a command.
 
     Parameters
     ----------
     options : type
-        Class that declares the options. The command receives an instance in its parameter `options`, with the values and
-        with the console.
+        Class that declares the options. The command receives an instance of it, with all values and the console, as its
+        parameter `options`.
     *modes : callable
         Additional click decorators. The command receives their values as separate keyword arguments.
     """
@@ -127,12 +127,11 @@ def of(options: type[Options], *modes: Callable[[Any], Any]) -> Callable[[F], F]
 
 
 def output(what: str, required: bool = True, metavar: str = "FILE") -> Callable[[F], F]:
-    """Return a decorator that adds the option -o/--output to a command. `what` is the help text of the option, without full
-    stop."""
+    """Return a decorator that adds the option -o/--output to a command. `what` is its help text without a full stop."""
     return click.option("-o", "--output", type=FILE, required=required, metavar=metavar, help=f"{what}.")
 
 
-LOG = "l3cli.log"  # key in `click.Context.meta` for the path of --log
+LOG = "l3cli.log"  # key of the --log path in `click.Context.meta`
 
 
 def _log(context: click.Context, parameter: click.Parameter, path: Path | None) -> None:
@@ -154,7 +153,7 @@ _LOG = click.option(
     "--log", type=FILE, metavar="FILE", is_eager=True, expose_value=False, callback=_log,
     help="Also append all messages, with time, level and command, to FILE.",
 )  # fmt: skip
-_JSON = click.option(  # the value is not used, because `results.begin` has already searched the arguments for --json
+_JSON = click.option(  # only for --help: `results.begin` has already searched the arguments for --json
     JSON, "as_json", is_flag=True, expose_value=False,
     help="Print results, warnings, times and file digests as one JSON object on stdout.",
 )  # fmt: skip

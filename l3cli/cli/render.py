@@ -55,7 +55,7 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
     if not inputs:
         raise click.UsageError("Missing argument 'INPUT...'.")
     if any(needs_isolation(path) for path in inputs):
-        start()  # the isolated process starts while the following imports run; both take about a third of a second
+        start()  # start the isolated process while the following imports run; both take about a third of a second
     from l3cli.stages.rendering.clips import Summary, are_clips, clips_of, render_clips, render_one
 
     clips = clips_of(inputs, table, options, output)
@@ -78,8 +78,8 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
 def clips_result(summary: "Summary", fault: BaseException | None = None, show_text: bool = False) -> Result:
     """Return the result of `l3 render`.
 
-    `fault` is the error that ended a command with several clips early. If there is such an error, or if `show_text` is true,
-    a table of the clips is printed.
+    `fault` is the error that stopped the rendering of several clips. If it is set, or if `show_text` is true, a table of the
+    clips is printed.
     """
     document = _worded(summary.document())
     text = (lambda: _table(document)) if show_text or fault else None
@@ -87,7 +87,7 @@ def clips_result(summary: "Summary", fault: BaseException | None = None, show_te
 
 
 def _worded(value: Any) -> Any:
-    """Return a document in which parameters in messages, such as ‹skip_bad›, are replaced by options."""
+    """Replace parameters such as ‹skip_bad› in all messages of a document by options such as --skip-bad."""
     if isinstance(value, dict):
         return {key: _worded(each) for key, each in value.items()}
     if isinstance(value, list):

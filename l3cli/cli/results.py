@@ -1,4 +1,4 @@
-"""The result of a command, and the record of its run that --json adds to the result."""
+"""The result of a command, and the record of the run that --json adds to it."""
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -14,9 +14,8 @@ from l3cli.system.files import Dated, FilesUsed, dated, require_regular, sha256
 
 T = TypeVar("T")
 RUN_FORMAT = 1  # version of the keys in "run"
-ERROR_KINDS = {2: "call", 3: "input", 4: "device", 130: "interrupted", 143: "terminated"}  # error type for each exit code
-# largest number of recorded messages, and of recorded warnings; a long sequence can cause very many
-MOST_MESSAGES = 1000
+ERROR_KINDS = {2: "call", 3: "input", 4: "device", 130: "interrupted", 143: "terminated"}  # exit code → error type
+MOST_MESSAGES = 1000  # maximum number of recorded messages, and of recorded warnings, because a long sequence can cause many
 JSON = "--json"
 
 
@@ -24,31 +23,31 @@ JSON = "--json"
 class Result:
     """Result of a command."""
 
-    document: Mapping[str, Any] = field(default_factory=dict)  # the result, ready for JSON
+    document: Mapping[str, Any] = field(default_factory=dict)  # the result as JSON types
     text: Callable[[], object] | None = None  # prints the result as text; None if there is nothing to print
-    fault: BaseException | None = None  # error that is raised after the result has been printed
+    fault: BaseException | None = None  # error to raise after the result has been printed
     code: int = 0  # exit code if there is no fault
     files: FilesUsed = field(default_factory=FilesUsed)  # files that the command has read and written
 
 
 @dataclass
 class Record:
-    """The record of a run: the messages, the times and the error that --json prints, and the log of --log.
+    """Record of a run: the messages, times and error that --json prints, and the log for --log.
 
-    Click passes the record to the commands as the attribute `obj` of its contexts.
+    Click passes the record to commands as the attribute `obj` of its contexts.
     """
 
     command: str = ""
     as_json: bool = False  # whether --json is set
-    log: Logged | None = None  # console that writes the log; None without --log
+    log: Logged | None = None  # console that writes the log, if --log is set
     warnings: list[str] = field(default_factory=list)
     messages: list[str] = field(default_factory=list)
     left_out: int = 0  # number of warnings and messages that were not recorded
-    steps: dict[str, tuple[int, float]] = field(default_factory=dict)  # for each step: number of items, and duration in s
+    steps: dict[str, tuple[int, float]] = field(default_factory=dict)  # step → number of items, duration in s
     error: dict[str, str] | None = None  # type and message of the error that ended the command
-    console: Console = field(default_factory=Terminal)  # console to which the command sends its messages
-    begun: float = field(default_factory=time.time)  # time of the start, in s since 1970
-    start: float = field(default_factory=time.monotonic)  # time of the start on a monotonic clock, in s
+    console: Console = field(default_factory=Terminal)  # console that displays the command's messages
+    begun: float = field(default_factory=time.time)  # start time in s since 1970
+    start: float = field(default_factory=time.monotonic)  # start time in s on a monotonic clock, for the duration
 
     def add(self, messages: list[str], message: str) -> None:
         if len(messages) < MOST_MESSAGES:
@@ -65,12 +64,12 @@ class Record:
     def show(self, result: Result | None, code: int) -> None:
         """Print the result as JSON, with the record of the run under the key "run".
 
-        The record contains the SHA-256 of all inputs and outputs. If the command was interrupted or has no result, the
-        record lists no files.
+        The record contains the SHA-256 digests of all inputs and outputs, unless the command was interrupted or has no
+        result.
         """
         seconds, console = time.monotonic() - self.start, Recorded(self.console, self)
         is_whole = result is not None and (result.fault is None or isinstance(result.fault, L3Error))
-        # after an interruption, computing digests would delay the exit
+        # Computing the digests after an interruption would delay the exit.
         files = result.files if result is not None and is_whole else FilesUsed()
         inputs = {role: [_file(path, at, console) for path, at in read.items()] for role, read in files.read.items()}
         outputs = [_file(path, dated(path), console) for path in dict.fromkeys(map(Path.absolute, files.written))]
@@ -94,10 +93,10 @@ class Record:
 
 
 def _file(path: Path, at: Dated | None, console: Console) -> dict[str, Any]:
-    """Return the path, the size and the SHA-256 of a file.
+    """Return the path, the size in bytes and the SHA-256 digest of a file.
 
-    If the path is not a regular file, the size and the digest are None. If the file has changed since `at`, both are also
-    None, and a warning is printed.
+    Size and digest are None if the path is not a regular file. They are also None, with a warning, if the file has changed
+    since `at`.
     """
     size, digest = None, None
     try:
@@ -112,22 +111,22 @@ def _file(path: Path, at: Dated | None, console: Console) -> dict[str, Any]:
 
 
 def begin(arguments: list[str]) -> Record:
-    """Create the record of a run. This happens before click parses the arguments, because parsing may fail."""
+    """Create the record of a run before click parses the arguments, so that it also covers parsing errors."""
     before = arguments[: arguments.index("--")] if "--" in arguments else arguments
     return Record(next(iter(arguments), ""), as_json=JSON in before)
 
 
 class Recorded(Passing):
-    """A console that adds all messages to the record, and passes them to a second console."""
+    """A console that forwards all messages, and adds them to the record."""
 
     def __init__(self, console: Console, record: Record) -> None:
         super().__init__(console)
         self._record = record
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """Display progress on the second console, and record the number of items and the duration.
+        """Forward progress to the other console, and record the number of items and the duration.
 
-        The durations of steps with the same name are added.
+        Items and durations of steps with the same name are added up.
         """
         start = time.monotonic()
         done, before = self._record.steps.get(what, (0, 0.0))

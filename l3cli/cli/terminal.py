@@ -1,6 +1,6 @@
-"""All functions that print to stdout or stderr.
+"""Print results, messages and progress to stdout and stderr.
 
-Control characters are escaped, so that names and texts from untrusted files cannot move the cursor, hide text or add lines.
+Control characters are replaced, so that names and texts from untrusted files cannot move the cursor, hide text or add lines.
 """
 
 import contextlib
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 SIZE = re.compile("0*[1-9][0-9]{0,5}")  # valid values of the environment variables COLUMNS and LINES
-PARAMETER = re.compile("‹([a-z_]+)›")  # name of a parameter in a message from a package that cli imports
+PARAMETER = re.compile("‹([a-z_]+)›")  # how messages quote the name of a parameter
 
 
 def show(*lines: str) -> None:
@@ -37,12 +37,12 @@ def show_table(title: Sequence[str], headings: Sequence[str], rows: Sequence[Seq
 
 
 def show_json(document: Any) -> None:
-    """Print a document as JSON to stdout. The output is ASCII, so that it can be printed in every encoding."""
+    """Print a document as JSON to stdout, in ASCII, so that every stdout encoding can represent it."""
     click.echo(json.dumps(document, indent=2, allow_nan=False))
 
 
 def finite(document: Any, console: "Console") -> Any:
-    """Replace NaN and infinity by None, because JSON supports neither, and print a warning that lists these values."""
+    """Replace NaN and infinity by None, because JSON supports neither, and list the replaced values in a warning."""
     missing: list[str] = []
     known = _finite(document, "", missing)
     if missing:
@@ -69,7 +69,7 @@ def with_options(message: str) -> str:
 
 
 def to_stderr(message: str) -> None:
-    """Print a message to stderr. If printing fails, the message is dropped and the command continues."""
+    """Print a message to stderr. If this fails, discard the message and continue."""
     try:
         click.echo(printable(with_options(message)), err=True)
     except OSError:
@@ -77,7 +77,7 @@ def to_stderr(message: str) -> None:
 
 
 def prepare() -> None:
-    """Make stdout and stderr print "?" for characters that they cannot encode, and remove invalid COLUMNS and LINES."""
+    """Make stdout and stderr print "?" for characters that they cannot encode, and unset invalid COLUMNS and LINES."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
@@ -87,7 +87,7 @@ def prepare() -> None:
 
 
 def drop(stream: IO[str]) -> None:
-    """Redirect a broken stream to the null device, so that Python does not fail when it flushes the stream at exit."""
+    """Redirect a broken stream to the null device, so that Python can flush it at exit without an error."""
     try:
         stream.flush()
     except OSError:
@@ -95,13 +95,13 @@ def drop(stream: IO[str]) -> None:
             os.dup2(nowhere.fileno(), stream.fileno())
 
 
-LONGEST_SILENCE, SHORTEST_SILENCE = 600.0, 10.0  # s; limits of the time between two progress lines in a pipe or file
+LONGEST_SILENCE, SHORTEST_SILENCE = 600.0, 10.0  # maximum and minimum time in s between progress lines in a pipe or file
 
 
 def width() -> int | None:
-    """Return the width of stdout in characters, from the terminal or COLUMNS. The result is at least 40.
+    """Return the width of stdout in characters, from the terminal or from COLUMNS, but at least 40.
 
-    The result is None if stdout is a pipe or a file, unless COLUMNS is set.
+    None if stdout is a pipe or a file and COLUMNS is not set.
     """
     import shutil
 
@@ -125,10 +125,10 @@ class Terminal:
     """Console of a command. All messages go to stderr."""
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """Iterate over `items` and display the progress.
+        """Iterate over `items`, and display progress on stderr.
 
-        If stderr is a terminal, a progress bar is displayed. Otherwise, a line is printed after each tenth of the work, but
-        at most once per SHORTEST_SILENCE and at least once per LONGEST_SILENCE.
+        A terminal shows a progress bar. Otherwise, a line is printed after each tenth of the work, but at most once per
+        SHORTEST_SILENCE and at least once per LONGEST_SILENCE.
         """
         interactive = sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
         return (_with_bar if interactive else _with_lines)(items, total, what)
@@ -144,7 +144,7 @@ class Terminal:
 
 
 class ErrorsOnly(Silent):
-    """Console of a command with --quiet. Only reports about data that were left out go to stderr."""
+    """Console of a command with --quiet, which prints only reports, for example of skipped frames."""
 
     def report(self, message: str) -> None:
         to_stderr(message)
@@ -177,17 +177,14 @@ def _with_lines(items: Iterable[T], total: int | None, what: str) -> Iterator[T]
 
 
 def _pace(done: int, total: int | None, seconds: float) -> str:
-    """Return a text with the percentage of the work that is done, the rate and the remaining time.
-
-    If `total` is unknown (None), the text contains only the rate.
-    """
+    """Describe how much of the work is done, the rate and the remaining time. If `total` is None, only the rate is known."""
     each = max(seconds, 1e-9) / done
     rate = f"{1 / each:.3g} per second" if each < 2 else f"{_span(each)} each"
     return f"{100 * done // total} %, {rate}, {_span(max(total - done, 0) * each)} left" if total else rate
 
 
 def _span(seconds: float) -> str:
-    """Return a duration as text in its two largest units, such as "2 h 5 min"."""
+    """Format a duration in its two largest units, such as "2 h 5 min"."""
     seconds = round(seconds)
     for unit, name, part, smaller in ((86400, "d", 3600, "h"), (3600, "h", 60, "min"), (60, "min", 1, "s")):
         if seconds >= unit:

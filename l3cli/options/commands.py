@@ -35,7 +35,7 @@ Paths = Given[Name | Sequence[Name], tuple[Path, ...]]
 
 @options
 class CalibrateOptions(ForceOptions, JobsOptions):
-    """Options for a calibration from a measurement file or from photos."""
+    """Options for calibrating a camera from a measurement file or from photos."""
 
     photos: Paths = option(
         (),
@@ -61,7 +61,7 @@ class CalibrateOptions(ForceOptions, JobsOptions):
 
 @options
 class DraftOptions(CalibrateOptions):
-    """Options of l3 calibrate, including the options that draft a measurement file."""
+    """Options of l3 calibrate, including those for drafting a measurement file."""
 
     draft: OnePath = option(
         None, "Do not calibrate. Write a measurement file for the captures or tables in FOLDER.", metavar="FOLDER"
@@ -96,9 +96,9 @@ class SimulateOptions(ForceOptions, WorkerOptions, SeedOptions):
 
 
 class Shares(Reader):
-    """Relative numbers of patches from several training sets, as text such as "1,0.7,0.4" or as a sequence of numbers.
+    """Proportions of training patches from several training sets, as text such as "1,0.7,0.4" or as a sequence of numbers.
 
-    At least one number must be above zero. The numbers need not add up to 1.
+    At least one proportion must be above zero. They need not add up to 1.
     """
 
     number = Number(0, 1e6)
@@ -116,13 +116,13 @@ class Shares(Reader):
         number = self.number.read(float(given) if isinstance(given, Fraction) else given)
         return Fraction(given if isinstance(given, Fraction) else number).limit_denominator(10**12)
 
-    def written(self, held: tuple[Fraction, ...]) -> str:
-        return ",".join(f"{float(share):.12g}" for share in held)
+    def written(self, stored: tuple[Fraction, ...]) -> str:
+        return ",".join(f"{float(share):.12g}" for share in stored)
 
 
 @options
 class TrainOptions(ForceOptions, WorkerOptions, SeedOptions):
-    """Options for training a table in one run."""
+    """Options for training a table in a single run."""
 
     classes: OnePath = option(
         None,
@@ -145,7 +145,7 @@ class TrainOptions(ForceOptions, WorkerOptions, SeedOptions):
 
 @options
 class ShardOptions(TrainOptions):
-    """Options of l3 train, including the options for training in shards."""
+    """Options of l3 train, including those for training in shards."""
 
     shard: Given[PAIR | str | None, PAIR | None] = option(
         None, "Compute only the partial sums of shard I (1 to N), for ‹merge›.", Shard(), metavar="I/N", bytes=False
@@ -158,7 +158,7 @@ class ShardOptions(TrainOptions):
 
 @options
 class EvaluateOptions(ForceOptions, BackendOptions):
-    """Options for the evaluation of a table on a training set."""
+    """Options for evaluating a table on a training set."""
 
     viewing: float = option(
         50.0, "Pixels per degree of visual angle, for S-CIELAB.", Number(2, 1000, "samples/degree"), metavar="2…1000"
@@ -190,7 +190,7 @@ class EvaluateOptions(ForceOptions, BackendOptions):
 
 @options
 class SequenceOptions(EvaluateOptions):
-    """Options of l3 evaluate, including the options for the evaluation of a sequence."""
+    """Options of l3 evaluate, including those for evaluating a sequence."""
 
     sequence: OnePath = option(
         None,
@@ -205,10 +205,9 @@ class SequenceOptions(EvaluateOptions):
 
 
 class Brightness(Reader):
-    """An illuminance, or the luminance of a perfect white, with its unit, such as "5 lux" or "20 cd/m2".
+    """An illuminance such as "5 lux", or the luminance of a perfect white such as "20 cd/m2".
 
-    The stored value is the luminance of the perfect white in cd/m². In Python, a number without a unit is a luminance in
-    cd/m².
+    The value is stored as the luminance of a perfect white in cd/m². A Python number without a unit is such a luminance.
     """
 
     number = Number(1e-9, 1e9)
@@ -259,7 +258,7 @@ class InfoOptions(Options):
 
 @options
 class ExportOptions(ForceOptions):
-    """Options of l3 export. All options except `force` apply only to transform tables."""
+    """Options of l3 export. All of them except `force` apply only to transform tables."""
 
     form: Literal["c", "folder"] | None = option(
         None, "Tables only: write C99 source (c), or arrays with a JSON description (folder) [default: c].", flag="to"
@@ -313,7 +312,7 @@ class LabOptions(ForceOptions, JobsOptions, SeedOptions):
 
 @options
 class PartsOptions(ForceOptions, JobsOptions):
-    """Options of commands that can continue an interrupted run."""
+    """Options of commands that can resume an interrupted run."""
 
     resume: bool = option(
         False, "Continue an interrupted run with the finished parts in OUTPUT.parts.", bytes=False, shared=True

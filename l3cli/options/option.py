@@ -1,9 +1,9 @@
 """Declare options, and define the options that several commands share.
 
-Each option is declared once, as a field of a frozen dataclass with a reader, a default and a help text. l3 derives three
-things from the declaration: the command-line option (cli/options.py), the keyword of the Python function (api/stages.py),
-and the contribution of the option to the key by which `--resume` recognises a run. Every command imports this module first,
-so this module must not import modules that load slowly.
+Each option is declared once, as a field of a frozen dataclass with a reader, a default and a help text. From this
+declaration, l3 derives the command-line option (cli/options.py) and the keyword of the Python function (api/stages.py). The
+values of the options are also part of the key by which `--resume` recognises a run. Every command imports this module, so it
+must not import modules that load slowly.
 """
 
 import hashlib
@@ -29,28 +29,28 @@ T = TypeVar("T")
 
 
 class Given(Generic[TypeGiven, TypeStored]):
-    """Annotation of a field that accepts one type and stores a different type.
+    """Annotation for a field that accepts values of one type and stores another type.
 
-    For example, a field with the annotation Given[Name | None, Path | None] accepts a string, a path or None, and stores a
-    path or None.
+    For example, a field annotated as Given[Name | None, Path | None] accepts a string, a path or None, and stores a path or
+    None.
     """
 
-    if TYPE_CHECKING:  # these methods exist only for type checkers; at run time, a field is an ordinary attribute
+    if TYPE_CHECKING:  # only for type checkers; at run time, the field is an ordinary attribute
 
         def __get__(self, options: object, owner: object) -> TypeStored: ...
         def __set__(self, options: object, value: TypeGiven) -> None: ...
 
 
 class Reader:
-    """Base class of readers. A reader checks the value of an option, and converts the value to the stored type.
+    """Base class of readers, which check the value of an option and convert it to the stored type.
 
-    A value from the command line is text. A value from Python can have any type.
+    Values from the command line are text. Values from Python can have any type.
     """
 
     def read(self, given: Any) -> Any:
-        """Check `given`, and return the value to store.
+        """Check a value, and return the value to store.
 
-        Raises ValueError if `given` is invalid. The message states how to correct the value.
+        Raises ValueError if the value is invalid. The message explains how to correct it.
         """
         raise NotImplementedError
 
@@ -67,7 +67,7 @@ class Flag(Reader):
 
 
 class Text(Reader):
-    """Any text."""
+    """Arbitrary text."""
 
     def read(self, given: Any) -> str:
         if not isinstance(given, str):
@@ -78,8 +78,7 @@ class Text(Reader):
 class File(Reader):
     """Path of an input file.
 
-    The reader does not check whether the file exists. l3 reports a missing file with a more specific message when it opens
-    the file.
+    The reader does not check whether the file exists, because l3 reports a missing file more precisely when it opens it.
     """
 
     def read(self, given: Any) -> Path:
@@ -92,7 +91,7 @@ class Output(File):
 
 @dataclass(frozen=True)
 class Recipe(File):
-    """A recipe: the path of a file, or the name of a recipe in the subfolder `kind` of configs/."""
+    """A recipe: the path of a file, or the name of a built-in recipe in the subfolder `kind` of configs/."""
 
     kind: str
 
@@ -103,7 +102,7 @@ class Recipe(File):
 
 
 class Choice(Reader):
-    """One of several permitted values. A value can also be written as text, such as "16" for 16."""
+    """One of several permitted values, which can also be written as text, such as "16" for 16."""
 
     def __init__(self, *values: Any) -> None:
         self.values = values
@@ -116,7 +115,7 @@ class Choice(Reader):
 
 
 class Number(Reader):
-    """A number with a unit, within a range that includes both limits."""
+    """A number within a range that includes both limits, in a given unit."""
 
     def __init__(self, least: float, most: float, unit: str = "", whole: bool = False) -> None:
         self.quantity = Quantity(least, most, unit, whole)
@@ -127,21 +126,21 @@ class Number(Reader):
 
 @dataclass(frozen=True)
 class Declaration:
-    """The declaration of an option."""
+    """How an option is declared."""
 
     default: Any
     help: str
     reader: Reader
     metavar: str | None = None
-    flag: str | None = None  # name on the command line, if it differs from the name of the field
+    flag: str | None = None  # name on the command line, if it differs from the field name
     several: bool = False  # whether the option may be repeated
     bytes: bool = True  # whether the option affects the bytes of outputs
-    shared: bool = False  # whether several commands have the option; --help lists such options last
+    shared: bool = False  # whether several commands have the option; --help lists shared options last
 
     def stored(self, given: Any) -> Any:
-        """Convert `given`, or the default if `given` is None, to the value to store.
+        """Convert a value to the type that is stored. None stands for the default.
 
-        If the option may be repeated, the result is a tuple. If both `given` and the default are None, the result is None.
+        The result is a tuple if the option may be repeated, and None if the default is also None.
         """
         given = self.default if given is None else given
         if given is None:
@@ -152,18 +151,17 @@ class Declaration:
 
 
 def option(default: Any, help: str, reader: Reader | None = None, **about: Any) -> Any:
-    """Return a dataclass field that declares an option.
-
-    An option that is off by default must have the default None. Any other default, even 0, affects `Options.run_key`.
+    """Declare an option as a dataclass field.
 
     Parameters
     ----------
     default : Any
-        Default value, as a user would write it.
+        Default value, as a user would write it. For an option that is off by default, use None: any other default, even 0,
+        affects `Options.run_key`.
     help : str
         Help text for the command line and for the docstring.
     reader : Reader, optional
-        Reader that checks and converts the value. [default: determined by the type of the field]
+        Reader that checks and converts the value. [default: determined by the field type]
     **about
         Other attributes of Declaration.
     """
@@ -171,7 +169,7 @@ def option(default: Any, help: str, reader: Reader | None = None, **about: Any) 
 
 
 def declarations(cls: "type[Options]") -> dict[str, Declaration]:
-    """Return the declaration of each option of a command, by name. Options that several commands share come last."""
+    """Return the declarations of a command's options by name, with the shared options last."""
     declared = {}
     for each in fields(cls):
         if "option" in each.metadata:
@@ -181,7 +179,7 @@ def declarations(cls: "type[Options]") -> dict[str, Declaration]:
 
 
 def _reader_of(type: Any) -> Reader:
-    """Return the default reader for the annotation of a field."""
+    """Return the default reader for a field annotation."""
     if get_origin(type) is Given:
         return _reader_of(get_args(type)[1])
     if get_origin(type) is Literal:
@@ -193,10 +191,9 @@ def _reader_of(type: Any) -> Reader:
 
 @dataclass_transform(kw_only_default=True)
 def options(cls: type[T]) -> type[T]:
-    """Class decorator that turns a class of options into a frozen dataclass with keyword-only arguments.
+    """Class decorator that turns an options class into a frozen dataclass with keyword-only arguments.
 
-    Type checkers are not told that the dataclass is frozen, because mypy would then ignore the types of inherited Given
-    fields.
+    Type checkers are not told that it is frozen, because mypy would then ignore the types of inherited Given fields.
     """
     return dataclass(frozen=True, kw_only=True)(cls)
 
@@ -207,10 +204,10 @@ _SILENT = Silent()
 
 @options
 class Options:
-    """Base class of the options of a command.
+    """Base class for the options of a command.
 
-    The constructor checks and converts all values, and raises RecipeError if a value is invalid. If `console` is None,
-    messages are discarded.
+    The constructor checks and converts all values, and raises RecipeError if one is invalid. If `console` is None, messages
+    are discarded.
     """
 
     console: Given[Console | None, Console] = _NOT_GIVEN  # on the command line, set by --quiet, --log and --json
@@ -224,9 +221,9 @@ class Options:
                 raise RecipeError(f"‹{declared.flag or name}›: {error}") from None
 
     def chosen(self) -> dict[str, Any]:
-        """Return the values, as JSON types, of the options that affect the bytes of outputs.
+        """Return the options that affect the bytes of outputs, as JSON types.
 
-        Options that are None or off are omitted. Input files are also omitted, because `run_key` identifies files by their
+        Options that are None or off are omitted. Input files are omitted too, because `run_key` identifies them by their
         content.
         """
         declared = declarations(type(self)).items()
@@ -234,7 +231,7 @@ class Options:
         return {name: each.reader.written(value) for name, (each, value) in stored.items() if _is_chosen(value)}
 
     def inputs(self, all: bool = True) -> dict[str, tuple[Path, ...]]:
-        """Return the input files of each option, by the name of the option.
+        """Return the input files by option name.
 
         If `all` is False, options that do not affect the bytes of outputs are omitted.
         """
@@ -246,16 +243,17 @@ class Options:
         return {name: stored if isinstance(stored, tuple) else (stored,) for name, stored in read.items() if stored}
 
     def run_key(self, *facts: Any, files: Callable[[Path], Iterable[Path]] | None = None) -> str:
-        """Return a digest of everything that affects the bytes of the outputs of a run.
+        """Return a digest of everything that affects the bytes of a run's outputs.
 
         The digest depends on the version of l3, the options, the contents of the input files, and `facts`.
 
         Parameters
         ----------
         *facts
-            Additional inputs of the run that are not options, as JSON types.
+            Inputs of the run that are not options, as JSON types.
         files : callable, optional
-            Function that lists the files to which the path in an option refers. [default: the files of a frame sequence]
+            Function that takes the path in an option and lists the files to which it refers. [default: the files of a frame
+            sequence]
 
         Returns
         -------
@@ -287,7 +285,7 @@ OnePath = Given[Name | None, Path | None]
 
 
 class Pair(Reader):
-    """Two whole numbers, as text with a separator, such as "2,0" for ROW,COL, or as a tuple."""
+    """Two whole numbers, as text such as "2,0" or as a tuple."""
 
     def __init__(self, shape: str, separator: str, number: Number) -> None:
         self._shape, self._separator, self._number = shape, separator, number
@@ -308,7 +306,7 @@ SITE = Pair("ROW,COL", ",", Number(0, 65535, "rows or columns", whole=True))
 
 
 class Shard(Pair):
-    """A shard I/N of a run. N is the number of shards, and I is the number of this shard, from 1 to N."""
+    """Shard I/N of a run, where N is the number of shards, and I is the number of this shard, from 1 to N."""
 
     def __init__(self) -> None:
         super().__init__("I/N, such as 1/4", "/", Number(0, 1_000_000, "shards", whole=True))
@@ -317,13 +315,13 @@ class Shard(Pair):
         index, count = super().read(given)
         if not 1 <= index <= count:
             most = max(count, 1)
-            raise ValueError(f"there is no shard {index}/{count}; use a shard from 1/{most} to {most}/{most}")
+            raise ValueError(f"shard {index}/{count} does not exist; use a shard from 1/{most} to {most}/{most}")
         return index, count
 
 
 @options
 class BackendOptions(Options):
-    """Option that selects the renderer."""
+    """Option that selects the rendering backend."""
 
     backend: Literal["opencl", "reference"] = option(
         "opencl", "Render with OpenCL, or with numpy in float64 (slow).", shared=True
@@ -355,7 +353,7 @@ class SeedOptions(Options):
 
 @options
 class SchedulerOptions(Options):
-    """Options for workers on other machines. The TLS options are permitted only with a scheduler."""
+    """Options for workers on other machines. The TLS options require a scheduler."""
 
     scheduler: str | None = option(
         None, "Run on the workers of this dask scheduler (tcp://HOST:PORT).", metavar="ADDRESS", bytes=False, shared=True
@@ -382,7 +380,7 @@ class SchedulerOptions(Options):
     def cluster(self) -> "Scheduler | None":
         """Return the scheduler, or None if no address is set.
 
-        Raises an L3Error if the address or a TLS file is unusable.
+        Raises L3Error if the address or a TLS file cannot be used.
         """
         if self.scheduler is None:
             return None
@@ -400,7 +398,7 @@ class JobsOptions(Options):
 
 @options
 class WorkerOptions(JobsOptions, SchedulerOptions):
-    """Options for processes on this machine or for workers on other machines. A command cannot use both."""
+    """Options for processes on this machine and for workers on other machines. A run can use only one of the two."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -410,6 +408,6 @@ class WorkerOptions(JobsOptions, SchedulerOptions):
 
 @options
 class ForceOptions(Options):
-    """Option that permits the command to replace existing outputs."""
+    """Option that allows the command to replace existing outputs."""
 
     force: bool = option(False, "Replace the output if it exists.", bytes=False, shared=True)

@@ -33,18 +33,18 @@ GAIN = Number(1 / 1024, 1024, "times")
 
 
 class Exposure(NamedTuple):
-    """The value of the option `exposure`."""
+    """Parsed value of the option `exposure`."""
 
-    factor: float | None  # number by which Y is multiplied; None for automatic exposure
-    stops: float = 0.0  # EV relative to the automatic exposure; positive values make pictures brighter
-    stated: bool = False  # whether `factor` multiplies the exposure that each file states (BaselineExposure)
+    factor: float | None  # factor by which Y is multiplied; None for automatic exposure
+    stops: float = 0.0  # EV relative to the automatic exposure; positive values brighten the pictures
+    stated: bool = False  # whether `factor` also multiplies the exposure stated in each file (BaselineExposure)
 
 
 class ExposureReader(Reader):
-    """Exposure of pictures, in one of four forms.
+    """Exposure of the rendered pictures.
 
-    A number is a factor by which Y is multiplied. "auto" selects automatic exposure. "+1EV" is an exposure relative to
-    "auto". "camera" selects the exposure that each file states.
+    The value is a factor for Y, "auto" for automatic exposure, an exposure relative to "auto" such as "+1EV", or "camera"
+    for the exposure stated in each file.
     """
 
     factor, stops = Number(1e-9, 1e9, "times Y"), Number(-20, 20, "EV")
@@ -63,7 +63,7 @@ class ExposureReader(Reader):
             factor = self.factor.read(text)
         except ValueError as error:
             raise ValueError(f"{error}; other values are auto, camera, and EV relative to auto, such as -1EV") from None
-        if text.startswith("+"):  # factors are written without a sign, so the user may have meant EV
+        if text.startswith("+"):  # nobody writes a factor with a plus sign, so the user may have meant EV
             raise ValueError(
                 f"{text} is ambiguous; write {text}EV for {text[1:]} EV more than auto, or {text[1:]} to multiply Y by "
                 "this factor"
@@ -72,9 +72,9 @@ class ExposureReader(Reader):
 
 
 class FrameRange(Reader):
-    """A range of frame numbers in the form FROM-TO[xSTEP], such as "1-500x2". A single number selects one frame."""
+    """Range of frame numbers FROM-TO[xSTEP], such as "1-500x2", or a single frame number."""
 
-    # Frame numbers may be timestamps in µs.
+    # The range is this large because frame numbers may be timestamps in µs.
     number, step = Number(0, 10**18 - 1, whole=True), Number(1, 10**18 - 1, "frames", whole=True)
 
     def read(self, given: Any) -> range:
@@ -91,9 +91,9 @@ class FrameRange(Reader):
 
 
 class Rate(Reader):
-    """Frame rate in frames/s, as a number or a fraction such as "30000/1001".
+    """Frame rate in frames/s, as a number or as a fraction such as "30000/1001".
 
-    The stored rate is rounded to a fraction that videos can store.
+    The rate is rounded to a fraction that video files can store.
     """
 
     number, part = Number(0.001, 1000, "frames/s"), Number(1, 10**12, whole=True)
@@ -110,7 +110,7 @@ class Rate(Reader):
 
 
 class PackingName(Reader):
-    """Name of a packing. Letter case is ignored."""
+    """Name of a pixel packing, in upper or lower case."""
 
     def read(self, given: Any) -> str:
         packing = packing_named(str(given))

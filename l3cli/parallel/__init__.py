@@ -1,7 +1,7 @@
-"""Pools of worker processes on this machine, and of workers on other machines.
+"""Distribute work over processes on this machine or over workers on other machines.
 
-The results are in the order of the items and do not depend on the number of workers. To save start-up time, the modules that
-start processes are imported only when they are needed.
+Results arrive in the order of the items and do not depend on the number of workers. To save start-up time, the modules that
+start processes are imported only when needed.
 """
 
 import contextlib
@@ -23,8 +23,8 @@ R = TypeVar("R")
 def one_blas_thread() -> None:
     """Limit BLAS to one thread in this process and its children. Call this function before numpy is first imported.
 
-    With several BLAS threads, the rounding of results would depend on the number of cores. Small matrix products would be
-    slower, and idle threads would slow down video encoders.
+    With several BLAS threads, rounding would depend on the number of cores, small matrix products would be slower, and idle
+    threads would slow down video encoders.
     """
     os.environ.update(ONE_BLAS_THREAD)
 
@@ -32,19 +32,19 @@ def one_blas_thread() -> None:
 def without_plots() -> None:
     """Prevent colour-science from importing matplotlib and pandas, which l3 does not use.
 
-    These packages would double the processor time for the import of colour-science, from 2.4 s to 4.8 s on a slow core. This
-    applies to every process that simulates or trains.
+    They would double the CPU time of the import from 2.4 s to 4.8 s on a slow core, in every process that simulates or
+    trains.
     """
     for name in ("matplotlib", "pandas"):
-        sys.modules.setdefault(name, None)  # type: ignore[arg-type] # an import of a module that is None fails
+        sys.modules.setdefault(name, None)  # type: ignore[arg-type] # None makes the import fail
 
 
 def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> Iterator[R]:
     """Compute function(item) for each item in `jobs` processes, and yield the results in the order of the items.
 
-    If `jobs` is 1, the current process computes the results. Otherwise, at most 2·jobs results are stored at a time, so that
-    the memory does not grow with the number of items. Processes are spawned instead of forked, because a forked process
-    hangs if an OpenCL context exists. Each spawned process uses one BLAS thread.
+    If `jobs` is 1, the current process computes the results. Otherwise, at most 2·jobs results are kept at a time, so that
+    memory use does not grow with the number of items. The processes are spawned, because a forked process hangs if an OpenCL
+    context exists. Each of them uses one BLAS thread.
     """
     with workers(jobs) as pool:
         yield from pool(function, items)
@@ -52,10 +52,10 @@ def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> It
 
 @contextlib.contextmanager
 def workers(jobs: int, scheduler: "Scheduler | None" = None) -> Iterator[WorkerPool]:
-    """Yield a pool of workers.
+    """Context manager that yields a pool of workers.
 
-    If `scheduler` is not None, the pool consists of the workers of the scheduler. Otherwise, the pool consists of `jobs`
-    processes, or of the current process if `jobs` is 1.
+    The workers are the workers of `scheduler`. If `scheduler` is None, they are `jobs` processes on this machine, or the
+    current process if `jobs` is 1.
     """
     if scheduler is not None:
         from l3cli.parallel.cluster import workers_of

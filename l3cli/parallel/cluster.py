@@ -1,4 +1,4 @@
-"""A pool of dask workers on other machines."""
+"""Pool of dask workers on other machines."""
 
 import asyncio
 import collections
@@ -28,27 +28,27 @@ from l3cli.system.limits import ONE_BLAS_THREAD
 T = TypeVar("T")
 R = TypeVar("R")
 
-ANSWER_SECONDS = 10.0  # time limit for an answer from the scheduler
-WORKERLESS_SECONDS = 60.0  # a run fails if the scheduler has had no worker for this time
+ANSWER_SECONDS = 10.0  # time limit for a response from the scheduler
+WORKERLESS_SECONDS = 60.0  # time without any worker after which a run fails
 CHECK_SECONDS = 1.0  # interval between checks of the number of workers
 INSTALL = '‹scheduler› needs dask; install it with: pip install "l3cli[cluster]"'
 WITHOUT_TLS = (
     "the scheduler accepts connections from other machines without TLS, so other users can run programs under your account; "
     "use a tls:// address with ‹tls_ca›"
 )
-REPORTED = (L3Error, OSError, MemoryError)  # errors of a worker that l3 raises again and reports in one line
+REPORTED = (L3Error, OSError, MemoryError)  # worker errors that l3 raises again, so that they are reported in one line
 _one_at_a_time = threading.Lock()
 
 
 @dataclass(frozen=True)
 class Scheduler:
-    """The address of a dask.distributed scheduler, and the PEM files for a TLS connection to the scheduler.
+    """Address of a dask.distributed scheduler, and the PEM files for a TLS connection.
 
     Raises
     ------
     RecipeError
-        If the address is invalid, if it starts with tls:// and one of the three PEM files is not set, or if it starts with
-        tcp:// and a PEM file is set.
+        If the address is invalid, if a tls:// address comes without all three PEM files, or if a tcp:// address comes with
+        any of them.
     InputFileError
         If a PEM file does not exist.
     """
@@ -57,12 +57,12 @@ class Scheduler:
     ca: Path | None = None  # certificate of the authority that both sides trust
     certificate: Path | None = None  # certificate of this machine
     key: Path | None = None  # private key of the certificate
-    warn: Callable[[str], None] = lambda message: None  # called if other machines can connect without TLS
+    warn: Callable[[str], None] = lambda message: None  # called with a warning if other machines can connect without TLS
 
     def __post_init__(self) -> None:
         match = re.fullmatch(r"(tcp|tls)://\S+:(\d{1,5})", self.address, re.ASCII)
         if not match or not 0 < int(match[2]) < 65536:
-            raise RecipeError(f'"{self.address}" is not the address of a scheduler; use tcp://HOST:PORT or tls://HOST:PORT')
+            raise RecipeError(f'"{self.address}" is not a scheduler address; use tcp://HOST:PORT or tls://HOST:PORT')
         files = (self.ca, self.certificate, self.key)
         if match[1] == "tls" and None in files:
             raise RecipeError(f"{self.address} needs ‹tls_ca›, ‹tls_cert› and ‹tls_key›; set all three options")
@@ -77,26 +77,26 @@ class Scheduler:
 
 @contextlib.contextmanager
 def workers_of(scheduler: Scheduler) -> Iterator[WorkerPool]:
-    """Connect to a scheduler, and yield its workers as a pool.
+    """Context manager that connects to a scheduler and yields its workers as a pool.
 
-    If the block fails, each worker finishes its current item, and the other items are discarded.
+    If the block fails, each worker finishes its current item, and all waiting items are cancelled.
 
     Raises
     ------
     L3Error
-        If dask is not installed, if the scheduler does not answer, or if it has no worker for WORKERLESS_SECONDS.
+        If dask is not installed, if the scheduler does not respond, or if it has no worker for WORKERLESS_SECONDS.
     """
     try:
         import dask
         import distributed
     except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
-    # dask sets the level of each of these loggers separately.
+    # dask sets a level for each of these loggers, so setting the level of their parent would have no effect.
     for name in ("distributed", "distributed.client", "tornado", "tornado.application", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)  # l3 reports each error in one line
     settings = {
         "distributed.comm.timeouts.connect": f"{ANSWER_SECONDS} s",
-        # dask recommends scattering large items. l3 sends the items directly, because scattered data are lost with a worker.
+        # Suppress dask's advice to scatter large items. l3 sends them directly, because scattered data die with a worker.
         "distributed.admin.large-graph-warning-threshold": "1 GiB",
     }
     with dask.config.set(settings):
@@ -138,7 +138,7 @@ def _is_loopback(address: str) -> bool:
 
 
 class _Workers:
-    """Counts the workers of a scheduler, at most once per CHECK_SECONDS."""
+    """Counts a scheduler's workers. The scheduler is queried at most once per CHECK_SECONDS."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
@@ -147,7 +147,7 @@ class _Workers:
         self._count = 0
 
     def first(self) -> int:
-        """Wait for the first worker, and return the number of workers. Raises the same errors as `count`."""
+        """Wait for the first worker, and return the number of workers. Raises the same error as `count`."""
         while not self.count():
             time.sleep(CHECK_SECONDS / 10)
         return self._count
@@ -155,7 +155,7 @@ class _Workers:
     def count(self) -> int:
         """Return the number of workers.
 
-        Raises L3Error if the scheduler has had no worker for WORKERLESS_SECONDS, or if it does not answer.
+        Raises L3Error if the scheduler does not respond, or if it has had no worker for WORKERLESS_SECONDS.
         """
         if time.monotonic() - self._checked >= CHECK_SECONDS:
             try:
@@ -181,19 +181,19 @@ def _sent_out(
 ) -> Iterator[R]:
     """Compute function(item) for each item on the workers, and yield the results in the order of the items.
 
-    At most two items per worker are submitted at a time. Each result stays on its worker until the caller needs it. If the
+    At most two items per worker are submitted at a time. A result stays on its worker until the caller needs it. If the
     caller stops early, the unfinished items are cancelled.
 
     Raises
     ------
     L3Error
-        If the scheduler or all workers have stopped, if the software of a worker has a different version, if the function
-        fails, or if `fits` rejects a result.
+        If the scheduler or all workers have stopped, if a worker uses different software versions, if the function fails,
+        or if `fits` rejects a result.
     """
 
     def work(versions: dict[str, str], content: bytes) -> bytes:
-        # dask sends the code of a local function instead of its name. A worker without l3cli can therefore report that the
-        # package is missing. The scheduler needs no l3cli, because it only forwards bytes.
+        # dask sends a local function as code instead of by name, so that even a worker without l3cli can run this line and
+        # report the missing package. The scheduler does not need l3cli, because it only forwards bytes.
         from l3cli.parallel.cluster import work_elsewhere
 
         return work_elsewhere(versions, content)
@@ -218,10 +218,10 @@ def _sent_out(
 
 
 def _answer(client: Any, workers: _Workers, future: Any) -> Any:
-    """Wait for the answer of a worker. If the worker dies, dask computes the item on another worker.
+    """Wait for a worker's answer. If the worker dies, dask computes the item on another worker.
 
     Raises L3Error if the scheduler or all workers have stopped, if a worker cannot import a module, if several workers died
-    during the computation of this item, or if dask cannot read the answer.
+    while computing this item, or if dask cannot read the answer.
     """
     from distributed import KilledWorker
     from distributed.comm import CommClosedError
@@ -245,23 +245,23 @@ def _answer(client: Any, workers: _Workers, future: Any) -> Any:
     except L3Error:
         raise
     except Exception as error:  # dask cannot send or read the answer
-        raise L3Error(f"a worker failed ({_line(error)}); the log of the workers contains the traceback") from error
+        raise L3Error(f"a worker failed ({_line(error)}); see the workers' logs for the traceback") from error
     finally:
         answer.cancel()
 
 
 def _opened(answer: Any, fits: Callable[[Any], bool], worker: Callable[[], str]) -> Any:
-    """Return the result in an answer of `work_elsewhere`.
+    """Unpack the answer from `work_elsewhere`, and return the result in it.
 
     Parameters
     ----------
     answer : bytes
-        The answer. A worker with different code may send an object of any other type.
+        The answer. A worker that runs different code may send an object of any other type.
     fits : callable
-        Function that returns whether a result has the expected types and shapes. It may raise an exception for a result of
-        a wrong type.
+        Function that returns whether a result has the expected types and shapes. It may raise any exception if the type is
+        wrong.
     worker : callable
-        Function that returns the address of the worker, for messages.
+        Function that returns the worker's address, for messages.
 
     Raises
     ------
@@ -277,10 +277,10 @@ def _opened(answer: Any, fits: Callable[[Any], bool], worker: Callable[[], str])
     if failed and isinstance(value, REPORTED):
         raise value
     if failed:
-        raise L3Error(f"worker {worker()} failed ({value}); its log contains the traceback")
+        raise L3Error(f"worker {worker()} failed ({value}); see its log for the traceback")
     try:
         expected = fits(value)
-    except Exception:  # for a value of a wrong type, `fits` can raise any exception
+    except Exception:  # `fits` may raise anything if the type is wrong
         expected = False
     if not expected:
         raise L3Error(f"worker {worker()} returned a result of the wrong type {type(value).__name__}; {_REPLACE}")
@@ -299,7 +299,7 @@ def _line(error: Exception) -> str:
 
 
 def _worker_of(client: Any, future: Any) -> str:
-    """Return the address of the worker that stores a result, for messages."""
+    """Return the address of the worker that has computed a result, for messages."""
     try:
         return str(next(iter(client.who_has([future])[future.key])))
     except (OSError, RuntimeError, LookupError, StopIteration, CancelledError):  # the worker has stopped
@@ -307,27 +307,30 @@ def _worker_of(client: Any, future: Any) -> str:
 
 
 def _versions() -> dict[str, str]:
-    """Return the versions of software that must be the same on all machines, because they affect the bytes of results."""
+    """Return the software versions that must agree on all machines, because they affect the bytes of results."""
     python = platform.python_version().rpartition(".")[0]
     return {"l3cli": __version__, "numpy": importlib.metadata.version("numpy"), "Python": python}
 
 
 def work_elsewhere(versions: dict[str, str], content: bytes) -> bytes:
-    """Compute function(item) in a worker.
+    """Compute function(item) on a worker.
 
     Parameters
     ----------
     versions : dict of str to str
-        Versions of the software on the main machine, from `_versions`.
+        Software versions on the main machine, from `_versions`.
     content : bytes
         The pickled pair (function, item).
 
     Returns
     -------
     bytes
-        The pickled pair (failed, value). `value` is the result or, if `failed` is true, the error. An error whose class is
-        not in REPORTED is converted to text, because the class may be missing in the main process. The pair is pickled here
-        because dask could wait forever if the main process failed to unpickle an object.
+        The pickled pair (failed, value). `value` is the result or, if `failed` is true, the error. Errors of classes that
+        are not in REPORTED are converted to text, because these classes may be missing on the main machine.
+
+    Notes
+    -----
+    The result is pickled here, and not by dask, because dask could wait forever for an object that cannot be unpickled.
     """
     try:
         return pickle.dumps((False, _computed(versions, content)))
@@ -339,10 +342,10 @@ def work_elsewhere(versions: dict[str, str], content: bytes) -> bytes:
 
 
 def _computed(versions: dict[str, str], content: bytes) -> Any:
-    """Compute function(item) for the pickled pair (function, item) in `content`.
+    """Check the worker, then compute function(item) for the pickled pair (function, item) in `content`.
 
-    A worker computes one item at a time, because not all functions are thread-safe. Raises L3Error if a version on this
-    worker differs from `versions`, or if the worker uses several BLAS threads.
+    A worker computes one item at a time, because some functions are not thread-safe. Raises L3Error if this worker's
+    software differs from `versions`, or if the worker uses several BLAS threads.
     """
     for name, theirs in versions.items():
         if (ours := _versions()[name]) != theirs:
@@ -357,10 +360,7 @@ def _computed(versions: dict[str, str], content: bytes) -> Any:
 
 @contextlib.contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """Create a temporary folder in a worker for the duration of the block.
-
-    If the worker is killed, dask removes the folder.
-    """
+    """Context manager that creates a temporary folder on a worker. If the worker is killed, dask removes the folder."""
     from distributed import get_worker
 
     with tempfile.TemporaryDirectory(dir=get_worker().local_directory) as folder:

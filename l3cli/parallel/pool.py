@@ -1,4 +1,4 @@
-"""The interface that all pools of workers share."""
+"""The common interface of all worker pools."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -27,13 +27,13 @@ class WorkerPool:
         Parameters
         ----------
         function : callable
-            Function at the top level of a module, because workers import it by name.
+            Function of one item. It must be defined at the top level of a module, because workers import it by name.
         items : iterable
-            Arguments of the function, which must be picklable.
+            Items, which must be picklable.
         fits : callable, optional
-            Function of an item and its result. It returns whether the types and shapes of the result are correct, and may
-            raise any exception if the type is wrong. The function is called only for results from other machines, because
-            the workers there may run different code. [default: accept every result]
+            Function that takes an item and its result, and returns whether the result has the expected types and shapes. It
+            may raise any exception if the type is wrong. Only results from other machines are checked, because workers
+            there may run different code. [default: accept every result]
 
         Raises
         ------

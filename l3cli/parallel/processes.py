@@ -25,10 +25,10 @@ R = TypeVar("R")
 
 @contextlib.contextmanager
 def several(jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]]:
-    """Start `jobs` processes, and yield a function like `map` that distributes its calls over these processes.
+    """Context manager that starts `jobs` processes and yields a function like `map` that distributes calls over them.
 
-    At most two results per process are stored at a time. The processes end at the end of the block, or immediately if the
-    block fails or is interrupted.
+    At most two results per process are kept at a time. The processes end with the block. If the block fails or is
+    interrupted, they are terminated immediately.
     """
     with environment(ONE_BLAS_THREAD):
         pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _begin)
@@ -39,10 +39,10 @@ def several(jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]
             for child in multiprocessing.active_children():
                 if child not in before:
                     child.terminate()
-            # If a worker is terminated while it sends a large result, the result thread of the pool waits for the rest of
-            # the data until all writing ends of the pipe are closed. This process must therefore close its own writing end,
-            # or Ctrl-C would hang. Before Python 3.11.5, the thread that sends items waits in the same way until all reading
-            # ends are closed (python/cpython#94777).
+            # If a worker is terminated while it sends a large result, the pool's result thread waits for the rest of the
+            # data until all writing ends of the pipe are closed. Ctrl-C would hang, so this process closes its own writing
+            # end. Before Python 3.11.5, the thread that sends items similarly waits until all reading ends are closed
+            # (python/cpython#94777).
             pool._result_queue._writer.close()  # type: ignore[attr-defined]
             if sys.version_info < (3, 11, 5):
                 pool._call_queue._reader.close()  # type: ignore[attr-defined]
@@ -54,9 +54,9 @@ def several(jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]
 def _submit(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> "Future[R]":
     """Submit an item to the pool, which may start a process.
 
-    Signals are blocked while the process starts, because an interrupted start would print a traceback. The new process
-    inherits the blocked signals and unblocks only SIGTERM. Ctrl-C sends SIGINT to all processes, but only the parent handles
-    the signal.
+    Signals are blocked while a process starts, because an interrupted start would print a traceback. The new process
+    inherits the blocked signals and unblocks only SIGTERM: Ctrl-C sends SIGINT to all processes, but only the parent handles
+    it.
     """
     old = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
@@ -70,7 +70,7 @@ def _submit(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> "
 def _script_left_alone(function: Callable[..., object]) -> Iterator[None]:
     """Prevent new processes from importing the running script, unless the script defines `function`.
 
-    If a script calls l3cli outside a function, every process that imports the script would call l3cli again.
+    Otherwise, a script that calls l3cli at its top level would call it again in every process.
     """
     script = sys.modules["__main__"]
     if getattr(function, "__module__", None) == "__main__":
@@ -92,7 +92,7 @@ def _begin() -> None:
 
 
 def _end_with_parent() -> None:
-    """Start a thread that ends this worker process when the parent process has ended, even if the parent was killed."""
+    """Start a thread that ends this worker process when the parent process ends, even if the parent is killed."""
     parent: Any = multiprocessing.parent_process()
 
     def watch() -> None:

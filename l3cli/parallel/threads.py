@@ -1,4 +1,4 @@
-"""Threads that read items in advance, write items in the background, or run a task in the background."""
+"""Threads that read ahead, write in the background, or run a background task."""
 
 import contextlib
 import os
@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
-# Time limits in s after an interrupt, for the current items of `prefetched`, BackgroundTask and WriteBehind.
+# After an interrupt, how long to wait for the threads of `prefetched`, BackgroundTask and WriteBehind, in s.
 READ_SECONDS, WORK_SECONDS, WRITE_SECONDS = 1.0, 5.0, 25.0
 
 
@@ -20,26 +20,26 @@ class _End(Exception):
 
 @contextlib.contextmanager
 def threaded(count: int) -> Iterator[Callable[[Callable[[T], R], Iterable[T]], Iterable[R]]]:
-    """Yield a function like `map` that uses up to `count` threads, but at most one thread per core.
+    """Context manager that yields a function like `map` with up to `count` threads, but at most one per core.
 
-    The results are in the order of the items. For a single thread, the function is the built-in `map`.
+    The results are in the order of the items. With a single thread, the function is the built-in `map`.
     """
     if (count := min(count, os.cpu_count() or 1)) < 2:
         yield map
         return
-    from concurrent.futures import ThreadPoolExecutor  # a slow import that rendering does not need
+    from concurrent.futures import ThreadPoolExecutor  # a slow import, not needed for a single thread
 
     with ThreadPoolExecutor(count) as pool:
         yield pool.map
 
 
 def prefetched(items: Iterable[T], depth: int) -> Iterator[T]:
-    """Yield the items of an iterable, while a thread computes up to `depth` items in advance.
+    """Iterate over `items`, while a thread computes up to `depth` items in advance.
 
-    If the iterable raises an exception, all items before the exception are yielded first.
+    If computing an item raises an exception, all items before it are still yielded first.
     """
     ready: queue.Queue[Any] = queue.Queue()
-    free = threading.Semaphore(depth)  # number of items that the thread may still compute
+    free = threading.Semaphore(depth)  # how many more items the thread may compute
     stopped = threading.Event()
 
     def work() -> None:
@@ -50,7 +50,7 @@ def prefetched(items: Iterable[T], depth: int) -> Iterator[T]:
         except BaseException as error:
             ready.put((None, error))
 
-    # A daemon thread does not prevent the program from ending while the thread waits for input.
+    # A daemon thread, so that the program can end while the thread waits for input.
     thread = threading.Thread(target=work, daemon=True)
     thread.start()
     try:
@@ -65,14 +65,14 @@ def prefetched(items: Iterable[T], depth: int) -> Iterator[T]:
     finally:
         stopped.set()
         free.release()
-        with contextlib.suppress(RuntimeError):  # Python 3.14 raises RuntimeError for `join` at interpreter exit
-            thread.join(READ_SECONDS)  # otherwise, a thread inside a C library could crash the program at exit
+        with contextlib.suppress(RuntimeError):  # raised by Python 3.14 during interpreter exit
+            thread.join(READ_SECONDS)  # a thread inside a C library could crash the program at exit
 
 
 def _while_free(items: Iterable[T], free: threading.Semaphore, stopped: threading.Event) -> Iterator[T]:
     iterator = iter(items)
     while True:
-        free.acquire()  # before the item is computed, because `depth` includes unfinished items
+        free.acquire()  # before computing the item, because `depth` includes the item being computed
         if stopped.is_set():
             return
         try:
@@ -85,8 +85,8 @@ def _while_free(items: Iterable[T], free: threading.Semaphore, stopped: threadin
 class BackgroundTask:
     """Context manager that runs `work` in a thread during the block, and waits for the thread at the end.
 
-    Errors in `work` are ignored. `work` only prepares results that the main thread needs later. If `work` fails, the same
-    error occurs again in the main thread.
+    `work` must only prepare, for example load or cache, what the main thread needs later. Its errors are ignored, because
+    they occur again in the main thread.
     """
 
     def __init__(self, work: Callable[[], object]) -> None:
@@ -97,8 +97,8 @@ class BackgroundTask:
         self._thread.start()
 
     def __exit__(self, kind: type[BaseException] | None, *exception: object) -> None:
-        # After an interrupt, wait for the thread, because a thread inside a C library could crash the program at exit. The
-        # wait has a limit, because the thread may be waiting for a module whose import was interrupted.
+        # Wait even after an interrupt, because a thread inside a C library could crash the program at exit. This wait is
+        # limited, because the thread itself may be waiting for an interrupted import.
         interrupted = kind is not None and not issubclass(kind, Exception)
         try:
             self._thread.join(WORK_SECONDS if interrupted else None)
@@ -114,10 +114,12 @@ class BackgroundTask:
 class WriteBehind:
     """Context manager that calls function(item) in background threads, for example to write files.
 
-    At most `depth` items wait at a time, and `put` blocks while the queue is full. With one thread, the items are processed
-    in order. At the end of the block, WriteBehind waits until all items are processed, even if the block failed. If the
-    function raises an error, the waiting items are discarded. The error is raised again by the next call of `put` or at the
-    end of the block. After an interrupt, only the current items are finished, in at most WRITE_SECONDS.
+    `put` adds an item to the queue, and blocks while `depth` items are waiting. A single thread processes items in order. At
+    the end of the block, WriteBehind waits until all items are processed, even if the block has failed. After an interrupt,
+    it waits only for the items being processed, and for at most WRITE_SECONDS.
+
+    If the function raises an error, the waiting items are discarded. The next call of `put`, or the end of the block, raises
+    the error again.
     """
 
     def __init__(self, function: Callable[[T], object], depth: int, threads: int = 1) -> None:
@@ -125,8 +127,7 @@ class WriteBehind:
         self._items: queue.Queue[Any] = queue.Queue(depth)
         self._error: BaseException | None = None
         self._complete = False  # whether all items have been put
-        # Events are used instead of Thread.join. In Python 3.11, a running thread counts as ended after an interrupted
-        # `join`.
+        # Events instead of Thread.join: in Python 3.11, a running thread counts as ended after an interrupted `join`.
         self._ended = [threading.Event() for _ in range(threads)]
         self._threads = [threading.Thread(target=self._run, args=(ended,), daemon=True) for ended in self._ended]
 
@@ -156,10 +157,10 @@ class WriteBehind:
             raise self._error
 
     def _drop(self, interruption: BaseException) -> None:
-        """Discard the waiting items, and wait until the current items are finished.
+        """Discard the waiting items, and wait for the items being processed.
 
         Without this wait, a thread inside a C library could crash the program at exit. The wait is limited to WRITE_SECONDS,
-        because a write to a full pipe without a reader never returns.
+        because a write to a full pipe may never return.
         """
         self._error = self._error or interruption
         self._wake_one()
@@ -181,7 +182,7 @@ class WriteBehind:
         while not (self._complete and self._items.empty()):
             item = self._items.get()
             if item is _End or self._error is not None:
-                continue  # after an error, items are removed from the queue but not processed, so that `put` does not block
+                continue  # after an error, empty the queue without processing the items, so that `put` does not block
             try:
                 self._function(item)
             except BaseException as error:

@@ -1,1 +1,1 @@
-"""Read TOML recipes as typed values, report their faults, derive JSON schemas, and find the recipes that come with l3."""
+"""Read TOML recipes as typed values, report their faults, derive JSON schemas, and find built-in recipes."""

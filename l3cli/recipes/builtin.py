@@ -1,4 +1,4 @@
-"""Find the recipes that come with l3 in configs/, and list the files that `l3 init` writes into a new folder."""
+"""Find the built-in recipes in configs/, and list the files that `l3 init` writes into a new folder."""
 
 import itertools
 import os
@@ -11,10 +11,10 @@ from pathlib import Path
 from l3cli.errors import InputFileError, RecipeError, suggestion
 from l3cli.system.text import counted
 
-# Subfolder of configs/ → type of its recipes in messages.
+# Subfolder of configs/ → what messages call its recipes.
 KIND_OF_FOLDER = {"cameras": "camera", "lab": "lab", "scenes": "scene", "classes": "class", "designs": "design"}
-CURVES = "curves.csv"  # name of the file with the responsivities of the camera in a new folder
-# Files in a new folder, except camera.toml: name in the new folder → path in configs/.
+CURVES = "curves.csv"  # file in a new folder that contains the camera's responsivities
+# Files in a new folder, in addition to camera.toml: name in the new folder → path in configs/.
 COMMON = {
     "lab.toml": "lab/default.toml",
     "scenes.toml": "scenes/default.toml",
@@ -27,24 +27,23 @@ COMMON = {
     "slurm.sh": "pipelines/slurm.sh",
 }
 SCENES = ("scenes.toml", "bands_scenes.toml", "unseen.toml")  # the scene recipes in COMMON
-# Pipeline file → (text, replacement) for a real camera. With the replacement, the pipeline starts from the camera recipe
-# instead of a camera model from the virtual lab.
+# Pipeline file → (text, replacement) for real cameras. With the replacement, the pipeline starts from the camera recipe
+# instead of from a camera model that is calibrated in the virtual lab.
 KNOWN = {
     "Makefile": ("CAMERA ?= camera.h5", "CAMERA ?= camera.toml"),
     "Snakefile": ('config.get("camera", "snakemake/camera.h5")', 'config.get("camera", "camera.toml")'),
     "slurm.sh": ("${CAMERA:-camera.h5}", "${CAMERA:-camera.toml}"),
 }
-# (text, replacement) for the scene recipe and for the class recipe. With the replacements, a table is trained for two
-# illuminants.
+# (text, replacement) for the scene recipe and for the class recipe, so that the table is trained for two illuminants.
 LIGHTS = '["A", "D65"]'
 ILLUMINANTS = 'illuminants = ["D65"]\n', f"illuminants = {LIGHTS}\n"
 LEARNING = (
     "[learning]\n",
     f"[learning]\nlights = {LIGHTS}    # trains transforms for each illuminant; the white of a frame selects them\n",
 )
-# Cameras with their own scene recipes: configs/scenes/NAME.toml for training and NAME_unseen.toml for tests.
+# Cameras with their own scene recipes: configs/scenes/NAME.toml for training and NAME_unseen.toml for evaluation.
 POLARISED = ("polarised", "polarised_colour")
-# Camera recipe → class recipe. All other camera recipes use the class recipe `default`.
+# Camera recipe → class recipe, for all cameras that do not use the class recipe `default`.
 CLASSES = {
     "nona_bayer_hdr": "blocks",
     "polarised": "polarised",
@@ -55,50 +54,47 @@ CLASSES = {
 
 
 def recipe_folder() -> Path:
-    """Return the folder configs/.
-
-    An installed package contains the folder. In the repository, the folder is next to the package.
-    """
+    """Return the folder configs/, which is inside an installed package, or next to the package in the repository."""
     package = Path(__file__).parents[1]
     inside = package / "configs"
     return inside if inside.is_dir() else package.parent / "configs"
 
 
 def known_benchmarks() -> dict[str, Path]:
-    """Return the folder of each benchmark that comes with l3. The keys are names such as "benchmark-bayer"."""
+    """Return the folders of the built-in benchmarks, by names such as "benchmark-bayer"."""
     return {f"benchmark-{path.name}": path for path in sorted((recipe_folder() / "benchmarks").iterdir()) if path.is_dir()}
 
 
 def known_recipes(kind: str) -> dict[str, Path]:
-    """Return the recipes in a subfolder of configs/, as a mapping from the name of a recipe to its file.
+    """Return the built-in recipes of one type, as a mapping from recipe name to file.
 
-    `kind` is the name of the subfolder, such as "cameras". The result is empty if the subfolder does not exist.
+    `kind` is the type: a subfolder of configs/, such as "cameras". The result is empty if the subfolder does not exist.
     """
     return {path.stem: path for path in sorted((recipe_folder() / kind).glob("*.toml"))}
 
 
 def find_recipe(text: str, kind: str) -> Path:
-    """Convert the path or the name of a recipe to a path.
+    """Find the file of a recipe that the user specified by path or by name.
 
     Parameters
     ----------
     text : str
-        The path of a recipe file, or the name of a recipe that comes with l3. An existing file has precedence over a
-        recipe of the same name.
+        Path of a recipe file, or name of a built-in recipe. An existing file has precedence over a built-in recipe of the
+        same name.
     kind : str
-        Subfolder of configs/ that contains recipes of this type: a key of KIND_OF_FOLDER.
+        Type of the recipe: a subfolder of configs/, which is a key of KIND_OF_FOLDER.
 
     Returns
     -------
     Path
-        Path of the recipe. If the file does not exist, the caller must report this.
+        Path of the recipe. The file may be missing; the caller reports this.
 
     Raises
     ------
     RecipeError
-        If `text` is a word without a suffix, but neither a file nor a recipe has this name.
+        If `text` is a name without a suffix, but neither a file nor a built-in recipe has this name.
     InputFileError
-        If `text` is the path of a missing .toml file, but a recipe of this name comes with l3.
+        If `text` is the path of a missing .toml file, and a built-in recipe has this name.
     """
     if os.path.isfile(text):
         return Path(text)
@@ -108,34 +104,34 @@ def find_recipe(text: str, kind: str) -> Path:
     if os.path.exists(text):
         return path
     if os.sep not in text and not path.suffix:
-        raise RecipeError(f'there is no file or {KIND_OF_FOLDER[kind]} recipe "{text}"; {suggestion(text, known)}')
+        raise RecipeError(f'no file or {KIND_OF_FOLDER[kind]} recipe "{text}" exists; {suggestion(text, known)}')
     if path.suffix == ".toml" and path.stem in known:
-        raise InputFileError(f'{text} does not exist; write "{path.stem}" to use the recipe that comes with l3')
+        raise InputFileError(f'{text} does not exist; write "{path.stem}" to use the built-in recipe')
     return path
 
 
 def starters() -> dict[str, Path]:
-    """Return the camera recipes and the benchmark folders from which `l3 init` can create a folder. The keys are names."""
+    """Return the camera recipes and benchmark folders from which `l3 init` can create a folder, by name."""
     return known_recipes("cameras") | known_benchmarks()
 
 
 def slug_of(name: str) -> str:
-    """Convert the name of a camera to its form on the command line, such as "Nikon D80" to "nikon_d80"."""
+    """Convert a camera name to the form used on the command line, such as "Nikon D80" to "nikon_d80"."""
     return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
 
 
 def cameras_by_name(text: str = "") -> dict[str, tuple[str, ...]]:
-    """Find cameras whose measured responsivities come with l3.
+    """Find cameras for which l3 includes measured responsivities.
 
     Parameters
     ----------
     text : str
-        Words, all of which must occur in the names of a camera. Letter case is ignored. [default: find all cameras]
+        Words that must all occur in a camera's names, in upper or lower case. [default: find all cameras]
 
     Returns
     -------
     dict of str to tuple of str
-        Name on the command line → all names of the camera. Empty if no camera matches.
+        For each camera, its command-line name and all of its other names.
     """
     known = tomllib.loads((recipe_folder() / "priors" / "cameras.toml").read_text(encoding="utf-8"))["camera"]
     names = {slug: (each["name"], *each.get("also", ())) for slug, each in known.items()}
@@ -144,7 +140,7 @@ def cameras_by_name(text: str = "") -> dict[str, tuple[str, ...]]:
 
 
 def known_camera(contents: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Return the pipeline files in `contents` with the replacements for a real camera (see KNOWN)."""
+    """Return the pipeline files from `contents`, adapted to a real camera (see KNOWN)."""
     known = {}
     for name, (usual, recipe) in KNOWN.items():
         text = contents[name].decode()
@@ -154,7 +150,7 @@ def known_camera(contents: Mapping[str, bytes]) -> dict[str, bytes]:
 
 
 def common_files(rows: int, cols: int) -> dict[str, bytes]:
-    """Return the files that `l3 init` writes for a real camera, except the camera recipe. The keys are file names.
+    """Return the contents of all files that `l3 init` writes for a real camera, except the camera recipe, by file name.
 
     Scenes are limited to `rows` × `cols` pixels, the size of the sensor.
     """
@@ -164,18 +160,18 @@ def common_files(rows: int, cols: int) -> dict[str, bytes]:
 
 
 def for_several_lights(starter: Path) -> bool:
-    """Return whether the table of a new folder is trained for several illuminants.
+    """Return whether the table in a new folder is trained for several illuminants.
 
-    The result is False for benchmarks, because their files specify the illuminants, and for polarisation cameras, because a
-    table with Stokes outputs supports only one illuminant.
+    False for benchmarks, because their own recipes specify the illuminants, and for polarisation cameras, because a table
+    with Stokes outputs supports only one illuminant.
     """
     return not starter.is_dir() and starter.stem not in POLARISED
 
 
 def for_lights(contents: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Return the scene recipe and the class recipe in `contents`, changed to train for the illuminants A and D65.
+    """Return the scene recipe and the class recipe from `contents`, changed to train for the illuminants A and D65.
 
-    The recipes in configs/ use only one illuminant, so that each of them can be combined with any other recipe.
+    The recipes in configs/ use only one illuminant, so that any scene recipe can be combined with any class recipe.
     """
     changed = {}
     for name, (before, after) in {"scenes.toml": ILLUMINANTS, "classes.toml": LEARNING}.items():
@@ -186,9 +182,9 @@ def for_lights(contents: Mapping[str, bytes]) -> dict[str, bytes]:
 
 
 def fitting_scenes(text: str, rows: int, cols: int) -> str:
-    """Limit the size of every scene in the text of a scene recipe to `rows` × `cols` pixels.
+    """Limit every scene in the text of a scene recipe to `rows` × `cols` pixels.
 
-    The number of random scenes is increased, so that the total number of pixels does not decrease.
+    To keep the total number of pixels, the number of random scenes is increased.
     """
 
     def fitted(scene: re.Match[str]) -> str:
@@ -203,8 +199,7 @@ def fitting_scenes(text: str, rows: int, cols: int) -> str:
 def summary(starter: Path) -> str:
     """Describe a camera recipe, or the camera in a benchmark folder, in one line.
 
-    The line contains the period of the CFA, the number of channels, and the first sentence of the comment at the start of
-    the file.
+    The line contains the CFA period, the number of channels, and the first sentence of the comment at the top of the recipe.
     """
     camera = starter / "camera.toml" if starter.is_dir() else starter
     text = camera.read_text(encoding="utf-8")
@@ -219,12 +214,12 @@ def summary(starter: Path) -> str:
 
 
 def classes_of(camera: Path) -> str:
-    """Return the name of the class recipe for a new folder with this camera recipe."""
+    """Return the name of the class recipe that suits a camera recipe."""
     return CLASSES.get(camera.stem, "default")
 
 
 def folder_files(starter: Path) -> dict[str, Path]:
-    """Return the files from which a new folder is created. The keys are the file names in the new folder."""
+    """Return the files that are copied to a new folder, by their names in that folder."""
     if starter.is_dir():
         return {path.name: path for path in sorted(starter.iterdir())}
     sources = COMMON | {"classes.toml": f"classes/{classes_of(starter)}.toml"}
@@ -235,15 +230,15 @@ def folder_files(starter: Path) -> dict[str, Path]:
 
 
 def _base(camera: Path) -> Path | None:
-    """Return the camera recipe to which the key `base` refers, or None if the recipe has no such key."""
+    """Return the camera recipe on which a recipe is based (its key `base`), or None if it has no such key."""
     named = tomllib.loads(camera.read_text(encoding="utf-8")).get("base")
     return None if named is None else camera.parent / named
 
 
 def curves_of(starter: Path) -> Path | None:
-    """Return the file with the responsivities of a camera recipe, or None if the recipe refers to no such file.
+    """Return the file that contains a camera recipe's responsivities, or None if it refers to no such file.
 
-    The result is also None for a benchmark folder.
+    None for a benchmark folder.
     """
     if starter.is_dir():
         return None
@@ -252,12 +247,12 @@ def curves_of(starter: Path) -> Path | None:
 
 
 def _extinctions(camera: Path) -> list[Path]:
-    """Return the files with extinction ratios to which a camera recipe refers, without duplicates."""
+    """Return the files of extinction ratios to which a camera recipe refers, without duplicates."""
     recipe = tomllib.loads((_base(camera) or camera).read_text(encoding="utf-8"))
     named = [one.get("extinction") for one in recipe.get("channel", {}).values()]
     return list(dict.fromkeys(camera.parent / name for name in named if isinstance(name, str)))
 
 
 def _named(camera: Path) -> list[Path]:
-    """Return all files to which a camera recipe refers: its base recipe, its responsivities and its extinction ratios."""
+    """Return all files to which a camera recipe refers: its base recipe, responsivities and extinction ratios."""
     return [path for path in (_base(camera), curves_of(camera), *_extinctions(camera)) if path is not None]

@@ -1,7 +1,7 @@
-"""Collect the faults of a recipe, each with the keys that cause it.
+"""Collect the faults in a recipe, each with the keys that cause it.
 
-This module finds values with a wrong type, or outside the declared range. Other modules check the meaning of the values, for
-example whether two values contradict each other. A command stops at the first fault (`refuse_first`). `l3 check` lists all
+This module finds values that have a wrong type or are out of range. Other modules check the meaning of the values, for
+example whether two of them contradict each other. Commands stop at the first fault (`refuse_first`). `l3 check` lists all
 faults.
 """
 
@@ -17,15 +17,15 @@ from l3cli.recipes.messages import place, plain
 from l3cli.recipes.toml import KeyPath, Recipe, refusals
 
 R = TypeVar("R", bound=Recipe)
-LISTED_FAULTS = 100  # maximum number of faults that are listed; the remaining faults are only counted
+LISTED_FAULTS = 100  # maximum number of faults that are listed; further faults are only counted
 _fields = functools.cache(msgspec.structs.fields)
 UNIONS = (Union, types.UnionType)
 
 
 class Fault(NamedTuple):
-    """A fault of a recipe and the keys that cause it.
+    """A fault in a recipe, and the keys that cause it.
 
-    The fault is reported at the line of its first key. If the message is empty, the fault is counted but not listed.
+    The fault is reported at the line of its first key. A fault with an empty message is counted but not listed.
     """
 
     message: str
@@ -33,7 +33,7 @@ class Fault(NamedTuple):
 
 
 def fault(message: str, *keys: str | KeyPath) -> Fault:
-    """Create a fault. A key is a KeyPath, or text such as "scene.1.size", in which list entries are counted from 0."""
+    """Create a fault. Keys are KeyPaths, or text such as "scene.1.size" with list indices counted from 0."""
     return Fault(message, tuple(_path(key) for key in keys))
 
 
@@ -42,27 +42,24 @@ def _path(key: str | KeyPath) -> KeyPath:
 
 
 def inside(faults: Iterable[Fault], *table: str | int) -> Iterator[Fault]:
-    """Convert faults of a table to faults of the whole recipe. The path `table` of the table is prepended to each key."""
+    """Convert faults in a table to faults in the whole recipe, by prepending the table's path to each key."""
     return (Fault(message, tuple((*table, *key) for key in keys)) for message, keys in faults)
 
 
 def refuse_first(faults: Iterable[Fault], name: object = None) -> None:
-    """Raise a RecipeError for the first fault. Do nothing if `faults` is empty.
-
-    If `name` is not None, the message starts with `name`.
-    """
+    """Raise a RecipeError for the first fault, if there is any. If `name` is not None, the message starts with it."""
     for message, _ in faults:
         raise RecipeError(message if name is None else f"{name}: {message}")
 
 
 def about_others(faults: Iterable[Fault], known: Iterable[Fault]) -> Iterator[Fault]:
-    """Yield the faults that are not a consequence of an earlier fault.
+    """Yield the faults that are not consequences of earlier faults.
 
-    A fault is omitted if an earlier fault has the same key, a table that contains the key, or a value inside the key.
-    Earlier faults are the faults in `known` and the faults that were yielded before.
+    A fault is omitted if an earlier fault concerns the same key, a table around this key, or a value inside it. Earlier
+    faults are those in `known` and those already yielded.
     """
     broken: set[KeyPath] = set()
-    above: set[KeyPath] = set()  # tables and lists that contain broken keys
+    above: set[KeyPath] = set()  # broken keys, and the tables and lists around them
 
     def add(key: KeyPath) -> None:
         broken.add(key)
@@ -84,15 +81,15 @@ def typed(content: dict[str, Any], recipe: type[R]) -> tuple[R | None, list[Faul
     Parameters
     ----------
     content : dict
-        Content of the file, as tomllib returns it.
+        Content of the file, as parsed by tomllib.
     recipe : type
         Class of the recipe.
 
     Returns
     -------
     recipe : Recipe or None
-        The recipe. Valid examples replace the invalid values, so that the caller can check the other values. None if msgspec
-        rejects even the repaired content.
+        The recipe, with valid examples in place of invalid values, so that the caller can check the remaining values. None
+        if msgspec rejects even the repaired content.
     faults : list of Fault
         The faults, in the order in which they were found. Empty if the recipe is valid.
     """
@@ -113,7 +110,7 @@ class _Judge:
         self._faulty = {key for fault in faults for key in fault.keys}
 
     def table(self, kind: type[Recipe], given: dict[str, Any], path: KeyPath) -> dict[str, Any]:
-        """Check a table, and return a copy in which valid examples replace the invalid and the missing values."""
+        """Check a table, and return a copy with valid examples in place of invalid and missing values."""
         fields = {field.encode_name: field for field in _fields(kind)}
         tag = kind.__struct_config__.tag_field
         repaired: dict[str, Any] = {tag: kind.__struct_config__.tag} if tag else {}
@@ -129,10 +126,7 @@ class _Judge:
         return repaired
 
     def value(self, kind: Any, value: Any, path: KeyPath) -> Any:
-        """Check a value and, if it is a list or a table, all its entries.
-
-        Return the value with valid examples in place of its invalid parts.
-        """
+        """Check a value, including the entries of a list or table, and return it with valid examples for invalid parts."""
         if path in self._faulty:
             return example(kind)
         table, entries = _table(kind, value), _entries(kind, value)
@@ -155,7 +149,7 @@ class _Judge:
         return value
 
     def _add(self, what: str, where: KeyPath, key: KeyPath) -> None:
-        """Add a fault with a message of msgspec, unless the key already has a fault."""
+        """Add a fault with a msgspec message, unless the key already has a fault."""
         if key in self._faulty:
             return
         self._faulty.add(key)
@@ -177,9 +171,9 @@ def _plain_types(kind: Any) -> list[Any]:
 
 
 def _table(kind: Any, value: Any) -> type[Recipe] | None:
-    """Return the class that describes a table. If several classes are permitted, the tag of the table selects the class.
+    """Return the class that describes a table. If several classes are permitted, the table's tag selects one of them.
 
-    The result is None if `value` is not a table, if no class is declared, or if the tag is unknown.
+    None if `value` is not a table, if no class is declared, or if the tag is unknown.
     """
     tables = [each for each in _plain_types(kind) if isinstance(each, type) and issubclass(each, Recipe)]
     if not isinstance(value, dict) or not tables:
@@ -189,10 +183,9 @@ def _table(kind: Any, value: Any) -> type[Recipe] | None:
 
 
 def _entries(kind: Any, value: Any) -> dict[str, Any] | list[Any] | None:
-    """Return the declared type of each entry of a list, or of each entry of a table with arbitrary keys.
+    """Return the declared type of each entry in a list, or in a table with arbitrary keys.
 
-    The result is None if `value` is not a list or a table, if the type `kind` does not permit such a value, or if the list
-    has the wrong length.
+    None if `value` is neither, if the declared type `kind` does not permit it, or if the list has the wrong length.
     """
     for each in _plain_types(kind):
         origin, arguments = get_origin(each), get_args(each)
@@ -206,7 +199,7 @@ def _entries(kind: Any, value: Any) -> dict[str, Any] | list[Any] | None:
 
 
 def example(kind: Any) -> Any:
-    """Return a valid value of a declared type, in the form in which tomllib would return the value."""
+    """Return a valid value for a declared type, as tomllib would parse it."""
     if get_origin(kind) is Annotated:
         kind, *marks = get_args(kind)
         (meta,) = (mark for mark in marks if isinstance(mark, msgspec.Meta))

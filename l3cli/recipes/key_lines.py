@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from l3cli.recipes.toml import KeyPath
 
 STRING = (
-    r'"""[^"\\]*(?:(?:\\.|"{1,2}(?!"))[^"\\]*)*"{3,5}'  # two quotation marks may precede the closing three
+    r'"""[^"\\]*(?:(?:\\.|"{1,2}(?!"))[^"\\]*)*"{3,5}'  # up to two quotation marks may precede the closing three
     r"|'''[^']*(?:'{1,2}(?!')[^']*)*'{3,5}"
     r'|"[^"\\\n]*(?:\\.[^"\\\n]*)*"'
     r"|'[^'\n]*'"
@@ -16,9 +16,9 @@ TOKEN = re.compile(rf"{STRING}|#[^\n]*|[^\"'#.,\[\]{{}}=\n]+|.", re.DOTALL)  # a
 
 
 def line_of(path: KeyPath, lines: Mapping[KeyPath, int]) -> int:
-    """Return the line number of a key, from the result of `key_lines`.
+    """Look up a key's line number in the result of `key_lines`.
 
-    If the key is missing, the result is the line of the innermost table around the key, or 1 if no such table exists.
+    For a missing key, return the line of the innermost existing table around it, or 1 if there is none.
     """
     return next((lines[path[:length]] for length in range(len(path), 0, -1) if path[:length] in lines), 1)
 
@@ -29,7 +29,7 @@ def key_lines(text: str) -> dict[KeyPath, int]:
 
 
 class _Scanner:
-    """Finds the line numbers of all keys in one pass over the tokens. Each method reads one TOML element."""
+    """Finds the line numbers of all keys in one pass over the tokens. Each parsing method reads one TOML element."""
 
     def __init__(self, text: str) -> None:
         self.text, self.tokens = text, TOKEN.finditer(text)
@@ -67,7 +67,7 @@ class _Scanner:
         for name in outer if several else (*outer, last):
             table = (*table, name)
             self.lines.setdefault(table, line)
-            if table in self.entries:  # a key inside a list of tables belongs to the latest table
+            if table in self.entries:  # the name refers to the latest table in a list of tables
                 table = (*table, self.entries[table])
         if several:
             table = (*table, last)

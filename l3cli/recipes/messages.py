@@ -1,4 +1,4 @@
-"""Rewrite error messages of msgspec for readers of TOML files, with suggestions for misspelled words."""
+"""Rewrite msgspec's error messages in terms of TOML, with suggestions for misspelled words."""
 
 import re
 from collections.abc import Sequence
@@ -10,17 +10,17 @@ from l3cli.errors import shortened, suggestion
 from l3cli.recipes.toml import KeyPath, Recipe, member_types, tables_in
 from l3cli.system.text import counted
 
-PATH_PART = r"\.([^.[\]`]+)|\[(\d+)\]"  # a key or an index in a path of a msgspec message, such as `$.scene[1].size`
+PATH_PART = r"\.([^.[\]`]+)|\[(\d+)\]"  # a key or an index in a msgspec path such as `$.scene[1].size`
 BOUNDS = {">=": "use at least", "<=": "use at most", ">": "use more than", "<": "use less than"}
 
 
 def plain(message: str, recipe: type[Recipe], content: Any) -> str:
-    """Rewrite an error message of msgspec for readers of TOML files.
+    """Rewrite a msgspec error message in terms of TOML keys and tables.
 
     Parameters
     ----------
     message : str
-        Message of msgspec.
+        The msgspec message.
     recipe : type
         Class of the recipe.
     content : dict
@@ -29,7 +29,7 @@ def plain(message: str, recipe: type[Recipe], content: Any) -> str:
     Returns
     -------
     str
-        Message that names the key and its table. If a word is misspelled, the message suggests the correct word.
+        Message that names the key and its table, and suggests a correction for a misspelled word.
     """
     what, _, where = message.partition(" - at ")
     if bound := re.fullmatch(r"Expected `(?:int|float|array|object)` (of length )?(<=|>=|<|>) (\S+)", what):
@@ -45,7 +45,7 @@ def plain(message: str, recipe: type[Recipe], content: Any) -> str:
     if wrong is None:
         return f"{what} {where}"
     name, path = shortened(wrong[3]), place(message)
-    # If the value is an entry of a list, the path ends with the index of the entry.
+    # The path of a list entry ends with its index, which is not a key.
     *outer, key = path if isinstance(path[-1], str) else path[:-1]
     tables = _tables(recipe, content, tuple(outer))
     known = _keys(tables) if wrong[1] == "unknown key" else _values(tables, str(key))
@@ -56,33 +56,33 @@ def plain(message: str, recipe: type[Recipe], content: Any) -> str:
 
 
 def place(message: str) -> KeyPath:
-    """Return the path of the key to which a msgspec message refers. For a missing key, return the path of its table."""
+    """Return the path of the key in a msgspec message or, for a missing key, the path of its table."""
     what, _, where = message.partition(" - at ")
     unknown = re.findall("unknown field `(.*)`", what, re.DOTALL)
     return (*(int(number) if number else key for key, number in re.findall(PATH_PART, where)), *unknown)
 
 
 def _written(where: str) -> str:
-    """Convert a path in a msgspec message, such as `$.scene[1].size`, to text that counts list entries from 1."""
+    """Convert a msgspec path such as `$.scene[1].size` to text in which list entries are counted from 1."""
     inner = re.sub(r"^`\$\.?|`$", "", where)
     return re.sub(r"\[(\d+)\]", lambda number: f"[{int(number[1]) + 1}]", inner)
 
 
 def _value_at(content: Any, where: str) -> Any:
-    """Return the value at a path in a msgspec message. Keys that contain a period are not supported."""
+    """Return the value at a msgspec path. Keys that contain a period are not supported."""
     for key, number in re.findall(PATH_PART, where):
         content = content[int(number)] if number else content.get(key, {})
     return content
 
 
 def _keys(tables: Sequence[type[Recipe]]) -> tuple[str, ...]:
-    """Return all keys that a table of one of the classes `tables` can contain."""
+    """Return all keys that are permitted in a table described by one of the classes `tables`."""
     tags = [each.__struct_config__.tag_field for each in tables if each.__struct_config__.tag_field]
     return tuple(dict.fromkeys(tags + [field.encode_name for each in tables for field in msgspec.structs.fields(each)]))
 
 
 def _values(tables: Sequence[type[Recipe]], name: str) -> tuple[str, ...]:
-    """Return all words that are permitted for the key `name` in a table of one of the classes `tables`."""
+    """Return all words that are permitted as the value of a key in a table described by one of the classes `tables`."""
     words = [str(each.__struct_config__.tag) for each in tables if each.__struct_config__.tag_field == name]
     for each in tables:
         for field in msgspec.structs.fields(each):
@@ -96,8 +96,8 @@ def _values(tables: Sequence[type[Recipe]], name: str) -> tuple[str, ...]:
 def _tables(recipe: type[Recipe], content: Any, path: KeyPath) -> list[type[Recipe]]:
     """Return the subclasses of Recipe that can describe the table at `path` in a recipe.
 
-    If a tag such as `source` selects one of several subclasses, the result contains only this subclass. If the tag is
-    missing or unknown, the result contains all of them.
+    If a tag such as `source` selects one of several subclasses, only this subclass is returned. If the tag is missing or
+    unknown, all of them are returned.
     """
     tables = [recipe]
     for part in path:

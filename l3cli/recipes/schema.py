@@ -1,4 +1,4 @@
-"""Derive JSON schemas (2020-12) of recipes from the declared types. Editors use the schemas to check TOML files."""
+"""Derive JSON schemas (2020-12) for recipes from their declared types. Editors check TOML files with these schemas."""
 
 import ast
 import functools
@@ -20,12 +20,12 @@ PLACE = "#/$defs/{name}"
 def schema_of(recipes: Sequence[type[Recipe]], title: str) -> dict[str, Any]:
     """Return the JSON schema of a recipe file.
 
-    The description of each key is the comment at its declaration in the source code.
+    The description of each key is taken from the comment at its declaration in the source code.
 
     Parameters
     ----------
     recipes : sequence of type
-        Alternative classes of the whole file.
+        Classes that can describe the whole file.
     title : str
         Title of the schema.
 
@@ -35,7 +35,7 @@ def schema_of(recipes: Sequence[type[Recipe]], title: str) -> dict[str, Any]:
         The schema, which can be written with `json.dumps`.
     """
     roots, tables = msgspec.json.schema_components(recipes, ref_template=PLACE)
-    # msgspec names a table after its class. If several classes have the same name, msgspec prepends the name of the module.
+    # msgspec names a table after its class, and prepends the module name if several classes have the same name.
     classes = {name: kind for kind in _structures(recipes) for name in (kind.__name__, f"{kind.__module__}.{kind.__name__}")}
     for name, table in tables.items():
         if "description" in table:
@@ -51,7 +51,7 @@ def schema_of(recipes: Sequence[type[Recipe]], title: str) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Simplify the schema of a property: remove null, which TOML lacks, and keywords that older schema versions lack."""
+    """Simplify a property's schema: remove null, which TOML lacks, and keywords that older schema versions lack."""
     if isinstance(value, list | tuple):
         return [_plain(each) for each in value]
     if not isinstance(value, dict):
@@ -70,7 +70,7 @@ def _plain(value: Any) -> Any:
 def _structures(recipes: Sequence[type[Recipe]]) -> list[type[Recipe]]:
     """Return the classes in `recipes`, and the classes of all tables that these recipes can contain."""
     found = list(recipes)
-    for kind in found:  # the loop also reaches the classes that are appended below
+    for kind in found:  # including the classes that are appended below
         inner = [each for field in msgspec.structs.fields(kind) for each in tables_in(field.type)]
         found += [each for each in dict.fromkeys(inner) if each not in found]
     return found
@@ -78,9 +78,9 @@ def _structures(recipes: Sequence[type[Recipe]]) -> list[type[Recipe]]:
 
 @functools.cache
 def _comments(kind: type) -> dict[str, str]:
-    """Return the comment of each key of a class. The comment is above the declaration of the key or at the end of its lines.
+    """Return the comment on each key that a class declares, from the lines above the declaration or the ends of its lines.
 
-    The result is empty if the source code is not available.
+    Empty if the source code is not available.
     """
     try:
         source = textwrap.dedent(inspect.getsource(kind))
@@ -100,7 +100,7 @@ def _comments(kind: type) -> dict[str, str]:
 
 
 def _comment_lines(source: str) -> dict[int, tuple[bool, str]]:
-    """Return, for each line with a comment, whether the line contains only a comment, and the text of the comment."""
+    """Return (whether the line contains nothing but the comment, comment text) for each line with a comment."""
     tokens = tokenize.generate_tokens(io.StringIO(source).readline)
     return {
         token.start[0]: (token.line.strip().startswith("#"), token.string.lstrip("# "))

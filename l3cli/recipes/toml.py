@@ -1,7 +1,6 @@
-"""The base class of all recipes, the types of their keys, and functions that read and write TOML.
+"""The base class of all recipes, common types for their keys, and functions that read and write TOML.
 
-Every key is declared in a class, and unknown keys are errors. If the value of a key has a unit, the key name contains the
-unit.
+Every key is declared in a class, and unknown keys are errors. The name of a key includes the unit of its value.
 """
 
 import gc
@@ -18,25 +17,25 @@ from l3cli.errors import MOST_SHOWN, InputFileError, RecipeError, shortened
 from l3cli.system.limits import read_bounded
 from l3cli.system.text import LARGEST_WHOLE
 
-MAX_NUMBER = 1e24  # largest number in a recipe; exceeds any photon flux, but cannot cause an overflow in calculations
+MAX_NUMBER = 1e24  # largest number in a recipe: above any photon flux, but too small to cause overflows in calculations
 DEEPEST = 100  # maximum depth of nested tables and lists
-MAX_COUNT = 1_000_000  # largest value of a key that counts something
+MAX_COUNT = 1_000_000  # largest value of a count, such as a number of scenes
 Count = Annotated[int, msgspec.Meta(ge=1, le=MAX_COUNT)]
 CountOrNone = Annotated[int, msgspec.Meta(ge=0, le=MAX_COUNT)]
 Seed = Annotated[int, msgspec.Meta(ge=0, le=LARGEST_WHOLE)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
-KeyPath = tuple[str | int, ...]  # path of a value: keys and list indices (from 0), such as ("scene", 1, "size")
+KeyPath = tuple[str | int, ...]  # path of a value: keys and list indices from 0, such as ("scene", 1, "size")
 
 
 class Recipe(msgspec.Struct, forbid_unknown_fields=True):
     """Base class of recipes and of the tables in recipes. A field without a default is a required key."""
 
-    title: ClassVar[str] = "a recipe"  # type of the file in messages
+    title: ClassVar[str] = "a recipe"  # what messages call such a file
 
 
-KIND_KEYS = {  # type of file → top-level keys that occur only in this type of file
+KIND_KEYS = {  # type of file → top-level keys that no other type of file has
     "a measurement file": ("common", "sweep", "curves", "band", "photo", "prior", "datasheet", "rotator", "uncertainty"),
     "a camera recipe": ("responsivity", "noise"),
     "a lab recipe": ("defects", "spectrometer_step_nm", "wavelength_error_nm", "lamp_drift", "monitor_error", "falloff"),
@@ -50,7 +49,7 @@ KIND_KEYS = {  # type of file → top-level keys that occur only in this type of
 
 
 def read_text(path: Path, title: str = Recipe.title) -> str:
-    """Return the text of a recipe file, without a byte order mark and with Unix line ends.
+    """Read the text of a recipe file. A byte order mark is removed, and line ends are converted to Unix line ends.
 
     Parameters
     ----------
@@ -73,10 +72,9 @@ def read_text(path: Path, title: str = Recipe.title) -> str:
 def parse_toml(text: str, name: str) -> dict[str, Any]:
     """Parse the text of a TOML file.
 
-    `name` is the name of the file, for messages. The function raises a RecipeError if the text is not valid TOML.
+    Raises RecipeError if the text is not valid TOML. The message contains the file name `name`.
     """
-    # Garbage collection is disabled. If nested lists exhaust the stack, finalizers would fail, and Python would print
-    # errors.
+    # Without garbage collection: when nested lists exhaust the stack, finalizers would fail and Python would print errors.
     collecting = gc.isenabled()
     gc.disable()
     try:
@@ -93,7 +91,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
 
 
 def toml_value(value: Any) -> str:
-    """Write a number, string, list or table as TOML. Surrogates, as in file names that are not UTF-8, become "?"."""
+    """Format a number, string, list or table as TOML. Surrogates, which occur in non-UTF-8 file names, become "?"."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{toml_key(name)} = {toml_value(each)}" for name, each in value.items()) + "}"
     if isinstance(value, Sequence) and not isinstance(value, str):
@@ -102,15 +100,15 @@ def toml_value(value: Any) -> str:
 
 
 def toml_key(name: str) -> str:
-    """Write a key as TOML, with quotation marks if necessary."""
+    """Format a key as TOML, with quotation marks if necessary."""
     return name if re.fullmatch("[A-Za-z0-9_-]+", name) else toml_value(name)
 
 
 def refusals(value: Any, key: KeyPath = ()) -> Iterator[tuple[KeyPath, str]]:
-    """Yield (key, message) for each value that no recipe may contain.
+    """Yield (key, message) for each value that is not allowed in any recipe.
 
     Such values are integers beyond 64 bits, floats that are not finite or beyond ±MAX_NUMBER, strings with a null character,
-    and tables or lists that are nested more than DEEPEST levels deep.
+    and tables or lists nested more than DEEPEST levels deep.
     """
     if len(key) > DEEPEST:
         yield key, f"tables and lists are nested more than {DEEPEST} levels deep; use fewer levels"
@@ -135,7 +133,7 @@ def _named(key: KeyPath) -> str:
 
 
 def tables_in(kind: Any) -> list[type[Recipe]]:
-    """Return all subclasses of Recipe that occur in a declared type, for example as members of a union."""
+    """Return all subclasses of Recipe in a declared type, for example the members of a union."""
     return [each for each in member_types(kind) if isinstance(each, type) and issubclass(each, Recipe)]
 
 

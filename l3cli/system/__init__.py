@@ -1,1 +1,1 @@
-"""Files, locks, signals, limits and text output. This package does not depend on cameras or pictures."""
+"""File, lock, signal, resource-limit and text utilities that know nothing about cameras or pictures."""

@@ -1,12 +1,12 @@
-"""Checkpoints, from which an interrupted run can continue even after SIGKILL.
+"""Checkpoints, from which a run can resume after an interruption, even after SIGKILL.
 
-A checkpoint contains the key of the run and the names of the finished units of work. The key is a digest of everything that
-affects the bytes of the outputs. There are two types of checkpoint:
+A checkpoint records the run's key and the finished units of work. The key is a digest of everything that affects the bytes
+of the outputs. There are two types of checkpoint:
 
-* `PartsFolder`: each finished unit, such as a frame of a training set, is a file in a separate folder until the output is
-  complete.
-* `Checkpoint`: each finished unit, such as a picture, is an output file in the user's folder, and a file lists the finished
-  units. Files that are not listed do not belong to the run.
+* `PartsFolder` stores each finished unit, such as a frame of a training set, as a file in a separate folder until the output
+  is complete.
+* `Checkpoint` is a file that lists the finished units. Each unit is an output file, such as a picture, in the user's folder.
+  Files that are not listed do not belong to the run.
 """
 
 import contextlib
@@ -20,35 +20,34 @@ from typing import Any
 from l3cli.errors import L3Error, RecipeError
 from l3cli.system.files import FINISHED, UNFINISHED, is_ours, refuse_filled_folder, refuse_protected, sweep, write_whole
 
-RUN = "run"  # file in a PartsFolder that contains the key of the run
+RUN = "run"  # file in a PartsFolder that contains the run's key
 
 
 class Checkpoint:
-    """File that lists the finished units of a run, with facts that identify the content of each unit.
+    """File that lists a run's finished units, together with facts that identify each unit's content.
 
-    The first line of the file is the key of the run. Each of the following lines is a JSON array [name, facts] for one unit.
-    A line is on disk before the output file of its unit is renamed to its final name. If the output file of a listed unit is
-    missing, the unit is computed again.
+    The first line is the run's key. Every other line is a JSON array [name, facts] for one unit. l3 writes this line to disk
+    before it renames the unit's output file to its final name. A listed unit without an output file is computed again.
 
     Parameters
     ----------
     path : Path
-        The file that contains the list.
+        The checkpoint file.
     key : str
-        Key of the run.
+        The run's key.
     """
 
     def __init__(self, path: Path, key: str) -> None:
         self.path, self.key = path, key
-        self.items: dict[str, Any] = {}  # name of each unit → its facts
+        self.items: dict[str, Any] = {}  # unit name → facts
 
     def take_over(self, path: Path) -> bool:
-        """Add the units that an earlier run listed in the file `path`. Incomplete lines are ignored.
+        """Copy the finished units from an earlier run's checkpoint file. Incomplete lines are ignored.
 
         Returns
         -------
         bool
-            Whether the keys of the two runs are equal. If not, no units are added.
+            Whether the two runs have the same key. If not, no units are copied.
 
         Raises
         ------
@@ -65,17 +64,17 @@ class Checkpoint:
         return True
 
     def begin(self) -> None:
-        """Create the file with all units that are known so far. Afterwards, `add` may append units.
+        """Create the file and write all units recorded so far, so that `add` can append further units.
 
-        Temporary files that killed runs left behind are removed.
+        Leftover temporary files from killed runs are removed.
         """
         sweep(self.path.parent, self.path)
         write_whole(self.path, "\n".join([self.key, *map(json.dumps, self.items.items())]))
 
     def add(self, name: str, facts: Any) -> None:
-        """Append a finished unit to the file. Several processes may call this method.
+        """Append a finished unit, and flush the file to disk. Several processes may call this method.
 
-        The line is on disk when the method returns. Raises OSError if the disk is full.
+        Raises OSError if the disk is full.
         """
         self.items[name] = facts
         line = f"\n{json.dumps([name, facts])}".encode()
@@ -93,10 +92,10 @@ class Checkpoint:
 
 
 class PartsFolder:
-    """The folder "NAME.parts" next to an output NAME. A run stores its finished parts there until the output is complete.
+    """The folder NAME.parts next to an output NAME, which stores a run's finished parts until the output is complete.
 
-    The file `run` in the folder contains the key of the run. Each part is a file that is renamed to its final name when it
-    is complete, so every part in the folder is finished.
+    The file `run` in the folder contains the run's key. A part gets its final file name only when it is complete, so the
+    folder never contains unfinished parts.
     """
 
     def __init__(self, output: Path, key: str) -> None:
@@ -105,24 +104,23 @@ class PartsFolder:
 
     @contextlib.contextmanager
     def held(self, resume: bool, force: bool, is_whole: Callable[[Path], bool] = Path.is_file) -> Iterator[None]:
-        """Create the folder for the duration of the block, and remove it if the block succeeds.
+        """Context manager that creates the folder, and removes it if the block succeeds.
 
-        If the block fails, the folder remains, unless it contains no parts.
+        If the block fails, a folder that contains parts is kept.
 
         Parameters
         ----------
         resume : bool
-            Whether to continue with the parts of an earlier run that has the same key. Otherwise, existing parts are
-            removed.
+            Whether to reuse the parts of an earlier run with the same key. Otherwise, existing parts are removed.
         force : bool
-            Whether to remove parts of a run with a different key if `resume` is set.
+            Used only with `resume`: whether to remove parts from a run with a different key instead of raising an error.
         is_whole : callable
-            Function that returns whether the file of a part is undamaged. Damaged parts are removed.
+            Function that takes the path of a part and returns whether the file is undamaged. Damaged parts are removed.
 
         Raises
         ------
         RecipeError
-            If `resume` is set, `force` is not set, and the parts belong to a run with a different key.
+            If `resume` is set without `force`, and the parts belong to a run with a different key.
         L3Error
             If the folder contains files that l3 did not write.
         """
@@ -159,7 +157,7 @@ class PartsFolder:
                 each.unlink()
 
     def remove(self) -> None:
-        """Remove the folder if it exists. The file `run` is removed last, because it shows that l3 created the folder."""
+        """Remove the folder if it exists. The file `run` is removed last, because it proves that l3 created the folder."""
         if not self.folder.exists():
             return
         for each in self.folder.iterdir():
@@ -171,15 +169,14 @@ class PartsFolder:
 
 @contextlib.contextmanager
 def incomplete_folder(folder: Path, key: str, force: bool) -> Iterator[None]:
-    """Mark `folder` as incomplete until the block succeeds, so that the same command can write into the folder again.
+    """Mark a folder as incomplete until the block succeeds, so that a rerun of the same command may write into it.
 
-    The mark is a file that contains the key of the run. If the block fails, the mark remains, unless the folder contains no
-    outputs.
+    The marker is a file that contains the run's key. If the block fails after writing outputs, the marker is kept.
 
     Raises
     ------
     L3Error
-        If the folder contains files that do not belong to an interrupted run with this key, and `force` is not set.
+        If the folder contains files, unless an interrupted run with this key wrote them or `force` is set.
     """
     refuse_other_run(folder, key, force)
     marker, finished = folder / UNFINISHED, folder / FINISHED
@@ -197,18 +194,18 @@ def incomplete_folder(folder: Path, key: str, force: bool) -> Iterator[None]:
 
 
 def mark_finished(folder: Path, key: str) -> None:
-    """Write a file into `folder` that records that the run with this key has completed the folder."""
+    """Write a marker file which records that the run with this key has completed the folder."""
     write_whole(folder / FINISHED, key)
 
 
 def is_finished(folder: Path, key: str) -> bool:
-    """Return whether the run with this key has completed `folder`. A missing folder is not complete."""
+    """Return whether the run with this key has completed the folder. False if the folder does not exist."""
     marker = folder / FINISHED
     return marker.is_file() and marker.read_bytes() == key.encode()
 
 
 def refuse_other_run(folder: Path, key: str, force: bool) -> None:
-    """Raise L3Error if `folder` is not empty, unless an interrupted run with this key wrote it or `force` is set."""
+    """Raise L3Error if the folder contains files, unless an interrupted run with this key wrote them or `force` is set."""
     marker = folder / UNFINISHED
     is_same = marker.is_file() and marker.read_bytes() == key.encode()
     refuse_filled_folder(folder, force or is_same)

@@ -1,4 +1,4 @@
-"""Consoles: objects to which a stage reports its progress and its messages."""
+"""Consoles: objects that receive the progress and the messages of a stage."""
 
 import os
 import stat
@@ -13,26 +13,26 @@ from l3cli.errors import L3Error, RecipeError
 from l3cli.system.text import printable
 
 T = TypeVar("T")
-HEADING = b"# l3 log\n"  # first line of every log; l3 appends only to files that start with this line
+HEADING = b"# l3 log\n"  # first line of every log, so that l3 never appends to other files
 
 
 class Console(Protocol):
-    """Interface of the objects that receive the progress and the messages of a stage, such as `Silent`."""
+    """Interface of consoles, which receive the progress and the messages of a stage."""
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """Yield each of the `items`, and report how many items have been processed.
+        """Iterate over `items`, and report how many of them have been processed.
 
-        `total` is the number of items, or None if it is unknown. `what` is a plural noun for the items, such as "frames".
+        `total` is the number of items, or None if unknown. `what` is a plural noun for the items, such as "frames".
         """
 
     def info(self, message: str) -> None:
-        """Report a result, or suggest the next command to the user."""
+        """Report a result, or suggest the next command."""
 
     def warn(self, message: str) -> None:
-        """Warn about a condition that may degrade the result."""
+        """Warn about something that may degrade the result."""
 
     def report(self, message: str) -> None:
-        """Report omitted work, or a risk that l3 cannot prevent. The message appears even with --quiet."""
+        """Report skipped work, or a risk that l3 cannot prevent. The message appears even with --quiet."""
 
 
 class Silent:
@@ -52,7 +52,7 @@ class Silent:
 
 
 class PythonWarnings(Silent):
-    """A console that issues warnings and reports as Python warnings, and discards all other messages."""
+    """A console that turns warnings and reports into Python warnings, and discards all other messages."""
 
     def warn(self, message: str) -> None:
         warn_caller(message)
@@ -62,7 +62,7 @@ class PythonWarnings(Silent):
 
 
 def warn_caller(message: str) -> None:
-    """Issue a UserWarning whose location is the line of the user's code that called l3."""
+    """Issue a UserWarning that points to the line of user code that called l3."""
     level, frame = 1, sys._getframe()
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "l3cli":
         level, frame = level + 1, frame.f_back
@@ -70,7 +70,7 @@ def warn_caller(message: str) -> None:
 
 
 class Passing:
-    """Base class of consoles that pass every message on to a second console and then process it in `heard`."""
+    """Base class of consoles that forward every message to another console, and then process it in `heard`."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -91,12 +91,12 @@ class Passing:
         self.heard("warning", message)
 
     def heard(self, level: str, message: str) -> None:
-        """Process a message that the wrapped console has already received. `level` is "info" or "warning"."""
+        """Process a message after it has been forwarded. `level` is "info" or "warning"."""
         raise NotImplementedError
 
 
 class Gathering(Passing):
-    """A console that passes messages on and stores the first `most` warnings."""
+    """A console that forwards all messages, and stores the first `most` warnings."""
 
     def __init__(self, console: Console, most: int) -> None:
         super().__init__(console)
@@ -109,25 +109,25 @@ class Gathering(Passing):
 
 
 class Logged(Passing):
-    """A console that passes messages on and appends each message to a log file.
+    """A console that forwards all messages, and appends them to a log file.
 
     Each line of the log contains the UTC time, the level, the command and the message.
 
     Parameters
     ----------
     console : Console
-        Console that also receives all messages.
+        Console to which messages are forwarded.
     path : Path
         Log file. It is created if it does not exist.
     command : str
-        Name of the command.
+        Name of the command, such as "render".
     wording : callable
-        Function that rewrites each message for the log. [default: messages are not changed]
+        Function that rewrites each message for the log. [default: no change]
 
     Raises
     ------
     RecipeError
-        If the file exists but is not a log of l3.
+        If the file exists but is not an l3 log.
     L3Error
         If the file cannot be written.
     """
@@ -135,13 +135,13 @@ class Logged(Passing):
     def __init__(self, console: Console, path: Path, command: str, wording: Callable[[str], str] = str) -> None:
         super().__init__(console)
         self._path, self._command, self._wording = path, command, wording
-        self._lost = False  # whether an attempt to write has failed
+        self._lost = False  # set after a write error
         if path.exists() and not (path.is_file() and _is_log(path)):
-            raise RecipeError(f"{path} is not a log of l3; choose another file for ‹log›")
+            raise RecipeError(f"{path} is not an l3 log; choose another file for ‹log›")
         self._append(b"" if path.exists() else HEADING)
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """Report progress to the second console. The log contains only the start and the end of the work."""
+        """Forward progress to the other console. The log records only the start and the end of the work."""
         self.heard("info", what if total is None else f"{what}: {total} to do")
         done, start = 0, time.monotonic()
         for item in self._console.progress(items, total, what):
@@ -150,10 +150,7 @@ class Logged(Passing):
         self.heard("info", f"{what}: {done} done in {time.monotonic() - start:.3g} s")
 
     def heard(self, level: str, message: str) -> None:
-        """Append a message to the log.
-
-        If the log can no longer be written, report this once and continue without the log.
-        """
+        """Append a message to the log. If writing fails, report the error once and continue without the log."""
         now = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
         if self._lost:
             return

@@ -1,8 +1,7 @@
 """Write outputs atomically, protect and identify inputs, and record the files that a stage reads and writes.
 
-A process locks (flock) the temporary files that it writes. The kernel releases the locks when the process ends, even after
-SIGKILL. A temporary file without a lock is therefore left over from a killed process. locks.py contains the locks on
-outputs.
+A process locks its temporary files with flock. The kernel releases the locks when the process ends, even after SIGKILL. An
+unlocked temporary file is therefore left over from a killed process. Locks on the outputs themselves are in locks.py.
 """
 
 import contextlib
@@ -30,8 +29,8 @@ class FilesUsed:
     Attributes
     ----------
     read : dict of str to dict
-        Role of files, such as "table" → input file → size in bytes and modification time in ns, recorded before the file was
-        read. None if the file did not exist.
+        For each role, such as "table": the input files, with their size in bytes and their modification time in ns before
+        they were read (None if a file did not exist).
     written : tuple of Path
         Finished output files.
     """
@@ -40,20 +39,20 @@ class FilesUsed:
     written: tuple[Path, ...] = ()
 
     def and_wrote(self, *paths: Path) -> "FilesUsed":
-        """Return a copy of the record with additional output files."""
+        """Return a copy of this record with additional output files."""
         return replace(self, written=(*self.written, *paths))
 
 
 def files_to_read(roles: Mapping[str, Iterable[Path]]) -> FilesUsed:
-    """Return a record of the input files of each role.
+    """Record the input files of each role, with their current sizes and modification times.
 
-    Call this function before the files are read, so that a file that changes during the run differs from the record.
+    Call this function before the files are read, so that changes during the run can be detected.
     """
     return FilesUsed({role: {path: dated(path) for path in paths} for role, paths in roles.items()})
 
 
 def all_files(parts: Iterable[FilesUsed]) -> FilesUsed:
-    """Combine several records. If several records contain the same input, the size and time in the last record are used."""
+    """Merge several records. For an input in several records, the size and time from the last record are used."""
     read: dict[str, dict[Path, Dated | None]] = {}
     written: list[Path] = []
     for part in parts:
@@ -64,7 +63,7 @@ def all_files(parts: Iterable[FilesUsed]) -> FilesUsed:
 
 
 def dated(path: Path) -> Dated | None:
-    """Return [size in bytes, modification time in ns] of a file, or None if the file is not accessible."""
+    """Return a file's [size in bytes, modification time in ns], or None if the file is not accessible."""
     try:
         state = os.stat(path)
     except OSError:
@@ -73,9 +72,9 @@ def dated(path: Path) -> Dated | None:
 
 
 def fingerprint(path: Path) -> tuple[int, ...]:
-    """Return the size, modification time, change time and inode of a file. A later run compares them to detect changes.
+    """Return a file's size, modification time, change time and inode, from which a later run can detect changes.
 
-    Programs can set the modification time of a file, but not its change time. Raises OSError if the file does not exist.
+    The change time is included because programs can reset the modification time. Raises OSError if the file does not exist.
     """
     state = path.stat()
     return state.st_size, state.st_mtime_ns, state.st_ctime_ns, state.st_ino
@@ -83,18 +82,18 @@ def fingerprint(path: Path) -> tuple[int, ...]:
 
 TEMPORARY = re.compile(r"\.(.*)\.[0-9a-f]{8}\.l3tmp(\.[^.]*)?")
 LOCK = ".l3lock"
-# Marker files in an output folder. UNFINISHED and FINISHED contain the key of the run that is writing or has completed the
-# folder.
+# Marker files in an output folder. UNFINISHED contains the key of the run that is writing the folder, and FINISHED contains
+# the key of the run that has completed it.
 UNFINISHED = ".l3-unfinished"
 FINISHED = ".l3-finished"
 STDIN = Path("-")
 LONGEST = 255  # maximum length of a file name, in bytes
-LONGEST_SUFFIX = 16  # maximum length, in bytes, of a suffix that can determine the format of a file
-NAMES = {
+LONGEST_SUFFIX = 16  # maximum length, in bytes, of a suffix that can identify a file format
+NAMES = {  # what messages call files that are not regular files
     stat.S_IFDIR: "folder",
     stat.S_IFIFO: "pipe",
     stat.S_IFSOCK: "socket",
-}  # names, in messages, of file types other than regular files
+}
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # the disk is full, the quota is exceeded, or the file is too large
 
 
@@ -112,9 +111,9 @@ def refuse_existing(path: Path, force: bool) -> None:
 
 
 def refuse_filled_folder(path: Path, force: bool) -> None:
-    """Raise L3Error if `path` is a file, or if it is a folder that is not empty and `force` is not set.
+    """Raise L3Error if `path` is a file, or if it is a non-empty folder and `force` is not set.
 
-    Locks, markers and temporary files of l3 do not count as contents.
+    l3's own locks, markers and temporary files do not count as contents.
     """
     if path.exists() and not path.is_dir():
         raise L3Error(f"{path} is a file; choose a folder")
@@ -124,12 +123,12 @@ def refuse_filled_folder(path: Path, force: bool) -> None:
 
 @contextlib.contextmanager
 def atomic_output(path: Path) -> Iterator[Path]:
-    """Create a temporary file, yield its path, and rename the file to `path` if the block succeeds.
+    """Write a file atomically: yield the path of a temporary file, which is renamed to `path` if the block succeeds.
 
-    If the block fails, the temporary file is removed. The temporary file is in the folder of `path`, which is created if
-    necessary. The temporary file has the suffix of `path`, because libraries derive the format from the suffix. The content
-    is flushed to disk before the file is renamed. The block must write into the existing temporary file and must not replace
-    it. Each call creates a new temporary file, so several processes may write the same output.
+    If the block fails, the temporary file is removed. The temporary file is in the same folder as `path`, and the folder is
+    created if necessary. The temporary file also has the same suffix, from which libraries derive the format. The block
+    must write into the temporary file and must not replace it. The content is flushed to disk before the file is renamed.
+    Each call creates a new temporary file, so several processes may write the same output.
 
     Raises
     ------
@@ -144,7 +143,7 @@ def atomic_output(path: Path) -> Iterator[Path]:
         with blamed_on(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             temporary, descriptor = _new_temporary(path)
-        with blamed_on(path, FULL):  # errors with other numbers may concern inputs that the block reads
+        with blamed_on(path, FULL):  # other errors may concern inputs that the block reads
             yield temporary
         with blamed_on(path):
             _put_in_place(temporary, path)
@@ -156,34 +155,34 @@ def atomic_output(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, content: bytes | memoryview | str) -> None:
-    """Write `content` to `path` atomically. Text is encoded as UTF-8. An existing file is replaced."""
+    """Write a file atomically, replacing any existing file. Text is encoded as UTF-8."""
     with atomic_output(path) as temporary:
         temporary.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
 def _new_temporary(path: Path) -> tuple[Path, int]:
-    """Create an empty, locked temporary file in the folder of `path`. Return its path and the descriptor with the lock."""
+    """Create an empty, locked temporary file next to `path`. Return its path and the descriptor that keeps the lock."""
     stem, suffix = _hidden_name(path)
     while True:
         temporary = path.with_name(f".{stem}.{os.urandom(4).hex()}.l3tmp{suffix}")
         descriptor = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, initial_mode(path))
-        with contextlib.suppress(OSError):  # the storage does not support locks; `sweep` then removes no temporary files
+        with contextlib.suppress(OSError):  # on storage without locks, `sweep` removes no temporary files either
             fcntl.flock(descriptor, fcntl.LOCK_EX)
         if os.fstat(descriptor).st_nlink:
             return temporary, descriptor
-        os.close(descriptor)  # another run removed the file before it was locked
+        os.close(descriptor)  # another run removed the file before this run locked it
 
 
 def _hidden_name(path: Path) -> tuple[str, str]:
-    """Return the stem and the suffix in the names of all temporary files of the output `path`."""
+    """Return the stem and the suffix that the names of all temporary files of an output share."""
     stem, suffix = (path.stem, path.suffix) if len(os.fsencode(path.suffix)) <= LONGEST_SUFFIX else (path.name, "")
     return shortened(stem, len(f"..01234567.l3tmp{suffix}")), suffix
 
 
 def shortened(name: str, more: int) -> str:
-    """Shorten `name` so that `more` bytes can be added without exceeding the maximum length of a file name.
+    """Shorten a file name so that `more` bytes can be added without exceeding the file system's limit.
 
-    A name that is short enough is returned unchanged. Otherwise, the end of the name is replaced by a digest of the name.
+    If the name is too long, a digest of the whole name replaces its end. Otherwise, the name is returned unchanged.
     """
     coded, longest = os.fsencode(name), LONGEST - more
     if len(coded) <= longest:
@@ -193,10 +192,10 @@ def shortened(name: str, more: int) -> str:
 
 
 def initial_mode(output: Path) -> int:
-    """Return the mode (before the umask) with which the files of an output are created.
+    """Return the permissions, before the umask, for an output's new files.
 
-    The mode permits no more access than the mode of the file that the output replaces, except that the owner can always read
-    and write.
+    A file that replaces an existing file gets no wider permissions than the existing file, except that its owner can always
+    read and write it.
     """
     try:
         return 0o666 & (output.stat().st_mode | 0o600)
@@ -211,12 +210,11 @@ def _put_in_place(temporary: Path, path: Path) -> None:
     try:
         _flush(path.parent)
     except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.EACCES):  # folders cannot be flushed, or the folder is not readable
+        if error.errno not in (errno.EINVAL, errno.EACCES):  # the storage cannot flush folders, or the folder is unreadable
             raise
 
 
 def _flush(path: Path) -> None:
-    """Flush the content of a file, or the names in a folder, to disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -226,9 +224,9 @@ def _flush(path: Path) -> None:
 
 @contextlib.contextmanager
 def blamed_on(path: Path, numbers: tuple[int, ...] | None = None) -> Iterator[None]:
-    """Convert an OSError in the block to an L3Error that states that `path` cannot be written.
+    """Convert an OSError in the block to an L3Error which says that `path` cannot be written.
 
-    If `numbers` is not None, only errors with these error numbers (errno) are converted.
+    If `numbers` is not None, only errors with these `errno` values are converted.
     """
     try:
         yield
@@ -247,9 +245,9 @@ def blamed_on(path: Path, numbers: tuple[int, ...] | None = None) -> Iterator[No
 def open_quietly(path: Path) -> int:
     """Open a regular file for locking, and return its descriptor.
 
-    The file is opened for writing, because locks over NFS need write access. If this is not permitted, the file is opened
-    for reading. The function never blocks and does not follow symbolic links. Raises OSError if the file cannot be opened or
-    is not a regular file.
+    The file is opened for writing if permitted, because locks over NFS need write access, and otherwise for reading. The
+    call never blocks and does not follow symbolic links. Raises OSError if the file cannot be opened or is not a regular
+    file.
     """
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
@@ -262,10 +260,10 @@ def open_quietly(path: Path) -> int:
 
 
 def sweep(folder: Path, output: Path | None = None) -> None:
-    """Remove the temporary files in `folder` that no running process has locked.
+    """Remove leftover temporary files from a folder. Files that a running process has locked are kept.
 
-    If `output` is not None, only temporary files of this output are removed. Inputs of the command are never removed. If the
-    folder does not exist, nothing happens.
+    If `output` is not None, only this output's temporary files are removed. Inputs of the command are never removed. The
+    folder need not exist.
     """
     wanted = None if output is None else _hidden_name(output)
     for name in os.listdir(folder) if folder.is_dir() else ():
@@ -291,14 +289,14 @@ def is_ours(name: str) -> bool:
 # --------------------------------------------------------------------------------------------------------- inputs
 
 Identity = tuple[int, int]  # device and inode of a file; all hard and symbolic links to a file have the same identity
-_protected: dict[Identity, Path] = {}  # input files of the command → the paths that the user specified
+_protected: dict[Identity, Path] = {}  # input file of the command → path that the user specified
 
 
 @contextlib.contextmanager
 def protecting(paths: Iterable[Path]) -> Iterator[None]:
-    """Protect input files during the block: `refuse_protected` then raises an error for any path that refers to these files.
+    """Protect input files during the block, so that `refuse_protected` rejects every output path that refers to them.
 
-    The path "-" stands for the file from which stdin is redirected. Paths that are not regular files are ignored.
+    The path "-" stands for the file that is redirected to stdin. Paths that are not regular files are ignored.
     """
     named = ((identity(0 if path == STDIN else path), path) for path in paths)
     added = {key: path for key, path in named if key is not None and key not in _protected}
@@ -322,7 +320,7 @@ def refuse_protected(output: Path | int) -> None:
 
 
 def identity(file: Path | int) -> Identity | None:
-    """Return the device and the inode of a file, or None if it is not a regular file. Links are followed."""
+    """Return a file's device and inode, or None if it is not a regular file. Symbolic links are followed."""
     try:
         state = os.stat(file)
     except OSError:
@@ -331,7 +329,7 @@ def identity(file: Path | int) -> Identity | None:
 
 
 def require_regular(path: Path, cure: str = "specify an existing file") -> None:
-    """Raise InputFileError if `path` is not a regular file. `cure` is the end of the message and suggests a correction.
+    """Raise InputFileError if `path` is not a regular file. The message ends with `cure`, the suggested correction.
 
     The file is not opened, because opening a pipe or a device may block forever.
     """
@@ -351,7 +349,8 @@ def _require_regular(path: Path, mode: int, cure: str) -> None:
 def open_regular(path: Path, cure: str = "specify an existing file") -> io.BufferedReader:
     """Open a regular file for reading.
 
-    Raises InputFileError if the file is not a regular file or cannot be read. The message ends with `cure`.
+    Raises InputFileError if this fails or if the file is not a regular file. The message ends with `cure`, the suggested
+    correction.
     """
     require_regular(path, cure)
     try:
@@ -369,7 +368,7 @@ def open_regular(path: Path, cure: str = "specify an existing file") -> io.Buffe
 
 @contextlib.contextmanager
 def naming(path: Path, cure: str = "") -> Iterator[None]:
-    """Convert an OSError in the block to an InputFileError. Its message starts with `path` and ends with `cure`."""
+    """Convert an OSError in the block to an InputFileError with a message that starts with `path` and ends with `cure`."""
     try:
         yield
     except OSError as error:
@@ -377,13 +376,13 @@ def naming(path: Path, cure: str = "") -> Iterator[None]:
 
 
 def sha256(path: Path) -> str:
-    """Return the SHA-256 digest of a file in hexadecimal. Raises InputFileError if the file cannot be read."""
+    """Return a file's SHA-256 digest in hexadecimal. Raises InputFileError if the file cannot be read."""
     with naming(path), open_regular(path) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def stamp(path: Path) -> tuple[int, ...]:
-    """Return the device, inode, size and modification time of a file, or () if the file is not accessible."""
+    """Return a file's device, inode, size and modification time, or () if the file is not accessible."""
     try:
         state = path.stat()
     except OSError:
@@ -392,10 +391,10 @@ def stamp(path: Path) -> tuple[int, ...]:
 
 
 def require_same(path: Path, digest: str) -> None:
-    """Raise InputFileError if the SHA-256 digest of a file is not `digest`.
+    """Raise InputFileError if a file's SHA-256 digest is not `digest`.
 
-    Workers call this function, because a path may refer to a different file on another machine. Each process reads a file
-    only once, unless the file changes.
+    Workers call this function, because the same path may refer to a different file on another machine. Each process hashes a
+    file only once, unless the file changes.
     """
     try:
         known = fingerprint(path)

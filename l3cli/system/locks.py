@@ -1,7 +1,7 @@
-"""Locks that prevent two runs from writing the same output at the same time.
+"""Locks that prevent two runs from writing the same output at the same time, and a lock for the threads of a process.
 
-A run locks (flock) a hidden file in the folder of the output. The kernel releases the lock when the process ends, even after
-SIGKILL. The module also contains a lock for the threads of a process.
+A run locks a hidden file next to the output with flock. The kernel releases the lock when the process ends, even after
+SIGKILL.
 """
 
 import contextlib
@@ -16,10 +16,10 @@ from l3cli.system.files import LOCK, blamed_on, initial_mode, open_quietly, refu
 
 
 class ThreadLock:
-    """A lock between the threads of a process. The lock is always free at the start of a forked child process.
+    """A lock between the threads of a process, which is always free at the start of a forked child process.
 
-    If a thread of the parent process holds an ordinary lock during a fork, this lock is never released in the child process,
-    because the thread does not exist there.
+    If another thread holds an ordinary lock during a fork, the lock is never released in the child, because this thread does
+    not exist there.
     """
 
     def __init__(self) -> None:
@@ -37,17 +37,17 @@ class ThreadLock:
 
 @contextlib.contextmanager
 def sole_writer_of_file(path: Path) -> Iterator[bool]:
-    """Prevent other runs from writing `path` during the block. Remove the temporary files that killed runs left behind.
+    """Context manager that prevents other runs from writing a file, and removes leftover temporary files of killed runs.
 
     Yields
     ------
     bool
-        Whether the storage supports locks. If False, other runs can write the file.
+        Whether the storage supports locks. If False, other runs are not prevented from writing the file.
 
     Raises
     ------
     L3Error
-        If another run is writing the file, or if the folder of the file is not writable.
+        If another run is writing the file, or if its folder is not writable.
     """
     with _locked(path, path.with_name(_lock_name(path.name))) as locked:
         if locked:
@@ -57,25 +57,25 @@ def sole_writer_of_file(path: Path) -> Iterator[bool]:
 
 @contextlib.contextmanager
 def sole_writer_of_folder(folder: Path, name: str = "", inside: tuple[str, ...] = ()) -> Iterator[bool]:
-    """Prevent other runs from writing into `folder` during the block.
+    """Context manager that prevents other runs from writing into a folder, or from writing files with one name pattern.
 
-    The folder is created if necessary, and removed if it is empty at the end. Temporary files of killed runs and of killed
-    worker processes are removed from the folder and from its subfolders `inside`.
+    The folder is created if necessary, and removed at the end if it is empty. Leftover temporary files of killed runs and
+    worker processes are removed at the start and at the end.
 
     Parameters
     ----------
     folder : Path
         The folder.
     name : str
-        Pattern of the output file names. Runs with different patterns can write into the folder at the same time. [default:
-        only one run can write into the folder]
+        Pattern of the output file names. Runs with different patterns may write into the folder at the same time. [default:
+        lock the whole folder]
     inside : tuple of str
-        Names of subfolders.
+        Names of subfolders from which leftover temporary files are also removed.
 
     Yields
     ------
     bool
-        Whether the storage supports locks. If False, other runs can write into the folder.
+        Whether the storage supports locks. If False, other runs are not prevented from writing into the folder.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def _lock_name(name: str) -> str:
 
 @contextlib.contextmanager
 def _locked(output: Path, lock: Path) -> Iterator[bool]:
-    """Hold the lock file `lock` during the block, and yield whether the storage supports locks.
+    """Hold a lock file during the block, and yield whether the storage supports locks.
 
     Folders that are created for the lock file are removed at the end if they are empty.
     """
@@ -123,11 +123,9 @@ def _busy(output: Path) -> L3Error:
 
 
 def _take(lock: Path, output: Path) -> int | None:
-    """Create the file `lock` if necessary, and lock the file.
+    """Create the lock file if necessary, and lock it.
 
-    Return its descriptor, or None if the storage supports no locks.
-
-    Raises L3Error if another run holds the lock.
+    Returns its descriptor, or None if the storage does not support locks. Raises L3Error if another run holds the lock.
     """
     while True:
         with blamed_on(output):
@@ -138,7 +136,7 @@ def _take(lock: Path, output: Path) -> int | None:
             except FileExistsError:
                 descriptor = _existing(lock)
         if descriptor is None:
-            continue  # another run removed the lock file before it was opened
+            continue  # another run removed the lock file before this run opened it
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
@@ -150,14 +148,14 @@ def _take(lock: Path, output: Path) -> int | None:
         with contextlib.suppress(FileNotFoundError):
             if os.path.samestat(os.lstat(lock), os.fstat(descriptor)):
                 return descriptor
-        os.close(descriptor)  # another run removed the lock file before it was locked
+        os.close(descriptor)  # another run removed the lock file before this run locked it
 
 
 def _existing(lock: Path) -> int | None:
-    """Open an existing lock file. Return its descriptor, or None if the file no longer exists.
+    """Open an existing lock file, and return its descriptor, or None if the file no longer exists.
 
-    In a shared folder, a symbolic link or a pipe may have the name of the lock file. The function therefore does not follow
-    symbolic links and never blocks. Raises L3Error if the file is not accessible or not a regular file.
+    In a shared folder, the name of the lock file may belong to a symbolic link or a pipe. The call therefore neither follows
+    symbolic links nor blocks. Raises L3Error if the file is not accessible or not a regular file.
     """
     try:
         return open_quietly(lock)
@@ -168,11 +166,11 @@ def _existing(lock: Path) -> int | None:
             f"{lock} belongs to another user; remove it if that user has no run in progress, or choose another output"
         ) from error
     except OSError as error:
-        raise L3Error(f"{lock} is not a lock file of l3; remove it, or choose another output") from error
+        raise L3Error(f"{lock} is not an l3 lock file; remove it, or choose another output") from error
 
 
 def _let_go(lock: Path, descriptor: int) -> None:
-    """Remove a lock file, and release the lock by closing its descriptor."""
+    """Remove a lock file, and close its descriptor, which releases the lock."""
     with contextlib.suppress(FileNotFoundError, PermissionError):  # in some folders, only the owner may remove a file
         lock.unlink()
     os.close(descriptor)

@@ -1,4 +1,4 @@
-"""Functions that other installed packages provide through entry points (docs/python.md#a-baseline)."""
+"""Find and call functions that other installed packages provide as entry points (docs/python.md#a-baseline)."""
 
 import contextlib
 import re
@@ -7,15 +7,15 @@ from importlib.metadata import EntryPoint, entry_points
 
 from l3cli.errors import L3Error
 
-BASELINES, NOISE = "l3cli.baselines", "l3cli.noise"  # groups of entry points
-NAME = re.compile(r"[\w.-]+")  # permitted names of entry points, which become parts of file names
+BASELINES, NOISE = "l3cli.baselines", "l3cli.noise"  # entry-point groups
+NAME = re.compile(r"[\w.-]+")  # permitted entry-point names, because file names contain them
 
 
 def plugins(group: str) -> dict[str, EntryPoint]:
-    """Return the entry points of a group, sorted by name.
+    """Return the entry points in a group, sorted by name.
 
-    If several packages provide an entry point with the same name, only the first entry point that Python finds is included.
-    Raises L3Error if a name contains a character that is not permitted in file names.
+    If several packages use the same name, the first entry point that Python finds is returned. Raises L3Error if a name
+    contains characters other than letters, digits, "_", "." and "-".
     """
     found: dict[str, EntryPoint] = {}
     for entry in entry_points(group=group):
@@ -26,12 +26,12 @@ def plugins(group: str) -> dict[str, EntryPoint]:
 
 
 def package(entry: EntryPoint) -> str:
-    """Return the name and version of the package that provides an entry point, or "MODULE:OBJECT" if it is unknown."""
+    """Return the name and version of the package that provides an entry point, or "MODULE:OBJECT" if unknown."""
     return f"{entry.dist.name} {entry.dist.version}" if entry.dist else entry.value
 
 
 def described(entry: EntryPoint) -> str:
-    """Return the name, the group and the package of an entry point, for messages."""
+    """Describe an entry point for messages, with its name, group and package."""
     return f'entry point "{entry.name}" ({entry.group}) of {package(entry)}'
 
 
@@ -39,7 +39,7 @@ def described(entry: EntryPoint) -> str:
 def blamed(entry: EntryPoint) -> Iterator[None]:
     """Convert an exception in the block to an L3Error that names the entry point.
 
-    The block calls the code of the entry point, and may also check the result of this code.
+    The block calls the entry point, and may also check what it returns.
     """
     try:
         yield

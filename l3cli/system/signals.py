@@ -1,14 +1,14 @@
 """Convert SIGINT and SIGTERM to exceptions, so that the program cleans up and prints one line before it ends.
 
-l3 writes outputs to temporary files and renames complete files, so an exception may occur at almost any time. Signals must
-not interrupt three types of code:
+Because l3 writes outputs to temporary files and renames them when they are complete, an exception may occur at almost any
+time. There are three exceptions to this rule, where signals must not interrupt the code:
 
-* The callbacks through which HDF5 writes. HDF5 would discard both the exception and the data, and the file would look
-  complete although it is not.
-* The initialisation of extension modules. Modules in C++, such as pyopencl, would abort the process.
-* The import of h5py. h5py registers Python functions for type conversion with HDF5, and then registers an exit handler that
-  removes these functions. An exception between the two steps would crash the process at exit, because HDF5 would call the
-  functions after the Python interpreter has ended.
+* The callbacks through which HDF5 writes. HDF5 would discard both the exception and the data, and the incomplete file would
+  look complete.
+* The initialisation of extension modules. C++ modules such as pyopencl would abort the process.
+* The import of h5py. h5py registers Python functions for type conversion with HDF5, and then an exit handler that removes
+  them. An exception between these two steps would crash the process at exit, because HDF5 would call the functions after
+  the Python interpreter has ended.
 """
 
 import signal
@@ -21,17 +21,17 @@ from typing import Any, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-RETRY_SECONDS = 0.05  # time, in s, after which a signal that could not be handled is sent again
+RETRY_SECONDS = 0.05  # delay before a signal that could not be handled is sent again
 
 HELD_BACK_IMPORT = "h5py"
 _held_back: set[CodeType] = {ExtensionFileLoader.create_module.__code__, ExtensionFileLoader.exec_module.__code__}
 
 
 class Terminated(KeyboardInterrupt):
-    """Raised on SIGTERM, as KeyboardInterrupt is raised on SIGINT.
+    """Raised on SIGTERM, just as KeyboardInterrupt is raised on SIGINT.
 
-    The class is derived from KeyboardInterrupt because Python's compiler discards all other exceptions. The compiler runs
-    during the import of a module without a .pyc file.
+    It is a subclass of KeyboardInterrupt because Python's compiler, which runs when a module without a .pyc file is
+    imported, discards all other exceptions.
     """
 
 
@@ -51,17 +51,14 @@ def ignore() -> None:
 
 
 def leave_to_python() -> None:
-    """Restore the default handlers.
-
-    The program calls this function before it exits, because nothing catches exceptions then.
-    """
+    """Restore the default handlers before the program exits, because nothing catches exceptions during the exit."""
     for each in SIGNALS:
         if signal.getsignal(each) is end:
             signal.signal(each, signal.SIG_DFL)
 
 
 def end(number: int, frame: FrameType | None) -> None:
-    """Handle a signal: raise its exception. If the running code must not be interrupted, send the signal again later."""
+    """Signal handler: raise the signal's exception or, if the running code must not be interrupted, resend it later."""
     while frame is not None:
         imports = frame.f_code.co_name == "<module>" and frame.f_globals.get("__name__") == HELD_BACK_IMPORT
         if imports or frame.f_code in _held_back:
@@ -72,10 +69,10 @@ def end(number: int, frame: FrameType | None) -> None:
 
 
 def behind(error: BaseException) -> KeyboardInterrupt | None:
-    """Return the KeyboardInterrupt that caused `error`, or None. If `error` is a KeyboardInterrupt, return `error`.
+    """Return the KeyboardInterrupt behind an error: the error itself, or one of its causes. None if there is none.
 
-    Python 3.11 converts an exception in `__set_name__` to a RuntimeError, and some libraries convert exceptions to their own
-    error classes.
+    Python 3.11 wraps an exception in `__set_name__` in a RuntimeError, and some libraries wrap exceptions in their own error
+    classes.
     """
     cause: BaseException | None = error
     while not (cause is None or isinstance(cause, KeyboardInterrupt)):
@@ -84,16 +81,13 @@ def behind(error: BaseException) -> KeyboardInterrupt | None:
 
 
 def held_back_in(callback: F) -> F:
-    """Decorator for functions that call a C library or that a C library calls.
-
-    Signals are delayed until the function returns.
-    """
+    """Decorator that delays signals until the function returns, for code that calls or is called by a C library."""
     _held_back.add(callback.__code__)
     return callback
 
 
 def repeat_lost(what: Any) -> None:
-    """Send a signal again if Python discarded its exception, for example in a finaliser. Used as `sys.unraisablehook`."""
+    """Resend a signal if Python discarded its exception, for example in a finaliser. Used as `sys.unraisablehook`."""
     if what.exc_type in (KeyboardInterrupt, Terminated):
         _send_again(signal.SIGTERM if what.exc_type is Terminated else signal.SIGINT)
     else:
@@ -101,7 +95,6 @@ def repeat_lost(what: Any) -> None:
 
 
 def _send_again(number: int) -> None:
-    """Send a signal to the main thread after a short delay."""
     main_thread = threading.main_thread().ident
     assert main_thread is not None
     threading.Timer(RETRY_SECONDS, signal.pthread_kill, (main_thread, number)).start()

@@ -1,6 +1,6 @@
-"""Format numbers, lines and tables for terminals of any width, pipes and web pages, and parse numbers.
+"""Format numbers and tables as text, and parse numbers.
 
-The number parser is stricter than Python's parser, which also accepts 1_000, nan and non-ASCII digits.
+The number parser is stricter than Python's, which also accepts 1_000, nan and non-ASCII digits.
 """
 
 import math
@@ -14,14 +14,14 @@ from l3cli.errors import shortened
 GAP = "  "
 DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
 WHOLE = re.compile(r"([+-]?)0*(\d+)", re.ASCII)
-MOST_DIGITS = 40  # longer whole numbers are outside every permitted range, and Python cannot convert more than 4300 digits
+MOST_DIGITS = 40  # longer numbers exceed every permitted range, and Python refuses to convert more than 4300 digits
 LARGEST_WHOLE = 2**63 - 1  # largest integer that TOML, HDF5 and numpy can store
 
 
 def printable(text: str) -> str:
-    """Return `text` as one line that is safe to print on a terminal.
+    """Make text safe to print on one line of a terminal.
 
-    A question mark replaces each line end, control character, direction mark and undecodable byte.
+    Line ends, control characters, direction marks and undecodable bytes become question marks.
     """
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
@@ -34,7 +34,7 @@ def figure(value: float, form: str) -> str:
 def tidy(value: float, digits: int = 3) -> str:
     """Format a number with `digits` significant digits. NaN becomes a dash.
 
-    Nonzero numbers with a magnitude below 1e-4, or of at least 1e5, are written with a power of ten.
+    Magnitudes below 1e-4 and from 1e5 are written with a power of ten.
     """
     if math.isnan(value):
         return "–"
@@ -51,12 +51,12 @@ def tidy(value: float, digits: int = 3) -> str:
 
 
 def superscript(number: int) -> str:
-    """Write an integer in superscript characters, such as "⁻³"."""
+    """Format an integer in superscript characters, such as "⁻³"."""
     return str(number).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def counted(number: int, what: str) -> str:
-    """Format a number with a noun, for example as "1 frame" or "2 frames". The plural of the noun must end in "s"."""
+    """Format a number with a noun, such as "1 frame" or "2 frames". The noun's plural must end in "s"."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
@@ -76,7 +76,7 @@ def seconds_text(value: float) -> str:
 
 
 def array_lines(rows: list[list[str]]) -> list[str]:
-    """Format each row of a colour filter array, given as channel names, as a line of text with aligned columns."""
+    """Format a colour filter array, given as rows of channel names, as lines of text with aligned columns."""
     wide = max(len(name) for row in rows for name in row)
     return [" ".join(name.ljust(wide) for name in row).rstrip() for row in rows]
 
@@ -87,7 +87,7 @@ def unit(text: str) -> str:
 
 
 def short_names(paths: Iterable[Path]) -> list[str]:
-    """Return the shortest unique name for each path. A name consists of the last parts of the path."""
+    """Return the shortest unique name for each path: as many of its last parts as necessary."""
     every = [path.absolute().parts for path in paths]
 
     def distinguished(parts: tuple[str, ...]) -> str:
@@ -98,22 +98,22 @@ def short_names(paths: Iterable[Path]) -> list[str]:
 
 
 def columns(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int | None = None) -> list[str]:
-    """Format a table as lines of text. The first column is left-aligned, and all other columns are right-aligned.
+    """Format a table as lines of text, with the first column left-aligned and all others right-aligned.
 
     Parameters
     ----------
     headings : sequence of str
-        Headings of the columns. A heading may consist of several lines.
+        Column headings. A heading may consist of several lines.
     rows : sequence of sequence of str
-        The cells of each row. Characters that are not printable are replaced by question marks.
+        The cells of each row. Unprintable characters become question marks.
     width : int, optional
-        Maximum width in characters. A wider table is split into several tables, one below the other. Each of these tables
-        starts with the first column. [default: unlimited]
+        Maximum width in characters. A wider table is split into several tables, one below the other, each of which repeats
+        the first column. [default: unlimited]
 
     Returns
     -------
     list of str
-        The lines, without trailing blanks.
+        The lines, without trailing spaces.
     """
     named = [[printable(line) for line in heading.split("\n")] for heading in headings]
     high = max(map(len, named))
@@ -138,34 +138,31 @@ def _line(cells: Sequence[str], part: Sequence[int], wide: Sequence[int]) -> str
 
 
 class NoSuchNumber(ValueError):
-    """Raised if a text is not a number or is outside the permitted range. The message states the range."""
+    """Raised if a text is not a number or is out of range. The message states the permitted range."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A range of permitted numbers with a unit. Both limits are included.
-
-    If `whole` is set, only whole numbers are permitted.
-    """
+    """A permitted range of numbers, including both limits, with a unit."""
 
     least: float
     most: float
     unit: str = ""
-    whole: bool = False
+    whole: bool = False  # whether only whole numbers are permitted
 
     def __str__(self) -> str:
         return f"{_written(self.least)}…{_written(self.most)}{' ' if self.unit else ''}{self.unit}"
 
     def read(self, text: str) -> float:
-        """Parse a number. The result is an int if `whole` is set, otherwise a float.
+        """Parse a number as an int if `whole` is set, otherwise as a float.
 
-        Raises NoSuchNumber if the text is not a number, is not whole although `whole` is set, or is out of range.
+        Raises NoSuchNumber if the text is not such a number, or if the number is out of range.
         """
         spelled = WHOLE if self.whole else DECIMAL
         if not spelled.fullmatch(text):
             what = "whole number" if self.whole and DECIMAL.fullmatch(text) else "number"
             raise NoSuchNumber(f'"{shortened(text)}" is not a {what}; use a {what} within {self}')
-        number = _whole(text) if self.whole else float(text) + 0.0  # adding 0 turns -0 into 0
+        number = _whole(text) if self.whole else float(text) + 0.0  # + 0.0 turns -0.0 into 0.0
         if not self.least <= number <= self.most:
             nearest = self.least if number < self.least else self.most
             raise NoSuchNumber(f"{shortened(text)} is not within {self}; the nearest valid value is {_written(nearest)}")
@@ -173,7 +170,7 @@ class Quantity:
 
 
 def _whole(text: str) -> float:
-    """Convert text that matches WHOLE to an int, or to ±infinity if the text has more than MOST_DIGITS digits."""
+    """Convert text that matches WHOLE to an int, or to ±infinity if it has more than MOST_DIGITS digits."""
     match = WHOLE.fullmatch(text)
     assert match is not None
     sign, digits = match.groups()

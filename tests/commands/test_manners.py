@@ -373,7 +373,7 @@ def test_what_is_no_log_is_never_written_to(kind: str, pipeline: Path, tmp_path:
     before = raw.read_bytes()
     log = {"input": raw, "folder": tmp_path, "link to an input": tmp_path / "link"}[kind]
     error = refused(2, "render", pipeline / "table.h5", raw, "-o", tmp_path / "a.png", "--log", log)
-    assert "is not a log of l3" in error
+    assert "is not an l3 log" in error
     assert raw.read_bytes() == before
 
 

@@ -287,7 +287,7 @@ MISTAKES = """
     2 simulate scenes.toml --camera camera.h5 -o new.h5 --scheduler tcp://127.0.0.1:1 --jobs 2
         remove --jobs
     2 simulate scenes.toml --camera camera.h5 -o new.h5 --scheduler 127.0.0.1:8786
-        is not the address of a scheduler
+        is not a scheduler address
     2 simulate scenes.toml --camera camera.h5 -o new.h5 --scheduler tls://127.0.0.1:1
         needs --tls-ca, --tls-cert and --tls-key
     2 train training.h5 --classes level.toml -o new.h5
@@ -493,7 +493,7 @@ def test_a_folder_that_may_not_be_written_is_named_before_any_work(
         ("lab", pipeline / "camera.toml", "-o", locked / "new"),
         ("render", pipeline / "table.h5", pipeline / "picture.png", "-o", locked / "new.png"),
     ):
-        assert f"{locked} cannot be written to; choose an output" in refused(1, *call)
+        assert f"{locked} is not writable; choose an output" in refused(1, *call)
 
 
 SHAPE = (64, 100)

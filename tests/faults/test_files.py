@@ -218,7 +218,7 @@ def test_what_lies_in_the_locks_place_is_neither_followed_nor_touched(tmp_path: 
     else:
         lock.symlink_to(victim if kind == "link" else tmp_path / "new")
     with (
-        pytest.raises(L3Error, match=r"\.out\.h5\.l3lock is not a lock file of l3; remove it"),
+        pytest.raises(L3Error, match=r"\.out\.h5\.l3lock is not an l3 lock file; remove it"),
         sole_writer_of_file(tmp_path / "out.h5"),
     ):
         pass
