@@ -1,4 +1,4 @@
-"""Read photos of charts, each with its illuminant and its chart (docs/method.md#charts-in-photographs)."""
+"""Read photos of colour charts, with their illuminants and reflectances (docs/method.md#charts-in-photographs)."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -22,27 +22,26 @@ from l3cli.recipes.faults import refuse_first
 from l3cli.spectra.file import names_file, read_table
 from l3cli.spectra.table import without_noise
 
-COVERED_NM = (400.0, 700.0)  # range in nm that the spectrum of a measured illuminant must cover
-GRID = np.arange(380.0, 781.0, 5.0)  # wavelengths in nm of named illuminants and charts
+COVERED_NM = (400.0, 700.0)  # range in nm that a measured illuminant spectrum must cover
+GRID = np.arange(380.0, 781.0, 5.0)  # wavelengths in nm at which built-in illuminants and charts are sampled
 Array = NDArray[np.float64]
-# Settings for raw files. "black_level" and "white_level" are levels in DN, for files that do not state their levels.
-# "opcodes" has the value "leave" if l3 must ignore unsupported opcodes of DNG files.
+# Settings for reading raw files: "black_level" and "white_level" in DN, for files that do not contain these levels, and
+# "opcodes", which is "leave" if l3 must ignore unsupported DNG opcodes.
 Levels = Mapping[str, Any]
 
 
 class Illuminant(NamedTuple):
-    """The illuminant of a photo."""
+    """Spectrum of the light in a photo."""
 
     wavelength: Array  # (wavelength,) nm
     radiance: Array  # (wavelength,) relative photon radiance
 
 
 def illuminant_of(photo: PhotoRecipe, path: Path) -> Illuminant:
-    """Return the illuminant of a photo in the measurement file `path`.
+    """Return the illuminant that the measurement file `path` specifies for a photo.
 
-    If the measurement file specifies no illuminant, the result is a placeholder with a constant spectrum, because the
-    illuminant is estimated later. Raises RecipeError if the name of the illuminant is unknown, and InputFileError if the
-    file with the spectrum is unusable.
+    If no illuminant is specified, the result is a constant spectrum as a placeholder, because the illuminant is estimated
+    later. Raises RecipeError if the illuminant's name is unknown, and InputFileError if its spectrum file is unusable.
     """
     if photo.light is None:
         return Illuminant(GRID, np.ones_like(GRID))
@@ -55,7 +54,7 @@ def illuminant_of(photo: PhotoRecipe, path: Path) -> Illuminant:
     radiance = without_noise(table.photons(unit, absolute=False))[0]
     if radiance.min() < 0:
         raise InputFileError(
-            f"{file}: the spectrum contains negative values that are larger than noise; subtract the dark spectrum again"
+            f"{file}: the spectrum contains negative values too large to be noise; subtract the dark spectrum again"
         )
     if table.wavelength[0] > COVERED_NM[0] or table.wavelength[-1] < COVERED_NM[1]:
         raise InputFileError(
@@ -63,15 +62,15 @@ def illuminant_of(photo: PhotoRecipe, path: Path) -> Illuminant:
             f"{COVERED_NM[0]:g} to {COVERED_NM[1]:g} nm"
         )
     if radiance.max() <= 0:
-        raise InputFileError(f"{file}: the spectrum has no positive value; measure the spectrum again")
+        raise InputFileError(f"{file}: the spectrum contains no positive value; measure the spectrum again")
     return Illuminant(table.wavelength, radiance)
 
 
 def chart_of(photo: PhotoRecipe, path: Path) -> Chart:
-    """Return the chart of a photo in the measurement file `path`.
+    """Return the chart that the measurement file `path` specifies for a photo.
 
-    Raises RecipeError if the name of the chart is unknown, or if the layout does not match the number of patches. Raises
-    InputFileError if the file with the reflectances is unusable.
+    Raises RecipeError if the chart's name is unknown, or if its layout does not match the number of patches. Raises
+    InputFileError if its reflectance file is unusable.
     """
     if names_file(photo.chart):
         table = read_table(path.parent / photo.chart)
@@ -93,31 +92,32 @@ def capture_of(
     path: Path,
     read: Callable[[Path, Levels], RawContent] = raw_content,
 ) -> PhotoCapture:
-    """Read the raw files of a photo: its frames, its dark frames and its white frames.
+    """Read a photo's chart frames, dark frames and white frames.
 
     Parameters
     ----------
     photo : PhotoRecipe
-        The photo in a measurement file.
+        Entry of the photo in the measurement file.
     illuminant : Illuminant
-        The illuminant of the photo.
+        Spectrum of the light in the photo.
     chart : Chart
         The chart in the photo.
     body : Body
         The camera.
     levels : mapping
-        Levels for raw files that state no levels (see Levels). If the photo has dark frames, the black level is optional.
+        Levels for raw files that do not contain them (see Levels). No black level is needed if the photo has dark frames.
     path : Path
         The measurement file. File names are relative to its folder.
     read : callable
-        Function that reads a raw file with `levels`.
+        Function that takes a path and levels, and reads a raw file.
 
     Raises
     ------
     InputFileError
-        If a file is not a raw file of this camera, if its black level is unknown, or if the files differ in size or phase.
+        If a file is not a raw file from this camera, if its black level is unknown, or if the files differ in size or
+        phase.
     """
-    known = {"black_level": 0.0, **levels} if photo.dark else levels  # the dark frames will determine the black level
+    known = {"black_level": 0.0, **levels} if photo.dark else levels  # the black level is later measured in the dark frames
     frames, darks, whites = (
         tuple(_frame(path.parent / name, read(path.parent / name, known), body, known) for name in names)
         for names in (photo.frames, photo.dark, photo.white)
@@ -128,13 +128,15 @@ def capture_of(
 
 
 def _frame(path: Path, stated: RawContent, body: Body, levels: Levels) -> RawFrame:
-    """Convert the content of a raw file to a frame. Levels that the file states have precedence over `levels`.
+    """Convert the content of a raw file to a frame. Levels in the file take precedence over `levels`.
 
     Raises InputFileError if the black level is unknown, or if the frame does not fit the sensor.
     """
     content: Mapping[str, Any] = {**levels, **stated}
     if "black_level" not in content:
-        raise InputFileError(f'{path} states no black level; add a "dark" frame or a [datasheet] to the measurement file')
+        raise InputFileError(
+            f'{path} does not contain the black level; add a "dark" frame or a [datasheet] to the measurement file'
+        )
     pattern = content.get("pattern")
     phase = (0, 0) if pattern is None else phase_of(path, pattern, body)
     values, white = np.ascontiguousarray(content["values"], np.uint16), content.get("white_level", 2**body.bits - 1)
@@ -149,40 +151,40 @@ def _frame(path: Path, stated: RawContent, body: Body, levels: Levels) -> RawFra
 
 
 def recipe_of_photos(paths: Sequence[Path], first: RawContent, light: str | None, levels: Levels) -> MeasurementRecipe:
-    """Create a measurement file for raw files that state their colour filter array and their levels.
+    """Create the content of a measurement file for raw photos of a chart, each of which becomes a [[photo]].
 
-    All files must be from the same camera and under the same illuminant. Each file becomes a separate photo. The pixel pitch
-    and the optics are placeholders, because the responsivities do not depend on them.
+    All photos must have been taken with the same camera and under the same illuminant. The pixel pitch and the optics are
+    placeholders, because the responsivities do not depend on them.
 
     Parameters
     ----------
     paths : sequence of Path
         The raw files.
     first : RawContent
-        Content of the first raw file.
+        Content of the first raw file, which must include the colour filter array.
     light : str or None
         Name of the illuminant, or None to estimate it.
     levels : mapping
-        Levels for raw files that state no levels (see Levels).
+        Levels for raw files that do not contain them (see Levels).
 
     Raises
     ------
     InputFileError
-        If the first file does not state its colour filter array and its levels, or if the array is too large.
+        If the colour filter array or a level is unknown, or if the array is too large.
     RecipeError
-        If the properties that the first file states are invalid for a camera.
+        If the first file contains properties that no camera can have.
     """
     content = {**levels, **first}
     stated, white = content.get("pattern"), content.get("white_level")
     if stated is None or white is None or "black_level" not in content:
         raise InputFileError(
-            f"{paths[0]} does not state its colour filter array and its levels; write a measurement file with [[photo]] "
-            '(documentation, "Measure your camera")'
+            f"{paths[0]} does not contain its colour filter array and levels; write a measurement file with [[photo]] "
+            '(see "Measure your camera" in the documentation)'
         )
     cfa = array_of(stated)
     if max(len(cfa.pattern), len(cfa.pattern[0].split())) > MAX_CFA:
         raise InputFileError(
-            f"{paths[0]} has a colour filter array larger than {MAX_CFA}×{MAX_CFA} sites; use files of another camera"
+            f"{paths[0]} has a colour filter array larger than {MAX_CFA}×{MAX_CFA} sites; use files from another camera"
         )
     rows, cols = content["values"].shape
     recipe = MeasurementRecipe(
@@ -197,14 +199,14 @@ def recipe_of_photos(paths: Sequence[Path], first: RawContent, light: str | None
 
 
 def bits_of(white_level: float) -> int:
-    """Return the bit depth of a sensor with this white level in DN, limited to MAX_BITS."""
+    """Return the smallest bit depth that can represent a white level in DN, at most MAX_BITS."""
     return min(int(np.ceil(np.log2(white_level + 1))), MAX_BITS)
 
 
 def array_of(codes: NDArray[np.integer]) -> CfaRecipe:
-    """Convert the colour codes (row, col) in a raw file to a colour filter array with the smallest period.
+    """Convert a raw file's colour codes, (row, col), to a colour filter array with the smallest possible period.
 
-    For TIFF/EP codes, the channel names are letters such as "r". For other codes, the names are "c" followed by the code.
+    Channels with TIFF/EP codes are named by letters such as "r". Other channels are named "c" followed by the code.
     """
     pattern = least_period(codes)
     names = {int(code): LETTERS[code].lower() if code < FREE_CODE else f"c{code}" for code in np.unique(pattern)}

@@ -1,7 +1,7 @@
-"""Read and write curves over wavelength in CSV files, tables of wavelength sweeps, and rawtoaces JSON files.
+"""Read and write spectral curves (CSV), and read wavelength sweeps and rawtoaces JSON files.
 
-The module also reads the responsivity statistics that are included in l3, and folders with measured responsivities, from
-which new statistics can be computed (docs/method.md#charts-in-photographs).
+The module also reads the prior for calibration from photos: the built-in statistics of camera responsivities, or a folder of
+measured responsivities from which such statistics can be computed (docs/method.md#charts-in-photographs).
 """
 
 import csv
@@ -28,27 +28,27 @@ Array = NDArray[np.float64]
 
 
 def write_curves(path: Path, wavelength: NDArray, columns: NDArray, names: Sequence[str], unit: str = "") -> None:
-    """Write curves to a CSV file.
+    """Write curves to a CSV file, replacing an existing file.
 
     Parameters
     ----------
     path : Path
-        The file, which is replaced if it exists.
+        The file.
     wavelength : ndarray, (wavelength,)
         Wavelengths in nm.
     columns : ndarray, (column, wavelength)
-        Values of the curves.
+        The curves.
     names : sequence of str
         Column names.
     unit : str
-        Unit that is appended to each column name in brackets. [default: none]
+        Unit of all columns, which is appended to their names in parentheses. [default: none]
     """
     write_whole(path, curve_text(wavelength, columns, names, unit))
 
 
 def curve_text(wavelength: NDArray, columns: NDArray, names: Sequence[str], unit: str = "") -> str:
     """Return the CSV text that `write_curves` writes, with eight significant digits."""
-    heading = io.StringIO()  # the csv module writes names that contain a comma in quotation marks
+    heading = io.StringIO()  # written by the csv module, which quotes names that contain a comma
     csv.writer(heading, lineterminator="").writerow(
         ["wavelength_nm", *(f"{name} ({unit})" if unit else name for name in names)]
     )
@@ -58,21 +58,20 @@ def curve_text(wavelength: NDArray, columns: NDArray, names: Sequence[str], unit
 
 
 def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: int | str = 0) -> SweepTable:
-    """Read a wavelength sweep, measured with a camera and a calibrated photodiode.
+    """Read a wavelength sweep that was measured with a camera and a calibrated photodiode.
 
     Parameters
     ----------
     path : Path
-        Table with the columns "wavelength_nm", "light CHANNEL" (mean of each channel with light), "dark CHANNEL" (mean of
-        each channel in the dark), "diode light" and "diode dark". If the table has no heading, the columns must be in this
-        order.
+        Table with the columns "wavelength_nm", "light CHANNEL" for each channel (mean with light, in DN), "dark CHANNEL" for
+        each channel (mean in the dark, in DN), "diode light" and "diode dark". A table without a heading must have its
+        columns in this order.
     photodiode : Path
-        Table with the spectral responsivity of the photodiode. Values without a unit are relative responses per energy.
+        Table with the photodiode's spectral responsivity. Values without a unit are relative responses per energy.
     channels : sequence of str
-        Names of the channels.
+        Channel names.
     column : int or str
-        Name or number (from 1) of the column with the responsivity in `photodiode`. 0 means that the file has only one such
-        column.
+        Name or number, from 1, of the responsivity column in `photodiode`. 0 stands for the only column.
 
     Raises
     ------
@@ -87,7 +86,7 @@ def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: in
     diodes = read_table(photodiode)
     if not column and len(diodes.values) > 1:
         raise InputFileError(
-            f"{photodiode} contains {len(diodes.values)} curves; select a column, for example with photodiode = "
+            f"{photodiode} contains {len(diodes.values)} curves; select one of them, for example with photodiode = "
             f'{{file = "{photodiode.name}", column = 1}}'
         )
     grid, response = diodes.wavelength, diodes.column(column or 1).per_energy()
@@ -96,12 +95,12 @@ def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: in
             f"{photodiode} covers {grid[0]:g}…{grid[-1]:g} nm, but the sweep covers "
             f"{wavelength[0]:g}…{wavelength[-1]:g} nm; use a responsivity that covers the whole sweep"
         )
-    # Linear interpolation is sufficient, because the responsivity is smooth and each step has a narrow spectrum.
+    # Linear interpolation suffices, because the responsivity is smooth and the light of each step is narrow-band.
     diode = np.interp(wavelength, grid, response[0])
     if wavelength.size < 3 or diode.min() <= 0:
         raise InputFileError(
-            f"{path}: the sweep has fewer than three wavelengths, or contains a wavelength to which the photodiode does not "
-            "respond; use a photodiode that responds to the whole sweep"
+            f"{path}: the sweep has fewer than three wavelengths, or a wavelength to which the photodiode does not respond; "
+            "use at least three wavelengths within the photodiode's range"
         )
     return SweepTable(wavelength, table[:count], table[count : 2 * count], table[-2], table[-1], diode)
 
@@ -109,29 +108,29 @@ def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: in
 def read_finished(
     path: Path, channels: Sequence[str], per_energy: bool, columns: Mapping[str, str] | None = None
 ) -> FinishedCurves:
-    """Read responsivities that need no further processing, from a table of spectra or from a rawtoaces JSON file.
+    """Read finished responsivity curves from a table of spectra or from a rawtoaces JSON file.
 
     Parameters
     ----------
     path : Path
         Table with one column per channel, or JSON file.
     channels : sequence of str
-        Names of the channels.
+        Channel names.
     per_energy : bool
-        Whether the curves are per energy. Otherwise they are per photon.
+        Whether the curves are per energy instead of per photon.
     columns : mapping, optional
-        Channel → column name, for channels with a different column name.
+        Channel → column name, for channels whose columns have a different name.
 
     Returns
     -------
     FinishedCurves
-        The curves per photon. Small negative values, which are probably noise, are set to zero.
+        The curves per photon. Negative values as small as noise are set to zero.
 
     Raises
     ------
     InputFileError
-        If a channel has no column, if a curve has negative values or no positive value, or if the file contains fewer than
-        three wavelengths.
+        If a channel has no column, if a curve contains negative values or no positive value, or if the file contains fewer
+        than three wavelengths.
     """
     table = (_read_json(path) if path.suffix.lower() == ".json" else read_table(path)).channel_columns(channels, columns)
     grid, curves = table.wavelength, without_noise(table.responses(per_energy, "per_energy"))
@@ -146,8 +145,8 @@ def read_finished(
 def _read_json(path: Path) -> CurveTable:
     """Read the curves in a rawtoaces JSON file.
 
-    The curves have names if the index in the file contains one name per curve. Raises InputFileError if the file does not
-    have the structure of a rawtoaces file, or if the wavelengths are not in nm.
+    The curves are named only if the file's index contains one name per curve. Raises InputFileError if the file is not
+    structured like a rawtoaces file, or if the wavelengths are not in nm.
     """
     try:
         content = json.loads(read_bounded(path, "use curves in CSV or rawtoaces JSON"))["spectral_data"]
@@ -174,27 +173,27 @@ def _read_json(path: Path) -> CurveTable:
 
 # ---------------------------------------------------------------------------------- statistics of measured curves
 
-ROLES = ("r", "g", "b")  # channels in the included statistics and in folders of measured responsivities
+ROLES = ("r", "g", "b")  # channels in the built-in statistics and in folders of measured responsivities
 CURVE_FILES = (".csv", ".json")
-MIN_CAMERAS = 8  # minimum number of cameras in a folder; the curves of fewer cameras do not represent the variation
+MIN_CAMERAS = 8  # minimum number of cameras in a folder, because fewer cameras do not show how much responsivities vary
 MAX_CAMERAS = 2000  # maximum number of cameras in a folder
 
 
 class PriorRecipe(Recipe):
-    """Statistics of the measured responsivities of many cameras."""
+    """Statistics of the responsivities measured for many cameras."""
 
     title: ClassVar[str] = "a table of curve statistics"
 
-    source: str  # cameras, author and licence of the curves
+    source: str  # cameras, author and licence of the measurements
     wavelength_nm: list[float]
     mean: dict[str, list[float]]  # channel → value at each wavelength
-    modes: list[dict[str, list[float]]]  # channel → value at each wavelength, scaled to the standard deviation of the mode
+    modes: list[dict[str, list[float]]]  # channel → value at each wavelength, scaled to the mode's standard deviation
     log_peak: list[float]
     log_peak_covariance: list[list[float]]
 
 
 def shipped_statistics() -> CurveStatistics:
-    """Return the included statistics of r, g and b responsivities."""
+    """Return the built-in statistics of r, g and b responsivities."""
     recipe = load_recipe(recipe_folder() / "priors" / "rgb.toml", PriorRecipe)
     return CurveStatistics(
         np.array(recipe.wavelength_nm),
@@ -206,22 +205,22 @@ def shipped_statistics() -> CurveStatistics:
 
 
 def prior_files(folder: Path) -> list[Path]:
-    """Return the files with curves (.csv and .json) in a folder, in alphabetical order.
+    """Return a folder's curve files (.csv and .json) in alphabetical order.
 
-    Raises InputFileError if the number of files is not within MIN_CAMERAS…MAX_CAMERAS.
+    Raises InputFileError if there are fewer than MIN_CAMERAS or more than MAX_CAMERAS files.
     """
     files = sorted(path for path in folder.iterdir() if path.suffix.lower() in CURVE_FILES) if folder.is_dir() else []
     if not MIN_CAMERAS <= len(files) <= MAX_CAMERAS:
         raise InputFileError(
-            f"{folder} contains {len(files)} files with curves (CSV or rawtoaces JSON); use a folder with files of "
+            f"{folder} contains {len(files)} curve files (CSV or rawtoaces JSON); use a folder with the curves of "
             f"{MIN_CAMERAS} to {MAX_CAMERAS} cameras"
         )
     return files
 
 
 def read_cameras(files: Sequence[Path]) -> tuple[FinishedCurves, ...]:
-    """Read the responsivities of r, g and b from the files of measured cameras.
+    """Read measured r, g and b responsivities per energy, from one file per camera.
 
-    The files must contain responsivities per energy. Raises InputFileError if a file is invalid.
+    Raises InputFileError if a file is invalid.
     """
     return tuple(read_finished(path, ROLES, per_energy=True) for path in files)

@@ -1,15 +1,15 @@
-"""The process that decodes untrusted files for isolated.py. The process forks a worker with restricted rights for each file.
+"""The process that decodes untrusted files for isolated.py. It forks a worker with restricted rights for each file.
 
-Three measures restrict a worker:
+Three independent measures restrict a worker:
 
-* Resource limits restrict the processor time, the address space and the size of files.
-* Landlock, a security module of Linux (man 7 landlock), restricts the access to files. A worker can read only its input
-  file, the Python installation and the libraries of the system. A worker cannot write files or start programs. On newer
-  kernels, a worker also cannot open TCP connections or send signals to other processes.
+* Resource limits bound its CPU time, its address space and the size of the files that it writes.
+* Landlock, a Linux security module (man 7 landlock), restricts file access. A worker can read only its input file, the
+  Python installation and the system libraries. It cannot write files or start programs. On newer kernels, it can also
+  neither open TCP connections nor send signals to other processes.
 * seccomp denies system calls that affect anything outside the process. This measure requires pyseccomp and libseccomp.
 
-The measures are independent. If the system does not support a measure, the other measures still apply. A worker can always
-use files and sockets that are already open.
+If the system does not support one of the measures, the other measures still apply. Files and sockets that are already open
+remain usable.
 """
 
 import contextlib
@@ -35,20 +35,20 @@ try:
 except (ImportError, RuntimeError):  # RuntimeError: libseccomp.so.2 is missing
     pyseccomp = None
 
-ABI, SECCOMP = "Landlock ABI ", "seccomp"  # names of the measures; the version of Landlock is appended to the first name
-SET_NO_NEW_PRIVILEGES = 38  # option of prctl
-CREATE_RULESET, ADD_RULE, RESTRICT_SELF = 444, 445, 446  # Landlock system calls, which have the same numbers on all machines
-ASK_FOR_VERSION = 1  # flag with which the call CREATE_RULESET returns the version of Landlock
+ABI, SECCOMP = "Landlock ABI ", "seccomp"  # names of the measures; the Landlock version is appended to the first name
+SET_NO_NEW_PRIVILEGES = 38  # prctl option
+CREATE_RULESET, ADD_RULE, RESTRICT_SELF = 444, 445, 446  # Landlock system calls, with the same numbers on all architectures
+ASK_FOR_VERSION = 1  # flag that makes CREATE_RULESET return the Landlock version
 PATH_BENEATH = 1  # type of a rule that grants rights for a file, or for everything below a folder
-FILE_RIGHTS, ADDED_IN = 13, (2, 3, 5)  # number of file rights in Landlock 1, and the versions that each added one right
+FILE_RIGHTS, ADDED_IN = 13, (2, 3, 5)  # number of file rights in Landlock 1, and later versions, each of which added one
 READ_FILE, READ_FOLDER = 1 << 2, 1 << 3
-TCP, TCP_SINCE = 0b11, 4  # rights to bind and to connect, and the version of Landlock that introduced these rights
-SCOPES, SCOPES_SINCE = 0b11, 6  # flags that restrict abstract Unix sockets and signals; Landlock version that added flags
+TCP, TCP_SINCE = 0b11, 4  # rights to bind and to connect, and the Landlock version that introduced them
+SCOPES, SCOPES_SINCE = 0b11, 6  # restrictions of abstract Unix sockets and signals, and the version that introduced them
 SYSTEM = ("/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/etc/localtime")
 PACKAGES = ("site-packages", "dist-packages")
-MAX_WORKERS = 8  # maximum number of idle workers; several workers are kept, because a stage may alternate between files
+MAX_WORKERS = 8  # maximum number of workers that are kept, because a stage may alternate between files
 
-DENIED = {  # resource outside the process → names of the denied system calls for this resource
+DENIED = {  # what the system calls affect → names of the denied system calls
     "sockets": "socket socketpair connect bind listen accept accept4",
     "programs": "execve execveat",
     "processes": "fork vfork setpgid setsid",
@@ -63,16 +63,15 @@ DENIED = {  # resource outside the process → names of the denied system calls 
     "the system": "chroot mount umount2 unshare setns reboot settimeofday clock_settime sethostname setdomainname "
     "swapon swapoff acct init_module finit_module kexec_load kexec_file_load",
 }
-CLONE_THREAD = 0x10000  # flag of the system call clone
+CLONE_THREAD = 0x10000  # flag of the clone system call
 
-_measures: tuple[str, ...] = ()  # names of the measures that are active in this worker, except resource limits
+_measures: tuple[str, ...] = ()  # measures that are active in this worker, in addition to resource limits
 
 
 def confine(files: Iterable[Path]) -> tuple[str, ...]:
-    """Restrict this process permanently, so that it can only read `files` and the Python installation.
+    """Permanently restrict this process, which must have a single thread, to reading `files` and the Python installation.
 
-    The process must have only one thread. Returns the names of the active measures, such as ("Landlock ABI 7", "seccomp").
-    Measures that the system does not support are omitted.
+    Returns the names of the measures that the system supports, such as ("Landlock ABI 7", "seccomp").
     """
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(SET_NO_NEW_PRIVILEGES, *map(ctypes.c_ulong, (1, 0, 0, 0))):
@@ -89,9 +88,9 @@ def _installation() -> set[Path]:
 
 
 def _restrict_files(libc: ctypes.CDLL, readable: Iterable[Path]) -> int:
-    """Deny all access to files, except reading the files and folders in `readable`. Also deny TCP and signals if possible.
+    """Deny all file access except reading the files and folders in `readable`. Also deny TCP and signals if possible.
 
-    Returns the version of Landlock in the kernel, or 0 if the kernel does not support Landlock.
+    Returns the kernel's Landlock version, or 0 if the kernel does not support Landlock.
     """
     version = libc.syscall(CREATE_RULESET, None, ctypes.c_size_t(0), ASK_FOR_VERSION)
     file_rights = (1 << FILE_RIGHTS + sum(version >= added for added in ADDED_IN)) - 1
@@ -123,9 +122,9 @@ def _filter_system_calls() -> bool:
     try:
         rules = pyseccomp.SyscallFilter(pyseccomp.ALLOW)
         for name in " ".join(DENIED.values()).split():
-            with contextlib.suppress(OSError):  # the installed libseccomp does not support the system call
+            with contextlib.suppress(OSError):  # the installed libseccomp may not know the system call
                 rules.add_rule(refuse, name)
-        # A filter cannot read the flags of `clone3`. On the error ENOSYS, the C library calls `clone` instead of `clone3`.
+        # A filter cannot read the flags of `clone3`. With ENOSYS, the C library falls back to `clone`.
         rules.add_rule(pyseccomp.ERRNO(errno.ENOSYS), "clone3")
         rules.add_rule(refuse, "clone", pyseccomp.Arg(0, pyseccomp.MASKED_EQ, CLONE_THREAD, 0))
         for name, own in (("kill", itself), ("tgkill", itself), ("prlimit64", 0)):
@@ -138,28 +137,28 @@ def _filter_system_calls() -> bool:
 
 @isolated()
 def measures(path: Path) -> tuple[str, ...]:
-    """Return the names of the measures that restrict the worker of a file, except resource limits (see `confine`)."""
+    """Return the names of the measures that restrict a file's worker, in addition to resource limits (see `confine`)."""
     return _measures
 
 
 def serve(socket_descriptor: int, arrays: int, cpu_seconds: float, max_bytes: int) -> None:
-    """Answer requests for decoding until the caller closes the connection. A separate worker process decodes each file.
+    """Serve decoding requests until the caller closes the connection. A separate worker process decodes each file.
 
     Parameters
     ----------
     socket_descriptor : int
         File descriptor of the socket that is connected to the caller.
     arrays : int
-        File descriptor of the file through which decoded arrays are returned.
+        File descriptor of the memory file through which decoded arrays are returned.
     cpu_seconds : float
-        Maximum CPU time of a worker per request, in s.
+        Maximum CPU time per request, in s.
     max_bytes : int
-        Maximum address space of a process, and maximum size of a file that a process writes, in bytes.
+        Maximum address space of a worker, and maximum size of a file that it writes, in bytes.
     """
     limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_AS: max_bytes, resource.RLIMIT_FSIZE: max_bytes}
     for what, most in limits.items():
-        resource.setrlimit(what, 2 * (_allowed(what, most),))  # also sets the hard limit, which no process can raise again
-    workers: dict[str, _Worker] = {}  # file and decoder → worker; the least recently used worker is first
+        resource.setrlimit(what, 2 * (_allowed(what, most),))  # also the hard limit, which cannot be raised again
+    workers: dict[str, _Worker] = {}  # file and decoder → worker, with the least recently used worker first
     with socket.socket(fileno=socket_descriptor) as connection:
         send(connection, READY)
         while True:
@@ -185,17 +184,17 @@ def serve(socket_descriptor: int, arrays: int, cpu_seconds: float, max_bytes: in
 
 
 def _import(module: str, name: str) -> None:
-    """Import a decoder and its libraries before the workers are forked, so that no worker needs to import them again."""
-    with contextlib.suppress(Exception):  # the worker repeats a failed import and reports the error
+    """Import a decoder and its libraries before the workers are forked, so that workers need not import them."""
+    with contextlib.suppress(Exception):  # the worker repeats the import and reports its error
         for library in getattr(importlib.import_module(module), name).libraries:
             importlib.import_module(library)
 
 
 class _Worker:
-    """A forked process that decodes a single file and can read no other input."""
+    """A forked process that decodes one file and cannot read other inputs."""
 
     def __init__(self, path: Path, arrays: int, cpu_seconds: float, inherited: list[socket.socket]) -> None:
-        """Fork the worker, which closes the `inherited` sockets. Raises OSError if the process cannot start."""
+        """Fork the worker, which closes the sockets in `inherited`. Raises OSError if the process cannot start."""
         self.socket, theirs = socket.socketpair()
         with theirs:
             try:
@@ -212,7 +211,7 @@ class _Worker:
                     os._exit(1)
 
     def answer(self, request: bytes) -> bytes:
-        """Return the reply of the worker. If the worker has died, end this process with the same signal or exit code."""
+        """Return the worker's reply. If the worker has died, end this process with the same signal or exit code."""
         try:
             send(self.socket, request)
             return receive(self.socket)
@@ -234,7 +233,7 @@ class _Worker:
 def _decode(connection: socket.socket, path: Path, arrays: int, cpu_seconds: float) -> None:
     """Restrict this process to one file, answer requests for this file until the connection closes, and exit.
 
-    The limit of the CPU time applies to each request separately.
+    The CPU time limit applies to each request separately.
     """
     global _measures
     _measures = confine([path])
@@ -243,7 +242,7 @@ def _decode(connection: socket.socket, path: Path, arrays: int, cpu_seconds: flo
             folder, _, module, name, path_there, *plain = json.loads(receive(connection))
         except EOFError:
             os._exit(0)
-        os.chdir(folder)  # the working directory of the caller, so that relative paths are valid
+        os.chdir(folder)  # the caller's working directory, so that relative paths remain valid
         used = resource.getrusage(resource.RUSAGE_SELF)
         until = _allowed(resource.RLIMIT_CPU, int(used.ru_utime + used.ru_stime + cpu_seconds) + 1)
         resource.setrlimit(resource.RLIMIT_CPU, (until, resource.getrlimit(resource.RLIMIT_CPU)[1]))
@@ -251,7 +250,7 @@ def _decode(connection: socket.socket, path: Path, arrays: int, cpu_seconds: flo
 
 
 def _allowed(what: int, most: int) -> int:
-    """Return `most`, or the hard limit of this process for the resource `what` if the hard limit is smaller."""
+    """Return `most`, or this process's hard limit for the resource `what` if that is smaller."""
     hard = resource.getrlimit(what)[1]
     return most if hard == resource.RLIM_INFINITY else min(most, hard)
 
@@ -269,7 +268,7 @@ def _answer(module: str, name: str, path: Path, plain: list[Any], arrays: int) -
         return _problem(error)
     except MemoryError:
         return _problem(InputFileError(too_much(path)))
-    except OSError as error:  # the arrays cannot be written; decoders convert their own errors to InputFileError
+    except OSError as error:  # from writing the arrays; decoders convert their own errors to InputFileError
         return _problem(
             InputFileError(f"{path}: the decoded content cannot be stored ({error.strerror or error}); free some memory")
         )

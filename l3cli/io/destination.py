@@ -1,7 +1,6 @@
 """Destinations of rendered pictures: a file, the pages of a file, a folder, numbered files, a video or a stream.
 
-The module derives the destination from the name of the output, checks whether files exist, and provides the function that
-writes the frames.
+The module derives the destination from the output name, checks for existing files, and opens the destination for writing.
 """
 
 import contextlib
@@ -28,26 +27,23 @@ PICTURE_WRITERS = 2  # number of threads that compress picture files
 
 @dataclass(frozen=True)
 class Destination:
-    """The destination of rendered pictures.
-
-    `kind` is "stream" (y4m on stdout), "video", "pattern" (numbered files), "folder", "file" (a single picture) or "pages"
-    (the pages of a TIFF file).
-    """
+    """Where rendered pictures are written."""
 
     path: Path
+    # "stream" (y4m on stdout), "video", "pattern" (numbered files), "folder", "file" (one picture) or "pages" (TIFF)
     kind: str
     suffix: str  # suffix of the files in a folder, without a period
     bits: int = 8  # bits per value
-    shard: tuple[int, int] | None = None  # number of the shard (from 1), and total number of shards; None without shards
+    shard: tuple[int, int] | None = None  # number of the shard, from 1, and total number of shards; None without shards
 
     @property
     def one_by_one(self) -> bool:
-        """Whether every frame is written to a separate file."""
+        """Whether each frame is written to a separate file."""
         return self.kind in ("pattern", "folder", "file")
 
     @property
     def pictures(self) -> bool:
-        """Whether every frame becomes a separate picture, either a file or a page of a file."""
+        """Whether each frame becomes a separate picture: a file, or a page of a file."""
         return self.one_by_one or self.kind == "pages"
 
     @property
@@ -57,28 +53,28 @@ class Destination:
 
     @property
     def raw(self) -> bool:
-        """Whether the files are raw files (DNG), for raw converters."""
+        """Whether the files are raw files (DNG) for raw converters."""
         return self.one_by_one and holds_raw(self.file(0, "frame"))
 
     @property
     def has_times(self) -> bool:
-        """Whether the destination stores the time of each frame, instead of a constant frame rate."""
+        """Whether the destination stores each frame's time instead of a constant frame rate."""
         return self.kind == "video" and self.path.suffix.lower() != Y4M
 
     def file(self, number: int, stem: str) -> Path:
-        """Return the output file of a frame. `stem` is the file name without suffix, which only a folder uses."""
+        """Return the output file of a frame. `stem` is its file name without suffix, which is used only in a folder."""
         if self.kind == "pattern":
             return numbered_name(self.path, number)
         return self.path / f"{stem}.{self.suffix}" if self.kind == "folder" else self.path
 
     @property
     def file_suffix(self) -> str | None:
-        """Suffix of the files if every frame is written to a separate file, otherwise None."""
+        """Suffix of the files if each frame is written to a separate file, otherwise None."""
         return self.file(0, "frame").suffix if self.one_by_one else None
 
     @property
     def checkpoint(self) -> Path:
-        """Path of the checkpoint file, which is in the folder of the pictures. Each shard has its own checkpoint file."""
+        """Path of the checkpoint file, in the same folder as the pictures. Each shard has its own checkpoint file."""
         ending = f"{self._of_shard}{UNFINISHED}"
         if self.kind == "folder":
             return self.path / ending
@@ -86,7 +82,7 @@ class Destination:
 
     @property
     def lock(self) -> tuple[Path, str]:
-        """Folder and name of the lock that excludes other runs. Each shard has its own lock."""
+        """Folder and name of the lock that prevents other runs from writing here. Each shard has its own lock."""
         folder, name = (self.path, "") if self.kind == "folder" else (self.path.parent, self.path.name)
         return folder, name + self._of_shard
 
@@ -96,29 +92,29 @@ class Destination:
 
 
 def destination_of(output: Path, suffix: str, choice: VideoChoice, shard: tuple[int, int] | None) -> Destination:
-    """Derive the destination from the name of the output.
+    """Derive the destination from the output name.
 
     Parameters
     ----------
     output : Path
-        Name of the output: a file, a folder, a pattern of numbered files, or "-" for stdout.
+        A file, a folder, a pattern of numbered files, or "-" for stdout.
     suffix : str
         Suffix of the files in a folder, without a period.
     choice : VideoChoice
         Bits per value, codec and other settings.
     shard : tuple of int, optional
-        Number of the shard (from 1), and total number of shards.
+        Number of the shard, from 1, and total number of shards.
 
     Returns
     -------
     Destination
-        The destination. For an output such as "out.tif", the kind is "file", because the number of frames is not yet known.
-        If the sequence has several frames, `paged` later changes the kind to "pages".
+        The destination. An output such as "out.tif" is first treated as a single picture ("file"), because the number of
+        frames is not yet known. `paged` later changes it to "pages" if there are several frames.
 
     Raises
     ------
     RecipeError
-        If l3 cannot write the type of output that the name implies, or if this type does not support the settings.
+        If l3 cannot write this type of output, or if the type does not support the settings.
     """
     if choice.bits == FLOAT_BITS and (output == STDOUT or is_video(output)):
         raise RecipeError("videos cannot store 32 bits per value; write a .tif or .exr file, or remove ‹bits›")
@@ -142,7 +138,7 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice, shard: tuple[
 
 
 def paged(destination: Destination, sequence: FrameSequence) -> Destination:
-    """If several frames are written to a TIFF file, change the destination to the pages of this file.
+    """Change the destination of several frames from a single TIFF picture to the pages of this TIFF file.
 
     Any other destination is returned unchanged.
     """
@@ -159,14 +155,14 @@ def guard_outputs(destination: Destination, may_exist: bool, guard: OutputGuard)
     destination : Destination
         The destination.
     may_exist : bool
-        Whether a video or a single picture may already exist. `refuse_outputs` later checks the files in a folder.
+        Whether a video or a single picture may already exist. Files in a folder are checked later, by `refuse_outputs`.
     guard : OutputGuard
-        Object that keeps the lock until the end of the stage.
+        Keeps the lock until the stage ends.
 
     Raises
     ------
     L3Error
-        If the destination is not writable, if another run writes to it, or if a file exists that must not exist.
+        If the destination is not writable, if another run is writing to it, or if it exists although `may_exist` is False.
     RecipeError
         If the output is also an input.
     """
@@ -193,13 +189,13 @@ def refuse_outputs(
     force : bool
         Whether existing files may be replaced.
     is_ours : callable
-        Function that returns whether an existing file may be replaced even without `force`. [default: no file]
+        Function that takes an existing file and returns whether it may be replaced even without `force`. [default: no file]
 
     Raises
     ------
     RecipeError
-        If the destination can store only one of several frames, if two frames would be written to the same file, or if a
-        file would replace an input.
+        If there are several frames but the destination can store only one, if two frames would be written to the same file,
+        or if a file would replace an input.
     L3Error
         If a file exists and must not be replaced.
     """
@@ -226,7 +222,7 @@ def refuse_outputs(
 
 
 def _existing(destination: Destination, sequence: FrameSequence) -> list[Path]:
-    """Return the existing files that the frames of a stream could overwrite. The stream is not read."""
+    """Return the existing files that a stream could overwrite. The stream itself is not read."""
     if sequence.wanted is None:
         return _pictures(destination)
     wanted = sequence.wanted if sequence.part is None else sequence.wanted[sequence.part.start : sequence.part.stop]
@@ -238,7 +234,7 @@ def _existing(destination: Destination, sequence: FrameSequence) -> list[Path]:
 
 
 def _pictures(destination: Destination) -> list[Path]:
-    """Return the existing files that match the pattern of the destination or, in a folder, its suffix."""
+    """Return the existing files that match the destination's pattern or, in a folder, its suffix."""
     if destination.kind == "pattern":
         return list(numbered_files(destination.path).values())
     return sorted(destination.path.glob(f"*.{destination.suffix}"))
@@ -249,7 +245,7 @@ def sink_of(
     destination: Destination, sequence: FrameSequence, choice: VideoChoice, pacing: Pacing,
     before_rename: Callable[[Path, Path, FrameReference | None], None],
 ) -> Iterator[tuple[Callable[[tuple[FrameReference, Any]], None], int]]:  # fmt: skip
-    """Open a destination, and yield the function that writes frames. The destination is closed after the block.
+    """Context manager that opens a destination and yields a function that writes frames to it.
 
     Parameters
     ----------
@@ -258,12 +254,12 @@ def sink_of(
     sequence : FrameSequence
         The frames that will be written.
     choice : VideoChoice
-        Settings of videos.
+        Video settings.
     pacing : Pacing
-        Object that converts frame numbers to times in videos.
+        Converts frame numbers to times in a video.
     before_rename : callable
-        Function that is called when a file is complete but still has a temporary name. Its arguments are the final path, the
-        temporary path and the frame. The frame is None if the file contains all frames.
+        Function that is called when a file is complete but still has its temporary name. Its arguments are the final path,
+        the temporary path, and the frame, or None if the file contains all frames.
 
     Yields
     ------

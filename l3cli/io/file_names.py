@@ -1,6 +1,6 @@
-"""Find the files that match a folder, a glob, or a numbered pattern such as frame_%04d.tif or frame_####.tif.
+"""Find the files in a folder, or those that match a glob or a numbered pattern such as frame_%04d.tif or frame_####.tif.
 
-The module also sorts numbered file names, finds the clips in a folder, and derives the names of output files.
+The module also sorts numbered file names, finds the clips in a folder, and derives output names.
 """
 
 import contextlib
@@ -14,29 +14,29 @@ from l3cli.io.raw.cfa_codes import Sensor
 from l3cli.io.raw.files import BY_SUFFIX, RawOverrides, format_of, holds_several, is_frame
 from l3cli.system.files import STDIN
 
-RAW, IDEAL, MOTION = "_raw.tif", "_ideal.png", "_motion.exr"  # endings of the files of a simulated sequence
-MOST_WILD = 4  # maximum number of path components with wildcards; each component multiplies the number of folders to search
-MOST_DIGITS = 18  # maximum number of digits of a frame number; a frame number may be a time in µs, and must fit into 64 bits
+RAW, IDEAL, MOTION = "_raw.tif", "_ideal.png", "_motion.exr"  # endings of the file names in a simulated sequence
+MOST_WILD = 4  # maximum number of path components with wildcards, each of which multiplies the number of folders to search
+MOST_DIGITS = 18  # maximum number of digits in a frame number, which may be a time in µs and must fit into 64 bits
 PATTERN = re.compile(r"%(0[0-9]{1,2})?d|#{1,99}")  # placeholder for the number in a file name
-DIGITS = re.compile(r"[0-9]+")  # only ASCII digits, because \d also matches characters that int() rejects
+DIGITS = re.compile(r"[0-9]+")  # ASCII digits only
 
 
 def natural_order(path: Path) -> tuple[Any, ...]:
-    """Return a sort key that compares numbers in file names by value, so that frame_9 precedes frame_10."""
+    """Return a sort key that compares numbers in file names by value, so that frame_9 sorts before frame_10."""
     return tuple((int(part), part) if DIGITS.fullmatch(part) else (0, part) for part in re.split(r"([0-9]+)", str(path)))
 
 
 def last_number(path: Path) -> int | None:
-    """Return the last number in a file name. The suffix of the file is ignored.
+    """Return the last number in a file name without its suffix.
 
-    The result is None if the name contains no number, or if the number has more than MOST_DIGITS digits.
+    None if the name contains no number, or if the number has more than MOST_DIGITS digits.
     """
     numbers = DIGITS.findall(path.stem)
     return int(numbers[-1]) if numbers and len(numbers[-1]) <= MOST_DIGITS else None
 
 
 def numbered_name(pattern: Path, number: int) -> Path:
-    """Replace the first placeholder (%d, %04d or a sequence of #) in the file name of a pattern with a number."""
+    """Insert a number into a pattern, in place of the first placeholder (%d, %04d or ####) in its file name."""
 
     def digits(field: re.Match[str]) -> str:
         width = len(field[0]) if field[0][0] == "#" else int(field[1] or 0)
@@ -46,10 +46,7 @@ def numbered_name(pattern: Path, number: int) -> Path:
 
 
 def numbered_files(pattern: Path) -> dict[int, Path]:
-    """Return the existing files that match a numbered pattern.
-
-    The keys are the numbers in the names, in increasing order.
-    """
+    """Return the existing files that match a numbered pattern, by their numbers in increasing order."""
     where = PATTERN.search(pattern.name)
     if where is None or not pattern.parent.is_dir():
         return {}
@@ -70,13 +67,13 @@ def is_glob(path: Path) -> bool:
 
 
 def globbed(path: Path) -> list[Path]:
-    """Return the files that match a glob, in natural order. Hidden files are omitted."""
+    """Return the files that match a glob in natural order, without hidden files."""
     matches = Path(path.anchor or ".").glob(str(path.relative_to(path.anchor)))
     return sorted((each for each in matches if each.name[0] != "." and each.is_file()), key=natural_order)
 
 
 def of_one_kind(folder: Path, files: Iterable[Path]) -> list[Path]:
-    """Sort the files in a folder in natural order. Raises InputFileError if the suffixes of the files differ."""
+    """Sort files in natural order. Raises InputFileError if their suffixes differ."""
     files = sorted(files, key=natural_order)
     kinds = sorted({path.suffix.lower() for path in files})
     if len(kinds) > 1:
@@ -87,26 +84,26 @@ def of_one_kind(folder: Path, files: Iterable[Path]) -> list[Path]:
 
 
 def find_scenes(pattern: str, folder: Path, folders: bool | None = False) -> list[Path]:
-    """Find the scene files to which a name or a glob in a recipe refers.
+    """Find the scenes to which a name or a glob in a recipe refers.
 
     Parameters
     ----------
     pattern : str
         Name or glob, relative to `folder`.
     folder : Path
-        Folder of the recipe.
+        The recipe's folder.
     folders : bool or None
-        Whether the scenes are folders instead of files. None if a scene can be either.
+        Whether the scenes are folders instead of files. None if both are allowed.
 
     Returns
     -------
     list of Path
-        The files or folders, sorted by name. At least one.
+        At least one file or folder, sorted by name.
 
     Raises
     ------
     InputFileError
-        If no file matches, if the glob is invalid, or if too many parts of the path contain wildcards.
+        If nothing matches, if the glob is invalid, or if too many parts of the path contain wildcards.
     """
     wanted = {True: Path.is_dir, False: Path.is_file, None: Path.exists}[folders]
     single = folder / pattern
@@ -124,7 +121,7 @@ def find_scenes(pattern: str, folder: Path, folders: bool | None = False) -> lis
     except ValueError as error:
         raise InputFileError(f'{single} is not a valid glob; use "**" only as a whole folder name') from error
     if not paths:
-        raise InputFileError(f"{single} does not exist; specify a scene file or a glob relative to the folder of the recipe")
+        raise InputFileError(f"{single} does not exist; specify a scene file or a glob relative to the recipe's folder")
     return paths
 
 
@@ -132,20 +129,20 @@ WILD = re.compile(r"\[[^]]*\]|[*?]")
 
 
 def name_of(source: Path) -> str:
-    """Return the output name of a clip.
+    """Derive the output name of a clip from its input.
 
-    For an existing file or folder, the result is its name without a suffix. For a pattern or glob, the result is its name
-    without placeholders and wildcards or, if nothing remains, the name of the folder.
+    For an existing file or folder, the output name is the input's name without its suffix. For a pattern or glob, it is the
+    name without placeholders and wildcards or, if nothing remains, the name of the folder.
     """
     if source.exists():
         name = source.resolve().name if source.is_dir() else source.stem
-        return PATTERN.sub("_", name) or "clip"  # a remaining placeholder would make the output name a pattern
+        return PATTERN.sub("_", name) or "clip"  # with a placeholder, the output name would itself be a pattern
     plain = WILD.sub("", PATTERN.sub("", source.stem)).strip("_-. ")
     return plain or WILD.sub("", source.parent.resolve().name) or "clip"
 
 
 def refuse_one_name(sources: Sequence[Path]) -> None:
-    """Raise RecipeError if two clips have the same output name, or if one of the clips is stdin."""
+    """Raise RecipeError if two clips have the same output name, or if one of them is stdin."""
     named: dict[str, Path] = {}
     for source in sources:
         if source == STDIN:
@@ -165,7 +162,7 @@ def clips_in(folder: Path, sensor: Callable[[], Sensor], known: RawOverrides, wa
     folder : Path
         The folder.
     sensor : callable
-        Function that returns the table or camera. The frames of headerless files are assumed to have the size of its sensor.
+        Function that returns the table or camera. It is needed for the frame size of headerless files.
     known : RawOverrides
         Properties of the raw files that the user set.
     warn : callable
@@ -174,8 +171,8 @@ def clips_in(folder: Path, sensor: Callable[[], Sensor], known: RawOverrides, wa
     Returns
     -------
     list of Path
-        The clips, in natural order. If the first readable file contains a single frame, the folder itself is one clip, and
-        the list is empty.
+        The clips in natural order. Empty if the folder itself is one clip, because its first readable file contains a single
+        frame.
     """
     paths = [path for path in folder.iterdir() if path.name[0] != "."]
     frames = {path.name for path in paths if is_frame(path)}
@@ -188,7 +185,7 @@ def clips_in(folder: Path, sensor: Callable[[], Sensor], known: RawOverrides, wa
                 break
     if several or (several is None and longer):
         return sorted(filter(_is_clip, paths), key=natural_order)
-    # HDF5 files are not reported, because they are probably artifacts of l3.
+    # HDF5 files are not reported, because they are probably l3 artifacts.
     left_out = sorted(path.name for path in longer if not format_of(path).wants_dataset)
     if left_out:
         more = f" and {len(left_out) - 1} more" if len(left_out) > 1 else ""
@@ -200,7 +197,7 @@ def clips_in(folder: Path, sensor: Callable[[], Sensor], known: RawOverrides, wa
 
 
 def _is_clip(path: Path) -> bool:
-    """Return whether a path is a file with the suffix of a raw format, or a folder that contains such a file."""
+    """Return whether a path is a file with a raw format's suffix, or a folder that contains such a file."""
     try:
         if not path.is_dir():
             return path.suffix.lower() in BY_SUFFIX and path.is_file()

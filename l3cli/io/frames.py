@@ -1,4 +1,4 @@
-"""Read captured frames in DN from raw files or from single-channel 16-bit pictures (TIFF, PNG, PGM).
+"""Read captured frames, in DN, from raw files or from single-channel 16-bit pictures (TIFF, PNG, PGM).
 
 The module also lists the raw frames and the tables of spectra in a folder of captures.
 """
@@ -36,30 +36,30 @@ RAW_FILE = "use a raw file from the camera (DNG, CR2, NEF, ARW…)"
 PICTURES = (".tif", ".png")  # formats whose bit depth is checked before the pixels are read
 MOST_FILES, DEEPEST = 20_000, 8  # maximum number of files in a folder of captures, and maximum depth of its subfolders
 DEVELOPED = tuple(suffix for each in UNREAD if each.instead == unread.DEVELOPED for suffix in each.suffixes)
-PROSE = (".txt", ".asc", ".xml")  # suffixes of text files, which often contain no table
-FIGURES = re.compile(rb"^\s*[\d.]+[\s,;]+[\d.]", re.MULTILINE)  # beginning of a row of numbers
+PROSE = (".txt", ".asc", ".xml")  # suffixes of text files, many of which do not contain tables
+FIGURES = re.compile(rb"^\s*[\d.]+[\s,;]+[\d.]", re.MULTILINE)  # start of a row of numbers
 
 
 def raw_content(path: Path, answered: Container[str] = ()) -> RawContent:
-    """Return the content of a raw file with one frame.
+    """Read a raw file that contains one frame.
 
     Parameters
     ----------
     path : Path
         The file.
     answered : container of str
-        Names of the parameters that the user set, such as "black_level". A fault of the file is ignored if one of these
-        parameters resolves the fault.
+        Names of the parameters that the user set, such as "black_level". Faults in the file that one of them resolves are
+        ignored.
 
     Returns
     -------
     RawContent
-        The content, with integer values (row, col) in DN.
+        The content, with integer values, (row, col), in DN.
 
     Raises
     ------
     InputFileError
-        If the file is not a raw file with a single-channel mosaic, is too large, or has a fault that is not resolved.
+        If the file is not a raw file with a single-channel mosaic, is too large, or has an unresolved fault.
     """
     require_regular(path, RAW_FILE)
     kind = format_of(path)
@@ -70,20 +70,20 @@ def raw_content(path: Path, answered: Container[str] = ()) -> RawContent:
         raise InputFileError(f"{path} is not a mosaic; {RAW_FILE}")
     require_picture(str(path), *content["values"].shape)
     refuse_faults(str(path), content, answered)
-    if content["values"].dtype not in (np.uint8, np.uint16):  # for these two types, the callers check the bit depth
+    if content["values"].dtype not in (np.uint8, np.uint16):  # callers check the bit depth of uint8 and uint16
         content["values"] = require_dn(str(path), content["values"])
     return content
 
 
 @dataclass(frozen=True)
 class FrameFiles:
-    """The frames in a list of files. Each iteration reads the frames again, one at a time."""
+    """The frames in a list of files, which are read anew, one at a time, in each iteration."""
 
     paths: tuple[Path, ...]
-    shape: tuple[int, int]  # required rows and columns of each frame
+    shape: tuple[int, int]  # required number of rows and columns
     bits: int  # bit depth of the sensor
-    array: FilterArray | None = None  # CFA that the raw files must have; None to permit any CFA
-    masked: MaskedPixels | None = None  # masked pixels that are cut off; None if the files contain none
+    array: FilterArray | None = None  # required CFA of raw files; None to accept any CFA
+    masked: MaskedPixels | None = None  # masked pixels to cut off; None if the files contain none
 
     def __iter__(self) -> Iterator[NDArray[np.uint16]]:
         for path in self.paths:
@@ -97,9 +97,9 @@ class FrameFiles:
 
 @dataclass(frozen=True)
 class WholeFrames:
-    """The frames in raw files of a known camera. Each iteration reads the frames again, one at a time.
+    """The frames in raw files from a known camera, which are read anew, one at a time, in each iteration.
 
-    The iteration raises InputFileError if the size, the CFA phase or the bit depth of a frame does not match the camera.
+    The iteration raises InputFileError if a frame's size, CFA phase or bit depth does not match the camera.
     """
 
     paths: tuple[Path, ...]
@@ -110,15 +110,14 @@ class WholeFrames:
         for path, frame in ((each, frame) for each in self.paths for frame in self._frames_in(each)):
             if frame.values.shape != shape or frame.phase != (0, 0):
                 raise InputFileError(
-                    f"{path} has {frame.values.shape[0]}×{frame.values.shape[1]} pixels and begins at CFA site "
-                    f"{frame.phase}, but a full frame of camera {self.camera.name} has {shape[0]}×{shape[1]} pixels and "
-                    "begins at CFA site (0, 0); use uncropped raw frames"
+                    f"{path} has {frame.values.shape[0]}×{frame.values.shape[1]} pixels and starts at CFA site "
+                    f"{frame.phase}, but a full frame from camera {self.camera.name} has {shape[0]}×{shape[1]} pixels and "
+                    "starts at CFA site (0, 0); use uncropped raw frames"
                 )
             require_bits(path, frame.values, self.camera.bits)
             yield frame.values
 
     def _frames_in(self, path: Path) -> Iterator[RawFrame]:
-        """Yield all frames in a file."""
         pages = pages_of(path)
         if pages is None:
             yield read_raw(path, self.camera)
@@ -128,7 +127,7 @@ class WholeFrames:
 
 
 def pages_of(path: Path) -> Iterator[tuple[str, RawContent]] | None:
-    """Read the frames of a stack: a TIFF file with several pages, or a .npy or FITS file with three axes.
+    """Iterate over the frames of a stack: a TIFF file with several pages, or a .npy or FITS file with three axes.
 
     Parameters
     ----------
@@ -143,8 +142,7 @@ def pages_of(path: Path) -> Iterator[tuple[str, RawContent]] | None:
     Raises
     ------
     InputFileError
-        If the file is damaged, or if its pages differ in size or type. A later frame may raise this error during the
-        iteration.
+        If the file is damaged, or if its pages differ in size or type. The iterator may also raise this error.
     """
     pages = _stack(path)
     if pages is None or pages.count is None:
@@ -153,7 +151,7 @@ def pages_of(path: Path) -> Iterator[tuple[str, RawContent]] | None:
 
 
 def _stack(path: Path) -> MultiFrameFile | None:
-    """Open a stack. Return None for any other file."""
+    """Open a stack. Return None if the file is not a stack."""
     kind = BY_SUFFIX.get(path.suffix.lower())
     if kind is None or not kind.holds_frame or kind.wants_geometry:
         return None
@@ -163,7 +161,7 @@ def _stack(path: Path) -> MultiFrameFile | None:
 
 def _counted(pages: MultiFrameFile, number: int) -> RawContent:
     content = pages.read(number)
-    assert content is not None  # a stack contains `count` frames
+    assert content is not None  # `number` is below the number of frames in the stack
     if content["values"].dtype.kind in "iu" and content["values"].dtype.itemsize > 2:
         content["values"] = require_dn(pages.name(number), content["values"])
     return content
@@ -177,16 +175,15 @@ def read_frame(
     Parameters
     ----------
     path : Path
-        The file. A picture may also have 8 bits if `bits` is at most 8.
+        The file. If `bits` is at most 8, a picture may also have 8 bits.
     shape : tuple of int
-        Required numbers of rows and columns.
+        Required number of rows and columns.
     bits : int
         Bit depth of the sensor.
     array : FilterArray, optional
-        CFA of the sensor. If a raw file states a CFA, the stated CFA must be equal to `array` and have the same phase.
+        CFA of the sensor. If a raw file contains a CFA, it must be this CFA in the same phase.
     masked : MaskedPixels, optional
-        Masked pixels that the file contains in addition to the pixels in `shape`. They are cut off. DNG files may also
-        contain them outside their crop.
+        Masked pixels around the pixels in `shape`, to be cut off. DNG files may also store them outside their crop.
 
     Returns
     -------
@@ -196,8 +193,8 @@ def read_frame(
     Raises
     ------
     InputFileError
-        If the file is neither a raw file nor a single-channel picture, if the size, the bit depth or the CFA does not match,
-        or if the file cannot be read.
+        If the file cannot be read, if it is neither a raw file nor a single-channel picture, or if its size, bit depth or
+        CFA does not match.
     """
     if path.suffix.lower() in BY_SUFFIX and format_of(path).suffixes[0] not in PICTURES:
         content = raw_content(path, ("black_level",))
@@ -212,7 +209,7 @@ def _whole_frame(
     path: Path, content: RawContent, shape: tuple[int, int], bits: int, array: FilterArray | None,
     masked: MaskedPixels | None = None,
 ) -> NDArray[np.uint16]:  # fmt: skip
-    """Check the content of a file and return its values as uint16. For arguments and errors, see `read_frame`."""
+    """Check a file's content, and return its values as uint16. Parameters and errors are as in `read_frame`."""
     values, pattern = content["values"], content.get("pattern")
     if masked is not None and values.shape == masked.around(*shape):
         values = values[masked.top : masked.top + shape[0], masked.left : masked.left + shape[1]]
@@ -221,7 +218,7 @@ def _whole_frame(
         phase = phase_of(path, pattern, array)
         if not np.array_equal(shifted_cfa(array.cfa, phase), array.cfa):
             raise InputFileError(
-                f'{path} begins at row {phase[0]}, column {phase[1]} of "cfa.pattern"; write a pattern that begins with '
+                f'{path} starts at row {phase[0]}, column {phase[1]} of "cfa.pattern"; write a pattern that starts with '
                 "this site"
             )
     _check(path, str(values.dtype), 1, values.shape, shape, bits)
@@ -245,10 +242,10 @@ def _read_picture(path: Path, rows: int, cols: int, bits: int) -> NDArray:
 
 
 def phase_of(path: Path, pattern: NDArray[np.int64], array: FilterArray) -> tuple[int, int]:
-    """Return the CFA row and CFA column of the first pixel of a file.
+    """Return the CFA row and column of a file's first pixel.
 
-    `pattern` contains the colour codes that the file states. Raises InputFileError if `pattern` matches the CFA of the
-    sensor in no phase, or in several phases that are not equivalent.
+    `pattern` contains the colour codes in the file. Raises InputFileError if it matches the sensor's CFA in no phase, or in
+    several phases that are not equivalent.
     """
     try:
         return find_phase(str(path), pattern, array)
@@ -273,10 +270,10 @@ def _check(path: Path, depth: str, channels: int, size: tuple[int, ...], shape: 
 
 
 def list_captures(folder: Path) -> CaptureFolder:
-    """List the raw frames and the tables of spectra in a folder and its subfolders. File types are determined by suffix.
+    """List the raw frames and the tables of spectra in a folder and its subfolders, according to file suffixes.
 
-    Hidden files are ignored. The result also contains notes about files that were skipped. Raises InputFileError if `folder`
-    is not a folder, or if it contains more than MOST_FILES files.
+    Hidden files are ignored, and the result contains notes about other skipped files. Raises InputFileError if `folder` is
+    not a folder, or if it contains more than MOST_FILES files.
     """
     if not folder.is_dir():
         raise InputFileError(f"{folder} is not a folder; specify the folder that contains the captures")
@@ -309,7 +306,7 @@ def list_captures(folder: Path) -> CaptureFolder:
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """Yield the files in a folder and in its subfolders up to the depth DEEPEST, sorted by name in each folder.
+    """Yield the files in a folder and its subfolders, at most DEEPEST levels deep, sorted by name within each folder.
 
     Hidden files and folders are skipped, and symbolic links to folders are not followed.
     """
@@ -323,7 +320,7 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def read_capture(path: Path) -> RawFile:
-    """Read a raw frame and the properties that its file states. If the file is a stack, only the first frame is read.
+    """Read a raw frame with its metadata. Of a stack, only the first frame is read.
 
     Raises InputFileError if the file is damaged or is not a raw file.
     """
@@ -342,8 +339,7 @@ def read_capture(path: Path) -> RawFile:
 def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, CurveTable]]:
     """Read the tables of spectra in a folder of captures, and return the name and the content of each table.
 
-    For each file that cannot be read as a table, a line is appended to `notes`. Text files without rows of numbers are
-    skipped without a note.
+    For each unreadable table, a line is appended to `notes`. Text files without rows of numbers are silently skipped.
     """
     found = []
     for name in folder.tables:
@@ -358,9 +354,9 @@ def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, Cur
 
 
 def _has_numbers(path: Path) -> bool:
-    """Return whether a text file contains at least three rows of numbers. Such a file is probably a table.
+    """Return whether a text file contains at least three rows of numbers, and is therefore probably a table.
 
-    The result is also True if the file cannot be read.
+    Also True if the file cannot be read.
     """
     try:
         with open(path, "rb") as stream:

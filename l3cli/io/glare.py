@@ -1,4 +1,4 @@
-"""Create dark frames that contain the glare measured in photos of charts (docs/method.md#charts-in-photographs)."""
+"""Create dark frames that contain the glare measured in chart photos (docs/method.md#charts-in-photographs)."""
 
 import io
 from pathlib import Path
@@ -10,16 +10,15 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.physics.mosaic import shifted_cfa, tiled
 
 LARGEST_DN = 65535  # largest 16-bit value
-# Each file contains this many identical pages. `l3 render` estimates the noise of dark frames from the differences between
-# pages, so it treats identical pages as noise-free.
+# `l3 render` estimates the noise of dark frames from differences between pages. Two identical pages count as noise-free.
 PAGES = 2
 
 
 def glare_files(camera: CameraModel) -> dict[str, bytes]:
-    """Create one dark frame for each chart photo that the calibration used.
+    """Create one dark frame for each chart photo that was used in the calibration.
 
-    A dark frame contains the black level plus the glare of each channel. `l3 render --dark` can subtract the dark frame from
-    the chart photo, or from another photo taken in the same place.
+    A dark frame contains the black level plus each channel's glare. `l3 render --dark` can subtract it from the chart photo,
+    or from another photo taken in the same place.
 
     Parameters
     ----------
@@ -29,7 +28,7 @@ def glare_files(camera: CameraModel) -> dict[str, bytes]:
     Returns
     -------
     dict of str to bytes
-        File name → content of the TIFF file. Empty if the camera was not calibrated from photos of a chart.
+        File name → content of the TIFF file. Empty if the camera was not calibrated from chart photos.
     """
     photo = camera.fit.photo if camera.fit else None
     if photo is None:

@@ -1,4 +1,4 @@
-"""Read pictures in any format that OpenImageIO supports, including pictures with linear values."""
+"""Read pictures in any format that OpenImageIO supports."""
 
 import contextlib
 import re
@@ -21,10 +21,10 @@ USE_PICTURE, USE_RAW = "use a TIFF, PNG or OpenEXR file", "use a TIFF or PNG fil
 
 @isolated("OpenImageIO")
 def read_image(path: Path, cure: str = USE_PICTURE) -> tuple[NDArray, tuple[str, ...]]:
-    """Read the pixels (row, col, channel) of a picture in the stored data type, and the names of its channels.
+    """Read a picture's pixels, (row, col, channel), in the stored data type, and its channel names.
 
     Raises InputFileError if the file cannot be read, is too large, or contains several pictures. If the file is not a
-    picture, the message ends with `cure`.
+    picture, the message ends with `cure`, the suggested correction.
     """
     with opened(path, cure) as (source, spec):
         return pixels_of(path, source, spec), tuple(spec.channelnames)
@@ -32,22 +32,22 @@ def read_image(path: Path, cure: str = USE_PICTURE) -> tuple[NDArray, tuple[str,
 
 @isolated("OpenImageIO")
 def picture_flip(path: Path) -> int:
-    """Read the orientation of a picture, and return the LibRaw flip code that makes the stored pixels upright."""
+    """Return the LibRaw flip code with which a picture's stored pixels become upright."""
     with opened(path) as (_, spec):
         return flip_of(path, spec.get_int_attribute("Orientation", UPRIGHT))
 
 
 @isolated("OpenImageIO")
 def picture_size(path: Path) -> tuple[int, int]:
-    """Read the numbers of rows and columns from the header of a picture. Raises InputFileError if the header is invalid."""
+    """Return the number of rows and columns in a picture's header. Raises InputFileError if the header is invalid."""
     with opened(path, USE_PICTURE) as (_, spec):
         return spec.height, spec.width
 
 
 def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[Any], float | None]:
-    """Return the stored values (row, col) of a single-channel picture, and its exposure time in s.
+    """Return the stored values, (row, col), and the exposure time in s of a single-channel picture.
 
-    Values with up to 16 bits are returned as uint16. The exposure time is None if the file does not state it. Raises
+    Integers of up to 16 bits are returned as uint16. The exposure time is None if the file does not contain it. Raises
     InputFileError if the picture has several channels.
     """
     if spec.nchannels != 1:
@@ -57,7 +57,7 @@ def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[Any], float | N
     values = pixels_of(path, source, spec)[..., 0]
     if values.dtype not in (np.uint8, np.uint16):
         return values, spec.get_float_attribute(EXPOSURE_TIME, 0.0) or None
-    # OpenImageIO scales 12-bit values, for example, to 16 bits. The upper 12 bits are then the stored value.
+    # OpenImageIO scales, for example, 12-bit values to 16 bits. The upper 12 bits are the stored value.
     depth = 8 * values.dtype.itemsize
     unused = np.uint16(depth - spec.get_int_attribute("oiio:BitsPerSample", depth))
     return values.astype(np.uint16) >> unused, spec.get_float_attribute(EXPOSURE_TIME, 0.0) or None
@@ -65,10 +65,10 @@ def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[Any], float | N
 
 @contextlib.contextmanager
 def opened(path: Path, cure: str = USE_RAW) -> Iterator[tuple[Any, Any]]:
-    """Open a picture with OpenImageIO, and yield its ImageInput and ImageSpec. The file is closed after the block.
+    """Context manager that opens a picture with OpenImageIO and yields its ImageInput and ImageSpec.
 
-    Raises InputFileError if OpenImageIO cannot read the file, or if the file contains several pictures or a picture that is
-    too large. If the file is not a picture, the message ends with `cure`.
+    Raises InputFileError if OpenImageIO cannot read the file, if the picture is too large, or if the file contains several
+    pictures. If the file is not a picture, the message ends with `cure`, the suggested correction.
     """
     with contextlib.closing(open_image(path, cure)) as source:
         spec = source.spec()
@@ -79,15 +79,15 @@ def opened(path: Path, cure: str = USE_RAW) -> Iterator[tuple[Any, Any]]:
             raise InputFileError(
                 f"{path} has more than one {what}; use files with one picture, or specify this file as the only input"
             )
-        source.geterror()  # clears the error that the file has no second picture
+        source.geterror()  # clear the error about the missing second picture
         source.seek_subimage(0, 0)
         yield source, spec
 
 
 def open_image(path: Path, cure: str = USE_RAW) -> Any:
-    """Return the OpenImageIO ImageInput of a file.
+    """Open a file with OpenImageIO, and return its ImageInput.
 
-    Raises InputFileError, with a message that ends with `cure`, if OpenImageIO cannot read the file.
+    If this fails, raises InputFileError with a message that ends with `cure`, the suggested correction.
     """
     import OpenImageIO as oiio
 
@@ -98,10 +98,7 @@ def open_image(path: Path, cure: str = USE_RAW) -> Any:
 
 
 def require_bearable(path: Path, spec: Any) -> None:
-    """Raise InputFileError if a picture is too large, is a volume, or has deep samples.
-
-    `spec` is the ImageSpec of the picture.
-    """
+    """Raise InputFileError if the picture with the ImageSpec `spec` is too large, is a volume, or has deep samples."""
     require_picture(str(path), spec.height, spec.width, spec.nchannels * max(spec.format.size() // VALUE_BYTES, 1))
     if spec.deep or spec.depth != 1:
         raise InputFileError(
@@ -110,9 +107,9 @@ def require_bearable(path: Path, spec: Any) -> None:
 
 
 def require_whole_stack(path: Path, spec: Any, pages: int) -> None:
-    """Raise InputFileError if the description of a TIFF file states more frames than the file has pages.
+    """Raise InputFileError if the description in a TIFF file announces more frames than the file has pages.
 
-    ImageJ and tifffile may store only the first frame of a stack as a page, and append the other frames without page
+    ImageJ and tifffile may store only the first frame of a stack as a page, and append all other frames without page
     headers.
     """
     text = spec.get_string_attribute("ImageDescription")
@@ -125,12 +122,12 @@ def require_whole_stack(path: Path, spec: Any, pages: int) -> None:
     if frames > pages * spec.nchannels:
         have = f"{pages} page{'s' if pages > 1 else ''}"
         raise InputFileError(
-            f"{path} has only {have}, but its description states {frames} frames; save each frame as a separate page"
+            f"{path} has only {have}, but its description announces {frames} frames; save each frame as a separate page"
         )
 
 
 def pixels_of(path: Path, source: Any, spec: Any) -> NDArray:
-    """Read the pixels (row, col, channel) of an open picture in the stored data type.
+    """Read an open picture's pixels, (row, col, channel), in the stored data type.
 
     Raises InputFileError if the file is truncated or damaged.
     """
@@ -143,6 +140,6 @@ def pixels_of(path: Path, source: Any, spec: Any) -> NDArray:
 
 
 def _reason(message: str, name: str) -> str:
-    """Return the first line of an OpenImageIO error message, without the file name at the beginning."""
+    """Return the first line of an OpenImageIO error message, without the leading file name."""
     line = message.strip().splitlines()[0] if message.strip() else "unknown format"
     return line.removeprefix(f"{name}: ")
