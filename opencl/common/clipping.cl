@@ -2,17 +2,57 @@
 // statistics they compute seven maps. Maps 0 to 3 replace the outputs in uniform areas: map 0 is the replaced fraction of the outputs, and
 // maps 1 to 3 are the values added to X, Y and Z. Maps 4 to 6 then change the hue of pixels to the hue of unclipped blocks: map 4 is the
 // degree of this change, and maps 5 and 6 are X/Y and Z/Y of the new hue multiplied by map 4. The maps are interpolated at quads
-// (2 × 2 pixels). The eighth value of a block is its uniformity.
+// (2 × 2 pixels).
+//
+// The statistics, uniformities and estimates of blocks are planes (value, block row, block column). The maps of blocks are float8, whose
+// last value is not used. Functions that take a block (y, x) process the LANES blocks of a row that start at this block.
 
-// Built-in functions are function calls in PoCL 3.0, and therefore slow. These macros replace max, min and clamp.
+// Built-in functions are function calls in PoCL 3.0, and therefore slow. These macros and functions replace max, min and clamp.
 #define MORE(a, b) ((a) > (b) ? (a) : (b))
 #define LESS(a, b) ((a) < (b) ? (a) : (b))
 #define WITHIN(value, low, high) LESS(MORE(value, low), high)
 #define MEANS (CHANNELS + 1)  // number of values per block: the mean of each channel, and the largest range of a channel
 
-INLINE float smooth_step(float value, float low, float high) {
-    const float share = (value - low) * (1.0f / (high - low)), part = WITHIN(share, 0.0f, 1.0f);
+INLINE floats more_of(floats a, floats b) { return a > b ? a : b; }
+INLINE floats less_of(floats a, floats b) { return a < b ? a : b; }
+
+INLINE floats smooth_step(floats value, float low, float high) {
+    const floats share = (value - low) * (1.0f / (high - low)), part = less_of(more_of(share, 0.0f), 1.0f);
     return part * part * (3.0f - 2.0f * part);
+}
+
+// Values of LANES blocks of a row, starting at column x. Outside the row, the values are 0.
+INLINE floats blocks_at(__global const float *row, int x, int columns) {
+#if LANES == 1
+    return x >= 0 && x < columns ? row[x] : 0.0f;
+#else
+    if (x >= 0 && x + LANES <= columns) return LOAD_GLOBAL(floats, row + x);
+    float value[LANES];
+    AT_EDGE
+    for (int i = 0; i < LANES; i++) value[i] = x + i >= 0 && x + i < columns ? row[x + i] : 0.0f;
+    return LOAD_PRIVATE(floats, value);
+#endif
+}
+
+// The same, but the first and last block of the row repeat outside the row.
+INLINE floats repeated_blocks_at(__global const float *row, int x, int columns) {
+#if LANES == 1
+    return row[WITHIN(x, 0, columns - 1)];
+#else
+    if (x >= 0 && x + LANES <= columns) return LOAD_GLOBAL(floats, row + x);
+    float value[LANES];
+    AT_EDGE
+    for (int i = 0; i < LANES; i++) value[i] = row[WITHIN(x + i, 0, columns - 1)];
+    return LOAD_PRIVATE(floats, value);
+#endif
+}
+
+INLINE void store_blocks(__global float *row, int x, int columns, floats value) {
+#if LANES == 1
+    row[x] = value;
+#else
+    STORE_FIRST(row + x, value, columns - x);
+#endif
 }
 
 // Rows and columns of a block of the mosaic. The block is inside the frame.
@@ -68,132 +108,135 @@ INLINE void measure_block(float made[MEANS], Block block, __global const ushort 
     (made)[CHANNELS] = -1.0f; \
 } while (0)
 
-// Estimates the brightness of the signals (channel) of a block. `white` contains the signals of a white, whose brightness is 1.
-INLINE float grey_level(const float *signal, __global const float *white) {
-    float total = 0.0f, weights = 0.0f, most = 0.0f, every = 1.0f;
+// Estimates the brightness of the signals (channel) of blocks. `white` contains the signals of a white, whose brightness is 1.
+INLINE floats grey_level(const floats *signal, __global const float *white) {
+    floats total = 0.0f, weights = 0.0f, most = 0.0f, every = 1.0f;
     for (int c = 0; c < CHANNELS; c++) {
-        const float level = signal[c] / white[c], clipped = smooth_step(signal[c], BEGINS, CLIPS), open = 1.0f - clipped;
-        const float weight = MORE(open, FAINTEST);
+        const floats level = signal[c] / white[c], clipped = smooth_step(signal[c], BEGINS, CLIPS);
+        const floats weight = more_of(1.0f - clipped, FAINTEST);
         total += weight * level;
         weights += weight;
-        most = MORE(most, level);
-        every = LESS(every, clipped);
+        most = more_of(most, level);
+        every = less_of(every, clipped);
     }
-    const float mean = total / weights;
+    const floats mean = total / weights;
     return mean + every * (most - mean);
 }
 
 // Adds the corrections of the outputs for clipped channels. The weight of each correction is `factor` times the degree to which the channel
 // clips.
-INLINE void add_clipped(float added[3], const float *signal, float factor, __global const float *response) {
+INLINE void add_clipped(floats added[3], const floats *signal, floats factor, __global const float *response) {
     for (int c = 0; c < CHANNELS; c++) {
-        const float weight = factor * smooth_step(signal[c], BEGINS, CLIPS);
-        if (weight == 0.0f) continue;
+        const floats weight = factor * smooth_step(signal[c], BEGINS, CLIPS);
+        if (!any_lane(weight != 0.0f)) continue;
         __global const float *of_channel = response + (c + 1) * (CHANNELS + 1) * 3;
         for (int o = 0; o < 3; o++) {
-            float sum = of_channel[CHANNELS * 3 + o];
+            floats sum = of_channel[CHANNELS * 3 + o];
             for (int k = 0; k < CHANNELS; k++) sum += signal[k] * of_channel[k * 3 + o];
             added[o] += weight * sum;
         }
     }
 }
 
-// Computes the first four maps and the uniformity of block (y, x). `response` is (clipped, signal, output), followed by the signals of a
-// white. Blocks whose means are far below BEGINS are skipped, because a uniform area that contains such a block has no bright blocks.
-// Ignored blocks are also skipped, because they differ from neighbours that are not ignored. Blocks without a clipped channel are not
-// skipped, because a grey of the same brightness may clip.
-INLINE float4 replacement_of(int y, int x, __global const float *restrict means, __global const float *restrict response, int rows,
-                             int columns, float *uniformity) {
-    const size_t plane = (size_t)rows * columns, at = (size_t)y * columns + x;
-    float widest = means[CHANNELS * plane + at], brightest = 0.0f, signal[MEANS];
-    float4 made = 0.0f;
-    for (int k = 0; k < CHANNELS; k++) brightest = MORE(brightest, means[k * plane + at]);
-    if (widest < 0.0f || widest >= TEXTURED_FROM || brightest < BEGINS - TEXTURED_FROM) return made;
-    const int up = (y > 0 ? -1 : 0) * columns, down = (y < rows - 1 ? 1 : 0) * columns;
-    const int back = x > 0 ? -1 : 0, on = x < columns - 1 ? 1 : 0;
+// Computes the first four maps and the uniformity of blocks. `response` is (clipped, signal, output), followed by the signals of a white.
+// Blocks whose means are far below BEGINS are skipped, because a uniform area that contains such a block has no bright blocks. Ignored blocks
+// are also skipped, because they differ from neighbours that are not ignored. Blocks without a clipped channel are not skipped, because a
+// grey of the same brightness may clip.
+INLINE floats replacement_of(floats made[4], int y, int x, __global const float *restrict means, __global const float *restrict response,
+                             int rows, int columns) {
+    const size_t plane = (size_t)rows * columns, at = (size_t)y * columns;
+    const int above = (y > 0 ? -1 : 0) * columns, below = (y < rows - 1 ? 1 : 0) * columns;
+    floats widest = blocks_at(means + CHANNELS * plane + at, x, columns), brightest = 0.0f, signal[CHANNELS];
+    for (int m = 0; m < 4; m++) made[m] = 0.0f;
+    for (int k = 0; k < CHANNELS; k++) brightest = more_of(brightest, blocks_at(means + k * plane + at, x, columns));
+    const ints counted = widest >= 0.0f && widest < TEXTURED_FROM && brightest >= BEGINS - TEXTURED_FROM;
+    if (!any_lane(counted)) return made[0];
     brightest = 0.0f;
     for (int k = 0; k <= CHANNELS; k++) {
-        __global const float *plane_of = means + k * plane + at;
-        const float own = plane_of[0], around[8] = {plane_of[up + back], plane_of[up], plane_of[up + on], plane_of[back], plane_of[on],
-                                                    plane_of[down + back], plane_of[down], plane_of[down + on]};
-        const float less = k < CHANNELS ? own : 0.0f;
-        for (int n = 0; n < 8; n++) {
-            const float differs = around[n] - less;
-            widest = MORE(widest, differs);
-            if (k < CHANNELS) widest = MORE(widest, -differs);
+        __global const float *row = means + k * plane + at;
+        const floats own = blocks_at(row, x, columns), less = k < CHANNELS ? own : (floats)0.0f;
+        floats sum = 0.0f;
+        for (int n = 0; n < 9; n++) {
+            if (n == 4) continue;
+            const floats around = repeated_blocks_at(row + (n < 3 ? above : n < 6 ? 0 : below), x + n % 3 - 1, columns);
+            const floats differs = around - less;
+            widest = more_of(widest, k < CHANNELS ? more_of(differs, -differs) : differs);
+            sum += (n % 2 ? 0.125f : 0.0625f) * around;
         }
-        signal[k] = 0.25f * own + 0.125f * (around[1] + around[3] + around[4] + around[6])
-                  + 0.0625f * (around[0] + around[2] + around[5] + around[7]);
-        if (k < CHANNELS) brightest = MORE(brightest, signal[k]);
+        if (k == CHANNELS) break;
+        signal[k] = 0.25f * own + sum;
+        brightest = more_of(brightest, signal[k]);
     }
-    const float plain = 1.0f - smooth_step(widest, PLAIN_UP_TO, TEXTURED_FROM);
-    if (plain <= 0.0f) return made;
-    *uniformity = plain;
-    const float share = plain * smooth_step(brightest, KEPT_UP_TO, REPLACED_FROM);
+    const floats plain = counted ? 1.0f - smooth_step(widest, PLAIN_UP_TO, TEXTURED_FROM) : (floats)0.0f;
+    if (!any_lane(plain > 0.0f)) return plain;
+    made[0] = plain * smooth_step(brightest, KEPT_UP_TO, REPLACED_FROM);
     __global const float *white = response + (CHANNELS + 1) * (CHANNELS + 1) * 3;
-    const float level = grey_level(signal, white);
-    float grey[CHANNELS], added[3] = {0.0f, 0.0f, 0.0f};
+    const floats level = grey_level(signal, white);
+    floats grey[CHANNELS];
     for (int k = 0; k < CHANNELS; k++) {
-        const float seen = level * white[k];
-        grey[k] = LESS(seen, 1.0f);
-        for (int o = 0; o < 3; o++) added[o] += share * (signal[k] - grey[k] + seen) * response[k * 3 + o];
+        const floats seen = level * white[k];
+        grey[k] = less_of(seen, 1.0f);
+        for (int o = 0; o < 3; o++) made[1 + o] += made[0] * (signal[k] - grey[k] + seen) * response[k * 3 + o];
     }
-    add_clipped(added, signal, plain, response);
-    add_clipped(added, grey, -plain, response);
-    return (float4)(share, added[0], added[1], added[2]);
+    add_clipped(made + 1, signal, plain, response);
+    add_clipped(made + 1, grey, -plain, response);
+    return plain;
 }
 
-// A block in which at least one channel clips and at least one channel does not clip.
+// Blocks of which some have at least one channel that clips and at least one channel that does not clip.
 typedef struct {
-    float own[CHANNELS];      // signals, at least MIN_SIGNAL
-    float inverse[CHANNELS];  // reciprocals of these signals
-    float open[CHANNELS];     // 1 for a channel that does not clip, 0 for a channel that clips
-    float most, least;        // degree of clipping of the channel that clips most, and of the channel that clips least
+    floats own[CHANNELS];      // signals, at least MIN_SIGNAL
+    floats inverse[CHANNELS];  // reciprocals of these signals
+    floats open[CHANNELS];     // 1 for a channel that does not clip, 0 for a channel that clips
+    floats most, least;        // degree of clipping of the channel that clips most, and of the channel that clips least
 } Clipped;
 
-INLINE Clipped clipped_at(size_t at, size_t plane, __global const float *restrict means) {
+INLINE Clipped clipped_at(__global const float *row, int x, size_t plane, int columns) {
     Clipped made;
     made.most = 0.0f;
     made.least = 1.0f;
     for (int k = 0; k < CHANNELS; k++) {
-        const float mean = means[k * plane + at], clipped = smooth_step(mean, KEPT_UP_TO, REPLACED_FROM);
-        made.own[k] = MORE(mean, MIN_SIGNAL);
+        const floats mean = blocks_at(row + k * plane, x, columns), clipped = smooth_step(mean, KEPT_UP_TO, REPLACED_FROM);
+        made.own[k] = more_of(mean, MIN_SIGNAL);
         made.inverse[k] = 1.0f / made.own[k];
         made.open[k] = 1.0f - clipped;
-        made.most = MORE(made.most, clipped);
-        made.least = LESS(made.least, clipped);
+        made.most = more_of(made.most, clipped);
+        made.least = less_of(made.least, clipped);
     }
     return made;
 }
 
-// Returns the factor that scales the signals of another block to the signals of a clipped block, and computes the likeness of the scaled
-// signals to the signals of the clipped block.
-INLINE float scale_to(const Clipped *block, const float *signal, float *likeness) {
-    float ratio[CHANNELS], sum = 0.0f, squares = FAINTEST, difference = 0.0f;
+// Returns the factors that scale the signals of other blocks to the signals of clipped blocks, and computes the likeness of the scaled signals
+// to the signals of the clipped blocks.
+INLINE floats scale_to(const Clipped *block, const floats *signal, floats *likeness) {
+    floats ratio[CHANNELS], sum = 0.0f, squares = FAINTEST, difference = 0.0f;
     for (int k = 0; k < CHANNELS; k++) {
         ratio[k] = signal[k] * block->inverse[k];
-        const float part = block->open[k] * ratio[k];
+        const floats part = block->open[k] * ratio[k];
         sum += part;
         squares += part * ratio[k];
     }
-    const float scale = sum / squares;
+    const floats scale = sum / squares;
     for (int k = 0; k < CHANNELS; k++) {
-        const float missing = 1.0f - scale * ratio[k], counted = missing > 0.0f ? 1.0f : block->open[k];
+        const floats missing = 1.0f - scale * ratio[k], counted = missing > 0.0f ? (floats)1.0f : block->open[k];
         difference += counted * missing * missing;
     }
-    const float alike = 1.0f - difference * (1.0f / MAX_DIFFERENCE);
-    *likeness = MORE(alike, 0.0f);
+    *likeness = more_of(1.0f - difference * (1.0f / MAX_DIFFERENCE), 0.0f);
     return scale;
 }
 
-// Estimates the signals that a clipped block would have if no channel clipped, from the mixture of a colour and white that fits the unclipped
-// channels best.
-INLINE void estimate(float *made, const Clipped *block, const float *colour, __global const float *white) {
-    float ratio[CHANNELS], of_white[CHANNELS], squares = FAINTEST, scale = 0.0f, white_scale = 0.0f, rests = WHITE_DOUBT, added = 0.0f;
+// Estimates the signals that clipped blocks would have if no channel clipped, from the mixture of a colour and white that fits the unclipped
+// channels best. The colours are total / likeness. If the likeness is 0, the signals are those of the blocks.
+INLINE void estimate(floats *made, const Clipped *block, const floats *total, floats likeness, __global const float *white) {
+    const ints known = likeness > 0.0f;
+    const floats inverse = 1.0f / (known ? likeness : (floats)1.0f);
+    floats colour[CHANNELS], ratio[CHANNELS], of_white[CHANNELS], squares = FAINTEST, scale = 0.0f, white_scale = 0.0f;
+    floats rests = WHITE_DOUBT, added = 0.0f;
     for (int k = 0; k < CHANNELS; k++) {
+        colour[k] = total[k] * inverse;
         ratio[k] = colour[k] * block->inverse[k];
         of_white[k] = white[k] * block->inverse[k];
-        const float part = block->open[k] * ratio[k];
+        const floats part = block->open[k] * ratio[k];
         squares += part * ratio[k];
         scale += part;
         white_scale += part * of_white[k];
@@ -201,116 +244,140 @@ INLINE void estimate(float *made, const Clipped *block, const float *colour, __g
     scale /= squares;
     white_scale /= squares;
     for (int k = 0; k < CHANNELS; k++) {
-        const float rest = of_white[k] - white_scale * ratio[k], part = block->open[k] * rest;
+        const floats rest = of_white[k] - white_scale * ratio[k], part = block->open[k] * rest;
         rests += part * rest;
         added += part * (1.0f - scale * ratio[k]);
     }
-    added = MORE(added, 0.0f) / rests;
-    const float rest = scale - added * white_scale, of_colour = MORE(rest, 0.0f);
+    added = more_of(added, 0.0f) / rests;
+    const floats of_colour = more_of(scale - added * white_scale, 0.0f);
     for (int k = 0; k < CHANNELS; k++) {
-        const float mixed = of_colour * colour[k] + added * white[k], own = block->own[k];
-        made[k] = block->open[k] * own + (1.0f - block->open[k]) * MORE(mixed, own);
+        const floats mixed = of_colour * colour[k] + added * white[k], own = block->own[k];
+        made[k] = known ? block->open[k] * own + (1.0f - block->open[k]) * more_of(mixed, own) : own;
     }
 }
 
-// Estimates the signals of block (y, x) from similar unclipped blocks nearby, and stores the signals and the reliability of the estimate. If
-// no channel of the block clips or all channels clip, the function stores only the reliability NOT_ESTIMATED.
+// Estimates the signals of blocks from similar unclipped blocks nearby, and stores the signals and the reliability of the estimate. If no
+// channel of a block clips or all channels clip, the reliability is NOT_ESTIMATED and the signals are not defined.
 #define NOT_ESTIMATED (-1.0f)
 
-INLINE void store_estimate(int y, int x, __global const float *restrict means, __global const float *restrict response,
-                           __global float *restrict estimates, int rows, int columns) {
-    const size_t plane = (size_t)rows * columns, at = (size_t)y * columns + x;
-    const Clipped block = clipped_at(at, plane, means);
-    estimates[CHANNELS * plane + at] = NOT_ESTIMATED;
-    if (block.most == 0.0f || block.least == 1.0f) return;
-    float signal[CHANNELS], total[CHANNELS] = {0.0f}, likeness = 0.0f, alike;
-    for (int i = -HUE_STEPS; i <= HUE_STEPS; i++)
-        for (int j = -HUE_STEPS; j <= HUE_STEPS; j++) {
-            const int down = y + i * HUE_ROWS, right = x + j * HUE_COLUMNS;
-            if (down < 0 || down >= rows || right < 0 || right >= columns) continue;
-            float brightest = 0.0f;
-            for (int k = 0; k < CHANNELS; k++) {
-                signal[k] = means[k * plane + (size_t)down * columns + right];
-                brightest = MORE(brightest, signal[k]);
+INLINE void store_estimates(int y, int x, __global const float *restrict means, __global const float *restrict response,
+                            __global float *restrict estimates, int rows, int columns) {
+    const size_t plane = (size_t)rows * columns, at = (size_t)y * columns;
+    const Clipped block = clipped_at(means + at, x, plane, columns);
+    const ints estimated = block.most > 0.0f && block.least < 1.0f;
+    floats reliability = NOT_ESTIMATED;
+    if (any_lane(estimated)) {
+        floats signal[CHANNELS], total[CHANNELS] = {0.0f}, likeness = 0.0f, alike;
+        for (int i = -HUE_STEPS; i <= HUE_STEPS; i++) {
+            const int line = y + i * HUE_ROWS;
+            if (line < 0 || line >= rows) continue;
+            for (int j = -HUE_STEPS; j <= HUE_STEPS; j++) {
+                floats brightest = 0.0f;
+                for (int k = 0; k < CHANNELS; k++) {
+                    signal[k] = blocks_at(means + k * plane + (size_t)line * columns, x + j * HUE_COLUMNS, columns);
+                    brightest = more_of(brightest, signal[k]);
+                }
+                const ints counted = brightest > 0.0f && brightest < REPLACED_FROM;
+                if (!any_lane(counted)) continue;
+                const floats trust = counted ? 1.0f - smooth_step(brightest, KEPT_UP_TO, REPLACED_FROM) : (floats)0.0f;
+                const int near = (HUE_STEPS + 1 - (i < 0 ? -i : i)) * (HUE_STEPS + 1 - (j < 0 ? -j : j));
+                const floats scale = scale_to(&block, signal, &alike);
+                const floats weight = near * (1.0f / HUE_WEIGHTS) * trust * trust * alike * alike;
+                likeness += weight;
+                for (int k = 0; k < CHANNELS; k++) total[k] += weight * scale * signal[k];
             }
-            if (brightest == 0.0f || brightest >= REPLACED_FROM) continue;
-            const float trust = 1.0f - smooth_step(brightest, KEPT_UP_TO, REPLACED_FROM);
-            const int near = (HUE_STEPS + 1 - (i < 0 ? -i : i)) * (HUE_STEPS + 1 - (j < 0 ? -j : j));
-            const float scale = scale_to(&block, signal, &alike);
-            const float weight = near * (1.0f / HUE_WEIGHTS) * trust * trust * alike * alike;
-            likeness += weight;
-            for (int k = 0; k < CHANNELS; k++) total[k] += weight * scale * signal[k];
         }
-    __global const float *white = response + (CHANNELS + 1) * (CHANNELS + 1) * 3;
-    for (int k = 0; k < CHANNELS; k++) {
-        total[k] = likeness > 0.0f ? total[k] / likeness : block.own[k];
-        signal[k] = white[k];
+        __global const float *white = response + (CHANNELS + 1) * (CHANNELS + 1) * 3;
+        for (int k = 0; k < CHANNELS; k++) signal[k] = white[k];
+        scale_to(&block, signal, &alike);
+        const floats own = 1.0f - block.most, found = likeness / (likeness + HUE_DOUBT + GREY_DOUBT * alike * alike);
+        reliability = estimated ? (1.0f - block.least) * more_of(own * own, found) : (floats)NOT_ESTIMATED;
+        estimate(signal, &block, total, likeness, white);
+        for (int k = 0; k < CHANNELS; k++) store_blocks(estimates + k * plane + at, x, columns, signal[k]);
     }
-    scale_to(&block, signal, &alike);
-    const float own = 1.0f - block.most, found = likeness / (likeness + HUE_DOUBT + GREY_DOUBT * alike * alike);
-    estimates[CHANNELS * plane + at] = (1.0f - block.least) * MORE(own * own, found);
-    if (likeness > 0.0f) estimate(signal, &block, total, white);
-    else for (int k = 0; k < CHANNELS; k++) signal[k] = block.own[k];
-    for (int k = 0; k < CHANNELS; k++) estimates[k * plane + at] = signal[k];
+    store_blocks(estimates + CHANNELS * plane + at, x, columns, reliability);
 }
 
-// Computes the first four maps of a block and its uniformity, and stores the estimate of its signals. The hue maps follow in `spread_at`.
-INLINE float8 maps_of(int y, int x, __global const float *restrict means, __global const float *restrict response,
-                      __global float *restrict estimates, int rows, int columns) {
-    float plain = 0.0f;
-    const float4 replacement = replacement_of(y, x, means, response, rows, columns, &plain);
-    store_estimate(y, x, means, response, estimates, rows, columns);
-    return (float8)(replacement, 0.0f, 0.0f, 0.0f, plain);
+// Values of LANES blocks that are stored as float8, beginning at value `first`. `made` are `count` of these values.
+INLINE void store_float8(__global float *restrict maps, int x, int columns, int first, const floats *made, int count) {
+#if LANES == 1
+    for (int m = 0; m < count; m++) maps[8 * x + first + m] = made[m];
+#else
+    float lane[8][LANES];
+    for (int m = 0; m < count; m++) STORE_PRIVATE(floats, lane[m]) = made[m];
+    for (int i = 0; i < LESS(LANES, columns - x); i++)
+        for (int m = 0; m < count; m++) maps[8 * (x + i) + first + m] = lane[m][i];
+#endif
 }
 
-// Spreads the estimates `from` over uniform areas by one step: stores the new estimate of block (y, x) in `to`, and its hue in `maps`.
+// Stores the first four maps of blocks, their uniformity, and the estimates of their signals. The hue maps follow in `spread_at`.
+INLINE void store_maps_of(int y, int x, __global const float *restrict means, __global const float *restrict response,
+                          __global float *restrict maps, __global float *restrict uniformity, __global float *restrict estimates, int rows,
+                          int columns) {
+    floats made[8];
+    for (int m = 4; m < 8; m++) made[m] = 0.0f;
+    const floats plain = replacement_of(made, y, x, means, response, rows, columns);
+    store_blocks(uniformity + (size_t)y * columns, x, columns, plain);
+    store_float8(maps + (size_t)8 * y * columns, x, columns, 0, made, 8);
+    store_estimates(y, x, means, response, estimates, rows, columns);
+}
+
+// Spreads the estimates `from` over uniform areas by one step, and stores the new estimates of blocks in `to`. The last step also stores
+// their hue in `maps`.
 INLINE void spread_at(int y, int x, __global const float *restrict means, __global const float *restrict response,
-                      __global const float *restrict from, __global float *restrict to, __global float *restrict maps, int rows,
-                      int columns) {
-    const size_t plane = (size_t)rows * columns, at = (size_t)y * columns + x;
-    float best = from[CHANNELS * plane + at], likeness = best, signal[CHANNELS], total[CHANNELS], alike;
-    to[CHANNELS * plane + at] = best;
-    if (best == NOT_ESTIMATED) return;
-    const Clipped block = clipped_at(at, plane, means);
-    for (int k = 0; k < CHANNELS; k++) total[k] = best * from[k * plane + at];
-    const float plain = maps[8 * at + 7] * (1.0f - block.least);
-    for (int n = 0; n < 9 && plain > 0.0f; n++) {
-        const int i = n / 3 - 1, j = n % 3 - 1, down = y + i * SPREAD_ROWS, right = x + j * SPREAD_COLUMNS;
-        if (n == 4 || down < 0 || down >= rows || right < 0 || right >= columns) continue;
-        const size_t there = (size_t)down * columns + right;
-        const size_t between = (size_t)(y + i * (SPREAD_ROWS / 2)) * columns + x + j * (SPREAD_COLUMNS / 2);
-        float reliable = from[CHANNELS * plane + there], change = 0.0f, opens = FAINTEST, brightest = 0.0f;
-        const bool estimated = reliable != NOT_ESTIMATED;
+                      __global const float *restrict uniformity, __global const float *restrict from, __global float *restrict to,
+                      __global float *restrict maps, int last, int rows, int columns) {
+    const size_t plane = (size_t)rows * columns, at = (size_t)y * columns;
+    floats best = blocks_at(from + CHANNELS * plane + at, x, columns), alike;
+    const ints chosen = best != NOT_ESTIMATED;
+    if (!any_lane(chosen)) {
+        store_blocks(to + CHANNELS * plane + at, x, columns, best);
+        return;
+    }
+    const Clipped block = clipped_at(means + at, x, plane, columns);
+    floats likeness = best, signal[CHANNELS], total[CHANNELS], opens = FAINTEST;
+    for (int k = 0; k < CHANNELS; k++) {
+        total[k] = best * (chosen ? blocks_at(from + k * plane + at, x, columns) : (floats)0.0f);
+        opens += block.open[k];
+    }
+    const floats own = blocks_at(uniformity + at, x, columns), plain = chosen ? own * (1.0f - block.least) : (floats)0.0f;
+    const floats by_change = 1.0f / (opens * MAX_CHANGE);
+    for (int n = 0; n < 9; n++) {
+        const int i = n / 3 - 1, j = n % 3 - 1, line = y + i * SPREAD_ROWS, right = x + j * SPREAD_COLUMNS;
+        if (n == 4 || line < 0 || line >= rows) continue;
+        const size_t there = (size_t)line * columns, between = (size_t)(y + i * (SPREAD_ROWS / 2)) * columns;
+        floats weight = plain * blocks_at(uniformity + there, right, columns);
+        weight *= blocks_at(uniformity + between, x + j * (SPREAD_COLUMNS / 2), columns);
+        if (!any_lane(weight > 0.0f)) continue;
+        floats reliable = blocks_at(from + CHANNELS * plane + there, right, columns), change = 0.0f, brightest = 0.0f;
+        const ints estimated = reliable != NOT_ESTIMATED;
         for (int k = 0; k < CHANNELS; k++) {
-            const float mean = means[k * plane + there], differs = 1.0f - mean * block.inverse[k];
-            brightest = MORE(brightest, mean);
+            const floats mean = blocks_at(means + k * plane + there, right, columns), differs = 1.0f - mean * block.inverse[k];
+            brightest = more_of(brightest, mean);
             change += block.open[k] * differs * differs;
-            opens += block.open[k];
-            signal[k] = estimated ? from[k * plane + there] : mean;
+            signal[k] = estimated ? blocks_at(from + k * plane + there, right, columns) : mean;
         }
-        if (!estimated) reliable = brightest > 0.0f && brightest <= KEPT_UP_TO ? 1.0f : 0.0f;
-        const float scale = scale_to(&block, signal, &alike), same = alike - change / opens * (1.0f / MAX_CHANGE);
-        float weight = plain * maps[8 * between + 7] * maps[8 * there + 7] * reliable * MORE(same, 0.0f);
-        best = MORE(best, weight);
+        const floats whole = brightest > 0.0f && brightest <= KEPT_UP_TO ? (floats)1.0f : (floats)0.0f;
+        reliable = estimated ? reliable : whole;
+        const floats scale = scale_to(&block, signal, &alike);
+        weight *= reliable * more_of(alike - change * by_change, 0.0f);
+        best = more_of(best, weight);
         weight *= i && j ? 0.25f : 0.5f;
         likeness += weight;
         for (int k = 0; k < CHANNELS; k++) total[k] += weight * scale * signal[k];
     }
-    if (likeness > 0.0f) {
-        for (int k = 0; k < CHANNELS; k++) total[k] /= likeness;
-        estimate(signal, &block, total, response + (CHANNELS + 1) * (CHANNELS + 1) * 3);
-    } else
-        for (int k = 0; k < CHANNELS; k++) signal[k] = block.own[k];
-    to[CHANNELS * plane + at] = best;
-    float output[3] = {0.0f, 0.0f, 0.0f};
+    estimate(signal, &block, total, likeness, response + (CHANNELS + 1) * (CHANNELS + 1) * 3);
+    store_blocks(to + CHANNELS * plane + at, x, columns, chosen ? best : (floats)NOT_ESTIMATED);
+    floats output[3] = {0.0f, 0.0f, 0.0f};
     for (int k = 0; k < CHANNELS; k++) {
-        to[k * plane + at] = signal[k];
+        store_blocks(to + k * plane + at, x, columns, signal[k]);
         for (int o = 0; o < 3; o++) output[o] += signal[k] * response[k * 3 + o];
     }
-    const float luminance = MORE(output[1], FAINTEST * FAINTEST), taken = block.most * best;
-    maps[8 * at + 4] = taken;
-    maps[8 * at + 5] = taken * WITHIN(output[0] / luminance, 0.0f, MAX_HUE);
-    maps[8 * at + 6] = taken * WITHIN(output[2] / luminance, 0.0f, MAX_HUE);
+    if (!last) return;
+    const floats luminance = more_of(output[1], FAINTEST * FAINTEST), taken = chosen ? block.most * best : (floats)0.0f;
+    const floats hue[3] = {taken, taken * less_of(more_of(output[0] / luminance, 0.0f), MAX_HUE),
+                           taken * less_of(more_of(output[2] / luminance, 0.0f), MAX_HUE)};
+    store_float8(maps + 8 * at, x, columns, 4, hue, 3);
 }
 
 // Position of a quad between two blocks along one axis.

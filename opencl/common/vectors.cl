@@ -17,6 +17,8 @@ typedef float floats;
 #define as_uints as_uint
 #define as_ints as_int
 #define as_floats as_float
+
+INLINE bool any_lane(ints mask) { return mask != 0; }
 #else
 #define VECTOR(element, name, lanes) \
     typedef element name __attribute__((ext_vector_type(lanes))); \
@@ -43,6 +45,18 @@ VECTOR(short, pairs, 2 * LANES);
 
 #define CONVERT(value, type) __builtin_convertvector(value, type)
 #define SAME_BITS(value, type) __builtin_astype(value, type)
+
+// Whether a comparison is true for any lane.
+INLINE bool any_lane(ints mask) {
+#if LANES == 16
+    typedef int eight __attribute__((ext_vector_type(8)));
+    const eight some = mask.lo | mask.hi;
+#else
+    const ints some = mask;
+#endif
+    const int4 four = some.lo | some.hi;
+    return (four.x | four.y | four.z | four.w) != 0;
+}
 
 // Vector that starts at p. LOAD is for reading, and STORE is the left side of an assignment.
 #define LOAD_PRIVATE(type, p) (*(const type##_unaligned *)(p))

@@ -4,7 +4,7 @@
 
 #define EACH_OF_TILE \
     for (int y = GROUP_ROW; y < min(GROUP_ROW + BAND, rows); y++) \
-        for (int x = GROUP_COLUMN; x < min(GROUP_COLUMN + TILE, columns); x++)
+        for (int x = GROUP_COLUMN; x < min(GROUP_COLUMN + TILE, columns); x += LANES)
 
 // Measures a tile of blocks. `raw` contains a band of raw rows, which begins at row `first` of the frame. Blocks outside the band are ignored.
 COMPILED_ONCE measure_tile(int x0, int y0, __global const ushort *restrict raw, __global const uchar *restrict cfa,
@@ -56,15 +56,15 @@ KERNEL_OF_ONE measure_blocks(__global const ushort *restrict raw, __global const
                  frame_rows, frame_columns, rows, columns);
 }
 
-KERNEL_OF_ONE map_blocks(__global const float *restrict means, __global const float *restrict response,
-                         __global float8 *restrict maps, __global float *restrict estimates, int rows, int columns) {
-    EACH_OF_TILE maps[(size_t)y * columns + x] = maps_of(y, x, means, response, estimates, rows, columns);
+KERNEL_OF_ONE map_blocks(__global const float *restrict means, __global const float *restrict response, __global float *restrict maps,
+                         __global float *restrict uniformity, __global float *restrict estimates, int rows, int columns) {
+    EACH_OF_TILE store_maps_of(y, x, means, response, maps, uniformity, estimates, rows, columns);
 }
 
 KERNEL_OF_ONE spread_estimates(__global const float *restrict means, __global const float *restrict response,
-                               __global const float *restrict from, __global float *restrict to, __global float *restrict maps,
-                               int rows, int columns) {
-    EACH_OF_TILE spread_at(y, x, means, response, from, to, maps, rows, columns);
+                               __global const float *restrict uniformity, __global const float *restrict from, __global float *restrict to,
+                               __global float *restrict maps, int last, int rows, int columns) {
+    EACH_OF_TILE spread_at(y, x, means, response, uniformity, from, to, maps, last, rows, columns);
 }
 
 // Number of blocks in a row from which the maps of LANES quads are interpolated.
@@ -81,7 +81,6 @@ COMPILED_ONCE read_maps_of_tile(int x0, int y0, __global const float8 *restrict 
             const size_t at = (size_t)y * QUADS_STRIDE(plane_columns) + x;
             float8 any = 0.0f;
             for (int b = start; b < end; b++) any += above[b] * above[b] + below[b] * below[b];
-            any.s7 = 0.0f;  // the uniformity
             const float4 sums = any.lo + any.hi;
             if (sums.x + sums.y + sums.z + sums.w == 0.0f)
                 for (int m = 0; m < MAPS; m++) STORE_FIRST(to + m * quads + at, (floats)0.0f, columns - x);

@@ -25,17 +25,6 @@ INLINE void smooth_pixels(floats *own, __global const float *const *row, size_t 
 #ifdef LEAST_REACH
 #define MARGIN_COLUMNS (LEAST_REACH > CHROMA_REACH ? LEAST_REACH : CHROMA_REACH)
 
-INLINE bool any_lane(ints mask) {
-#if LANES == 16
-    typedef int eight __attribute__((ext_vector_type(8)));
-    const eight some = mask.lo | mask.hi;
-#else
-    const ints some = mask;
-#endif
-    const int4 four = some.lo | some.hi;
-    return (four.x | four.y | four.z | four.w) != 0;
-}
-
 // Luminances of LANES raw values, starting at column x, as if they belonged to a white. Columns outside the frame repeat the outermost pixels.
 INLINE floats levels_of(__global const ushort *raw, __global const float *scale, float black_level, int phase, int x, int columns,
                         bool inside) {

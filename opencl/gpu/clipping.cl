@@ -21,16 +21,17 @@ KERNEL_OF_TILE measure_blocks(__global const ushort *restrict raw, __global cons
 }
 
 KERNEL_OF_TILE map_blocks(__global const float *restrict means, __global const float *restrict response,
-                          __global float8 *restrict maps, __global float *restrict estimates, int rows, int columns) {
+                          __global float *restrict maps, __global float *restrict uniformity, __global float *restrict estimates,
+                          int rows, int columns) {
     ITS_PLACE;
-    maps[(size_t)y * columns + x] = maps_of(y, x, means, response, estimates, rows, columns);
+    store_maps_of(y, x, means, response, maps, uniformity, estimates, rows, columns);
 }
 
 KERNEL_OF_TILE spread_estimates(__global const float *restrict means, __global const float *restrict response,
-                                __global const float *restrict from, __global float *restrict to, __global float *restrict maps,
-                                int rows, int columns) {
+                                __global const float *restrict uniformity, __global const float *restrict from,
+                                __global float *restrict to, __global float *restrict maps, int last, int rows, int columns) {
     ITS_PLACE;
-    spread_at(y, x, means, response, from, to, maps, rows, columns);
+    spread_at(y, x, means, response, uniformity, from, to, maps, last, rows, columns);
 }
 
 KERNEL_OF_TILE read_maps(__global const float8 *restrict maps, __global float *restrict to, int first, int block_rows,

@@ -18,7 +18,7 @@ from l3cli.rendering.opencl.devices import pyopencl
 from l3cli.rendering.opencl.layout import COARSE_MACROS, COARSE_MARGIN, UNLIKE_ANY, clipping_macros, paired_source
 from l3cli.rendering.opencl.work import Band, Track, scratch
 
-BLOCK_MAPS = 8  # values per block, stored as an OpenCL float8; the last value is the uniformity
+BLOCK_MAPS = 8  # values per block, stored as an OpenCL float8; the last value is not used
 READ_AHEAD = 16  # number of elements that vector loads may read beyond the end of the data
 
 
@@ -150,6 +150,7 @@ class DeviceClipping:
         context, size = track.queue.context, 4 * blocks[0] * blocks[1]
         track.means = scratch(context, track.means, size * (len(table.channels) + 1))
         track.maps = scratch(context, track.maps, size * BLOCK_MAPS)
+        track.uniformity = scratch(context, track.uniformity, size)
         track.estimates = [scratch(context, each, size * (len(table.channels) + 1)) for each in track.estimates]
         track.quads = scratch(context, track.quads, 4 * (MAPS * quads[0] * (quads[1] + READ_AHEAD) + READ_AHEAD))
         bright, span = first_bright(frame.black_level, table.white_level), table.white_level - frame.black_level
@@ -157,9 +158,10 @@ class DeviceClipping:
         where = *frame.phase, band.raw_rows.start, band.raw_rows.stop - band.raw_rows.start, rows, columns
         events = [self._run(measure, track, blocks, track.raw, cfa, track.means, *levels, *map(np.int32, where))]
         (made, other), means = track.estimates, track.means
-        events.append(self._run(make_maps, track, blocks, means, response, track.maps, made))
-        for _ in range(SPREADS):
-            events.append(self._run(spread, track, blocks, means, response, made, other, track.maps))
+        events.append(self._run(make_maps, track, blocks, means, response, track.maps, track.uniformity, made))
+        for step in range(SPREADS):
+            buffers, last = (means, response, track.uniformity, made, other, track.maps), np.int32(step == SPREADS - 1)
+            events.append(self._run(spread, track, blocks, *buffers, last))
             made, other = other, made
         where = band.reads[len(band.later) - 1].start, *blocks, *shape
         events.append(self._run(read, track, quads, track.maps, track.quads, *map(np.int32, where)))

@@ -77,6 +77,7 @@ class Track:
         self.coarse: tuple[tuple[int, int], list[Any]] | None = None  # shape and buffers of coarse chroma
         self.means: Any = None  # block means of the mosaic, for the replacement of uniform clipped areas
         self.maps: Any = None  # values of each block for the replacement of clipped areas
+        self.uniformity: Any = None  # uniformity of each block
         self.estimates: list[Any] = [None, None]  # estimated signals of clipped blocks, before and after a step
         self.quads: Any = None  # `maps`, interpolated to quads of pixels
         self.first: Any = None  # outputs of the first layer; only used if the last layer corrects these outputs
