@@ -12,9 +12,9 @@ from l3cli import __version__
 from l3cli.cli.results import Record, Result, begin
 from l3cli.cli.terminal import drop, prepare, to_stderr
 from l3cli.errors import L3Error, suggestion
-from l3cli.parallel import one_blas_thread, without_plots
+from l3cli.parallel import one_blas_thread
 from l3cli.system import signals
-from l3cli.system.limits import require_address_space, require_settings
+from l3cli.system.limits import require_address_space, require_settings, without_plots
 from l3cli.system.signals import Terminated, heed, leave_to_python
 
 if TYPE_CHECKING:

@@ -29,6 +29,7 @@ from typing import Any
 
 from l3cli.errors import InputFileError, L3Error
 from l3cli.io.isolated import MAX_REPLY, MORE_MEMORY, READY, isolated, plain_of, receive, send, too_much
+from l3cli.system.limits import without_plots
 
 try:
     import pyseccomp
@@ -158,6 +159,7 @@ def serve(socket_descriptor: int, arrays: int, cpu_seconds: float, max_bytes: in
     limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_AS: max_bytes, resource.RLIMIT_FSIZE: max_bytes}
     for what, most in limits.items():
         resource.setrlimit(what, 2 * (_allowed(what, most),))  # also the hard limit, which cannot be raised again
+    without_plots()
     workers: dict[str, _Worker] = {}  # file and decoder → worker, with the least recently used worker first
     with socket.socket(fileno=socket_descriptor) as connection:
         send(connection, READY)

@@ -6,7 +6,6 @@ start processes are imported only when needed.
 
 import contextlib
 import os
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, TypeVar
 
@@ -27,16 +26,6 @@ def one_blas_thread() -> None:
     threads would slow down video encoders.
     """
     os.environ.update(ONE_BLAS_THREAD)
-
-
-def without_plots() -> None:
-    """Prevent colour-science from importing matplotlib and pandas, which l3 does not use.
-
-    They would double the CPU time of the import from 2.4 s to 4.8 s on a slow core, in every process that simulates or
-    trains.
-    """
-    for name in ("matplotlib", "pandas"):
-        sys.modules.setdefault(name, None)  # type: ignore[arg-type] # None makes the import fail
 
 
 def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> Iterator[R]:

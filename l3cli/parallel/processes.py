@@ -15,8 +15,7 @@ from multiprocessing.connection import wait
 from typing import Any, TypeVar
 
 from l3cli.errors import L3Error
-from l3cli.parallel import without_plots
-from l3cli.system.limits import ONE_BLAS_THREAD, environment
+from l3cli.system.limits import ONE_BLAS_THREAD, environment, without_plots
 from l3cli.system.signals import SIGNALS
 
 T = TypeVar("T")

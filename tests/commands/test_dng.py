@@ -24,6 +24,7 @@ from l3cli.cli import run
 from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.shading import FRACTION
+from l3cli.io import isolated
 from l3cli.io.images import read_image
 from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
 from l3cli.io.raw.files import RawOverrides, read_raw
@@ -480,6 +481,16 @@ def test_the_grey_of_a_white_that_is_stated_by_its_chromaticity(tmp_path: Path, 
     frame = read(tmp_path, tags | {50729: white(x, y)})
     assert frame.neutral is not None
     np.testing.assert_allclose(frame.neutral, grey / grey.max(), atol=4e-4)
+
+
+def test_the_spectrum_of_an_illuminant_is_read_on_a_new_account(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without its cache folder, matplotlib cannot be imported where no file can be written."""
+    for variable in ("HOME", "XDG_CONFIG_HOME", "XDG_CACHE_HOME"):
+        monkeypatch.setenv(variable, str(tmp_path / "new"))
+    monkeypatch.delenv("MPLCONFIGDIR", raising=False)
+    isolated._end_child()  # the next process has this environment
+    test_the_grey_of_a_white_that_is_stated_by_its_chromaticity(tmp_path, "another light of a spectrum")
+    isolated._end_child()
 
 
 def test_a_white_that_is_none_counts_as_not_stated(tmp_path: Path) -> None:

@@ -95,7 +95,8 @@ class ForkServer:
 
 
 def serve() -> None:
-    from l3cli.parallel import one_blas_thread, without_plots
+    from l3cli.parallel import one_blas_thread
+    from l3cli.system.limits import without_plots
 
     one_blas_thread()
     without_plots()
