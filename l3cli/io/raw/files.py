@@ -136,7 +136,7 @@ FORMATS = (
     ),
     RawFormat(
         (".dng",), "dng", "DNG, CinemaDNG",
-        "pixels of 8 to 16 bits, an array of any size, and [many tags](#tags-of-a-dng)", has_rate=True,
+        "pixels of 8 to 16 bits, a colour filter array of up to 8×8 sites, and [many tags](#tags-of-a-dng)", has_rate=True,
     ),
     CAMERA_RAW,
 )  # fmt: skip
