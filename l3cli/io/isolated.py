@@ -1,11 +1,11 @@
 """Decode untrusted files in an isolated process with limited time and memory.
 
-A crash of a third-party decoder ends only the isolated process. The isolated process starts when the first file is read, and
-forks a worker process for each file (decoder_process.py). If the kernel supports Landlock, a worker can read only its own
-file. If a worker dies, the isolated process also ends, and l3 starts a new isolated process for the next file.
+A crash in a third-party decoder ends only the isolated process. This process starts when the first file is read, and forks a
+worker process for each file (decoder_process.py). If the kernel supports Landlock, a worker can read only its own file. If a
+worker dies, the isolated process ends too, and l3 starts a new one for the next file.
 
-Requests and replies are JSON. Arrays are passed through a file in memory, and are copied after their sizes have been
-checked. Data from a worker are never executed. With `--trust` or L3_TRUST=1, files are decoded in the current process.
+Requests and replies are JSON. Arrays are passed through a memory file, and are copied after their sizes have been checked.
+Data from a worker are never executed. With `--trust` or L3_TRUST=1, files are decoded in the current process instead.
 """
 
 import atexit
@@ -30,9 +30,9 @@ from l3cli.system.files import require_regular, stamp
 from l3cli.system.limits import MEGAPIXELS, ONE_BLAS_THREAD, SECONDS, TRUST, decode_seconds, most_bytes, trusted
 from l3cli.system.locks import ThreadLock
 
-WALL_PER_CPU_TIME = 5  # limit of the wall-clock time as a multiple of the limit of the CPU time, because disks may be slow
+WALL_PER_CPU_TIME = 5  # ratio of the wall-clock limit to the CPU time limit, because disks may be slow
 PROGRAM_BYTES = 1 << 30  # address space for the interpreter, the libraries and their buffers, in bytes
-COPIES = 2  # additional address space for decoding, as a multiple of the maximum size of the decoded content
+COPIES = 2  # additional address space, as a multiple of the maximum size of the decoded content
 MORE_MEMORY = "free some memory, or raise the memory limit of the shell (ulimit -v)"
 READY = b"ready"  # first message of the isolated process
 MAX_REPLY = 64 << 20  # maximum size of a reply without its arrays, in bytes
@@ -44,7 +44,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def isolated(*libraries: str) -> Callable[[F], F]:
-    """Return a decorator that runs a function in the isolated process. The function decodes untrusted files.
+    """Return a decorator that runs a decoder of untrusted files in the isolated process.
 
     Parameters
     ----------
@@ -58,10 +58,9 @@ def isolated(*libraries: str) -> Callable[[F], F]:
 
     Notes
     -----
-    The decorated function must be at module level. Its first parameter is the path of the file, and its other parameters are
-    text, numbers or None. The function may read only this file. It returns arrays of numbers, text, numbers or None, or
-    tuples, lists and dictionaries of such values. Exceptions other than L3Error become an InputFileError with the name of
-    the file.
+    The decoder must be a function at module level. Its first parameter is the path of the only file that it may read. Its
+    other parameters are text, numbers or None. It returns numeric arrays, text, numbers or None, or tuples, lists and
+    dictionaries of such values. Exceptions other than L3Error are converted to an InputFileError that names the file.
     """
 
     def made(function: F) -> F:
@@ -81,14 +80,14 @@ def isolated(*libraries: str) -> Callable[[F], F]:
 
 
 def start() -> None:
-    """Start the isolated process before it is needed, unless files are trusted."""
+    """Start the isolated process in advance, unless files are trusted."""
     if not trusted():
         with _lock:
             _the_child()
 
 
 def _require_utf8(path: Path) -> None:
-    """Raise InputFileError if a path is not UTF-8, because the libraries cannot open such files."""
+    """Raise InputFileError if a path is not UTF-8, because libraries cannot open such files."""
     try:
         str(path).encode()
     except UnicodeEncodeError:
@@ -96,10 +95,7 @@ def _require_utf8(path: Path) -> None:
 
 
 def _decoded(function: Callable[..., Any], path: Path, *plain: Any) -> Any:
-    """Call a decoder in this process, and convert its exceptions.
-
-    An ImportError becomes an L3Error, and any other exception becomes an InputFileError.
-    """
+    """Call a decoder in this process. An ImportError becomes an L3Error, and other exceptions become InputFileErrors."""
     try:
         return function(path, *plain)
     except L3Error:
@@ -143,13 +139,13 @@ class _Child:
                 stderr=subprocess.DEVNULL,  # decoders print messages to stderr
                 pass_fds=inherited,
                 env=os.environ | ONE_THREAD | {"MALLOC_ARENA_MAX": "2", TRUST: "1"},
-                process_group=0,  # Ctrl-C sends SIGINT only to this process, which then ends the isolated process
+                process_group=0,  # so that Ctrl-C interrupts only this process, which then ends the isolated process
             )
         self._open, self._ready = True, False
 
     @property
     def usable(self) -> bool:
-        """Whether the isolated process is running, and was started by this process instead of its parent process."""
+        """Whether the isolated process is running, and was started by this process rather than by a parent process."""
         return self._open and self.owner == os.getpid() and self._process.poll() is None
 
     def end(self) -> None:
@@ -165,10 +161,10 @@ class _Child:
         self._arrays.close()
 
     def ask(self, path: Path, module: str, name: str, plain: tuple[Any, ...]) -> Any:
-        """Call the function `name` in `module` for a file in the isolated process, and return its result.
+        """Call a decoder (`module`, `name`) in the isolated process, and return its result or raise its error.
 
-        Errors of the function are raised again. If the isolated process takes too long, crashes or returns an invalid reply,
-        the process is killed, and InputFileError is raised.
+        If the isolated process takes too long, crashes or returns an invalid reply, it is killed, and InputFileError is
+        raised.
         """
         try:
             self._wait_until_ready()
@@ -183,7 +179,7 @@ class _Child:
         except L3Error:
             raise
         except BaseException as error:
-            self.end()  # otherwise, a late reply could be read as the reply to the next request
+            self.end()  # otherwise, a late reply could be mistaken for the reply to the next request
             if isinstance(error, TimeoutError):
                 raise InputFileError(self._timeout_message(path)) from error
             if isinstance(error, EOFError | ConnectionError):
@@ -195,7 +191,7 @@ class _Child:
             raise
 
     def _wait_until_ready(self) -> None:
-        """Wait until the isolated process is ready. Raises L3Error if the process ends first."""
+        """Wait until the isolated process is ready. Raises L3Error if it ends before that."""
         if self._ready:
             return
         try:
@@ -211,7 +207,7 @@ class _Child:
         )
 
     def _crash_message(self, path: Path) -> str:
-        """Return the message for a file that crashed the isolated process. It depends on the exit code of the process."""
+        """Explain a crash of the isolated process to the user, according to its exit code."""
         code = self._process.returncode
         if code == -signal.SIGXCPU:
             return self._timeout_message(path)
@@ -226,7 +222,7 @@ _lock = ThreadLock()  # the isolated process handles one request at a time
 
 
 def _the_child() -> _Child:
-    """Return the isolated process. A new process is started if none is running or if the limits have changed."""
+    """Return the isolated process. A new one is started if none is running, or if the limits have changed."""
     global _child
     wanted = decode_seconds(), PROGRAM_BYTES + COPIES * most_bytes()
     if _child is None or not _child.usable or _child.limits != wanted:
@@ -245,7 +241,7 @@ def _end_child() -> None:
 
 
 def arrays_back(answer: Any, file: BinaryIO) -> Any:
-    """Convert a reply in JSON types back to values. Arrays are copied from the memory file `file`.
+    """Convert a reply from JSON types back to values, and copy its arrays from the memory file `file`.
 
     Raises ValueError, TypeError or KeyError if the reply is invalid.
     """
@@ -273,9 +269,9 @@ def _array(description: list[Any], file: BinaryIO) -> np.ndarray:
 
 
 def plain_of(value: Any, file: BinaryIO) -> Any:
-    """Convert a value to JSON types. Arrays are written to the memory file `file`.
+    """Convert a value to JSON types, and write its arrays to the memory file `file`.
 
-    Raises TypeError if the type of the value is not supported.
+    Raises TypeError if the value's type is not supported.
     """
     if isinstance(value, np.ndarray):
         offset = file.tell()
@@ -298,11 +294,23 @@ def send(connection: socket.socket, text: bytes) -> None:
 
 
 def receive(connection: socket.socket, until: float | None = None) -> bytes:
-    """Receive a message that `send` sent.
+    """Receive a message that was sent with `send`.
 
-    Raises TimeoutError if the message is not complete when time.monotonic() reaches `until`, EOFError if the connection is
-    closed before the message is complete, and ValueError if the message is longer than MAX_REPLY. If `until` is None, the
-    time is not limited.
+    Parameters
+    ----------
+    connection : socket
+        The connection.
+    until : float, optional
+        Deadline, as a value of time.monotonic(). [default: no limit]
+
+    Raises
+    ------
+    TimeoutError
+        If the message is incomplete at the deadline.
+    EOFError
+        If the connection is closed before the message is complete.
+    ValueError
+        If the message is longer than MAX_REPLY.
     """
     (length,) = LENGTH.unpack(_exactly(connection, LENGTH.size, until))
     if length > MAX_REPLY:

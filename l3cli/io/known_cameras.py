@@ -1,4 +1,4 @@
-"""The 52 included cameras: measured responsivities (configs/priors/cameras.csv) and published properties (cameras.toml)."""
+"""The 52 built-in cameras: measured responsivities (configs/priors/cameras.csv) and published properties (cameras.toml)."""
 
 import functools
 from typing import ClassVar, Literal
@@ -15,13 +15,13 @@ from l3cli.recipes.toml import Count, Positive, Recipe
 from l3cli.spectra.file import read_table
 
 ROLES = ("r", "g", "b")
-USUAL_ROWS, USUAL_COLS, USUAL_BITS = 1080, 1920, 14  # assumed values for cameras whose properties are not published
+USUAL_ROWS, USUAL_COLS, USUAL_BITS = 1080, 1920, 14  # assumed if these properties have not been published
 FULL_SCALE_PER_BLACK = 32  # assumed ratio of full scale to black level
-ARRAYS = {  # colour filter arrays, each in one phase; the phase of a raw file may differ
+ARRAYS = {  # colour filter arrays in an arbitrary phase; raw files may start at a different site
     "bayer": ("r g", "g b"),
     "xtrans": ("g b g g r g", "r g r b g b", "g b g g r g", "g r g g b g", "b g b r g r", "g r g g b g"),
 }
-# Words that are ignored when the names of two manufacturers are compared.
+# Words that are ignored in the names of manufacturers.
 COMPANY = {"corporation", "corp", "company", "co", "ltd", "inc", "imaging"}
 
 
@@ -47,18 +47,18 @@ class KnownCamera(Recipe):
 
     @property
     def levels(self) -> tuple[float, float]:
-        """Typical black level and white level in DN, for raw files that do not state these levels."""
+        """Typical black level and white level in DN, for raw files that do not contain these levels."""
         values = 2.0 ** (self.bits or USUAL_BITS)
         return values / FULL_SCALE_PER_BLACK, values - 1
 
     @property
     def stated(self) -> Stated:
-        """The published properties, in the same class as properties from raw files."""
+        """The published properties, in the form in which properties from raw files are represented."""
         return Stated(self.name, (), None, self.iso, self.pixel_pitch_um, None, None)
 
 
 class KnownCameras(Recipe):
-    """All included cameras, by name."""
+    """All built-in cameras, by their keys, such as "nikon_d810"."""
 
     title: ClassVar[str] = "a table of cameras"
 
@@ -68,24 +68,21 @@ class KnownCameras(Recipe):
 
 @functools.cache
 def known_cameras() -> KnownCameras:
-    """Return the published properties of the included cameras."""
+    """Return the published properties of the built-in cameras."""
     return load_recipe(recipe_folder() / "priors" / "cameras.toml", KnownCameras)
 
 
 def known_curves(slug: str) -> FinishedCurves:
-    """Return the measured responsivities of r, g and b of an included camera. `slug` is the key of the camera."""
+    """Return the measured r, g and b responsivities of a built-in camera. `slug` is its key in cameras.toml."""
     table = read_table(recipe_folder() / "priors" / "cameras.csv")
     chosen = table.channel_columns(ROLES, {role: f"{slug} {role}" for role in ROLES})
     return FinishedCurves(chosen.wavelength, chosen.values)
 
 
 def known_as(stated: str) -> str | None:
-    """Find a camera in cameras.toml by the make and model that a raw file states, and return the key of the camera.
-
-    The result is None if cameras.toml does not contain the camera.
-    """
+    """Find a camera in cameras.toml by the make and model in a raw file. Return its key, or None if it is not listed."""
     words = [word for word in slug_of(stated).split("_") if word not in COMPANY]
-    model = "_".join(dict.fromkeys(words))  # without a repeated make, as in "NIKON CORPORATION NIKON D810"
+    model = "_".join(dict.fromkeys(words))  # drops repeated words, as in "NIKON CORPORATION NIKON D810"
     return next(
         (slug for slug, each in known_cameras().camera.items() if model in map(slug_of, (each.name, *each.also))), None
     )

@@ -14,10 +14,7 @@ from l3cli.system.text import array_lines, counted, seconds_text
 
 
 def measurement_faults(recipe: MeasurementRecipe | CorrectionRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the errors in a measurement file and in the tables, spectra and other files that it lists.
-
-    Raw frames are not decoded.
-    """
+    """Yield the faults in a measurement file and in all files that it lists. Raw frames are not decoded."""
     yield from key_faults(recipe)
     faults: list[Fault] = []
     read_contents(recipe, source.path, functools.partial(source.noting, faults))
@@ -25,10 +22,10 @@ def measurement_faults(recipe: MeasurementRecipe | CorrectionRecipe, source: Rec
 
 
 def measurement_summary(recipe: MeasurementRecipe | CorrectionRecipe, measured: Measurements) -> dict[str, Any]:
-    """Summarise a measurement file as a dictionary that can be stored as JSON.
+    """Summarise a measurement file as a dictionary of JSON types.
 
-    The dictionary contains the CFA, the channels and a summary of each section. For a section that lists captures, the
-    summary contains the number of captures, the number of frames and the range of exposure times in s.
+    The dictionary contains the CFA, the channels and a summary of each section. Sections that list captures are summarised
+    by their number of captures, number of frames and range of exposure times in s.
     """
     body, sections = measured.body, _captures(recipe)
     array = [row.split() for row in array_rows(body.channels, body.cfa)]
@@ -53,7 +50,7 @@ def measurement_summary(recipe: MeasurementRecipe | CorrectionRecipe, measured: 
 
 
 def _captures(recipe: MeasurementRecipe | CorrectionRecipe) -> dict[str, Any]:
-    """Summarise the captures of each section: number of captures, number of frames and range of exposure times in s."""
+    """Return each section's number of captures, number of frames and range of exposure times in s."""
     sections: dict[str, list[CaptureRecipe]] = {}
     for section, _, capture in captures_of(recipe):
         sections.setdefault(section, []).append(capture)

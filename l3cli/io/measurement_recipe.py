@@ -1,10 +1,9 @@
 """The keys of a measurement file (docs/own-lab.md, docs/method.md#calibration).
 
-Exactly one of [[mono]], [sweep], [curves], [[band]] and [photo] determines the spectral responsivity. [[chart]] captures
-determine the absolute scale of the responsivity. The noise and the levels of the sensor are measured in [[dark]] and
-[[white]] frames, or copied from a [datasheet]. A measurement file with the key `base` contains only [[dark]], [[white]] and
-[[polariser]] captures. All other properties are then copied from `base`, a camera model or camera recipe. File names are
-relative to the folder of the measurement file.
+Exactly one of [[mono]], [sweep], [curves], [[band]] and [photo] determines the spectral responsivity, and [[chart]] captures
+determine its absolute scale. The sensor's noise and levels are measured in [[dark]] and [[white]] frames, or copied from a
+[datasheet]. If the key `base` specifies a camera model or camera recipe, the file contains only [[dark]], [[white]] and
+[[polariser]] captures, and all other properties are copied from `base`. File names are relative to the measurement file.
 """
 
 from collections.abc import Iterator
@@ -40,14 +39,14 @@ from l3cli.system.limits import MEGAPIXELS, most_pixels
 
 EXPOSURES = ("exposure_s", "exposure_ms", "exposure_us")
 CAPTURES = ("mono", "band", "chart", "white", "dark", "polariser")  # sections whose entries list frames
-# Without a reference, a monitor reading must be the ratio of two lamp readings. Neither this ratio nor its inverse may
-# exceed this limit.
+# Without a reference, a monitor reading must be a ratio of two lamp readings. A ratio that differs from 1 by more than this
+# factor is rejected, because it is probably a plain reading.
 MOST_UNREFERENCED = 2.0
-MOST_MONITOR = 10.0  # maximum ratio of two lamp readings, in both directions; a larger ratio indicates a different lamp
+MOST_MONITOR = 10.0  # largest factor by which two lamp readings may differ; a larger factor indicates a different lamp
 Below1 = Annotated[float, msgspec.Meta(ge=0, lt=1)]
 Names = Annotated[list[str], msgspec.Meta(min_length=1)]
 Corners = Annotated[list[tuple[float, float]], msgspec.Meta(min_length=4, max_length=4)]
-SITE_PIXELS = 8  # minimum number of CFA periods along rows and along columns; the noise analysis needs local means
+SITE_PIXELS = 8  # minimum number of CFA periods in each direction, because the noise analysis needs local means
 
 
 class BodyRecipe(Recipe):
@@ -58,24 +57,24 @@ class BodyRecipe(Recipe):
 
 
 class MonitorRecipe(Recipe):
-    """A table with readings of a lamp monitor during a sweep, one row per wavelength."""
+    """A table of lamp monitor readings during a sweep, with one row per wavelength."""
 
     file: str  # table with a column of wavelengths and columns of readings in any unit
-    # name of the column with readings during the captures, or its number, where 1 is the first column after the wavelength
+    # column of readings taken during the captures: its name, or its number, where 1 is the first column after the wavelength
     column: int | str = 1
-    # column with readings during the measurement of the spectra; by default, `column` contains ratios of the two readings
+    # column of readings taken while the spectra were measured; by default, `column` contains ratios of the two readings
     reference: int | str | None = None
 
 
 class CaptureRecipe(Recipe, kw_only=True):
-    """Dark or white frames that were taken with the same exposure."""
+    """Frames of the same subject, taken with the same exposure."""
 
     frames: Names
     exposure_s: Positive | None = None  # exactly one of the three keys for the exposure time must be set
     exposure_ms: Positive | None = None
     exposure_us: Positive | None = None
-    # reading of a lamp monitor during the capture, relative to the reading during the measurement of the spectrum;
-    # [[mono]] captures may refer to a table of readings instead
+    # lamp monitor reading during the capture, relative to the reading while the spectrum was measured; [[mono]] captures may
+    # refer to a table of readings instead
     monitor: Annotated[float, msgspec.Meta(ge=1 / MOST_MONITOR, le=MOST_MONITOR)] | MonitorRecipe = 1.0
 
     @property
@@ -87,21 +86,21 @@ class CaptureRecipe(Recipe, kw_only=True):
 
 
 class SensorCaptureRecipe(CaptureRecipe, kw_only=True):
-    """Dark or white frames taken at one ISO speed. The gain in the camera model is the gain at the lowest ISO speed."""
+    """Dark or white frames taken at one ISO speed. The camera model describes the sensor at the lowest ISO speed."""
 
-    iso: float | None = None  # must be set either for all dark and white captures or for none
+    iso: float | None = None  # must be set for all dark and white captures, or for none
 
 
 class MonoRecipe(CaptureRecipe, kw_only=True):
     """Frames of a uniform field, lit by a monochromator at one wavelength."""
 
     spectrum: str  # CSV file with the measured spectral radiance of the light
-    column: int | str = 1  # name of the column, or its number, where 1 is the first column after the wavelength
+    column: int | str = 1  # name of the radiance column, or its number, where 1 is the first column after the wavelength
     unit: str | None = None  # unit of the radiances, if the CSV file does not state it; default: photons/s/sr/m²/nm
 
 
 class ChartRecipe(CaptureRecipe, kw_only=True):
-    """A ColorChecker under one illuminant. In [[band]], the light passes through a filter, and radiances may be relative."""
+    """A ColorChecker under one illuminant. For [[band]], a filter is in the light path, and radiances may be relative."""
 
     illuminant: str
     corners: Corners  # (col, row) in pixels: outer corners of patches 1, 6, 24 and 19, clockwise
@@ -110,9 +109,9 @@ class ChartRecipe(CaptureRecipe, kw_only=True):
 
 
 class PolariserRecipe(CaptureRecipe, kw_only=True):
-    """Frames of a uniform light source, taken through a rotating linear polariser."""
+    """Frames of a uniform light source, taken through a linear polariser at one angle."""
 
-    # reading of the angle scale: angle of the transmission axis, counter-clockwise from horizontal, plus rotator.offset_deg
+    # scale reading: angle of the transmission axis, counter-clockwise from horizontal, plus rotator.offset_deg
     angle_deg: Annotated[float, msgspec.Meta(ge=-360, le=360)]
 
 
@@ -122,12 +121,12 @@ class RotatorRecipe(Recipe):
     extinction: Annotated[float, msgspec.Meta(gt=1)] | None = None  # extinction ratio; default: ideal polariser
     # standard deviation of the error of each angle_deg
     angle_error_deg: Annotated[float, msgspec.Meta(ge=0, le=10)] = 0.1
-    offset_deg: Annotated[float, msgspec.Meta(ge=-180, le=180)] = 0.0  # reading of the scale when the axis is horizontal
-    reference: str | None = None  # channel whose polariser_deg is exact; set this key if the zero of the scale is unknown
+    offset_deg: Annotated[float, msgspec.Meta(ge=-180, le=180)] = 0.0  # scale reading when the axis is horizontal
+    reference: str | None = None  # channel with an exact polariser_deg; set this key if the zero of the scale is unknown
 
 
 class CommonRecipe(Recipe):
-    """Defaults for keys that [[mono]] and [[band]] captures do not set."""
+    """Default values of keys in [[mono]] and [[band]] captures."""
 
     exposure_s: Positive | None = None  # at most one of the three keys for the exposure time may be set
     exposure_ms: Positive | None = None
@@ -147,24 +146,24 @@ class SweepRecipe(Recipe):
     """A table of mean signals from a monochromator sweep."""
 
     table: str  # CSV: nm, light r, light g, …, dark r, dark g, … (mean of each channel in DN), diode light, diode dark
-    photodiode: str | ColumnRecipe  # CSV: nm, and responsivity of the photodiode per energy, for example in A/W
+    photodiode: str | ColumnRecipe  # CSV: nm, and the photodiode's responsivity per energy, for example in A/W
 
     @property
     def response(self) -> ColumnRecipe:
-        """Table and column with the responsivity of the photodiode. Column 0 stands for the only column of the table."""
+        """Table and column of the photodiode's responsivity. Column 0 stands for the only column in the table."""
         return ColumnRecipe(self.photodiode, 0) if isinstance(self.photodiode, str) else self.photodiode
 
 
 class CurvesRecipe(Recipe):
-    """Responsivities that were measured or computed by another program."""
+    """Finished responsivities, for example from another program."""
 
     file: str  # CSV file with nm and one column per channel, or rawtoaces JSON file
-    columns: dict[str, str] = msgspec.field(default_factory=dict)  # channel → column, if the names differ
+    columns: dict[str, str] = msgspec.field(default_factory=dict)  # channel → column, where the names differ
     per_energy: bool = True  # false if the curves are per photon
 
 
 class PhotoRecipe(Recipe):
-    """Raw files that show a chart under one illuminant."""
+    """Raw photos of a chart under one illuminant."""
 
     frames: Names  # raw files of the same scene with the same exposure; two or more files also determine the noise
     light: str | None = None  # "D65", "3200K", or a CSV file with the spectrum; default: the illuminant is estimated
@@ -173,12 +172,12 @@ class PhotoRecipe(Recipe):
     chart: str = "classic"  # name of a chart, or CSV file of reflectances with one column per patch, row by row
     layout: tuple[Count, Count] = (4, 6)  # rows and columns of patches
     corners: Corners | None = None  # (col, row), as in [[chart]]; default: l3 searches for the chart
-    dark: list[str] = msgspec.field(default_factory=list)  # raw files without light, with the same exposure
+    dark: list[str] = msgspec.field(default_factory=list)  # raw files taken in the dark, with the same exposure
     white: list[str] = msgspec.field(default_factory=list)  # raw files of a uniform white target in place of the chart
 
 
 class DatasheetRecipe(NoiseRecipe, kw_only=True):
-    """Properties of the sensor from its data sheet."""
+    """Sensor properties from a data sheet."""
 
     black_level_dn: float
     white_level_dn: float
@@ -188,8 +187,8 @@ class DatasheetRecipe(NoiseRecipe, kw_only=True):
 class UncertaintyRecipe(Recipe):
     """Uncertainties of the light (one standard deviation), which widen the confidence bands."""
 
-    lamp_drift: Below1 = 0.0  # relative drift of the lamp spectrum that remains after the correction with the monitor
-    photodiode: Below1 = 0.0  # relative error of the responsivity of the photodiode in [sweep], at each wavelength
+    lamp_drift: Below1 = 0.0  # relative drift of the lamp spectrum that the monitor does not correct
+    photodiode: Below1 = 0.0  # relative error of the photodiode's responsivity in [sweep], at each wavelength
     wavelength_nm: Annotated[float, msgspec.Meta(ge=0, lt=100)] = 0.0  # error of the spectrometer or monochromator
 
 
@@ -207,7 +206,7 @@ class MeasurementRecipe(Recipe):
     sweep: SweepRecipe | None = None
     curves: CurvesRecipe | None = None
     photo: PhotoRecipe | list[PhotoRecipe] = msgspec.field(default_factory=list)
-    prior: str | None = None  # for photos: folder with measured responsivities of cameras; default: the included cameras
+    prior: str | None = None  # for photos: folder of measured camera responsivities; default: the built-in cameras
     band: list[ChartRecipe] = msgspec.field(default_factory=list)
     chart: list[ChartRecipe] = msgspec.field(default_factory=list)
     white: list[SensorCaptureRecipe] = msgspec.field(default_factory=list)
@@ -215,11 +214,11 @@ class MeasurementRecipe(Recipe):
     polariser: list[PolariserRecipe] = msgspec.field(default_factory=list)
     rotator: RotatorRecipe | None = None
     datasheet: DatasheetRecipe | None = None
-    # exposures or gains that differ between channels, and the polariser angles of the channels
+    # exposures or gains that differ between channels, and each channel's polariser angle
     channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)
     uncertainty: UncertaintyRecipe = msgspec.field(default_factory=UncertaintyRecipe)
     masked: MaskedRecipe | None = None  # optically black pixels around the light-sensitive pixels, as in a camera recipe
-    # whether blinking pixels, which are found in 32 or more dark frames with the same exposure, are added to the defects
+    # whether to add blinking pixels to the defects; they are found in 32 or more dark frames with the same exposure
     blinking_defects: bool = False
 
     def __post_init__(self) -> None:
@@ -234,32 +233,32 @@ class MeasurementRecipe(Recipe):
 
     @property
     def photos(self) -> list[PhotoRecipe]:
-        """The entry of [photo], or the entries of [[photo]], as a list."""
+        """The entries of [[photo]], or the single entry [photo], as a list."""
         return self.photo if isinstance(self.photo, list) else [self.photo]
 
     def photo_key(self, number: int) -> KeyPath:
-        """Return the key path of the photo with the index `number`."""
+        """Return the key path of the photo at index `number`."""
         return ("photo", number) if isinstance(self.photo, list) else ("photo",)
 
 
 class CorrectionRecipe(Recipe):
-    """A measurement file that adds the defects and the flat field, or measured polarisers, to a known camera."""
+    """A measurement file that adds defects and a flat field, or measured polarisers, to a known camera."""
 
     title: ClassVar[str] = MeasurementRecipe.title
 
     base: str  # camera model or camera recipe, relative to this file
     # captures with the lens cap on, at one or more exposures
     dark: Annotated[list[CaptureRecipe], msgspec.Meta(min_length=1)]
-    # captures of a uniform white target, neither clipped nor dark, which determine the defects and the flat field
+    # captures of a uniform white target, neither clipped nor too dark, from which defects and flat field are determined
     white: list[CaptureRecipe] = msgspec.field(default_factory=list)
-    # captures behind a rotating polariser, which determine the polarisers of the channels
+    # captures behind a rotating polariser, from which the channels' polarisers are determined
     polariser: list[PolariserRecipe] = msgspec.field(default_factory=list)
     rotator: RotatorRecipe | None = None
     blinking_defects: bool = False  # as in a measurement file without `base`
 
 
 def captures_of(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[tuple[str, int, CaptureRecipe]]:
-    """Yield (name of the section, index in the section, capture) for every capture."""
+    """Yield (section name, index in the section, capture) for every capture."""
     for section in CAPTURES:
         for number, capture in enumerate(getattr(recipe, section, [])):
             yield section, number, capture
@@ -269,12 +268,14 @@ def captures_of(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[tuple[
 
 
 def key_faults(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[Fault]:
-    """Yield all faults in a measurement file that can be found without reading other files."""
+    """Yield the faults in a measurement file that can be found without reading other files."""
     if isinstance(recipe, MeasurementRecipe):
         yield from _sensor_faults(recipe)
         yield from _source_faults(recipe)
     elif not recipe.white and not recipe.polariser:
-        yield fault("[[dark]] captures alone determine no correction; add [[white]] or [[polariser]] captures", ("dark",))
+        yield fault(
+            "[[dark]] captures alone are not enough for a correction; add [[white]] or [[polariser]] captures", ("dark",)
+        )
     for section, number, capture in captures_of(recipe):
         yield from _capture_faults(capture, (section, number))
     yield from _polariser_faults(recipe)
@@ -283,7 +284,7 @@ def key_faults(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[Fault]:
 
 
 def _polariser_faults(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[Fault]:
-    """Yield the faults in [[polariser]] and [rotator], except the faults of individual captures."""
+    """Yield the faults in [rotator] and in the combination of [[polariser]] with other sections."""
     if recipe.rotator is not None and not recipe.polariser:
         yield fault(
             "[rotator] applies only to [[polariser]] captures; add [[polariser]] captures, or remove [rotator]", "rotator"
@@ -291,12 +292,12 @@ def _polariser_faults(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[
     elif recipe.rotator is not None and recipe.rotator.reference is not None:
         name = recipe.rotator.reference
         if recipe.rotator.offset_deg:
-            message = '"rotator.reference" sets the zero of the scale; remove "rotator.offset_deg" or "rotator.reference"'
+            message = '"rotator.reference" already sets the zero of the scale; remove it or "rotator.offset_deg"'
             yield fault(message, "rotator.offset_deg")
         if isinstance(recipe, MeasurementRecipe):
             stated = {channel for channel, one in recipe.channel.items() if one.polariser_deg is not None}
             if name not in stated:
-                message = f'the channel "{name}" of "rotator.reference" has no angle; set channel.{name}.polariser_deg'
+                message = f'"rotator.reference" is channel "{name}", which has no angle; set channel.{name}.polariser_deg'
                 yield fault(message, "rotator.reference")
     if isinstance(recipe, MeasurementRecipe) and recipe.polariser and not (recipe.dark or recipe.datasheet or recipe.photos):
         yield fault(
@@ -306,12 +307,12 @@ def _polariser_faults(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[
 
 
 def _section_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
-    """Yield a fault for each section that is missing or cannot be combined with another section."""
+    """Yield a fault for each section that is missing or that cannot be combined with another section."""
     sources = [name for name in ("mono", "sweep", "curves", "band", "photo") if getattr(recipe, name)]
     rules = (
         (
             len(sources) != 1,
-            f"the file contains {' and '.join(sources) or 'no source of responsivity'}; specify exactly one of "
+            f"the file contains {' and '.join(sources) or 'no section for the responsivity'}; specify exactly one of "
             "[[mono]], [sweep], [curves], [[band]] and [photo]",
         ),
         (recipe.prior and not recipe.photos, 'the key "prior" applies only to [photo]; remove this key'),
@@ -359,7 +360,7 @@ def _sensor_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
     size = "sensor.rows", "sensor.cols"
     if sensor.rows * sensor.cols > most_pixels():
         yield fault(
-            f"a sensor with {sensor.rows}×{sensor.cols} pixels exceeds the limit of inputs; increase the environment "
+            f"a sensor with {sensor.rows}×{sensor.cols} pixels exceeds the maximum size of inputs; increase the environment "
             f"variable {MEGAPIXELS}",
             *size,
         )
@@ -394,7 +395,7 @@ def _source_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
 
 
 def _capture_faults(capture: CaptureRecipe, key: KeyPath) -> Iterator[Fault]:
-    """Yield the faults in the exposure and the monitor of a capture. `key` is the path of the capture in the recipe."""
+    """Yield the faults in a capture's exposure time and monitor. `key` is the capture's path in the recipe."""
     if isinstance(capture.monitor, MonitorRecipe) and not isinstance(capture, MonoRecipe):
         message = (
             f'"monitor" may be a table only for [[mono]] captures; set "monitor" of this [[{key[0]}]] capture to a number'
@@ -421,7 +422,7 @@ def frames_named(recipe: MeasurementRecipe | CorrectionRecipe) -> list[tuple[Key
 
 
 def spectrum_names(recipe: MeasurementRecipe) -> list[str]:
-    """Return the names of all files with spectra, tables or curves that a measurement file lists, without duplicates."""
+    """Return the names of all spectrum, table and curve files that a measurement file lists, without duplicates."""
     names = [step.spectrum for step in recipe.mono] + [chart.radiance for chart in [*recipe.band, *recipe.chart]]
     names += [step.monitor.file for step in recipe.mono if isinstance(step.monitor, MonitorRecipe)]
     names += [recipe.sweep.table, recipe.sweep.response.file] if recipe.sweep else []
@@ -431,12 +432,12 @@ def spectrum_names(recipe: MeasurementRecipe) -> list[str]:
 
 
 def describe(camera: CameraModel, uncertainty: UncertaintyRecipe, **captures: Any) -> MeasurementRecipe:
-    """Create a measurement file for captures of a known camera.
+    """Create a measurement file for captures taken with a known camera.
 
     Parameters
     ----------
     camera : CameraModel
-        The camera with which the captures were taken.
+        The camera.
     uncertainty : UncertaintyRecipe
         Uncertainties of the light.
     **captures
@@ -445,7 +446,7 @@ def describe(camera: CameraModel, uncertainty: UncertaintyRecipe, **captures: An
     Returns
     -------
     MeasurementRecipe
-        The measurement file, with the geometry of the camera and without its responsivities and noise.
+        Content of the measurement file. It describes the camera's geometry, but not its responsivities and noise.
     """
     return MeasurementRecipe(
         name=camera.name,
@@ -460,7 +461,7 @@ def describe(camera: CameraModel, uncertainty: UncertaintyRecipe, **captures: An
 
 
 def _channels(camera: CameraModel) -> dict[str, ChannelRecipe]:
-    """Return the sections [channel.NAME], which contain the readout, and the polariser angles rounded to whole degrees."""
+    """Return the sections [channel.NAME] with the readout settings, and with polariser angles rounded to whole degrees."""
     sections = settings_of(camera.readout, camera.channels)
     if camera.polarisers is not None:
         stated = zip(camera.channels, camera.polarisers.polariser_deg, camera.polarisers.present, strict=True)
@@ -470,14 +471,14 @@ def _channels(camera: CameraModel) -> dict[str, ChannelRecipe]:
 
 
 def write_measurements(recipe: MeasurementRecipe, path: Path) -> None:
-    """Write a measurement file. An existing file is replaced."""
+    """Write a measurement file, replacing an existing file."""
     write_whole(path, _toml(msgspec.to_builtins(recipe)))
 
 
 def _toml(table: dict[str, Any], prefix: str = "") -> str:
     """Convert a table to TOML text. Keys with the value None or [] are omitted.
 
-    `prefix` is the key of the table, followed by a period.
+    `prefix` is the table's key, followed by a period.
     """
 
     def is_table(value: Any) -> bool:

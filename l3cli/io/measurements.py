@@ -1,7 +1,7 @@
 """Read a measurement file and all files that it lists (docs/architecture.md#the-path-of-a-measurement).
 
 The keys of the file are read first (measurement_recipe.py), then the tables of spectra, then the photos. All other frames
-are read later, one at a time, because the frames of a lab may not fit into memory.
+are read later, one at a time, because lab measurements may not fit into memory.
 """
 
 import contextlib
@@ -82,30 +82,28 @@ from l3cli.system.files import sha256, stamp
 Array = NDArray[np.float64]
 ReadTable = Callable[[Path], CurveTable]
 AnyRecipe = MeasurementRecipe | CorrectionRecipe
-At = Callable[..., AbstractContextManager[None]]  # at(*keys) is a context manager that handles errors about these keys
+At = Callable[..., AbstractContextManager[None]]  # at(*keys) returns a context manager that handles errors about these keys
 
 
 @dataclass(frozen=True)
 class MeasurementFiles:
-    """Measurements, the files from which they were read, and the state of these files before l3 read them."""
+    """Measurements, and the files from which they were read."""
 
     measurements: Measurements
     recipe: str  # text of the measurement file; empty for photos without a measurement file
-    files: dict[str, list[Path]]  # role of files, such as "frames" → files
-    stamps: dict[Path, tuple[int, ...]]  # file → its device, inode, size and modification time (see `stamp`)
+    files: dict[str, list[Path]]  # role, such as "frames" → files
+    stamps: dict[Path, tuple[int, ...]]  # file → its state before it was read (see `system.files.stamp`)
 
     def history(self, options: dict[str, Any]) -> Stage:
-        """Return the history entry for a calibration: the options, the measurement file, and the SHA-256 of every file.
+        """Return the calibration's history entry: its options, its measurement file, and the SHA-256 digest of every file.
 
-        Raises InputFileError if a file has changed since l3 read the file, because the digest would not match the
-        measurements.
+        Raises InputFileError if a file has changed since it was read, because its digest would not match the measurements.
         """
         digests = {role: [sha256(file) for file in files] for role, files in self.files.items()}
         for file, before in self.stamps.items():
             if stamp(file) != before:
                 raise InputFileError(
-                    f"{file} changed while l3 was reading it; run the command again when no other program is writing to the "
-                    "file"
+                    f"{file} has changed since l3 read it; run the command again when no other program is writing to the file"
                 )
         return Stage("calibrate", options, self.recipe, digests)
 
@@ -139,7 +137,7 @@ def read_measurements(path: Path) -> MeasurementFiles:
 
 
 def read_photos(photos: Sequence[Path], light: str | None, levels: Levels | None = None) -> MeasurementFiles:
-    """Read raw files of a chart under one illuminant, without a measurement file.
+    """Read raw photos of a chart under one illuminant, without a measurement file.
 
     Parameters
     ----------
@@ -148,7 +146,7 @@ def read_photos(photos: Sequence[Path], light: str | None, levels: Levels | None
     light : str or None
         Name of the illuminant, or None to estimate it.
     levels : mapping, optional
-        Levels for raw files that state no levels (see chart_photos.Levels). [default: none]
+        Levels for raw files that do not contain them (see chart_photos.Levels). [default: none]
 
     Raises
     ------
@@ -170,7 +168,7 @@ def read_photos(photos: Sequence[Path], light: str | None, levels: Levels | None
 
 
 def parse_measurements(text: str, path: Path) -> AnyRecipe:
-    """Parse the text of the measurement file `path`. Raises RecipeError if the text has a fault."""
+    """Parse the text of the measurement file `path`. Raises RecipeError if it contains a fault."""
     name, based = str(path), "base" in parse_toml(text, str(path))
     recipe = parse_recipe(text, CorrectionRecipe, name) if based else parse_recipe(text, MeasurementRecipe, name)
     refuse_first(key_faults(recipe), path)
@@ -183,9 +181,9 @@ def measurements_of(recipe: AnyRecipe, path: Path) -> Measurements:
     Parameters
     ----------
     recipe : MeasurementRecipe or CorrectionRecipe
-        The content of the measurement file, from `parse_measurements`.
+        Content of the measurement file, from `parse_measurements`.
     path : Path
-        The path of the measurement file. File names are relative to its folder. The file itself is not read.
+        Path of the measurement file, which is not read again. File names are relative to its folder.
 
     Returns
     -------
@@ -195,7 +193,7 @@ def measurements_of(recipe: AnyRecipe, path: Path) -> Measurements:
     Raises
     ------
     RecipeError
-        If a name or a column in the measurement file does not exist.
+        If the measurement file refers to an unknown name or to a missing column.
     InputFileError
         If a file is missing, or if a table or a photo is damaged.
     """
@@ -217,16 +215,16 @@ def _files_named(recipe: AnyRecipe, path: Path) -> dict[str, list[Path]]:
 
 
 class MonoLight(NamedTuple):
-    """The measured light of one monochromator step."""
+    """Measured light of one monochromator step."""
 
     wavelength: Array  # (wavelength,) nm
     radiance: Array  # (wavelength,) photons/s/sr/m²/nm
     absolute: bool  # whether the absolute scale of the radiance is known
-    monitor: float  # lamp output during the capture, relative to the output during the measurement of the spectrum
+    monitor: float  # lamp output during the capture, relative to the output while the spectrum was measured
 
 
 class PatchRadiances(NamedTuple):
-    """The measured radiances of the patches of a chart."""
+    """Measured radiances of a chart's patches."""
 
     wavelength: Array  # (wavelength,) nm
     radiance: Array  # (24, wavelength) photons/s/sr/m²/nm
@@ -234,7 +232,7 @@ class PatchRadiances(NamedTuple):
 
 @dataclass(frozen=True)
 class Contents:
-    """The contents of all files that a measurement file lists, except frames.
+    """Contents of all files that a measurement file lists, except frames.
 
     The elements of each tuple are in the order of the measurement file.
     """
@@ -249,7 +247,7 @@ class Contents:
 
 
 def _raised(*keys: KeyPath) -> AbstractContextManager[None]:
-    """Return a context manager that catches no errors, so that the first error is raised."""
+    """Return a context manager that does not handle errors, so that the first error is raised."""
     return contextlib.nullcontext()
 
 
@@ -259,20 +257,20 @@ def read_contents(recipe: AnyRecipe, path: Path, at: At = _raised) -> Contents:
     Parameters
     ----------
     recipe : MeasurementRecipe or CorrectionRecipe
-        The content of the measurement file.
+        Content of the measurement file.
     path : Path
-        The path of the measurement file. File names are relative to its folder.
+        Path of the measurement file. File names are relative to its folder.
     at : callable
-        Function that returns a context manager, which handles the errors in a block of code. The arguments are the keys to
-        which the errors refer. `l3 check` passes a function whose context managers collect errors instead of raising them.
-        Entries with errors are then missing from the result. [default: errors are raised]
+        Function that takes the keys of an entry and returns a context manager, which handles errors about this entry. For
+        example, `l3 check` collects the errors, and the entries are then missing from the result. [default: errors are
+        raised]
 
     Raises
     ------
     RecipeError
-        If a column or a name does not exist.
+        If the measurement file refers to an unknown name or to a missing column.
     InputFileError
-        If a file is missing or its content is unsuitable.
+        If a file is missing, or if its content is unsuitable.
     """
     folder, read = path.parent, functools.cache(read_table)  # many captures share a table
     for key, name in frames_named(recipe):
@@ -310,7 +308,7 @@ def read_contents(recipe: AnyRecipe, path: Path, at: At = _raised) -> Contents:
 
 
 def _mono_lights(steps: Sequence[MonoRecipe], path: Path, read: ReadTable, at: At) -> tuple[MonoLight, ...]:
-    """Return the measured light of each monochromator step.
+    """Read the measured light of each monochromator step.
 
     Raises RecipeError if a column does not exist, and InputFileError if a spectrum is unsuitable.
     """
@@ -325,7 +323,9 @@ def _mono_lights(steps: Sequence[MonoRecipe], path: Path, read: ReadTable, at: A
             light = table.column(step.column)
             radiance = light.photons(step.unit)[0]
             if radiance.max() <= 0:
-                raise InputFileError(f"{table.path}: column {step.column} has no positive value; measure the spectrum again")
+                raise InputFileError(
+                    f"{table.path}: column {step.column} contains no positive value; measure the spectrum again"
+                )
             monitor, nm = step.monitor, float(light.wavelength[radiance.argmax()])
             with at(("mono", number, "monitor")):
                 ratio = monitor_at(monitor, nm, path.parent, read) if isinstance(monitor, MonitorRecipe) else monitor
@@ -335,16 +335,16 @@ def _mono_lights(steps: Sequence[MonoRecipe], path: Path, read: ReadTable, at: A
 
 
 def monitor_at(monitor: MonitorRecipe, nm: float, folder: Path, read: ReadTable = read_table) -> float:
-    """Return the lamp output during a capture, relative to the output during the measurement of the spectrum.
+    """Return the lamp output during a capture, relative to the output while the spectrum was measured.
 
     Parameters
     ----------
     monitor : MonitorRecipe
-        Description of the table of readings.
+        Table and columns of the monitor readings.
     nm : float
         Peak wavelength of the capture in nm.
     folder : Path
-        The folder of the measurement file. The name of the table is relative to this folder.
+        Folder of the measurement file, to which the table's file name is relative.
     read : callable
         Function that reads a table.
 
@@ -356,38 +356,37 @@ def monitor_at(monitor: MonitorRecipe, nm: float, folder: Path, read: ReadTable 
     Raises
     ------
     InputFileError
-        If the table does not cover `nm`, if the units of the two columns differ, if the ratio is implausible, or if no
-        reference is set and the column contains readings instead of ratios.
+        If the table does not cover `nm`, if the two columns have different units, if the ratio is implausible, or if no
+        reference is set although the column contains readings instead of ratios.
     """
     table = read(folder / monitor.file)
     first, last = table.wavelength[0], table.wavelength[-1]
     if not first - 1 <= nm <= last + 1:
         raise InputFileError(
-            f"{table.path} covers only {first:g}…{last:g} nm, but the wavelength of a capture is {nm:g} nm; add a reading "
-            "at this wavelength"
+            f"{table.path} covers only {first:g}…{last:g} nm, but one capture is at {nm:g} nm; add a reading at this "
+            "wavelength"
         )
     reading, unit = _reading(table, monitor.column, nm)
     if monitor.reference is None:
         if unit or not 1 / MOST_UNREFERENCED <= reading <= MOST_UNREFERENCED:
             with_unit = " (with a unit)" if unit else ""
             raise InputFileError(
-                f"{table.path}: {reading:.4g}{with_unit} at {nm:g} nm cannot be a relative lamp brightness, which is near "
-                '1; if the column contains lamp readings, set "reference" to the column with the readings taken when the '
+                f"{table.path}: {reading:.4g}{with_unit} at {nm:g} nm cannot be a relative lamp brightness, which would be "
+                'near 1; if the column contains lamp readings, set "reference" to the column of readings taken while the '
                 "spectra were measured"
             )
         return reading
     before, other = _reading(table, monitor.reference, nm)
     if unit != other:
         raise InputFileError(
-            f'{table.path}: the columns of "monitor" have different units; specify two columns with readings of the same '
-            "detector"
+            f'{table.path}: the two columns for "monitor" have different units; specify two columns with readings of the '
+            "same detector"
         )
     ratio = reading / before if before > 0 else math.inf
     if not 1 / MOST_MONITOR <= ratio <= MOST_MONITOR:
         raise InputFileError(
             f"{table.path}: at {nm:g} nm, the reading {reading:.4g} differs from the reference {before:.4g} by more than a "
-            f'factor of {MOST_MONITOR:g}; set "reference" to the column with the readings during the measurement of the '
-            "spectra"
+            f'factor of {MOST_MONITOR:g}; set "reference" to the column of readings taken while the spectra were measured'
         )
     return ratio
 
@@ -395,7 +394,7 @@ def monitor_at(monitor: MonitorRecipe, nm: float, folder: Path, read: ReadTable 
 def _reading(table: CurveTable, column: int | str, nm: float) -> tuple[float, dict[str, int]]:
     """Interpolate a column at the wavelength `nm`. Return the value in base units, and the exponent of each base unit.
 
-    If the heading contains no unit, the value is in the unit of the table, and the mapping of exponents is empty.
+    If the heading contains no unit, the value is returned as it is, and the dictionary of exponents is empty.
     """
     found = table.column(column)
     unit = None if found.units[0] is None else units.parse(found.units[0])
@@ -406,10 +405,9 @@ def _reading(table: CurveTable, column: int | str, nm: float) -> tuple[float, di
 def _patch_radiances(
     section: str, captures: Sequence[ChartRecipe], folder: Path, read: ReadTable, at: At
 ) -> tuple[PatchRadiances, ...]:
-    """Return the radiances of the patches in each [[chart]] or [[band]] capture, in the order of the ColorChecker.
+    """Read the patch radiances for each [[chart]] or [[band]] capture, in the order of the ColorChecker.
 
-    Raises InputFileError if the radiances of a [[chart]] capture are relative, or if all radiances of a patch are zero or
-    negative.
+    Raises InputFileError if the radiances for a [[chart]] capture are relative, or if a patch has no positive radiance.
     """
     radiances = []
     for number, capture in enumerate(captures):
@@ -423,16 +421,16 @@ def _patch_radiances(
                 )
             radiance = measured.photons(capture.unit, absolute=section == "chart")
             if radiance.max(axis=1).min() <= 0:
-                raise InputFileError(f"{file}: the radiance of a patch is 0; measure the chart again")
+                raise InputFileError(f"{file}: a patch has no positive radiance; measure the chart again")
             radiances.append(PatchRadiances(measured.wavelength, radiance))
     return tuple(radiances)
 
 
 def patch_name(heading: str) -> str:
-    """Convert a heading such as "patch 13", "13", "Blue" or "white 9.5 (.05 D)" to the name of a patch.
+    """Convert a column heading such as "patch 13", "13", "Blue" or "white 9.5 (.05 D)" to the name of a patch.
 
-    A patch number becomes the name of the patch. Other headings are converted to lower case, and text in parentheses at the
-    end is removed.
+    A number is replaced by the name of the patch with this number. Other headings are converted to lower case, without any
+    trailing text in parentheses.
     """
     number = re.fullmatch(r"(?:patch|p|no|#)?[ ._-]*0*(\d{1,2})", heading.strip(), re.IGNORECASE)
     if number and 1 <= int(number[1]) <= PATCHES:
@@ -441,7 +439,7 @@ def patch_name(heading: str) -> str:
 
 
 def _curve(recipe: MeasurementRecipe, folder: Path) -> SweepTable | FinishedCurves | None:
-    """Read the curves of [sweep] or [curves]. The result is None if the measurement file has neither section."""
+    """Read the curves for [sweep] or [curves], or return None if the measurement file has neither section."""
     if recipe.sweep is not None:
         response = recipe.sweep.response
         return read_sweep(folder / recipe.sweep.table, folder / response.file, recipe.cfa.channels, response.column)
@@ -452,9 +450,9 @@ def _curve(recipe: MeasurementRecipe, folder: Path) -> SweepTable | FinishedCurv
 
 
 def _cameras(recipe: MeasurementRecipe, folder: Path) -> CurveStatistics | tuple[FinishedCurves, ...] | None:
-    """Return the prior for photos: measured responsivities in a folder, or the statistics of the included cameras.
+    """Return the prior for photos: a folder of measured responsivities, or the statistics of the built-in cameras.
 
-    The result is None if the measurement file contains no photos.
+    None if the measurement file contains no photos.
     """
     if not recipe.photos:
         return None
@@ -471,9 +469,9 @@ def _assembled(
     levels: Levels | None,
     read: Callable[[Path, Levels], RawContent],
 ) -> Measurements:
-    """Combine a recipe and the contents of its files into measurements. The photos are read with the function `read`.
+    """Combine a recipe and the contents of its files into measurements, and read the photos with the function `read`.
 
-    `levels` applies to photos that state no levels. If `levels` is None, the levels in [datasheet] apply.
+    `levels` applies to photos that do not contain levels. If `levels` is None, the levels in [datasheet] apply to them.
     """
     if isinstance(recipe, CorrectionRecipe):
         assert contents.base is not None
@@ -515,10 +513,7 @@ def _assembled(
 
 
 def _corrections(recipe: CorrectionRecipe, camera: CameraModel, folder: Path) -> Measurements:
-    """Return the dark, white and polariser captures of a measurement file that contains the key `base`.
-
-    `camera` is the camera model to which `base` refers.
-    """
+    """Return the captures of a measurement file that contains the key `base`, which refers to `camera`."""
     geometry = camera.name, camera.rows, camera.cols, camera.pixel_pitch, camera.bits, camera.channels, camera.cfa
 
     def frames(capture: CaptureRecipe) -> dict[str, Any]:
@@ -538,7 +533,7 @@ def _corrections(recipe: CorrectionRecipe, camera: CameraModel, folder: Path) ->
 def _polarisers(recipe: AnyRecipe, frames: Callable[[CaptureRecipe], dict[str, Any]]) -> dict[str, Any]:
     """Return the arguments of Measurements that describe the captures behind a rotating polariser.
 
-    The function `frames` returns the arguments of Capture for an entry in the measurement file.
+    `frames` is a function that returns the arguments of Capture for an entry in the measurement file.
     """
     stated = recipe.rotator or RotatorRecipe()
     return {
@@ -583,7 +578,7 @@ def _figures(declared: DatasheetRecipe) -> SensorFigures:
 
 
 def _by_speed(recipes: Sequence[SensorCaptureRecipe], body: Body, folder: Path) -> dict[float | None, tuple[Capture, ...]]:
-    """Group captures by ISO speed. The key is None for captures that do not state an ISO speed."""
+    """Group captures by ISO speed. Captures without an ISO speed have the key None."""
     found: dict[float | None, tuple[Capture, ...]] = {}
     for each in recipes:
         found[each.iso] = (*found.get(each.iso, ()), Capture(**_frames(each, body, folder)))
@@ -591,7 +586,7 @@ def _by_speed(recipes: Sequence[SensorCaptureRecipe], body: Body, folder: Path) 
 
 
 def _frames(capture: CaptureRecipe, body: Body, folder: Path) -> dict[str, Any]:
-    """Return the arguments of Capture for an entry in the measurement file. The frames are read later."""
+    """Return the arguments of Capture for an entry in the measurement file. Its frames are read later."""
     paths = tuple(folder / name for name in capture.frames)
     files = FrameFiles(paths, (body.rows, body.cols), body.bits, body, body.masked)
     return {"name": capture.frames[0], "exposure": capture.seconds, "frames": files, "monitor": capture.monitor}

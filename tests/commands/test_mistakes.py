@@ -57,9 +57,9 @@ MISTAKES = """
     2 calibrate rotator.toml -o new.h5
         [rotator] applies only to [[polariser]] captures; add [[polariser]] captures, or remove [rotator]
     2 calibrate reference.toml -o new.h5
-        the channel "r" of "rotator.reference" has no angle; set channel.r.polariser_deg
+        "rotator.reference" is channel "r", which has no angle; set channel.r.polariser_deg
     2 calibrate two_zeros.toml -o new.h5
-        "rotator.reference" sets the zero of the scale; remove "rotator.offset_deg" or "rotator.reference"
+        "rotator.reference" already sets the zero of the scale; remove it or "rotator.offset_deg"
     1 calibrate lab/MEASUREMENTS.toml -o folder
         folder is a folder; choose a file
     1 calibrate lab/MEASUREMENTS.toml -o raw.tif/new.h5
