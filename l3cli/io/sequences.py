@@ -1,7 +1,7 @@
-"""Find the raw frames of an input, or the pictures of a finished sequence for evaluation.
+"""Find the raw frames in an input, or the rendered pictures of a sequence that is to be evaluated.
 
 An input is a folder, a numbered pattern, a glob, a file with one or several frames, a video, or a headerless stream on
-stdin. Frames are listed without being read. Each frame is read when it is needed.
+stdin. Frames are first only listed. Each frame is read when it is needed.
 """
 
 import contextlib
@@ -48,17 +48,17 @@ STDIN_NAME = "stdin"  # name of the input in messages
 
 @dataclass(frozen=True)
 class FrameReference:
-    """Identifies a frame of a sequence. The frame is read with `Frames.read(number)`."""
+    """Identifies a frame in a sequence, which `Frames.read(number)` reads."""
 
     number: int
     stem: str  # name of the output file, without suffix
-    source: Path | None = None  # the input file if the file contains only this frame, otherwise None
+    source: Path | None = None  # input file, if it contains only this frame
     origin: str = ""  # digest of everything that determines the rendered picture; "" if not yet computed
 
 
 @dataclass(frozen=True)
 class FrameSequence:
-    """The frames of an input, in order. A stream ends at the first frame for which `Frames.read` returns None."""
+    """The frames in an input, in order. A stream ends at the first frame for which `Frames.read` returns None."""
 
     what: str  # name of the input in messages
     frames: "Frames"  # a stream may end before the last of these frames
@@ -66,10 +66,10 @@ class FrameSequence:
     stills: bool  # whether the frames are independent pictures instead of a sequence in time
     rate: Fraction | None = None  # frames per second, if the file states it
     missing: Sequence[range] = ()  # ranges of frame numbers that are missing from the sequence
-    is_stream: bool = False  # whether the frames must be read in order and their number may be unknown
+    is_stream: bool = False  # whether the frames must be read in order, and their number may be unknown
     wanted: range | None = None  # frame numbers that the user selected from a stream; None for all frames
     unit: int | None = 1  # step between consecutive frame numbers; None if irregular, for example for time stamps
-    times: Stated | None = None  # reads the times of the frames; None if the file states none
+    times: Stated | None = None  # function that reads the frame times; None if the file does not contain them
     part: range | None = None  # positions, counted from 0, of the frames to render; None for all frames
 
     @property
@@ -83,29 +83,29 @@ class FrameSequence:
         return self.count if self.part is None else len(self.part)
 
     def renders(self, place: int) -> bool:
-        """Return whether the frame at a position must be rendered.
+        """Return whether to render the frame at a position.
 
-        Frames that are not rendered may still be read, because other frames depend on them.
+        Frames that are not rendered may still be read, because later frames depend on them.
         """
         return self.part is None or place in self.part
 
     def absent(self, numbers: range) -> InputFileError:
-        """Return an error that names the missing frames. The caller raises the error."""
+        """Return an error that names missing frames, for the caller to raise."""
         step = f"x{numbers.step}" if numbers.step > 1 else ""
         named = f"frame {numbers[0]} is" if len(numbers) == 1 else f"frames {numbers[0]}-{numbers[-1]}{step} are"
         return InputFileError(f"{named} not in {self.what}; select existing frames with ‹frames›, or add ‹skip_bad›")
 
     def rest(self, number: int) -> range:
-        """Return the selected frame numbers of a stream, from `number` to the end. Empty if no frames were selected.
+        """Return the selected frame numbers from `number` on, which are missing if a stream ends before frame `number`.
 
-        If the stream ended before frame `number`, these frames are missing.
+        Empty if the user selected no frames.
         """
         return self.wanted[self.wanted.index(number) :] if self.wanted else range(0)
 
 
 @dataclass(frozen=True)
 class _Series:
-    """The frame numbers of an input, and a function that reads the frame with a given number."""
+    """The frame numbers in an input, and functions that read and name the frame with a given number."""
 
     what: str  # name of the input in messages
     numbers: Collection[int] | None  # existing frame numbers in order; None for a stream
@@ -113,8 +113,8 @@ class _Series:
     stem: Callable[[int], str]  # returns the name of the output file, without suffix
     rate: Fraction | None = None  # frames per second, if the file states it
     files: Mapping[int, Path] | None = None  # frame number → file, if each frame has its own file
-    times: Stated | None = None  # reads the times of the frames; None if the file states none
-    expected: range | None = None  # frame numbers that should exist; None if only `numbers` are expected
+    times: Stated | None = None  # function that reads the frame times; None if the file does not contain them
+    expected: range | None = None  # frame numbers that should exist; None if these are `numbers`
 
 
 def find_frames(
@@ -124,19 +124,19 @@ def find_frames(
     selection: range | None = None,
     dataset: str | None = None,
 ) -> FrameSequence:
-    """Find the frames of one input of any type, or of several files with one frame each.
+    """Find the frames in one input of any type, or in several files with one frame each.
 
     Parameters
     ----------
     inputs : tuple of Path
         The inputs. A pattern or glob is one input, and STDIN is a headerless stream.
     table : TransformTable
-        The table determines the CFA. If `known` contains no size, the table also determines the size of headerless frames.
+        Transform table, which determines the CFA and, unless `known` contains a size, the size of headerless frames.
     known : RawOverrides
         Properties of the raw files that the user set. They take precedence over the properties in the files.
     selection : range, optional
-        Frame numbers to select. All selected frames are expected to exist. [default: all frames of the input; for a pattern,
-        all numbers from the first to the last are expected to exist]
+        Numbers of the frames to select, all of which should exist. [default: all frames; in a pattern, all numbers between
+        the first and the last should exist]
     dataset : str, optional
         Name of the array in an HDF5 or MATLAB file.
 
@@ -150,14 +150,14 @@ def find_frames(
     InputFileError
         If there are no frames, or if the number of gains in `known` differs from the number of frames.
     RecipeError
-        If there are several inputs and one of them is not a file with a single frame, if `dataset` does not apply to the
-        input, or if the size of frames on stdin is unknown.
+        If one of several inputs is not a file with a single frame, if `dataset` does not apply to the input, or if the size
+        of frames on stdin is unknown.
 
     Notes
     -----
     If each file contains one frame, the frame number is the last number in the file name. If a name contains no number, or
-    if two names contain the same number, the files are numbered from 0 instead. The frames of a file with several frames are
-    numbered from 0.
+    if two names contain the same number, the files are instead numbered from 0, as are the frames in a file with several
+    frames.
     """
     plain = [path for path in inputs if is_one_file(path)]
     if len(plain) < len(inputs) and len(inputs) > 1:
@@ -183,11 +183,11 @@ def find_frames(
 
 
 def _divided(wanted: range, numbers: Collection[int]) -> tuple[Sequence[int], list[range]]:
-    """Return the wanted frame numbers that exist, in order, and ranges of wanted numbers that do not exist.
+    """Divide the wanted frame numbers into those that exist, in order, and ranges of those that do not exist.
 
-    The missing numbers are returned as ranges, because `wanted` may contain very many numbers.
+    Missing numbers are returned as ranges, because `wanted` may contain very many numbers.
     """
-    if isinstance(numbers, range):  # a stack, whose frames are numbered from 0
+    if isinstance(numbers, range):  # frames in a stack, numbered from 0
         there: Sequence[int] = range(wanted.start, min(wanted.stop, len(numbers)), wanted.step)
         return there, [wanted[len(there) :]] if len(there) < len(wanted) else []
     there, missing, following = sorted(number for number in numbers if number in wanted), [], 0
@@ -200,10 +200,10 @@ def _divided(wanted: range, numbers: Collection[int]) -> tuple[Sequence[int], li
 
 
 def read_dark(sequence: FrameSequence) -> DarkFrame:
-    """Return the mean of the dark frames in a sequence.
+    """Average the dark frames in a sequence.
 
-    Raises InputFileError if a frame is damaged, or if the frames differ in size. Raises RecipeError if the frames are read
-    from stdin.
+    Raises InputFileError if a frame is damaged, or if the frames differ in size. Raises RecipeError if the frames come from
+    stdin.
     """
     if sequence.what == STDIN_NAME:
         raise RecipeError("dark frames cannot be read from stdin; save them in files")
@@ -219,10 +219,10 @@ def _until_none(frames: Iterable[RawFrame | None]) -> Iterator[RawFrame]:
 
 
 def frame_files(path: Path) -> list[Path]:
-    """Return the raw files of a folder, a pattern or a glob, in order.
+    """Return the raw files in a folder, or those that match a pattern or a glob, in order.
 
-    For any other path, the list contains only the path, even if the file does not exist. The list is empty if no file
-    matches a pattern. Raises InputFileError if a folder or glob contains no files.
+    For any other path, return only this path, even if the file does not exist. The list is empty if no file matches a
+    pattern. Raises InputFileError if a folder contains no raw files, or if no file matches a glob.
     """
     if path.is_dir():
         return _in_folder(path)
@@ -232,13 +232,13 @@ def frame_files(path: Path) -> list[Path]:
 
 
 def is_still(path: Path, table: TransformTable, known: RawOverrides) -> bool:
-    """Return whether a path is the name of a file that contains a single frame. The file need not exist."""
+    """Return whether a path refers to a file with a single frame, according to its content or, if missing, its name."""
     return is_one_file(path) and not (path.exists() and read_stack(path, table, known))
 
 
 @dataclass(frozen=True)
 class Frames:
-    """The frames of an input. References are created during iteration, because an input may have very many frames."""
+    """The frames in an input. References are created during iteration, because there may be very many frames."""
 
     series: _Series
     wanted: Iterable[int]
@@ -247,22 +247,20 @@ class Frames:
         return map(self.reference, self.wanted)
 
     def reference(self, number: int) -> FrameReference:
-        """Return the reference to the frame with the given number."""
         series = self.series
         source = series.files.get(number) if series.files else None
         return FrameReference(number, series.stem(number), source)
 
     def read(self, number: int) -> RawFrame | None:
-        """Read the frame with the given number.
+        """Read the frame with the given number, or return None after the end of a stream.
 
-        Returns None after the end of a stream. Raises InputFileError if the frame is damaged, or if a stream ends before
-        all gains that the user listed are used.
+        Raises InputFileError if the frame is damaged, or if a stream has fewer frames than the user listed gains.
         """
         return self.series.read(number)
 
 
 def is_one_file(path: Path) -> bool:
-    """Return whether a path is the name of a file whose format can contain a single frame. The file need not exist."""
+    """Return whether a path refers to one file in a format for single frames. The file need not exist."""
     if path == STDIN or path.is_dir() or not format_of(path).holds_frame:
         return False
     return path.exists() or not (PATTERN.search(path.name) or is_glob(path))
@@ -304,11 +302,7 @@ def _globbed(path: Path) -> list[Path]:
 
 
 def _series_of_files(what: str, paths: Iterable[Path], table: TransformTable, known: RawOverrides) -> _Series:
-    """Return a series with one frame per file.
-
-    The number of a frame is the last number in its file name. If a name contains no number, or if two names contain the same
-    number, the frames are numbered from 0.
-    """
+    """Return a series with one frame per file, numbered as described in `find_frames`."""
     paths = list(paths)
     named = [number for path in paths if (number := last_number(path)) is not None]
     numbers = named if len(set(named)) == len(paths) else range(len(paths))
@@ -322,7 +316,7 @@ def _series_of_files(what: str, paths: Iterable[Path], table: TransformTable, kn
 
 
 def _film_rate(path: Path) -> Fraction | None:
-    """Return the frame rate that a file with a single frame states (such as a CinemaDNG file), or None."""
+    """Return the frame rate stated in a single-frame file such as a CinemaDNG file, or None."""
     return format_of(path).rate(path) if path.is_file() else None
 
 
@@ -330,7 +324,7 @@ def _series_of_pattern(pattern: Path, table: TransformTable, known: RawOverrides
     files = numbered_files(pattern)
     if not files:
         raise InputFileError(f"{pattern} matches no file; use a pattern of the raw frames, such as frame_%04d.tif")
-    # A pattern is expected to have files with consecutive numbers. If a number is missing, the frame counts as missing.
+    # The files should be numbered consecutively. A gap in the numbers counts as missing frames.
     whole, rate = range(min(files), max(files) + 1), _film_rate(next(iter(files.values())))
     return _Series(
         str(pattern), files, lambda number: read_raw(files[number], table, known.of_frame(number - whole.start)),
@@ -342,10 +336,10 @@ def _series_of_pattern(pattern: Path, table: TransformTable, known: RawOverrides
 
 
 def _series_of_stack(what: str, stem: str, stack: MultiFrameFile, table: TransformTable, known: RawOverrides) -> _Series:
-    """Convert a stack or stream of raw frames to a series. Output names are STEM_NUMBER, or NUMBER if `stem` is empty.
+    """Convert a stack or stream of raw frames to a series.
 
-    If the stack contains a single frame and does not set `numbered`, the output name is STEM. Raises InputFileError if the
-    stack is empty.
+    Outputs are named STEM_NUMBER, or NUMBER if `stem` is empty. The output of a single frame is named STEM, unless the stack
+    sets `numbered`. Raises InputFileError if the stack is empty.
     """
     if stack.count == 0:
         raise InputFileError(f"{what} contains no frames; use an array with the axes (frame, row, column)")
@@ -381,17 +375,17 @@ class PictureSequence:
 
     name: str  # name of the sequence in messages
     shape: tuple[int, int]  # rows, cols
-    count: int | None  # None for a video, whose length is unknown
+    count: int | None  # number of pictures; None for a video, because it is unknown
     pictures: Callable[[], Iterator[Linear]]  # returns a new iterator over all pictures
     files: tuple[Path, ...]  # one file per picture, or the video
-    motion: tuple[Path, ...] = ()  # files with the motion from the previous picture to each picture; empty if unknown
+    motion: tuple[Path, ...] = ()  # for each picture, the file with the motion since the previous one; empty if unknown
 
 
 def find_pictures(path: Path) -> PictureSequence:
-    """Find a sequence of pictures. The path is a folder, a numbered pattern, a glob, or a video.
+    """Find the pictures in a folder or a video, or those that match a numbered pattern or a glob.
 
-    If `l3 simulate` wrote the folder, only the ideal pictures are used. Raises InputFileError if there are no pictures, if
-    the pictures differ in size, or if a number in a pattern is missing.
+    In a folder written by `l3 simulate`, only the ideal pictures are used. Raises InputFileError if there are no pictures,
+    if they differ in size, or if a number in a pattern is missing.
     """
     if is_video(path) and not _names_several(path):
         return PictureSequence(str(path), _video_shape(path), None, functools.partial(_video_pictures, path), (path,))
@@ -399,10 +393,11 @@ def find_pictures(path: Path) -> PictureSequence:
 
 
 def picture_files(path: Path) -> list[Path]:
-    """Return the picture files of a folder, a numbered pattern or a glob, in order. The pictures may differ in size.
+    """Return the picture files in a folder, or those that match a numbered pattern or a glob, in order.
 
-    If `l3 simulate` wrote the folder, only the ideal pictures are used. Raises InputFileError if there are no pictures, if a
-    file is not a supported picture, if a number in a pattern is missing, or if the path is a single file.
+    In a folder written by `l3 simulate`, only the ideal pictures are used. The pictures may differ in size. Raises
+    InputFileError if there are no pictures, if a file is not a supported picture, if a number in a pattern is missing, or if
+    the path is a single file.
     """
     if not _names_several(path):
         what = "is a single file" if path.exists() else "does not exist"
@@ -415,8 +410,7 @@ def picture_files(path: Path) -> list[Path]:
             number for number in range(min(numbered, default=0), max(numbered, default=0)) if number not in numbered
         ]:
             raise InputFileError(
-                f"{path}: picture number {lost[0]} is missing; render this picture, or select the existing pictures "
-                "with a glob"
+                f"{path}: picture {lost[0]} is missing; render this picture, or select the existing pictures with a glob"
             )
         files = list(numbered.values())
     else:
@@ -429,9 +423,9 @@ def picture_files(path: Path) -> list[Path]:
 
 
 def require_alike(ours: PictureSequence, wanted: PictureSequence | None) -> None:
-    """Raise InputFileError if a sequence has only one picture, or if it differs from `wanted` in size or length.
+    """Raise InputFileError if a sequence has only one picture, or if it differs from `wanted` in picture size or length.
 
-    If `wanted` is None, only the number of pictures is checked. Unknown lengths of videos are not compared.
+    If `wanted` is None, only the number of pictures is checked. The length of a video is unknown and therefore not compared.
     """
     if ours.count == 1:
         raise InputFileError(f"{ours.name} contains only one picture; use a sequence of at least two")
@@ -446,10 +440,10 @@ def require_alike(ours: PictureSequence, wanted: PictureSequence | None) -> None
 
 
 def paired(ours: PictureSequence, wanted: PictureSequence | None) -> Iterator[tuple[Linear, Linear | None, Linear | None]]:
-    """Yield the rendered picture, the ideal picture and the known motion of each frame.
+    """Yield each frame's rendered picture, ideal picture and motion (see `read_motion`).
 
-    The ideal picture is None if `wanted` is None. The motion has the form that `read_motion` returns. The motion is None if
-    it is unknown. Raises InputFileError if one sequence ends before the other.
+    The ideal picture is None if `wanted` is None, and the motion is None if it is unknown. Raises InputFileError if one
+    sequence ends before the other.
     """
     ideals: Iterator[Linear | None] = wanted.pictures() if wanted else itertools.repeat(None)
     motions = iter(wanted.motion) if wanted else iter(())
@@ -466,15 +460,15 @@ def paired(ours: PictureSequence, wanted: PictureSequence | None) -> Iterator[tu
 
 
 def read_motion(path: Path, shape: tuple[int, int]) -> Linear:
-    """Read the motion of each pixel since the previous frame, as an array (3, row, col).
+    """Read each pixel's motion since the previous frame, as an array (3, row, col).
 
-    The three planes are the downward motion in pixels, the rightward motion in pixels, and 1 where the motion is known (0
-    elsewhere). Raises InputFileError if the file does not contain the motion of frames of `shape` (rows, columns).
+    The three planes are the downward motion in pixels, the rightward motion in pixels, and a mask that is 1 where the motion
+    is known and 0 elsewhere. Raises InputFileError if the file does not contain motion for frames of `shape` (rows, cols).
     """
     planes, names = read_image(path)
     if names != KNOWN_MOTION or planes.shape[:2] != shape or not np.isfinite(planes).all():
         raise InputFileError(
-            f"{path} does not contain the motion of frames of {shape[0]}×{shape[1]} pixels; "
+            f"{path} does not contain motion for frames of {shape[0]}×{shape[1]} pixels; "
             'use the file that "l3 simulate" wrote'
         )
     return np.ascontiguousarray(np.moveaxis(planes, -1, 0), np.float32)
@@ -540,9 +534,9 @@ def _video_shape(path: Path) -> tuple[int, int]:
 
 @isolated("av")
 def _video_picture(path: Path, number: int) -> NDArray | None:
-    """Return frame `number` as encoded sRGB (row, col, 3), uint8 or uint16, or None after the last frame.
+    """Return frame `number` as encoded sRGB, (row, col, 3), uint8 or uint16, or None after the last frame.
 
-    Frames must be read in order. Luma and chroma are converted to RGB with the BT.709 matrix, which `l3 render` uses.
+    Frames must be read in order. Luma and chroma are converted to RGB with the BT.709 matrix, as written by `l3 render`.
     """
     frame = _open.setdefault(path, InTurn(_video)).frame(path, number)
     if frame is None:

@@ -1,6 +1,6 @@
-"""Read and write tags of TIFF 6, TIFF/EP, Exif and DNG 1.7. Tags have the names that tifffile uses.
+"""Read and write tags of TIFF 6, TIFF/EP, Exif and DNG 1.7, by their names in tifffile.
 
-All these formats use the same tags for the make and model of the camera and for the shot settings.
+All these formats use the same tags for the camera's make and model and for the shot settings.
 """
 
 import re
@@ -15,24 +15,24 @@ import numpy as np
 from l3cli.errors import InputFileError
 from l3cli.frames.frame import Shot
 
-BYTE, ASCII, SHORT, LONG, RATIONAL, SRATIONAL, DOUBLE = 1, 2, 3, 4, 5, 10, 12  # codes of the types of tag values
+BYTE, ASCII, SHORT, LONG, RATIONAL, SRATIONAL, DOUBLE = 1, 2, 3, 4, 5, 10, 12  # codes of data types
 FRACTIONS = (RATIONAL, SRATIONAL)
 COLOUR_FILTER_ARRAY, LINEAR_RAW = 32803, 34892  # values of PhotometricInterpretation
-REDUCED, ONE_OF_MANY = 1, 2  # bits of NewSubfileType: the page is a smaller copy of another image, or one page of several
+REDUCED, ONE_OF_MANY = 1, 2  # bits of NewSubfileType: reduced-resolution copy of another image, one page of several
 RECTANGULAR = 1  # value of CFALayout
 UNSIGNED = 1  # value of SampleFormat
 UPRIGHT = 1  # value of Orientation
 LIBRAW_FLIP = (0, 0, 1, 3, 2, 4, 6, 7, 5)  # LibRaw's flip code for each value 0…8 of Orientation
 # Exceptions that damaged tags can cause.
 BROKEN = (ValueError, TypeError, KeyError, IndexError, AttributeError, ZeroDivisionError, OverflowError, struct.error)
-LONGEST_NAME = 80  # maximum length of a camera name; longer names are cut
+LONGEST_NAME = 80  # camera names are cut to this length
 MAX_DENOMINATOR = 10**9
 MAX_INTEGER = 2**31 - 1  # maximum numerator
 Entry = tuple[int, int, int, object, bool]  # tag for tifffile: code, type, count, value, only on first page
 
 
 def flip_of(path: Path, orientation: object) -> int:
-    """Return LibRaw's flip code for a value of the tag Orientation.
+    """Convert a value of the tag Orientation to LibRaw's flip code.
 
     The value 0 counts as upright. Raises InputFileError for other values that TIFF does not define.
     """
@@ -62,10 +62,10 @@ def numbers(page: Any, name: str, default: Any) -> Any:
 
 
 def number(value: Any) -> float | None:
-    """Convert the value of an Exif tag to a float, or return None if the value is not a number.
+    """Convert an Exif value to a float, or return None if it is not a number.
 
-    Two numbers are the numerator and the denominator of a fraction. If the denominator is 0, or if there are more than two
-    numbers, the first number is returned.
+    Two numbers are interpreted as a fraction. If the denominator is 0, or if there are more than two numbers, the first
+    number is returned.
     """
     if isinstance(value, tuple | list | np.ndarray) and len(value):
         value = value[0] / value[1] if len(value) == 2 and value[1] else value[0]
@@ -73,15 +73,15 @@ def number(value: Any) -> float | None:
 
 
 def exif_of(page: Any) -> dict[str, Any]:
-    """Return the tags in the Exif directory of a page by name, or {} if the page has no Exif directory."""
+    """Return the tags in a page's Exif directory by name, or {} if the page has no Exif directory."""
     exif = page.tags.valueof("ExifTag")
     return exif if isinstance(exif, dict) else {}
 
 
 def exposure_time(page: Any) -> float | None:
-    """Return the exposure time in s from the first page of a TIFF or DNG file, or None if the time is missing or invalid.
+    """Return the exposure time in s from the first page of a TIFF or DNG file, or None if it is missing or invalid.
 
-    The tag of TIFF/EP takes precedence over the tag of Exif.
+    The TIFF/EP tag takes precedence over the Exif tag.
     """
     seconds = page.tags.valueof("ExposureTime") or exif_of(page).get("ExposureTime")
     if not (isinstance(seconds, tuple) and len(seconds) == 2 and seconds[1]):
@@ -90,9 +90,9 @@ def exposure_time(page: Any) -> float | None:
 
 
 def camera_names(page: Any) -> list[str]:
-    """Return the make, the model and other names of the camera from the first page of a TIFF or DNG file.
+    """Return the camera's make, model and other names from the first page of a TIFF or DNG file.
 
-    The make can be "". The list is empty if the page does not state the model.
+    The make may be "". The list is empty if the page does not contain the model.
     """
     texts = [page.tags.valueof(tag) for tag in ("Model", "Make", "UniqueCameraModel", "LocalizedCameraModel")]
     written = [text.decode("utf-8", "replace") if isinstance(text, bytes) else text for text in texts]
@@ -104,7 +104,7 @@ def camera_names(page: Any) -> list[str]:
 
 
 def entry(name: str, kind: int, values: Iterable[float]) -> Entry:
-    """Create a numeric tag for tifffile, with the type code `kind`. Fractions are approximated (see `_fraction`)."""
+    """Create a numeric tag for tifffile. `kind` is the code of its data type. Fractions are rounded (see `_fraction`)."""
     if kind == DOUBLE:
         parts: list[float] = [float(value) for value in values]
     elif kind in FRACTIONS:
@@ -117,12 +117,12 @@ def entry(name: str, kind: int, values: Iterable[float]) -> Entry:
 
 
 def _fraction(value: float) -> Fraction:
-    """Approximate a number by a fraction whose numerator and denominator fit into 32 bits."""
+    """Approximate a number by a fraction with a numerator and a denominator that fit into 32 bits."""
     return Fraction(value).limit_denominator(min(MAX_DENOMINATOR, int(MAX_INTEGER / max(1.0, abs(value)))))
 
 
 def text_entry(name: str, text: str) -> Entry:
-    """Create a tag with a string value for tifffile. Characters that are not ASCII become question marks."""
+    """Create a text tag for tifffile. Non-ASCII characters become question marks."""
     return _code(name), ASCII, 0, text.encode("ascii", "replace").decode(), True
 
 
@@ -134,10 +134,10 @@ def _code(name: str) -> int:
 
 # ------------------------------------------------------------------------------------------------ shot settings
 
-LONGEST_TEXT = 100  # maximum number of characters in the string value of a tag; longer strings are cut
-MAX_BELIEVABLE = 1e7  # largest plausible number; the highest ISO speeds are about 4 million
+LONGEST_TEXT = 100  # texts are cut to this number of characters
+MAX_BELIEVABLE = 1e7  # largest plausible number; the highest ISO speeds of cameras are about 4 million
 DATE = re.compile(r"\d{4}:\d\d:\d\d \d\d:\d\d:\d\d", re.ASCII)
-SHOT = {  # field of Shot → (name of the tag in tifffile, name in OpenImageIO)
+SHOT = {  # field of Shot → (tag name in tifffile, attribute name in OpenImageIO)
     "f_number": ("FNumber", "FNumber"),
     "focal_length": ("FocalLength", "Exif:FocalLength"),
     "make": ("Make", "Make"),
@@ -149,11 +149,11 @@ SHOT = {  # field of Shot → (name of the tag in tifffile, name in OpenImageIO)
 
 
 def believable_shot(stated: Mapping[str, Any]) -> Shot:
-    """Create a Shot from the settings that a file states. Invalid and implausible settings keep the defaults of `Shot`.
+    """Create a Shot from the settings in a file, with default values in place of invalid or implausible settings.
 
-    The keys of `stated` are names of fields of `Shot`. Other keys are ignored. Unprintable characters are removed from
-    strings, and long strings are truncated. A date is invalid if it does not have the Exif format. A number is implausible
-    if it is not positive or exceeds MAX_BELIEVABLE.
+    The keys of `stated` are field names of `Shot`. Other keys are ignored. Unprintable characters are removed from texts,
+    and long texts are cut. A date is invalid unless it has the Exif format. A number is implausible if it is not positive or
+    exceeds MAX_BELIEVABLE.
     """
     usual, fields = Shot(), dict[str, Any]()
     for name in stated.keys() & SHOT.keys():
@@ -169,7 +169,7 @@ def believable_shot(stated: Mapping[str, Any]) -> Shot:
 def shot_of_page(page: Any) -> dict[str, str | float]:
     """Read the shot settings from the tags or the Exif directory of a tifffile page.
 
-    The keys of the result are names of fields of `Shot`. Missing settings are omitted.
+    The keys of the result are field names of `Shot`. Missing settings are omitted.
     """
     exif = exif_of(page)
     stated = {name: page.tags.valueof(tag, exif.get(tag)) for name, (tag, _) in SHOT.items()}
@@ -178,15 +178,15 @@ def shot_of_page(page: Any) -> dict[str, str | float]:
 
 
 def shot_of_spec(spec: Any) -> dict[str, str | float]:
-    """Read the shot settings from an OpenImageIO ImageSpec. The keys are fields of `Shot`. Missing settings are omitted."""
+    """Read the shot settings from an OpenImageIO ImageSpec. The result is as in `shot_of_page`."""
     stated = {name: spec.getattribute(other) for name, (_, other) in SHOT.items()}
     return {name: value for name, value in stated.items() if isinstance(value, str | float | int)}
 
 
 def shot_entries(shot: Shot, exposure: float | None) -> list[Entry]:
-    """Create the TIFF/EP tags for the settings and the exposure time in s of a shot. Unknown settings have no tag.
+    """Create the TIFF/EP tags for known shot settings and the exposure time in s.
 
-    ISO speeds above 65535 are stored as 65535, the maximum of the tag.
+    ISO speeds above 65535 are stored as 65535, the largest value that the tag supports.
     """
     entries = [entry("ExposureTime", RATIONAL, [exposure])] if exposure else []
     for name, (tag, _) in SHOT.items():

@@ -1,11 +1,11 @@
 """Write and read videos with PyAV (FFmpeg).
 
-The module writes videos and y4m streams, decodes videos frame by frame, and determines the times of frames. The decoding
-functions must be called only in a process of `io.isolated`. The module raw/video.py reads raw videos.
+The module writes videos and y4m streams, decodes videos frame by frame, and determines frame times. Decoding functions must
+be called only in a process from `io.isolated`. Raw videos are read by raw/video.py.
 
-Pictures are written as sRGB. Videos are labelled with BT.709 primaries and the sRGB transfer function. ProRes has no label
-for sRGB, so ProRes videos are labelled with the BT.709 transfer function. If colours are stored as luma and chroma, the
-label also states the BT.709 matrix and limited range.
+Pictures are written as sRGB. Videos are labelled with BT.709 primaries and the sRGB transfer function, except ProRes videos,
+which are labelled with the BT.709 transfer function because ProRes has no label for sRGB. Videos that store luma and chroma
+are also labelled with the BT.709 matrix and limited range.
 """
 
 import contextlib
@@ -29,27 +29,27 @@ from l3cli.system.limits import require_picture
 
 INSTALL = 'videos need PyAV; install it with: pip install "l3cli[video]"'
 SLOWEST, FASTEST = Fraction(1, 1000), Fraction(1000)  # plausible frame rates in frames per second
-FINEST = 1_000_000  # maximum denominator of frame rates and times; containers store numerators with 32 bits
+FINEST = 1_000_000  # maximum denominator of frame rates and times, because containers store numerators in 32 bits
 
 
 def storable_rate(rate: Fraction) -> Fraction | None:
-    """Return the nearest frame rate that every container can store, such as 30000/1001 for 29.97002997 frames per second.
+    """Round a frame rate in frames/s to a fraction that every container can store, such as 29.97002997 to 30000/1001.
 
-    Returns None if the rate is below 1/1000 or above 1000 frames per second.
+    Returns None if the rate is below 1/1000 or above 1000 frames/s.
     """
     return rate.limit_denominator(FINEST) if SLOWEST <= rate <= FASTEST else None
 
 
 def pyav() -> Any:
-    """Import PyAV, suppress the messages of FFmpeg, and return the module. Raises L3Error if PyAV is not installed."""
+    """Import PyAV and suppress FFmpeg's messages. Raises L3Error if PyAV is not installed."""
     try:
         import av
     except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
-    # FFmpeg's errors go to Python's logger "libav", which must not print them, because l3 reports the errors itself.
+    # FFmpeg's errors go to Python's logger "libav", which must not print them, because l3 reports errors itself.
     av.logging.set_level(av.logging.ERROR)
     log = logging.getLogger("libav")
-    if not log.handlers:  # this function is called for every frame, but the logger needs only one handler
+    if not log.handlers:  # add only one handler, although this function is called for every frame
         log.addHandler(logging.NullHandler())
     log.propagate = False
     return av
@@ -66,15 +66,15 @@ class Encoding:
     formats: dict[int, str]  # bits per value of the pictures → pixel format in FFmpeg
     suffixes: tuple[str, ...]  # suffixes of the files that can contain the video
     presets: bool = False  # whether `preset` and `crf` apply
-    options: tuple[tuple[str, str], ...] = ()  # options of the encoder: names and values
-    tag: str | None = None  # codec tag in MP4 and QuickTime files; None for the default of FFmpeg
-    transfer: str = "IEC61966_2_1"  # name of the transfer function in PyAV; IEC 61966-2-1 is sRGB
-    frames_at_once: int | None = None  # number of frames encoded in parallel; None for the default of the encoder
-    reorders: int = 0  # number of frames that x265 needs before it knows the decoding times of B-frames
+    options: tuple[tuple[str, str], ...] = ()  # names and values of encoder options
+    tag: str | None = None  # codec tag in MP4 and QuickTime files; None for FFmpeg's default
+    transfer: str = "IEC61966_2_1"  # transfer function, by its name in PyAV; IEC 61966-2-1 is sRGB
+    frames_at_once: int | None = None  # number of frames encoded in parallel; None for the encoder's default
+    reorders: int = 0  # number of frames that x265 needs to determine the decoding times of B-frames
 
 
-# The output of x264 depends on how x264 divides the work between threads. By default, x264 splits every frame into one slice
-# per core, which makes files up to 10 % larger. With a fixed number of parallel frames, every machine writes the same bytes.
+# The output of x264 depends on how it divides the work between threads. By default, it splits every frame into one slice per
+# core, which makes files up to 10 % larger. With a fixed number of parallel frames, all machines write the same bytes.
 ENCODINGS = {
     "h264": Encoding("libx264", {8: "yuv420p"}, (".mp4", ".mov", ".mkv"), presets=True, frames_at_once=4),
     "h265": Encoding(
@@ -93,27 +93,27 @@ ENCODINGS = {
     ),
 }
 USUAL = {".mp4": "h264", ".mov": "prores", ".mkv": "ffv1"}  # suffix → default codec
-X265_UNIT = 64  # width and height of the coding tree units of x265 in pixels
-READ_BEHIND = 64  # bytes of padding, because FFmpeg may read 16 bytes past the end of a picture (libavutil, frame.h)
+X265_UNIT = 64  # width and height of x265's coding tree units in pixels
+READ_BEHIND = 64  # bytes of padding; FFmpeg may read 16 bytes past the end of a picture (libavutil, frame.h)
 RGB_MATRIX = 0  # ITU-T H.273 matrix coefficients: identity, for RGB
 Y4M = ".y4m"
 # Bits per value of the pictures → pixel format in FFmpeg, label in the y4m header.
 Y4M_FORMATS = {8: ("yuv420p", "C420jpeg"), 16: ("yuv420p10le", "C420p10 XYSCSS=420P10")}
 
 
-USUAL_RATE = Fraction(30)  # frames per second, used if neither the user nor the input states the rate
+USUAL_RATE = Fraction(30)  # frames per second, if neither the user nor the input specifies the rate
 
 
 @dataclass(frozen=True)
 class VideoChoice:
-    """Settings of a video."""
+    """Video settings."""
 
     rate: Fraction  # frames per second
     bits: int  # bits per value of the pictures: 8 or 16
-    codec: str | None = None  # key of ENCODINGS; None for the default of the file suffix
-    crf: float | None = None  # constant rate factor of h264 and h265; None for the default of the encoder
-    preset: str = "veryfast"  # speed of h264 and h265
-    tick: Fraction | None = None  # unit of the times of frames in s; None for the duration of a frame
+    codec: str | None = None  # key of ENCODINGS; None for the file suffix's default
+    crf: float | None = None  # constant rate factor for h264 and h265; None for the encoder's default
+    preset: str = "veryfast"  # speed preset for h264 and h265
+    tick: Fraction | None = None  # unit of frame times in s; None for the duration of a frame
 
 
 def is_video(path: Path) -> bool:
@@ -145,18 +145,15 @@ def _encoding(path: Path, choice: VideoChoice) -> Encoding:
 
 
 class _Converter:
-    """Converts pictures (row, col, 3) to FFmpeg frames of a pixel format."""
+    """Converts pictures, (row, col, 3), to FFmpeg frames in one pixel format."""
 
     def __init__(self, pixel_format: str) -> None:
-        self._reformatter = pyav().video.reformatter.VideoReformatter()  # reused, because creation is slow
+        self._reformatter = pyav().video.reformatter.VideoReformatter()  # reused, because it is slow to create
         self.pixel_format = pixel_format
         self._bytes = np.empty(0, np.uint8)
 
     def even(self, picture: NDArray) -> NDArray:
-        """Return a picture with even numbers of rows and columns, if the pixel format requires even numbers.
-
-        If a number is odd, the last row or column is repeated.
-        """
+        """Repeat the last row or column if the pixel format requires an even number of them."""
         if not self.pixel_format.startswith(("yuv420", "yuv422")):
             return picture
         rows, cols = picture.shape[:2]
@@ -166,16 +163,14 @@ class _Converter:
     def frame(self, picture: NDArray) -> Any:
         buffer, source = self._buffer_for(self.even(picture))
         frame = pyav().VideoFrame.from_numpy_buffer(buffer, format=source)
-        # A single thread converts the pictures. Several threads would take 20 % longer, because rendering uses the other
-        # cores.
+        # A single thread converts the picture. Several would take 20 % longer, because rendering keeps the other cores busy.
         coded = {"dst_colorspace": "ITU709", "dst_color_range": "MPEG"} if self.pixel_format.startswith("yuv") else {}
         return self._reformatter.reformat(frame, format=self.pixel_format, threads=1, **coded)
 
     def _buffer_for(self, picture: NDArray) -> tuple[NDArray, str]:
-        """Copy a picture into a padded buffer and return the buffer and its pixel format.
+        """Copy a picture into a padded buffer, and return the buffer and its pixel format.
 
-        The buffer is reused for the next picture, because allocating an FFmpeg frame for each picture would take three times
-        as long.
+        The buffer is reused, because allocating an FFmpeg frame for each picture would take three times as long.
         """
         widened = picture.dtype == np.uint8 and self.pixel_format.startswith("yuv")
         rows, cols, count = *picture.shape[:2], 4 if widened else picture.shape[2]
@@ -191,11 +186,11 @@ class _Converter:
 
 
 def _widen(picture: NDArray[np.uint8], buffer: NDArray[np.uint8]) -> None:
-    """Copy pixels of three bytes (RGB) to pixels of four bytes.
+    """Copy three-byte RGB pixels to four-byte pixels.
 
-    FFmpeg converts pixels of four bytes to luma and chroma faster. The copy and the conversion together take 20 % less time
-    than a conversion from three bytes. Each pixel is copied as a 32-bit integer, so its fourth byte is the first byte of the
-    next pixel. FFmpeg ignores the fourth byte.
+    FFmpeg converts four-byte pixels to luma and chroma so much faster that copy and conversion together take 20 % less time
+    than the conversion of three-byte pixels. Each pixel is copied as a 32-bit integer, so its fourth byte is the first byte
+    of the next pixel. FFmpeg ignores the fourth byte.
     """
     pixels = picture.size // 3
     buffer.reshape(-1).view("<u4")[: pixels - 1] = np.ndarray(pixels - 1, "<u4", picture.data, strides=(3,))
@@ -203,24 +198,23 @@ def _widen(picture: NDArray[np.uint8], buffer: NDArray[np.uint8]) -> None:
 
 
 def _x265_parameters(rows: int, cols: int, is_short: bool) -> str:
-    """Return parameters that avoid two bugs of x265.
+    """Return x265 parameters that work around two of its bugs.
 
-    Videos of one or two frames are encoded without B-frames, because x265 does not set the decoding times of the B-frames in
-    such videos. Frames smaller than a coding tree unit are encoded without assembly code, which would write beyond the
-    frame.
+    In videos of one or two frames, x265 does not set the decoding times of B-frames, so such videos are encoded without
+    B-frames. For frames smaller than a coding tree unit, its assembly code writes beyond the frame, so assembly is disabled.
     """
     return "log-level=none" + ":bframes=0" * is_short + ":asm=0" * (min(rows, cols) < X265_UNIT)
 
 
 class VideoWriter:
-    """Writes pictures to a video. All pictures must have the same size and type. `finish` must be called at the end."""
+    """Writes pictures of equal size and type to a video. Call `finish` at the end."""
 
     def __init__(self, path: Path, container: Any, choice: VideoChoice) -> None:
         self._container, self._choice = container, choice
         self._encoding = _encoding(path, choice)
         self._converter = _Converter(self._encoding.formats[choice.bits])
         self._stream: Any = None
-        self._waiting: list[Any] = []  # first frames, kept until it is known whether the video is too short for B-frames
+        self._waiting: list[Any] = []  # first frames, kept until the video is long enough for B-frames
         self._tick, self._time = choice.tick or 1 / choice.rate, -1
 
     def write(self, picture: NDArray, time: int | None = None) -> None:
@@ -231,8 +225,8 @@ class VideoWriter:
         picture : ndarray, (row, col, 3)
             Encoded sRGB, uint8 or uint16.
         time : int, optional
-            Time of the picture in ticks, later than the time of the previous picture. [default: 0 for the first picture,
-            otherwise one tick after the previous picture]
+            Time of the picture in ticks. Times must increase. [default: 0 for the first picture, otherwise one tick after
+            the previous picture]
         """
         frame = self._converter.frame(picture)
         self._tag(frame)
@@ -243,7 +237,7 @@ class VideoWriter:
             self._encode_waiting()
 
     def finish(self) -> None:
-        """Write the pictures that this object or the encoder has buffered. Do nothing if no picture was added."""
+        """Write the pictures that are still buffered here or in the encoder."""
         if self._waiting:
             self._encode_waiting()
         if self._stream is not None:
@@ -290,17 +284,17 @@ class VideoWriter:
 def new_video(
     path: Path, choice: VideoChoice, finished: Callable[[Path], None] = lambda temporary: None
 ) -> Iterator[VideoWriter]:
-    """Create a video file, and yield an object that writes pictures to the video.
+    """Context manager that creates a video file, and yields an object that writes pictures to it.
 
-    The file has a temporary name. At the end of the block, `finished` is called with the temporary path, and the file is
-    then renamed to `path`. If the block raises an exception, the temporary file is removed. Raises L3Error if FFmpeg cannot
-    write the video.
+    The file first has a temporary name. At the end of the block, `finished` is called with the temporary path, and the file
+    is then renamed to `path`. If the block raises an exception, the file is removed. Raises L3Error if FFmpeg cannot write
+    the video.
     """
     av = pyav()
     form = {".mp4": "mp4", ".mov": "mov", ".mkv": "matroska"}[path.suffix.lower()]
     with atomic_output(path) as temporary:
         try:
-            # With bitexact, FFmpeg writes no versions, times or random numbers. Equal inputs then result in equal bytes.
+            # With bitexact, FFmpeg writes no versions, times or random numbers, so equal inputs result in equal bytes.
             with av.open(str(temporary), "w", format=form, container_options={"fflags": "+bitexact"}) as container:
                 writer = VideoWriter(path, container, choice)
                 yield writer
@@ -312,7 +306,7 @@ def new_video(
 
 
 class Y4mWriter:
-    """Writes pictures (row, col, 3) of equal size to a y4m stream, as 4:2:0 luma and chroma with limited range."""
+    """Writes pictures of equal size, (row, col, 3), to a y4m stream as limited-range 4:2:0 luma and chroma."""
 
     def __init__(self, stream: BinaryIO, choice: VideoChoice) -> None:
         pixels, self._colours = Y4M_FORMATS[choice.bits]
@@ -334,7 +328,7 @@ class Y4mWriter:
 
 
 def _write_all(stream: BinaryIO, content: Any) -> None:
-    """Write all bytes to an unbuffered stream, which may accept only a part of the bytes per call."""
+    """Write all bytes to an unbuffered stream, which may accept only some of them per call."""
     rest = memoryview(content).cast("B")
     while len(rest):
         rest = rest[stream.write(rest) :]
@@ -344,14 +338,13 @@ def _write_all(stream: BinaryIO, content: Any) -> None:
 def new_y4m(
     path: Path | None, choice: VideoChoice, finished: Callable[[Path], None] = lambda temporary: None
 ) -> Iterator[Y4mWriter]:
-    """Create a y4m file, and yield an object that writes pictures to the file. If `path` is None, stdout is used.
+    """Context manager that creates a y4m file, and yields an object that writes pictures to it.
 
-    A file has a temporary name. At the end of the block, `finished` is called with the temporary path, and the file is then
-    renamed to `path`. For stdout, `finished` is not called.
+    The file first has a temporary name. At the end of the block, `finished` is called with the temporary path, and the file
+    is then renamed to `path`. If `path` is None, the pictures are written to stdout, and `finished` is not called.
     """
     if path is None:
-        # The stream is unbuffered, because a thread that waits in a buffered stream would prevent the interpreter from
-        # exiting.
+        # Unbuffered, because a thread that is blocked in a buffered stream would prevent the interpreter from exiting.
         with open(1, "wb", buffering=0, closefd=False) as stream:
             yield Y4mWriter(stream, choice)
         return
@@ -367,17 +360,16 @@ CONTAINERS = "matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,avi"
 
 
 class DecodedVideo:
-    """The video stream of a file. Frames are decoded one by one.
+    """Decodes the video stream in a file frame by frame.
 
     Parameters
     ----------
     path : Path
         The video file.
     what : str
-        Description of suitable files, which follows the word "use" in messages.
+        Description of suitable files for messages, where it follows the word "use".
     require : callable
-        Function that is called with the path and FFmpeg's codec context. It raises InputFileError if the video is
-        unsuitable.
+        Function that takes the path and FFmpeg's codec context, and raises InputFileError if the video is unsuitable.
     formats : str
         FFmpeg's names of the accepted container formats, separated by commas.
 
@@ -390,7 +382,7 @@ class DecodedVideo:
     def __init__(self, path: Path, what: str, require: Callable[[Path, Any], None], formats: str = CONTAINERS) -> None:
         av = pyav()
         self.path = path
-        # Without these options, a playlist with the suffix of a video could make FFmpeg read other files and URLs.
+        # Without these options, a playlist that is named like a video could make FFmpeg read other files and URLs.
         options = {"protocol_whitelist": "file", "format_whitelist": formats}
         try:
             self._container = av.open(str(path), options=options)
@@ -404,9 +396,9 @@ class DecodedVideo:
             raise InputFileError(f"{path} is encoded with a codec that FFmpeg does not support; use {what}")
         require(path, context)
         require_picture(str(path), context.height, context.width)
-        context.thread_count = 1  # decode in this thread, so that `following` can capture the messages of FFmpeg
+        context.thread_count = 1  # decode in this thread, so that `following` can capture FFmpeg's messages
         self.shape: tuple[int, int] = context.height, context.width
-        self.rate: Fraction | None = stream.average_rate or None
+        self.rate: Fraction | None = stream.average_rate or None  # frames per second
         self.tick: Fraction = stream.time_base  # unit of times in s
         self._packets = self._container.demux(stream)
         self._decoded: Iterator[Any] = iter(())
@@ -419,15 +411,14 @@ class DecodedVideo:
     def following(self) -> Any | None:
         """Return the next frame as a PyAV frame, or None after the last frame.
 
-        Raises InputFileError if the frame is damaged. After this error, the method can be called again to read the remaining
-        frames, which may be intact.
+        Raises InputFileError if the frame is damaged. The following frames may be intact, and can still be read.
         """
         av = pyav()
         self.position += 1
         try:
             while (frame := next(self._decoded, None)) is None:
                 packet = next(self._packets)
-                # If the checksum of a slice is wrong, FFmpeg only logs a message, in this thread, and conceals the slice.
+                # If a slice has a wrong checksum, FFmpeg conceals the slice and only logs a message in this thread.
                 with av.logging.Capture() as complaints:
                     self._decoded = iter(packet.decode())
                 self._damaged = bool(complaints) or (self._damaged and not packet.is_keyframe)
@@ -443,8 +434,8 @@ class DecodedVideo:
     def times(self, most: int) -> list[int | None]:
         """Read the times of up to `most` frames, in ticks, without decoding the frames.
 
-        The times are in the order of the file, which can differ from the order of display. The time of a frame is None if
-        the file does not state it. Raises InputFileError if the file is damaged.
+        The times are in file order, which may differ from display order. A time is None if the file does not contain it.
+        Raises InputFileError if the file is damaged.
         """
         try:
             packets = list(itertools.islice((packet for packet in self._packets if packet.size), most))
@@ -455,9 +446,9 @@ class DecodedVideo:
 
 
 class InTurn:
-    """Reads the frames of several videos, one after another. Only one video is open at a time.
+    """Reads several videos one after the other, with only one of them open at a time.
 
-    The frames of a video must be read in order, beginning with frame 0, and before the frames of the next video.
+    Each video's frames must be read in order, starting with frame 0, before the next video.
     """
 
     def __init__(self, opened: Callable[[Path], DecodedVideo]) -> None:
@@ -465,17 +456,17 @@ class InTurn:
         self._video: DecodedVideo | None = None
 
     def frame(self, path: Path, number: int) -> Any | None:
-        """Return frame `number` of a video, counted from 0, as a PyAV frame, or None after the last frame.
+        """Return a video's frame `number`, counted from 0, as a PyAV frame, or None after the last frame.
 
         Raises InputFileError if the frame is damaged. Later frames may be intact.
         """
         return self.video(path, number).following()
 
     def video(self, path: Path, number: int) -> DecodedVideo:
-        """Return a video whose next frame is frame `number`.
+        """Return a video that is positioned before frame `number`. If `number` is 0, the video is opened again.
 
-        If `number` is 0, the video is opened again. Raises InputFileError if frame `number` is not the next frame of the
-        video. This happens only after a frame has crashed the decoder.
+        Raises InputFileError if the video is at a different position, which happens only after a frame has crashed the
+        decoder.
         """
         if number == 0:
             if self._video is not None:
@@ -491,37 +482,37 @@ class InTurn:
 
 # --------------------------------------------------------------------------------------------------------- times of frames
 
-JITTER = Fraction(1, 1000)  # resolution of times in Matroska files in s
+JITTER = Fraction(1, 1000)  # time resolution of Matroska files in s
 
 
 @dataclass(frozen=True)
 class StatedTimes:
-    """The times of all frames of a video, as stated in its file."""
+    """The frame times stated in a video file."""
 
     tick: Fraction  # unit of `ticks` in s
-    ticks: NDArray[np.int64]  # (frame,) in the order of display
+    ticks: NDArray[np.int64]  # (frame,) in display order
 
     @property
     def are_even(self) -> bool:
-        """Whether all frames have the same duration, within the resolution of times in Matroska files."""
+        """Whether all frames have the same duration, within the time resolution of Matroska files."""
         steps = np.diff(self.ticks)
         return steps.size == 0 or int(steps.max() - steps.min()) * self.tick <= JITTER
 
     def range(self) -> str:
-        """Format the shortest and the longest time between consecutive frames, for example as "0.0333–0.05 s".
+        """Format the shortest and the longest interval between frames, of which there must be at least two.
 
-        The video must have at least two frames.
+        An example is "0.0333–0.05 s".
         """
         steps = np.diff(self.ticks) * float(self.tick)
         return f"{steps.min():.3g}–{steps.max():.3g} s"
 
 
 def unit_of(numbers: Sequence[int]) -> int | None:
-    """Return the step between consecutive frame numbers, or None if the numbers are irregular (for example, time stamps).
+    """Return the step between consecutive frame numbers, or None if they are irregular, as time stamps are.
 
-    `numbers` are in ascending order. The step is the smallest difference between consecutive numbers. The numbers are
-    regular if at least half of the differences are equal to the step, and if every difference is a multiple of the step. For
-    fewer than two numbers, the step is 1.
+    The numbers must be in ascending order. The step is the smallest difference between consecutive numbers, or 1 if there
+    are fewer than two. The numbers are regular if at least half of the differences equal the step, and all differences are
+    multiples of it.
     """
     steps = Counter(after - before for before, after in pairwise(numbers))
     unit = min(steps, default=1)
@@ -530,23 +521,23 @@ def unit_of(numbers: Sequence[int]) -> int | None:
 
 
 class Pacing:
-    """Assigns times to frames in order. A time is a number of ticks after the first frame.
+    """Assigns times to frames in order, in ticks after the first frame.
 
     Parameters
     ----------
     unit : int or None
-        Step between consecutive frame numbers. One step is one tick. If `unit` is None because the frame numbers are
-        irregular, consecutive frames are one tick apart.
+        Step between consecutive frame numbers, which corresponds to one tick. If the frame numbers are irregular (None),
+        consecutive frames are one tick apart.
     stated : StatedTimes, optional
         Times to use instead of the frame numbers.
     step : int
-        Only every `step`-th frame is used. Stated times are divided by `step`, so that each frame keeps its original
-        duration.
+        Step of the frame selection, if only every `step`-th frame is used. Stated times are divided by `step`, so that each
+        frame keeps its original duration.
     """
 
     def __init__(self, unit: int | None, stated: StatedTimes | None = None, step: int = 1) -> None:
         self._unit, self.stated = unit, stated
-        # Unit of times in s. None for the duration of a frame.
+        # Unit of times in s; None for the duration of a frame.
         self.tick = None if stated is None else max(stated.tick / step, Fraction(1, FINEST))
         self._scale = Fraction(0) if stated is None or self.tick is None else stated.tick / step / self.tick
         self._first, self._last = 0, -1
@@ -555,10 +546,7 @@ class Pacing:
         self._number = 0  # number of the previous frame
 
     def time(self, number: int) -> int:
-        """Return the time of the next frame, which has the frame number `number`.
-
-        The time is at least one tick later than the time of the previous frame.
-        """
+        """Return the time of the next frame, `number`, which is at least one tick after the previous frame."""
         time = self._time(number)
         if self._last < 0:
             self._first = time
@@ -576,4 +564,4 @@ class Pacing:
         return self._last + 1 if self._unit is None else number // self._unit
 
 
-Stated = Callable[[], StatedTimes | None]  # reads the frame times, or returns None if the file contains none; may be slow
+Stated = Callable[[], StatedTimes | None]  # slow function that reads the frame times; None if the file contains none

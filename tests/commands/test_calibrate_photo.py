@@ -240,4 +240,4 @@ def test_a_prior_of_a_folder(folder: Path, tmp_path: Path, l3: L3, refused: Refu
     assert code == 0, err
     assert "prior of the curves" in out
     path = measured(folder, '[photo]\nframes = ["d65.npy"]\n', 'prior = "nowhere"\n' + FILE)
-    assert "use a folder with files of 8 to" in refused(3, "calibrate", path, "-o", tmp_path / "other.h5")
+    assert "use a folder with the curves of 8 to" in refused(3, "calibrate", path, "-o", tmp_path / "other.h5")

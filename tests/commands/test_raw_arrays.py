@@ -194,7 +194,7 @@ def test_saturation_survives_levelling() -> None:
         ({33421: (SHORT, [4, 4]), 33422: (BYTE, QUAD.ravel().tolist())}, "rrgg/rrgg/ggbb/ggbb, but the table has rg/gb"),
         ({50829: (SHORT, [8, 0, 33, 40])}, "active area (8, 0, 33, 40) exceeds the 32×40 pixels"),
         ({50720: (SHORT, [41, 24])}, "crop"),
-        ({50714: (SHORT, [4000])}, "states a black level of 4000 DN, which is not between 0 and the white level"),
+        ({50714: (SHORT, [4000])}, "has a black level of 4000 DN, which is not between 0 and the white level"),
         ({50715: (SRATIONAL, [1, 1])}, "instead of 40"),
         ({50714: (RATIONAL, [1, 0])}, "damaged black level"),
         ({50711: (SHORT, [2])}, "staggered"),

@@ -1,9 +1,8 @@
 """Write DNG 1.4 files for raw converters.
 
-Rendered frames are written as linear DNG files, which raw converters treat like files from a camera. A rendered frame has
-either three channels per pixel, or one channel per pixel in a Bayer mosaic (docs/method.md#display). The channels are red,
-green and blue of Rec. 2020, and a white surface has equal values in all channels. The values are not scaled for display.
-Instead, the tag BaselineExposure contains the exposure that l3 would apply.
+Rendered frames are written in linear Rec. 2020, either with three channels per pixel or as a Bayer mosaic, so that raw
+converters treat them like files from a camera (docs/method.md#display). A white surface has equal values in all channels.
+The values are not scaled for display. Instead, the tag BaselineExposure contains the exposure that l3 would apply.
 
 Raw mosaics can have any colour filter array and any number of channels.
 """
@@ -45,9 +44,9 @@ from l3cli.system.files import write_whole
 
 
 def _file(values: NDArray[np.uint16], software: str, tags: list[Entry], camera: str) -> bytes:
-    """Encode a mosaic (row, col) or a picture (row, col, 3) as a DNG file, and return the bytes of the file.
+    """Encode a mosaic, (row, col), or a picture, (row, col, 3), as a DNG file.
 
-    `tags` are added to the tags that every DNG file contains. `camera` is the value of UniqueCameraModel.
+    `tags` are added to the tags that all DNG files from l3 contain. `camera` is the value of UniqueCameraModel.
     """
     import tifffile
 
@@ -66,7 +65,7 @@ def _file(values: NDArray[np.uint16], software: str, tags: list[Entry], camera: 
         text_entry("UniqueCameraModel", camera),
         *tags,
     ]
-    content = io.BytesIO()  # in memory, because tifffile would not report a full disk
+    content = io.BytesIO()  # tifffile would not report a full disk
     tifffile.imwrite(
         content,
         values,
@@ -82,7 +81,7 @@ def _file(values: NDArray[np.uint16], software: str, tags: list[Entry], camera: 
 
 
 def _mosaic_tags(pattern: NDArray[np.integer], planes: Sequence[int]) -> list[Entry]:
-    """Return the tags that describe a CFA, from the colour code of each CFA site and the colour code of each plane."""
+    """Return the tags that describe a CFA with the colour codes `pattern`, (row, col), and `planes`, one per plane."""
     return [
         entry("CFARepeatPatternDim", SHORT, pattern.shape),
         entry("CFAPattern", BYTE, pattern.ravel()),
@@ -95,18 +94,17 @@ def _mosaic_tags(pattern: NDArray[np.integer], planes: Sequence[int]) -> list[En
 
 MOSAICS = ("bayer",)
 RGGB = np.array([[0, 1], [1, 2]])
-# The black level is 0, because LibRaw does not subtract the black level from the white level if a pixel has three channels.
+# The black level is 0, because for pixels with three channels, LibRaw does not subtract it from the white level.
 BLACK_LEVEL, WHITE_LEVEL = 0, 65535  # DN
-HEADROOM = 2.0  # linear value that is stored as WHITE_LEVEL; above 1, because l3 estimates values above 1 in clipped areas
+HEADROOM = 2.0  # linear value stored as WHITE_LEVEL; above 1, because l3 estimates values above 1 in clipped areas
 D65_CODE = 21  # value of CalibrationIlluminant for D65
 CAMERA = "linear Rec. 2020"  # value of the tag Model
 
 
 def raw_values(linear: NDArray[np.floating], mosaic: str | None) -> NDArray[np.uint16]:
-    """Convert linear Rec. 2020 values (row, col, 3) to DN.
+    """Convert linear Rec. 2020 values, (row, col, 3), to DN.
 
-    If `mosaic` is None, the result has the shape (row, col, 3). If `mosaic` is "bayer", the result is a Bayer mosaic
-    (row, col).
+    The result is a picture, (row, col, 3), or a Bayer mosaic, (row, col), if `mosaic` is "bayer".
     """
     if mosaic is not None:
         linear = np.take_along_axis(linear, tiled(RGGB, linear.shape)[..., None], axis=2)[..., 0]
@@ -114,7 +112,7 @@ def raw_values(linear: NDArray[np.floating], mosaic: str | None) -> NDArray[np.u
 
 
 def encode(path: Path, picture: Picture) -> bytes:
-    """Encode a rendered frame as a DNG file. The pixels of `picture` must be the result of `raw_values`."""
+    """Encode a rendered frame as a DNG file. The pixels must come from `raw_values`."""
     values = picture.pixels
     channels = 1 if values.ndim == 2 else values.shape[2]
     to_connection_space = adaptation_matrix(REC2020.neutral_xyz, D50) @ REC2020.to_xyz
@@ -133,10 +131,9 @@ def encode(path: Path, picture: Picture) -> bytes:
 
 
 def _label_tags(label: Label) -> list[Entry]:
-    """Return the tags that contain the metadata of the raw frame and of the transform table.
+    """Return the tags with the metadata of the raw frame and of the transform table.
 
-    The tags Make and Model do not name the original camera, because raw converters would apply the colour matrices of that
-    camera.
+    Make and Model do not name the original camera, because raw converters would then apply its colour matrices.
     """
     shot = label.shot
     description = ", ".join(filter(None, (" ".join(filter(None, (shot.make, shot.model))), label.description)))
@@ -146,7 +143,7 @@ def _label_tags(label: Label) -> list[Entry]:
 
 # --------------------------------------------------------------------------------------------------- raw mosaics
 
-LIGHT_CODES = {"A": 17, "D65": 21}  # illuminants of ColorMatrix1 and ColorMatrix2 → values of CalibrationIlluminant
+LIGHT_CODES = {"A": 17, "D65": 21}  # illuminants of ColorMatrix1 and 2 → values of CalibrationIlluminant
 
 
 def write_dng(
@@ -157,7 +154,7 @@ def write_dng(
     neutral: NDArray[np.floating] | None,
     exposure: float,
 ) -> None:
-    """Write a raw mosaic as a DNG file. The file is written atomically.
+    """Write a raw mosaic atomically as a DNG file.
 
     Parameters
     ----------
@@ -168,16 +165,16 @@ def write_dng(
     camera : CameraModel
         The camera.
     matrices : mapping of str to ndarray, (channel, 3)
-        Colour matrix for each illuminant in LIGHT_CODES. The matrix converts XYZ to channel signals.
+        Colour matrix, from XYZ to channel signals, for each illuminant in LIGHT_CODES.
     neutral : ndarray, (channel,), or None
-        Signal of a grey surface in each channel, or None if the signals are unknown.
+        Signal of a grey surface in each channel, or None if unknown.
     exposure : float
         Exposure time in s.
     """
     name, planes, codes = camera.name, _planes(camera), channel_codes(camera.channels)
     full_scale = camera.white_level - camera.black_level
     constant, linear, _ = camera.noise_terms()
-    # slope and intercept of the variance, on a scale from 0 (black) to 1 (white)
+    # Slope and intercept of the noise variance, with signals from 0 (black) to 1 (white).
     noise = (linear / full_scale, constant / full_scale**2)
     iso = camera.gains.iso if camera.gains else 0.0
     shot = Shot(model=name, f_number=camera.optics.f_number, focal_length=camera.optics.focal_length * 1e3, iso=iso)
@@ -199,8 +196,8 @@ def write_dng(
 def _planes(camera: CameraModel) -> list[int]:
     """Return the channel index of each colour plane.
 
-    If the camera has three channels, the channel with the most pixels becomes the second plane. Most raw converters assume
-    that the second plane is the green channel of a Bayer CFA, which has half of the pixels.
+    Of three channels, the one with the most pixels becomes the second plane, because most raw converters assume that the
+    second plane is the green channel of a Bayer CFA.
     """
     planes = list(range(len(camera.channels)))
     if len(planes) == 3:

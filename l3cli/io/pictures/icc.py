@@ -1,6 +1,6 @@
-"""Create ICC display profiles (version 4, with a matrix and tone curves, ICC.1:2022) for colour spaces.
+"""Create ICC display profiles (version 4, matrix and tone curves, ICC.1:2022) for colour spaces.
 
-Equal colour spaces always have profiles with identical bytes.
+Equal colour spaces always result in identical bytes.
 """
 
 import functools
@@ -14,15 +14,15 @@ from l3cli.physics.spaces import Curve, Space, adaptation_matrix
 
 D50 = np.array([0.9642, 1.0, 0.8249])  # XYZ of the profile connection space, rounded as in ICC.1
 VERSION = 0x04400000
-DATE = (2000, 1, 1, 0, 0, 0)  # creation date, a required field; constant, so that equal profiles have identical bytes
+DATE = (2000, 1, 1, 0, 0, 0)  # creation date, which is required; constant, so that equal profiles have identical bytes
 POWER, SRGB_LIKE = 0, 3  # function types of parametricCurveType
-ID = slice(84, 100)  # position of the profile ID, an MD5 digest, in the header
-NOT_HASHED = (slice(44, 48), slice(64, 68), ID)  # not part of the digest: flags, rendering intent, profile ID
+ID = slice(84, 100)  # header bytes of the profile ID, an MD5 digest
+NOT_HASHED = (slice(44, 48), slice(64, 68), ID)  # header bytes that the digest excludes: flags, rendering intent, profile ID
 
 
 @functools.cache
 def icc_profile(space: Space) -> bytes:
-    """Return the ICC profile of a colour space as bytes. Colours are adapted from the white of the space to D50."""
+    """Return the ICC profile of a colour space. Colours are adapted from the white of the colour space to D50."""
     adapted = adaptation_matrix(space.neutral_xyz, D50)
     colorants = (adapted @ space.to_xyz).T
     tags = {
@@ -33,7 +33,7 @@ def icc_profile(space: Space) -> bytes:
         **{name: _xyz(colorant) for name, colorant in zip((b"rXYZ", b"gXYZ", b"bXYZ"), colorants, strict=True)},
         **dict.fromkeys((b"rTRC", b"gTRC", b"bTRC"), _curve(space.curve)),
     }
-    places: dict[bytes, int] = {}  # content of a tag → its offset; tags with equal content share one copy
+    places: dict[bytes, int] = {}  # tag content → offset, because tags with equal content share one copy
     table, body, start = struct.pack(">I", len(tags)), b"", 128 + 4 + 12 * len(tags)
     for name, content in tags.items():
         if content not in places:
@@ -76,7 +76,7 @@ def _curve(curve: Curve | None) -> bytes:
     """Return the tone-curve tag, which converts encoded values to linear values.
 
     The linear value is ((value + offset) / gain)^(1 / exponent) above the knee, and proportional to the encoded value below
-    the knee. If `curve` is None, the linear value equals the encoded value.
+    it. If `curve` is None, both values are equal.
     """
     if curve is None:
         return _tag(b"para", struct.pack(">HH", POWER, 0) + _fixed(np.ones(1)))

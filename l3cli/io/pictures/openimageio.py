@@ -24,11 +24,11 @@ from l3cli.system.files import atomic_output, write_whole
 from l3cli.system.signals import held_back_in
 
 EXR, PNG, JPEG_XL = ".exr", ".png", ".jxl"
-# Suffix → compression settings. Noise is almost incompressible, so the strongest compression takes seven times as long but
-# makes files only a tenth smaller.
+# Suffix → compression settings. Noise is almost incompressible: the strongest compression would take seven times as long,
+# but reduce file sizes by only a tenth.
 COMPRESSION: dict[str, dict[str, str | int]] = {
-    # The PNG filter predicts each value from the mean of two neighbours. Run-length encoding is sufficient, because longer
-    # sequences rarely repeat, and a search for repetitions is slow.
+    # The PNG filter predicts each value from the mean of two neighbours. After that, longer sequences rarely repeat, so
+    # run-length encoding is sufficient and saves the slow search for repetitions.
     PNG: {"compression": "rle", "png:compressionLevel": 1, "png:filter": 64},
     ".jpg": {"Compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
     ".jpeg": {"Compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
@@ -44,10 +44,10 @@ XMP = (
 
 
 def encode(path: Path, picture: Picture) -> bytes:
-    """Encode a picture with its metadata and its colour space, and return the bytes of the file.
+    """Encode a picture with its metadata and its colour space in the format that the suffix of `path` selects.
 
-    The colour space is stored as an ICC profile. EXR files instead contain the chromaticities of the primaries and of white.
-    EXR files with spectra also have the attribute "spectralLayoutVersion".
+    The colour space is stored as an ICC profile or, in EXR files, as the chromaticities of the primaries and of white. EXR
+    files with spectra also have the attribute "spectralLayoutVersion".
     """
     pixels, space, suffix = picture.pixels, picture.space, path.suffix.lower()
     spec = _spec(pixels)
@@ -61,7 +61,7 @@ def encode(path: Path, picture: Picture) -> bytes:
         if space.neutral:
             spec.attribute("adoptedNeutral", oiio.TypeDesc("float[2]"), space.neutral)
     elif space is not None:
-        is_named = space == SRGB and suffix != PNG  # a PNG file cannot contain both a profile and the name of a colour space
+        is_named = space == SRGB and suffix != PNG  # PNG files cannot contain both a profile and the name of a colour space
         spec.attribute("oiio:ColorSpace", "sRGB" if is_named else "data")  # without this, OpenImageIO would assume sRGB
         spec.attribute("Exif:ColorSpace", EXIF_SRGB if space == SRGB else EXIF_OTHER)
         profile = np.frombuffer(icc_profile(space), np.uint8)
@@ -72,7 +72,7 @@ def encode(path: Path, picture: Picture) -> bytes:
     content = encoded(path.name, spec, pixels)
     if suffix != JPEG_XL or picture.label == NOTHING:
         return content
-    packet = _xmp(picture.label).encode()  # metadata as an XMP box, because OpenImageIO writes no Exif to JPEG XL files
+    packet = _xmp(picture.label).encode()  # OpenImageIO cannot write Exif metadata to JPEG XL files
     return content + struct.pack(">I4s", 8 + len(packet), b"xml ") + packet
 
 
@@ -94,7 +94,7 @@ def _add_label(spec: Any, label: Label) -> None:
 
 
 def _xmp(label: Label) -> str:
-    """Convert the metadata of a picture to an XMP packet."""
+    """Format a picture's metadata as an XMP packet."""
     from xml.sax.saxutils import quoteattr
 
     shot = label.shot
@@ -114,9 +114,9 @@ def _xmp(label: Label) -> str:
 
 
 def write_mosaic(path: Path, values: NDArray[np.uint16], exposure: float | None = None) -> None:
-    """Write a raw mosaic (row, col) in DN as an uncompressed 16-bit TIFF file.
+    """Write a raw mosaic, (row, col), in DN as an uncompressed 16-bit TIFF file, replacing an existing file.
 
-    `exposure` is the exposure time in s, or None if it is unknown. An existing file is replaced.
+    `exposure` is the exposure time in s, or None if unknown.
     """
     spec = _spec(values[..., None])
     spec.attribute("compression", "none")
@@ -126,7 +126,7 @@ def write_mosaic(path: Path, values: NDArray[np.uint16], exposure: float | None 
 
 
 def jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
-    """Encode an 8-bit sRGB picture (row, col, 3) as JPEG without chroma subsampling. `quality` is from 1 to 100."""
+    """Encode an 8-bit sRGB picture, (row, col, 3), as JPEG without chroma subsampling. `quality` is from 1 to 100."""
     spec = _spec(picture)
     spec.attribute("oiio:ColorSpace", "sRGB")
     spec.attribute("Compression", f"jpeg:{quality}")
@@ -136,14 +136,14 @@ def jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
 
 @held_back_in  # the libraries would print messages if a signal interrupted them
 def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
-    """Encode pixels (row, col, value) in memory, and return the bytes of the file. The suffix of `name` selects the format.
+    """Encode pixels, (row, col, value), in memory, in the format that the suffix of `name` selects.
 
-    The libraries do not write to the disk directly. If the disk were full, the JPEG library would abort the program, and the
-    PNG library would not report an error. Raises L3Error if the pixels cannot be encoded.
+    The libraries do not write to disk directly, because on a full disk, the JPEG library would abort the program and the PNG
+    library would not report an error. Raises L3Error if the pixels cannot be encoded.
     """
     spec.attribute("DateTime", "")  # no timestamp, so that equal inputs result in equal bytes
     with open(os.memfd_create("picture"), "rb", buffering=0) as memory:
-        sink = oiio.ImageOutput.create(f"picture{Path(name).suffix}")  # not `name`, which may not be valid UTF-8
+        sink = oiio.ImageOutput.create(f"picture{Path(name).suffix}")  # `name` may not be valid UTF-8
         if sink is None:
             raise L3Error(f"{name} cannot be encoded: {oiio.geterror().strip()}; choose another file format")
         written = sink.open(f"/proc/self/fd/{memory.fileno()}", spec) and sink.write_image(np.ascontiguousarray(pixels))
@@ -153,7 +153,7 @@ def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
 
 
 PAGED = (".tif", ".tiff")
-MAX_PIXEL_BYTES = 4_000_000_000  # limit for TIFF files with 32-bit offsets; larger files are written as BigTIFF
+MAX_PIXEL_BYTES = 4_000_000_000  # larger TIFF files are written as BigTIFF, with 64-bit offsets
 
 
 class Pages:
@@ -164,7 +164,7 @@ class Pages:
     path : Path
         The file.
     count : int or None
-        Number of pages, or None if it is unknown.
+        Number of pages, or None if unknown.
     """
 
     def __init__(self, path: Path, count: int | None) -> None:
@@ -194,7 +194,7 @@ class Pages:
                 contiguous=False,
             )
         except OSError as error:
-            # On a full disk, numpy raises an OSError without an error number. The probable error number is ENOSPC.
+            # On a full disk, numpy raises an OSError without an error number, so ENOSPC is the most probable one.
             raise OSError(error.errno or errno.ENOSPC, os.strerror(error.errno or errno.ENOSPC)) from error
 
     def close(self) -> None:
@@ -204,19 +204,18 @@ class Pages:
 
 @contextlib.contextmanager
 def new_pages(path: Path, count: int | None, finished: Callable[[Path], None] = lambda temporary: None) -> Iterator[Pages]:
-    """Create a multi-page TIFF file, and yield an object that appends pages to the file.
+    """Context manager that creates a multi-page TIFF file, and yields an object that appends pages to it.
 
-    The file has a temporary name. If the block succeeds, `finished` is called with the temporary path, and the file is then
-    renamed to `path`.
+    The file first has a temporary name. If the block succeeds, the file is renamed to `path`.
 
     Parameters
     ----------
     path : Path
         The file.
     count : int or None
-        Number of pages, or None if it is unknown.
+        Number of pages, or None if unknown.
     finished : callable
-        Function that is called with the temporary path when the file is complete.
+        Function that is called with the temporary path when the file is complete, before it is renamed.
     """
     with atomic_output(path) as temporary:
         with contextlib.closing(Pages(temporary, count)) as pages:

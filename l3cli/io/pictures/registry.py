@@ -1,8 +1,7 @@
 """The picture formats that l3 writes, with their suffixes, contents and modules.
 
 To add a format, write a module with a function `encode` in this folder, and add a line to FORMATS. l3 imports the module
-when it writes the first picture in this format. The bytes of a file must not depend on the time or on the folder of the
-file.
+when it writes the first picture in this format. The bytes of a file must not depend on the time or on its folder.
 """
 
 import importlib
@@ -24,11 +23,11 @@ UNADAPTED_XYZ = replace(XYZ, title="CIE XYZ", neutral=None)
 
 @dataclass(frozen=True)
 class Label:
-    """Metadata of a rendered frame: camera settings, and the identity of the transform table and of the raw frame."""
+    """Metadata of a rendered frame: the camera settings, and which transform table and raw frame it was rendered from."""
 
     shot: Shot = Shot()
     exposure: float | None = None  # exposure time in s; None if unknown
-    table: str = ""  # SHA-256 of the file of the transform table
+    table: str = ""  # SHA-256 digest of the transform table's file
     frame: str = ""  # identity of the raw frame: the result of `file_identity` or `values_identity`
 
     @property
@@ -44,28 +43,28 @@ NOTHING = Label()
 
 
 def file_identity(digest: str) -> str:
-    """Return a text that identifies the frame of a single-frame raw file by the SHA-256 of the file."""
+    """Return text that identifies the frame in a single-frame raw file by the file's SHA-256 digest."""
     return f"raw file SHA-256 {digest}"
 
 
 def values_identity(digest: str) -> str:
-    """Return a text that identifies a frame of a stack or stream by the SHA-256 of its pixel values.
+    """Return text that identifies a frame in a stack or stream by the SHA-256 digest of its pixel values.
 
-    The SHA-256 is computed from the values as little-endian 16-bit integers in row-major order.
+    The digest is computed from the values as little-endian 16-bit integers in row-major order.
     """
     return f"raw values SHA-256 {digest}"
 
 
 @dataclass(frozen=True)
 class Picture:
-    """The content of a picture file, in upright orientation."""
+    """Content of a picture file, in upright orientation."""
 
-    # codes (uint8 or uint16) or linear values (float32), both (row, col, value), or a mosaic (row, col) in DN
+    # (row, col, value): codes (uint8 or uint16) or linear values (float32), or a mosaic, (row, col), in DN
     pixels: NDArray[Any]
     space: Space | None = SRGB  # colour space of the values; None if the values are not colours
     label: Label = NOTHING
     names: tuple[str, ...] = ()  # names of the linear values of a pixel, such as X, Y and Z
-    exposure_scale: float = 1.0  # factor that converts the values of a raw picture to display values, where 1 is white
+    exposure_scale: float = 1.0  # factor from the linear values in a raw file to display values, where 1 is white
 
 
 @dataclass(frozen=True)
@@ -78,12 +77,12 @@ class PictureFormat:
     holds: str = "codes"  # content of the files: "codes", "linear" (linear values only) or "raw" (DN for raw converters)
 
     def encode(self, path: Path, picture: Picture) -> bytes:
-        """Encode a picture, and return the bytes of the file `path`. Raises L3Error if the picture cannot be encoded."""
+        """Encode a picture for the file `path`. Raises L3Error if the picture cannot be encoded."""
         content: bytes = self._writer.encode(path, picture)
         return content
 
     def make_ready(self) -> None:
-        """Import the module that encodes files of this format, so that the import does not delay the first picture."""
+        """Import the encoder in advance, so that the import does not delay the first picture."""
         self._writer  # noqa: B018
 
     @property
@@ -103,12 +102,12 @@ BY_SUFFIX = {suffix: each for each in FORMATS for suffix in each.suffixes}
 
 
 def suffixes(holds: str) -> tuple[str, ...]:
-    """Return the suffixes of all formats that contain `holds`, which is "codes", "linear" or "raw"."""
+    """Return the suffixes of all formats for one type of content: "codes", "linear" or "raw"."""
     return tuple(suffix for suffix, each in BY_SUFFIX.items() if each.holds == holds)
 
 
 def format_of(path: Path, bits: int) -> PictureFormat:
-    """Return the format that the suffix of a file name selects.
+    """Return the picture format for a file suffix.
 
     Raises RecipeError if the suffix is unknown, or if the format does not support this number of bits per value.
     """
@@ -128,17 +127,17 @@ def format_of(path: Path, bits: int) -> PictureFormat:
 
 
 def holds_linear(path: Path, bits: int = 8) -> bool:
-    """Return whether a file with this name and this number of bits per value contains linear values instead of codes."""
+    """Return whether a file with this suffix and this number of bits per value contains linear values instead of codes."""
     return bits == FLOAT_BITS or path.suffix.lower() in suffixes("linear")
 
 
 def holds_raw(path: Path) -> bool:
-    """Return whether the suffix of a file name selects a format for raw converters."""
+    """Return whether a file suffix selects a format for raw converters."""
     return path.suffix.lower() in suffixes("raw")
 
 
 def picture_file(path: Path, picture: Picture) -> bytes:
-    """Encode a picture in the format that the suffix of `path` selects, and return the bytes of the file.
+    """Encode a picture in the format that the suffix of `path` selects.
 
     Raises RecipeError if the format does not support the data type, and L3Error if the picture cannot be encoded.
     """
@@ -147,16 +146,16 @@ def picture_file(path: Path, picture: Picture) -> bytes:
 
 
 def write_picture(path: Path, pixels: NDArray[Any], names: tuple[str, ...] = ()) -> None:
-    """Write a picture to a file, without metadata. An existing file is replaced.
+    """Write a picture without metadata, replacing an existing file.
 
     Parameters
     ----------
     path : Path
         The file, whose suffix selects the format.
     pixels : ndarray
-        sRGB codes (row, col, 3) as uint8 or uint16, or linear values (row, col, value) as float32.
+        sRGB codes, (row, col, 3), as uint8 or uint16, or linear values, (row, col, value), as float32.
     names : tuple of str
-        Names of the linear values of a pixel.
+        Names of the linear values of a pixel, such as X, Y and Z.
     """
     space = UNADAPTED_XYZ if names == ("X", "Y", "Z") else None if pixels.dtype.kind == "f" else SRGB
     write_whole(path, picture_file(path, Picture(pixels, space, names=names)))

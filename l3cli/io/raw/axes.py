@@ -1,8 +1,8 @@
 """Determine which axes of an array are frames, rows and columns. Pictures with several channels are rejected.
 
-If the file states the names of the axes, the names determine their order. Otherwise, the order is (frame, row, col). Arrays
-with a suspiciously short last axis are rejected. A last axis with a length of at most 4 probably contains channels. A last
-axis that is much shorter than the other two axes probably contains frames.
+If the file contains axis names, they determine the order. Otherwise, the order is (frame, row, col), and arrays with a
+suspiciously short last axis are rejected: an axis with a length of at most 4 probably contains channels, and an axis that is
+much shorter than the other two probably contains frames.
 """
 
 import re
@@ -12,8 +12,8 @@ from typing import NamedTuple
 from l3cli.errors import InputFileError
 from l3cli.system.text import counted
 
-MOST_CHANNELS = 4  # maximum number of channels of a picture; frames have far more columns
-FRAMES_LAST = 16  # if both other axes are at least this many times longer than the last axis, the last axis contains frames
+MOST_CHANNELS = 4  # maximum number of channels in a picture; frames have far more columns
+FRAMES_LAST = 16  # the last axis probably contains frames if both other axes are at least this many times longer
 MEANINGS = {
     "frame": ("f", "frame", "frames", "t", "time", "n", "number", "index", "i", "z", "page", "pages", "image", "images"),
     "row": ("r", "row", "rows", "y", "height", "line", "lines"),
@@ -47,9 +47,9 @@ def frame_axes(name: str, shape: Sequence[int], names: Sequence[str] = (), usual
     shape : sequence of int
         Lengths of the two or three axes of the array.
     names : sequence of str
-        Names of the axes that the file states, in the order of `shape`. Empty if the file states no names.
+        Axis names in the file, in the order of `shape`. Empty if the file contains no names.
     usual : Axes, optional
-        Order of the axes to use if the names do not determine the order. [default: (frame, row, col) or (row, col)]
+        Axes to assume if the names do not determine them. [default: (frame, row, col) or (row, col)]
 
     Returns
     -------
@@ -58,7 +58,7 @@ def frame_axes(name: str, shape: Sequence[int], names: Sequence[str] = (), usual
     Raises
     ------
     InputFileError
-        If an axis contains the channels of a picture, or if the last axis has no name and probably contains frames.
+        If an axis contains the channels of a picture, or if an unnamed last axis probably contains channels or frames.
     """
     array = f"{name} is an array of {'×'.join(map(str, shape))} values"
     meanings = [MEANING.get(re.sub("[^a-z]", "", each.lower()), "") for each in names]

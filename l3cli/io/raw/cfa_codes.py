@@ -1,4 +1,7 @@
-"""Colour codes of colour filter arrays in raw files (TIFF/EP), and the phase of a file: the CFA site of its first pixel."""
+"""Compare the colour filter array in a raw file (TIFF/EP colour codes) with the sensor's, to find the file's phase.
+
+The phase is the CFA site of the file's first pixel.
+"""
 
 import itertools
 from collections.abc import Sequence
@@ -10,15 +13,15 @@ from numpy.typing import NDArray
 from l3cli.errors import InputFileError
 from l3cli.physics.mosaic import shifted_cfa, tiled
 
-if TYPE_CHECKING:  # not imported at run time, so that the process that decodes files starts faster
+if TYPE_CHECKING:  # not imported at run time, so that the decoding process starts faster
     from l3cli.artifacts.camera import CameraModel
     from l3cli.artifacts.table import TransformTable
 
-Sensor: TypeAlias = "TransformTable | CameraModel"  # source of the size, levels and CFA if a raw file does not state them
+Sensor: TypeAlias = "TransformTable | CameraModel"  # source of the size, levels and CFA that a raw file does not contain
 
 
 class FilterArray(Protocol):
-    """An object with a CFA (channel index of each site), and with the name of each channel."""
+    """An object with a CFA (channel index of each site) and channel names."""
 
     @property
     def cfa(self) -> NDArray[np.uint8]: ...
@@ -28,29 +31,29 @@ class FilterArray(Protocol):
 
 LETTERS = "RGBCMYW"  # letters for the codes 0…6 of CFAPattern
 NAMES = ("red", "green", "blue", "cyan", "magenta", "yellow", "white")
-FREE_CODE = len(LETTERS)  # smallest code that does not represent a colour in TIFF/EP
-LARGEST = 16  # maximum number of rows or columns of a pattern
+FREE_CODE = len(LETTERS)  # smallest code to which TIFF/EP assigns no colour
+LARGEST = 16  # maximum number of rows or columns in a pattern
 CURE = "use the table of this camera, or set ‹phase› ROW,COL to the position of the first pixel in the table's array"
 
 
 def code_of(name: str) -> int | None:
-    """Return the TIFF/EP code for the name of a channel, such as "r" or "Red", or None if TIFF/EP has no such colour."""
+    """Return the TIFF/EP code for a channel name such as "r" or "Red", or None if TIFF/EP has no such colour."""
     known = [*LETTERS.lower(), *NAMES]
     return known.index(name.lower()) % FREE_CODE if name.lower() in known else None
 
 
 def codes_of(letters: str) -> NDArray[np.int64]:
-    """Convert letters such as "RGGB" to colour codes (letter,). Letters without a TIFF/EP code become unassigned codes."""
+    """Convert letters such as "RGGB" to colour codes, (letter,). Unknown letters become unassigned codes."""
     return np.array(
         [LETTERS.index(each) if each in LETTERS else FREE_CODE + index for index, each in enumerate(letters.upper())]
     )
 
 
 def channel_codes(channels: Sequence[str]) -> NDArray[np.uint8]:
-    """Return a unique code for each channel.
+    """Return a unique colour code for each channel, (channel,).
 
-    The code is the TIFF/EP code of the channel name. A name without a TIFF/EP code, or with a code that is already used,
-    receives an unassigned code.
+    This is the TIFF/EP code for the channel name or, if there is none or if it is already used, a code that TIFF/EP does not
+    assign.
     """
     codes: list[int] = []
     for index, name in enumerate(channels):
@@ -60,30 +63,30 @@ def channel_codes(channels: Sequence[str]) -> NDArray[np.uint8]:
 
 
 def find_phase(name: str, pattern: NDArray[np.integer], sensor: FilterArray) -> tuple[int, int]:
-    """Return the phase of a file: the CFA row and the CFA column of its first pixel.
+    """Determine the phase of a file: the CFA row and column of its first pixel.
 
     Parameters
     ----------
     name : str
         Name of the file, for messages.
     pattern : ndarray, (row, col)
-        Colour codes that the file states for its first rows and columns.
+        Colour codes in the file, starting at its first pixel.
     sensor : FilterArray
-        The sensor. A channel whose name has a TIFF/EP code can only match this code. Any other channel can match any code.
+        The sensor. A channel with a TIFF/EP colour name matches only this colour's code. Other channels match any code.
 
     Returns
     -------
     tuple of int
-        CFA row and CFA column.
+        CFA row and column.
 
     Raises
     ------
     InputFileError
-        If the pattern matches the CFA of the sensor in no phase, or in several phases that are not equivalent.
+        If the pattern matches the sensor's CFA in no phase, or in several phases that are not equivalent.
     """
     if max(pattern.shape) > LARGEST:
         raise InputFileError(
-            f"{name} states a colour filter array of {pattern.shape[0]}×{pattern.shape[1]} sites, but the limit is "
+            f"{name} contains a colour filter array of {pattern.shape[0]}×{pattern.shape[1]} sites, but the limit is "
             f"{LARGEST}×{LARGEST}; the file is probably damaged, so copy the file again"
         )
     size = tuple(np.lcm(pattern.shape, sensor.cfa.shape).tolist())
@@ -109,24 +112,24 @@ def find_phase(name: str, pattern: NDArray[np.integer], sensor: FilterArray) -> 
 def neutral_of_channels(
     neutral: NDArray[np.float64] | None, pattern: NDArray[np.integer] | None, phase: tuple[int, int], sensor: FilterArray
 ) -> tuple[float, ...] | None:
-    """Return the signal of a grey surface in each channel of a sensor.
+    """Return the signal of a grey surface in each of the sensor's channels.
 
     Parameters
     ----------
     neutral : ndarray, (colour, 2), or None
-        Code and signal of each colour that the file states.
+        Colour codes and signals in the file.
     pattern : ndarray, (row, col), or None
-        Colour codes of the CFA that the file states. The sites of a channel in this CFA determine the colour of the channel.
-        If `pattern` is None, the name of a channel determines its colour.
+        CFA in the file, from which the colour code of each channel is determined. If it is None, the channel names are used
+        instead.
     phase : tuple of int
-        CFA row and CFA column of the first pixel of the file.
+        CFA row and column of the file's first pixel.
     sensor : FilterArray
         The sensor.
 
     Returns
     -------
     tuple of float, or None
-        One signal per channel, in any unit. None if `neutral` is None or does not contain the colour of a channel.
+        One signal per channel, in any common unit. None if `neutral` is None or lacks the colour of a channel.
     """
     if neutral is None:
         return None
@@ -147,6 +150,6 @@ def _fits(ours: NDArray[np.uint8], theirs: NDArray[np.integer], channels: Sequen
 
 
 def _written(pattern: NDArray[np.integer]) -> str:
-    """Format a pattern of colour codes, for example as rg/gb. Codes without a letter appear as numbers in parentheses."""
+    """Format a pattern of colour codes, for example as rg/gb. Codes without a letter are written as (7), (8), …"""
     rows = [[LETTERS[code].lower() if code < FREE_CODE else f"({code})" for code in row] for row in pattern.tolist()]
     return "/".join("".join(row) for row in rows)

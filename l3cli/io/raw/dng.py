@@ -1,8 +1,8 @@
 """Read DNG files, including CinemaDNG (Adobe DNG 1.7, TIFF/EP).
 
-LibRaw decompresses the pixels and applies the linearisation table. However, LibRaw supports only CFAs of 2 × 2 or 6 × 6
-sites, and only four black levels. l3 therefore reads the CFA, the levels and other properties from the tags. If a tag that
-l3 does not support affects the pixels, l3 rejects the file or issues a warning (docs/raw-files.md#tags-of-a-dng).
+LibRaw decompresses the pixels and applies the linearisation table. Because LibRaw supports only CFAs of 2 × 2 or 6 × 6 sites
+and four black levels, l3 reads the CFA, the levels and other properties from the tags. If an unsupported tag affects the
+pixels, l3 rejects the file or warns (docs/raw-files.md#tags-of-a-dng).
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,8 +30,8 @@ from l3cli.system.limits import require_picture
 
 WHITE_CODE = LETTERS.index("W")
 LATEST = (1, 7)  # latest supported DNG version
-UNREAD = {8: "Deflate", 34892: "lossy JPEG", 52546: "JPEG XL"}  # compression methods of mosaics that LibRaw does not support
-DUAL = 2  # number of samples per pixel of dual-pixel sensors, and of sensors with a second, less sensitive photodiode
+UNREAD = {8: "Deflate", 34892: "lossy JPEG", 52546: "JPEG XL"}  # compression methods that LibRaw cannot decode in mosaics
+DUAL = 2  # samples per pixel from dual-pixel sensors, and from sensors with a second, less sensitive photodiode
 WHOLE = (0, 0, 1, 1)  # value of DefaultUserCrop that means no crop
 ONLY = {  # tag → its only supported value, and the message for any other value
     "CFALayout": (
@@ -60,7 +60,7 @@ ONLY = {  # tag → its only supported value, and the message for any other valu
     ),
 }
 MOST_STOPS = 20.0  # largest plausible BaselineExposure in EV
-FRAME_RATE = 51044  # number of the tag FrameRate of CinemaDNG
+FRAME_RATE = 51044  # number of the CinemaDNG tag FrameRate
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,11 @@ class Mosaic:
     orientation: int  # LibRaw flip code
     pattern: NDArray[np.int64]  # (row, col) colour codes, starting at the upper left corner of the active area
     active: tuple[int, int, int, int]  # top, left, bottom and right edges of the light-sensitive area
-    crop: tuple[int, int, int, int]  # default crop: first row and column in the active area, numbers of rows and columns
-    black_level: NDArray[np.float64]  # (row, col) pattern in DN that repeats from the upper left corner of the active area
+    crop: tuple[int, int, int, int]  # default crop: first row and column in the active area, number of rows and columns
+    black_level: NDArray[np.float64]  # (row, col) DN; pattern that repeats from the upper left corner of the active area
     black_of_row: NDArray[np.float64]  # DN to add to black_level in each row of the active area
     black_of_col: NDArray[np.float64]  # DN to add to black_level in each column of the active area
-    black_fault: str  # message that states why the black level is unknown; empty if the black level is known
+    black_fault: str  # why the black level is unknown, for messages; empty if it is known
     white_level: float  # DN
     exposure: float | None  # exposure time in s; None if unknown
     baseline_exposure: float  # EV
@@ -84,8 +84,8 @@ class Mosaic:
     opcodes: Opcodes
     planes: tuple[int, ...]  # colour code of each colour plane
     shape: tuple[int, int]  # rows and columns, including masked borders
-    fields: tuple[int, int]  # numbers of interleaved fields into which the rows and the columns are divided
-    masked: tuple[tuple[int, ...], ...]  # top, left, bottom and right edges of each area of masked pixels
+    fields: tuple[int, int]  # into how many interleaved fields the rows and the columns are divided
+    masked: tuple[tuple[int, ...], ...]  # top, left, bottom and right edges of each masked area
     notes: tuple[str, ...]  # warnings about unsupported tags
 
 
@@ -95,7 +95,7 @@ def read(path: Path) -> RawContent:
 
     Raises InputFileError if the file cannot be read, or if its tags are damaged or unsupported.
     """
-    mosaic = _read_tags(path)  # before LibRaw opens the file, because LibRaw's messages about invalid tags are less clear
+    mosaic = _read_tags(path)  # before LibRaw, because LibRaw's messages about invalid tags are less clear
     with opened(path) as raw:
         if raw.raw_image.shape != mosaic.shape:
             rows, cols = mosaic.shape
@@ -107,10 +107,10 @@ def read(path: Path) -> RawContent:
 
 
 def _in_order(stored: NDArray[np.uint16], fields: tuple[int, int]) -> NDArray[np.uint16]:
-    """Restore the order that the pixels have on the sensor, if the image (row, col) is stored as interleaved fields.
+    """Restore the pixel order on the sensor if an image, (row, col), is stored as interleaved fields.
 
-    If the rows are divided into n fields, the file contains rows 0, n, 2n… first, then rows 1, n + 1…, and so on
-    (RowInterleaveFactor). The columns can be divided in the same way (ColumnInterleaveFactor).
+    If the rows are divided into n fields (RowInterleaveFactor), the file contains rows 0, n, 2n… first, then rows 1, n + 1…,
+    and so on. The columns can be divided in the same way (ColumnInterleaveFactor).
     """
     if fields == (1, 1):
         return stored
@@ -122,7 +122,7 @@ def _in_order(stored: NDArray[np.uint16], fields: tuple[int, int]) -> NDArray[np
 
 
 def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawContent:
-    """Crop the linear pixels `stored` (row, col) to the default crop, and convert the pixels to a single black level.
+    """Crop the linear pixels `stored`, (row, col), to the default crop, and convert them to a single black level.
 
     Raises InputFileError if the tags contradict the pixels.
     """
@@ -134,9 +134,7 @@ def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawCon
     fault = mosaic.black_fault
     if not (black_level.min() >= 0 and (black_level < mosaic.white_level).all()):
         levels = f"{black_level.min():g}" if black_level.size == 1 else f"{black_level.min():g}…{black_level.max():g}"
-        fault = (
-            f"states a black level of {levels} DN, which is not between 0 and the white level of {mosaic.white_level:g} DN"
-        )
+        fault = f"has a black level of {levels} DN, which is not between 0 and the white level of {mosaic.white_level:g} DN"
     if fault:
         black_level = np.zeros((1, 1))
     pixels = stored[top:bottom, left:right].copy()  # LibRaw frees the memory of `stored`
@@ -182,9 +180,8 @@ def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawCon
 def _masked_values(mosaic: Mosaic, stored: NDArray[np.uint16]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the masked pixels beside the rows, and above and below the columns, of the default crop.
 
-    Areas that do not extend over all rows or all columns of the crop are not used. The black levels that the file states are
-    subtracted, because they are also subtracted from the frame. Black levels of the array are repeated outside the active
-    area.
+    Only areas that extend over all rows or all columns of the crop are used. The file's black levels are subtracted, as they
+    are from the frame. Their repeating pattern is continued outside the active area.
 
     Returns
     -------
@@ -211,7 +208,7 @@ def _masked_values(mosaic: Mosaic, stored: NDArray[np.uint16]) -> tuple[NDArray[
 
 
 def _repeated_black(mosaic: Mosaic, corner: tuple[int, int], shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the repeated black levels (row, col) of an area of the image, whose first pixel is `corner`."""
+    """Return the repeating black levels, (row, col), in an image area of this shape with the first pixel `corner`."""
     shift = [active - first for active, first in zip(mosaic.active, corner, strict=False)]
     return np.asarray(tiled(np.roll(mosaic.black_level, shift, axis=(0, 1)), shape))
 
@@ -219,14 +216,14 @@ def _repeated_black(mosaic: Mosaic, corner: tuple[int, int], shape: tuple[int, i
 def _changed(
     path: Path, mosaic: Mosaic, pixels: NDArray[np.uint16], bad: NDArray[np.bool_]
 ) -> tuple[NDArray[np.uint16], NDArray[np.float32] | None]:
-    """Apply the opcodes of a file: correct the pixels marked in `bad`, and compute the gain of each pixel.
+    """Apply the file's opcodes: correct the pixels marked in `bad`, and compute the gain of each pixel.
 
     Returns
     -------
     pixels : ndarray of uint16, (row, col)
-        The pixels after the correction.
+        The corrected pixels. The gains are not applied.
     gains : ndarray, (row, col), or None
-        Gain of each pixel, which is not yet applied to `pixels`. None if no opcode requests gains.
+        Gain of each pixel. None if no opcode requests gains.
 
     Raises
     ------
@@ -245,14 +242,14 @@ def _changed(
 
 
 def _black_levels(mosaic: Mosaic, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the black level of each pixel (row, col) in the active area, or an array (1, 1) if all levels are equal."""
+    """Return the black level of each pixel in the active area, (row, col), or an array (1, 1) if all levels are equal."""
     if np.ptp(mosaic.black_level) == 0 and not mosaic.black_of_row.any() and not mosaic.black_of_col.any():
         return mosaic.black_level[:1, :1]
     return tiled(mosaic.black_level, shape) + mosaic.black_of_row[:, None] + mosaic.black_of_col
 
 
 def rate(path: Path) -> Fraction | None:
-    """Return the frame rate that a CinemaDNG file states, in frames/s, or None."""
+    """Return the frame rate in a CinemaDNG file, in frames/s, or None if it is missing or invalid."""
     fraction = _rate(path)
     return storable_rate(Fraction(*fraction)) if fraction else None
 
@@ -276,7 +273,7 @@ def _rate(path: Path) -> tuple[int, int] | None:
 def _read_tags(path: Path) -> Mosaic:
     """Read the tags of the raw image in a file.
 
-    Raises InputFileError if the tags are damaged, if the file contains no mosaic, or if l3 does not support the file (see
+    Raises InputFileError if the tags are damaged, if the file contains no mosaic, or if it is unsupported (see
     `_refuse_unsupported`).
     """
     import tifffile
@@ -309,21 +306,21 @@ def _raw_page(path: Path, file: Any) -> Any:
 def _refuse_unsupported(path: Path, first: Any, raw: Any) -> None:
     """Raise InputFileError if l3 or LibRaw does not support the file.
 
-    An unsupported file requires a newer DNG version, is demosaicked, stores its data in an unsupported form, or contains an
+    Unsupported files require a newer DNG version, are demosaicked, store their data in an unsupported form, or contain an
     unsupported tag that affects the pixels.
     """
     version = tuple(first.tags.valueof("DNGBackwardVersion") or LATEST)[:2]
     if version > LATEST:
         raise InputFileError(
-            f"{path} requires DNG version {version[0]}.{version[1]}, but l3 supports only up to {LATEST[0]}.{LATEST[1]}; "
-            "convert the camera's original file to an earlier version"
+            f"{path} requires DNG version {version[0]}.{version[1]}, but l3 supports only versions up to "
+            f"{LATEST[0]}.{LATEST[1]}; convert the camera's original file to an earlier version"
         )
     if raw.samplesperpixel != 1 and raw.tags.valueof("PhotometricInterpretation") == tags.LINEAR_RAW:
         raise InputFileError(f"{path} is already demosaicked (linear DNG); use the camera's original raw file")
     if raw.samplesperpixel > DUAL:
         raise InputFileError(
-            f"{path} has {raw.samplesperpixel} samples per pixel, but l3 supports only one, or two for dual-pixel "
-            "sensors; use the camera's original raw file"
+            f"{path} has {raw.samplesperpixel} samples per pixel, but l3 supports only one, or two from dual-pixel sensors; "
+            "use the camera's original raw file"
         )
     if raw.compression in UNREAD:
         raise InputFileError(
@@ -398,10 +395,10 @@ def _stated_black(
     Returns
     -------
     levels : tuple of ndarray
-        Pattern of levels (row, col) that repeats over the image, and the offsets of each row (row,) and of each column
-        (col,) that are added to the pattern.
+        Pattern of levels, (row, col), that repeats over the image, and the offsets, (row,) and (col,), to add to each row
+        and to each column.
     fault : str
-        Empty if the tags are valid. Otherwise a message about the damaged tag, and all levels are 0.
+        Message about a damaged tag, in which case all levels are 0. Empty if the tags are valid.
     """
     rows, cols = shape
     try:
@@ -412,10 +409,10 @@ def _stated_black(
 
 
 def _repeating_black(raw: Any, cfa_shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return the repeating pattern of black levels (row, col) for the first sample of each pixel.
+    """Return the repeating pattern of black levels, (row, col), for the first sample of each pixel.
 
-    Many programs omit BlackLevelRepeatDim, or write a size that contradicts the number of levels. In this case, l3 accepts
-    one level per CFA site, or levels that are all equal. Otherwise, a ValueError is raised.
+    Many programs omit BlackLevelRepeatDim, or write a size that contradicts the number of levels. l3 then accepts one level
+    per CFA site, or levels that are all equal, and otherwise raises ValueError.
     """
     levels = np.asarray(tags.numbers(raw, "BlackLevel", (0,)), np.float64)
     stated = tuple(np.ravel(raw.tags.valueof("BlackLevelRepeatDim", (1, 1))).tolist())
@@ -432,9 +429,9 @@ def _repeating_black(raw: Any, cfa_shape: tuple[int, ...]) -> NDArray[np.float64
 def _masked_areas(
     raw: Any, shape: tuple[int, int], active: tuple[int, int, int, int]
 ) -> tuple[tuple[tuple[int, ...], ...], tuple[str, ...]]:
-    """Read the areas of masked pixels from the tags, and return them with a warning if the tag is damaged.
+    """Read the top, left, bottom and right edges of each masked area.
 
-    Each area contains the top, left, bottom and right edges. Areas must be inside the image and outside the active area.
+    The areas must be inside the image and outside the active area. If the tag is damaged, return no areas and a warning.
     """
     try:
         areas = np.asarray(tags.numbers(raw, "MaskedAreas", ()), np.int64).reshape(-1, 4)
@@ -450,7 +447,7 @@ def _masked_areas(
 
 
 def _fields(raw: Any) -> tuple[int, int]:
-    """Return how many row fields and column fields are interleaved. Raises ValueError if either count is below 1."""
+    """Return into how many interleaved fields the rows and columns are divided. Raises ValueError for counts below 1."""
     rows, cols = (int(tags.numbers(raw, tag, (1,))[0]) for tag in ("RowInterleaveFactor", "ColumnInterleaveFactor"))
     if min(rows, cols) < 1:
         raise ValueError(f"RowInterleaveFactor is {rows} and ColumnInterleaveFactor is {cols}, but both must be at least 1")
@@ -469,7 +466,7 @@ def _notes(raw: Any) -> Iterator[str]:
 
 
 def _neutral(first: Any, raw: Any) -> NDArray[np.float64] | None:
-    """Return the CFA code of each colour plane and the signal of a grey surface (plane, 2), or None if tags are unusable."""
+    """Return each plane's colour code and signal of a grey surface, (plane, 2), or None if the tags are unusable."""
     try:
         codes = np.asarray(tags.numbers(raw, "CFAPlaneColor", (0, 1, 2)), np.float64)
     except tags.BROKEN:  # the pixels can be used without this tag
@@ -479,7 +476,7 @@ def _neutral(first: Any, raw: Any) -> NDArray[np.float64] | None:
 
 
 def _baseline_exposure(first: Any) -> float:
-    """Return the tag BaselineExposure in EV, or 0 if the tag is missing, damaged or implausible."""
+    """Return BaselineExposure in EV, or 0 if it is missing, damaged or implausible."""
     try:
         (stops,) = tags.numbers(first, "BaselineExposure", (0.0,))
     except tags.BROKEN:  # the pixels can be used without this tag
@@ -492,18 +489,18 @@ def _contiguous(offsets: Sequence[int], lengths: Sequence[int]) -> bool:
 
 
 def _pattern(path: Path, raw: Any) -> NDArray[np.int64]:
-    if raw.tags.valueof("PhotometricInterpretation") == tags.LINEAR_RAW:  # the frame of a monochrome sensor
+    if raw.tags.valueof("PhotometricInterpretation") == tags.LINEAR_RAW:  # from a monochrome sensor
         return np.array([[WHITE_CODE]])
     codes, shape = raw.tags.valueof("CFAPattern"), raw.tags.valueof("CFARepeatPatternDim")
     if codes is None or shape is None:
         raise InputFileError(
-            f"{path} does not state its colour filter array; convert the camera's original file to DNG again"
+            f"{path} does not contain its colour filter array; convert the camera's original file to DNG again"
         )
     return _repeating(list(codes), shape).astype(np.int64)
 
 
 def _repeating(values: Sequence[float], shape: Sequence[int]) -> NDArray:
-    """Reshape the values of a pattern to (row, col). Raises ValueError if the number of values does not match the shape."""
+    """Reshape a pattern to (row, col). Raises ValueError if the number of values does not match the shape."""
     if min(shape) < 1:
         raise ValueError(f"invalid pattern size {shape}")
     return np.reshape(values, tuple(shape))

@@ -1,8 +1,8 @@
-"""Colour tags of DNG files: the colour matrices, and the signals of a grey surface under the white point of the file.
+"""Read colour tags in DNG files: the colour matrices, and the signals of a grey surface under the file's white point.
 
 According to DNG 1.7.1, chapter 6, a white with the chromaticity x, y produces the signals
 AB · CC · CM · (x/y, 1, (1 - x - y)/y). AB is AnalogBalance. CM is interpolated between ColorMatrix1, 2 and 3, and CC between
-CameraCalibration1, 2 and 3. Both interpolations are linear in the reciprocal of the correlated colour temperature.
+CameraCalibration1, 2 and 3, both linearly in the reciprocal of the correlated colour temperature.
 """
 
 import contextlib
@@ -19,31 +19,31 @@ from l3cli.physics import spectra
 
 Array = NDArray[np.float64]
 
-OTHER_LIGHT = 255  # value of CalibrationIlluminant for an illuminant that IlluminantData describes
+OTHER_LIGHT = 255  # value of CalibrationIlluminant for an illuminant described by IlluminantData
 KELVIN = {  # value of CalibrationIlluminant (Exif LightSource) → correlated colour temperature in K
     1: 5500.0, 2: 4150.0, 3: 2856.0, 4: 5500.0, 9: 5500.0, 10: 6504.0, 11: 7504.0, 12: 6400.0, 13: 5050.0, 14: 4150.0,
     15: 3525.0, 16: 2925.0, 17: 2856.0, 18: 4874.0, 19: 6774.0, 20: 5503.0, 21: 6504.0, 22: 7504.0, 23: 5003.0, 24: 3200.0,
 }  # fmt: skip
 MIREDS = np.arange(40.0, 1000.0, 0.25)  # search grid of reciprocal colour temperatures, in mired (10^-6/K)
-DECIMALS = 4  # decimals of AsShotNeutral; signals from AsShotWhiteXY are rounded to as many decimals
-# Tag numbers of IlluminantData1, 2 and 3. They are listed here because the third number is wrong in tifffile.
+DECIMALS = 4  # decimals to which signals from AsShotWhiteXY are rounded, as in AsShotNeutral
+# Tag numbers of IlluminantData1, 2 and 3, because the third number in tifffile is wrong.
 ILLUMINANT_DATA = {1: 52533, 2: 52534, 3: 52535}
-# Types of IlluminantData. CHROMATICITY: x and y. SPECTRUM: first wavelength in nm, step in nm, and power at each wavelength.
+# Types of IlluminantData. Chromaticity: x and y. Spectrum: first wavelength in nm, step in nm, and power at each wavelength.
 CHROMATICITY, SPECTRUM = 0, 1
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """The matrices of a DNG file for one illuminant."""
+    """Matrices in a DNG file for one illuminant."""
 
-    light: int  # value of CalibrationIlluminant; 0 if the file does not state an illuminant
+    light: int  # value of CalibrationIlluminant; 0 if the file does not name the illuminant
     kelvin: float | None  # correlated colour temperature of the illuminant in K; None if unknown
     colour: Array  # (plane, 3) matrix from XYZ to the signals of the reference camera
     camera: Array  # (plane, plane) matrix from reference signals to signals of this camera
 
 
 def calibrations(first: Any, planes: int) -> list[Calibration]:
-    """Return the calibrations on the first page of a DNG file with `planes` colour planes.
+    """Return the calibrations on a DNG file's first page. `planes` is the number of colour planes.
 
     Missing and damaged calibrations are omitted, so the result may be empty.
     """
@@ -62,10 +62,9 @@ def calibrations(first: Any, planes: int) -> list[Calibration]:
 
 
 def as_shot_neutral(first: Any, planes: int) -> Array | None:
-    """Return the signal of a grey surface in each colour plane, from AsShotNeutral or AsShotWhiteXY.
+    """Return the signal of a grey surface in each colour plane, (plane,), from AsShotNeutral or AsShotWhiteXY.
 
-    The result is None if the file contains neither tag, or if the tags are damaged. The result is also None if the file
-    contains AsShotWhiteXY but no colour matrix, which is needed to convert the chromaticity to signals.
+    None if both tags are missing or damaged, or if the file lacks the colour matrix for converting AsShotWhiteXY to signals.
     """
     with contextlib.suppress(*BROKEN):
         stated = np.asarray(numbers(first, "AsShotNeutral", ()), np.float64)
@@ -85,9 +84,9 @@ def as_shot_neutral(first: Any, planes: int) -> Array | None:
 def interpolated(known: Sequence[Calibration], kelvin: float) -> tuple[Array, Array]:
     """Return the colour matrix and the camera matrix for a correlated colour temperature in K.
 
-    Between two calibrations, the matrices are interpolated linearly in the reciprocal temperature. Beyond the outermost
-    calibrations, the matrices are constant. If the temperature is known for fewer than two calibrations, the matrices of the
-    first calibration are returned. `known` must not be empty.
+    The matrices are interpolated linearly in the reciprocal temperature, and are constant beyond the outermost calibrations.
+    If fewer than two calibrations have a known temperature, the matrices of the first one are returned. `known` must not be
+    empty.
     """
     placed = {1e6 / each.kelvin: each for each in known if each.kelvin is not None}  # reciprocal temperature → calibration
     mireds = np.array(sorted(placed))
@@ -101,9 +100,9 @@ def interpolated(known: Sequence[Calibration], kelvin: float) -> tuple[Array, Ar
 
 
 def temperature(x: float, y: float) -> float:
-    """Return the correlated colour temperature, in K, of a chromaticity x, y.
+    """Compute the correlated colour temperature, in K, of a chromaticity x, y.
 
-    The result is the temperature of the nearest black body in the CIE 1960 u, v diagram, from 1000 K to 25 000 K.
+    It is the temperature of the nearest black body in the CIE 1960 u, v diagram, from 1000 K to 25 000 K.
 
     References
     ----------
@@ -124,7 +123,7 @@ def temperature(x: float, y: float) -> float:
 def _white_of(content: Any) -> tuple[float, float] | None:
     """Return the chromaticity x, y of the illuminant in IlluminantData, which contains either x and y or a spectrum.
 
-    Both byte orders are tried. The result is None if the data are missing or damaged.
+    Both byte orders are tried. None if the data are missing or damaged.
     """
     for order in "<>":
         with contextlib.suppress(*BROKEN):
@@ -149,7 +148,7 @@ def _fractions(content: bytes, order: str, start: int, count: int) -> list[float
 
 
 def _chromaticity(wavelength: Array, power: Array) -> tuple[float, float]:
-    """Return the chromaticity x, y of a power spectrum. Wavelengths are in nm. Outside their range, the power is zero."""
+    """Return the chromaticity x, y of a power spectrum, which is zero outside its wavelength range (in nm)."""
     grid = np.arange(360.0, 831.0)
     x, y, z = map(float, spectra.colour_matching_functions(grid) @ np.interp(grid, wavelength, power, 0.0, 0.0))
     return x / (x + y + z), y / (x + y + z)

@@ -1,12 +1,11 @@
-"""Read raw files of all supported formats as RawFrame.
+"""Read raw files in all supported formats as RawFrame.
 
-To add a format, write a module in this folder, and add the format to FORMATS. Every module must define the function `read`.
-The module must also define `stack` if the entry in FORMATS sets `stackable`, `rate` if it sets `has_rate`, and `is_plain` if
-it sets `has_plain`. l3 imports the module when it reads the first file in this format.
+To add a format, write a module in this folder, and add the format to FORMATS. The module must define the function `read`,
+and also `stack` if the entry in FORMATS sets `stackable`, `rate` if it sets `has_rate`, and `is_plain` if it sets
+`has_plain`. l3 imports the module when it reads the first file in this format.
 
 l3 reads the pixels, the levels, the crop and the orientation from the file, and the colour filter array from the table. If
-the file also states a colour filter array, the stated array must agree with the table. The stated array then determines the
-phase.
+the file also contains a colour filter array, it must agree with the table's, and then determines the phase.
 """
 
 import importlib
@@ -46,8 +45,8 @@ LONGEST = 1e5  # longest plausible exposure time in s
 class RawFormat:
     """A raw file format."""
 
-    suffixes: tuple[str, ...]  # suffixes of file names in lower case, with the period
-    module: str  # name of the module in this folder that reads the format
+    suffixes: tuple[str, ...]  # file suffixes in lower case, with the period
+    module: str  # module in this folder that reads the format
     what: str = ""  # name of the format, for the table in docs/raw-files.md
     read_as: str = ""  # what l3 reads from the file, for the table in docs/raw-files.md
     holds_frame: bool = True  # whether a file can be a single frame; if False, every file is read as a sequence
@@ -56,7 +55,7 @@ class RawFormat:
     has_plain: bool = False  # whether the module defines `is_plain`
     wants_geometry: bool = False  # whether `read` and `stack` need the layout of a headerless file
     wants_dataset: bool = False  # whether `stack` needs the name of a dataset in the file
-    has_rate: bool = False  # whether a file with one frame may state the frame rate of its sequence
+    has_rate: bool = False  # whether a file with one frame may contain the frame rate of its sequence
 
     def read(self, path: Path, layout: Layout | None = None) -> RawContent:
         """Read a file with one frame.
@@ -75,18 +74,18 @@ class RawFormat:
     def stack(self, path: Path, layout: Layout | None = None, dataset: str | None = None) -> MultiFrameFile | None:
         """Open a file with several frames. Return None if the file contains a single frame.
 
-        `dataset` is the name of a dataset in the file, or None if the file contains only one dataset with frames.
+        `dataset` is the name of the dataset with the frames, or None for the only such dataset.
         """
         wanted = [layout] if self.wants_geometry else [dataset] if self.wants_dataset else []
         with naming(path):
             return self._reader.stack(path, *wanted) if self.stackable else None
 
     def rate(self, path: Path) -> Fraction | None:
-        """Return the frame rate in frames/s that a file with one frame states, or None if the file states no rate."""
+        """Return the frame rate in frames/s from a file with one frame, or None if the file does not contain it."""
         return self._reader.rate(path) if self.has_rate else None
 
     def is_plain(self, path: Path) -> bool:
-        """Return whether a file has such a simple layout that this process can read the file safely."""
+        """Return whether a file has such a simple layout that it need not be decoded in the isolated process."""
         return self.has_plain and self._reader.is_plain(path)
 
     @property
@@ -145,9 +144,9 @@ BY_SUFFIX = {suffix: each for each in FORMATS for suffix in each.suffixes}
 
 
 def format_of(path: Path) -> RawFormat:
-    """Return the format that the suffix of a file name selects.
+    """Return the raw format for a file suffix.
 
-    A file with an unknown suffix is treated as a camera raw, because LibRaw recognises camera raws by their content.
+    Unknown suffixes are treated as camera raws, because LibRaw recognises camera raws by their content.
     """
     return BY_SUFFIX.get(path.suffix.lower(), CAMERA_RAW)
 
@@ -158,12 +157,12 @@ def is_frame(path: Path) -> bool:
 
 
 def is_photo(path: Path) -> bool:
-    """Return whether a file is a DNG file or a camera raw, according to its suffix. Such files state the camera model."""
+    """Return whether a file is a DNG file or a camera raw, according to its suffix. Such files name the camera model."""
     return path.suffix.lower() in PHOTOS
 
 
 def are_photos(path: Path) -> bool:
-    """Return whether a path has the suffix of a DNG file or camera raw, or is a folder that contains such a file."""
+    """Return whether a path is a DNG file or camera raw, according to its suffix, or a folder that contains such a file."""
     return is_photo(path) or (path.is_dir() and any(map(is_photo, path.iterdir())))
 
 
@@ -175,10 +174,10 @@ def needs_isolation(path: Path) -> bool:
 
 @dataclass(frozen=True)
 class RawOverrides:
-    """Settings of the user that replace the metadata of raw files, and corrections that are applied to the frames.
+    """User settings that override the metadata in raw files, and corrections to apply to the frames.
 
-    If the black level, white level, phase, exposure or gain is None, l3 reads the value from the file. If the file does not
-    contain the value, l3 uses the value of the table or a default.
+    If the black level, white level, phase, exposure or gain is None, l3 uses the value in the file or, if there is none, the
+    value in the table or a default.
     """
 
     black_level: float | None = None  # black level in DN
@@ -186,20 +185,20 @@ class RawOverrides:
     phase: tuple[int, int] | None = None  # CFA row and column of the first pixel
     size: tuple[int, int] | None = None  # rows and columns of a headerless frame
     packing: str | None = None  # packing of a headerless file, a key of frames.packings.PACKINGS
-    stride: int | None = None  # bytes from the start of a row to the start of the next row of a headerless file
+    stride: int | None = None  # bytes from the start of one row to the next in a headerless file
     exposure: float | None = None  # exposure time in s
     gain: float | None = None  # analog gain relative to the gain in the camera model; None to compute it from the ISO speed
-    gains: tuple[float, ...] = ()  # gain of each frame of a sequence, in order; empty if `gain` applies to all frames
+    gains: tuple[float, ...] = ()  # gain of each frame in a sequence, in order; empty if `gain` applies to all frames
     unlabelled_gain: float = 1.0  # gain of frames whose gain cannot be computed from an ISO speed
-    dark: DarkFrame | None = None  # dark frame to subtract; None to subtract no dark frame
-    correction: Correction | None = None  # correction of defects and shading; None for no correction
-    hot: HotTest | None = None  # test for hot pixels; None to keep hot pixels
-    skip: int = 0  # bytes before the first frame of a headerless file
-    byte_order: str | None = None  # "little" or "big" for 16-bit values of a headerless file; None means "little"
-    opcodes: str | None = None  # "leave" to ignore lens warps and unsupported opcodes of DNG files; otherwise None
+    dark: DarkFrame | None = None  # dark frame to subtract
+    correction: Correction | None = None  # correction of defects and shading
+    hot: HotTest | None = None  # test for hot pixels, which are then corrected; None to keep them
+    skip: int = 0  # bytes before the first frame in a headerless file
+    byte_order: str | None = None  # byte order of 16-bit values in a headerless file: "big", "little" or None for little
+    opcodes: str | None = None  # "leave" to ignore lens warps and unsupported opcodes in DNG files; otherwise None
 
     def of_frame(self, place: int) -> "RawOverrides":
-        """Return the overrides for one frame of a sequence. `place` is the position of the frame in the sequence, from 0.
+        """Return the overrides for the frame at position `place`, from 0, in a sequence.
 
         Raises
         ------
@@ -222,11 +221,11 @@ def read_raw(path: Path, table: Sensor, known: RawOverrides | None = None) -> Ra
     Parameters
     ----------
     path : Path
-        The raw file. Its suffix selects the reader.
+        The raw file. Its suffix selects the format.
     table : TransformTable or CameraModel
-        The table or camera. It determines the colour filter array, and all properties that the file does not state.
+        Source of the colour filter array, and of all properties that the file does not contain.
     known : RawOverrides, optional
-        Settings of the user. [default: none]
+        User settings. [default: none]
 
     Returns
     -------
@@ -254,9 +253,9 @@ def read_stack(path: Path, table: Sensor, known: RawOverrides, dataset: str | No
     path : Path
         The file.
     table : TransformTable or CameraModel
-        The table or camera. By default, headerless frames have the size of this sensor.
+        Table or camera. By default, headerless frames have the size of its sensor.
     known : RawOverrides
-        Settings of the user.
+        User settings.
     dataset : str, optional
         Name of the dataset in an HDF5 or MATLAB file. [default: the only dataset with frames]
 
@@ -277,10 +276,10 @@ def holds_several(path: Path, sensor: Callable[[], Sensor], known: RawOverrides)
     path : Path
         The file.
     sensor : callable
-        Function that returns the table or camera. It is called only for headerless files, because the frames in these files
-        have the size of the sensor by default.
+        Function that returns the table or camera. It is called only for headerless files, because their frames have the size
+        of the sensor by default.
     known : RawOverrides
-        Settings of the user.
+        User settings.
 
     Raises
     ------
@@ -295,7 +294,7 @@ def holds_several(path: Path, sensor: Callable[[], Sensor], known: RawOverrides)
 
 
 def read_stdin(table: Sensor, known: RawOverrides) -> MultiFrameFile:
-    """Return the headerless frames on stdin. By default, a frame has the size of the sensor in the table or camera."""
+    """Return the headerless frames on stdin. By default, they have the size of the table's or camera's sensor."""
     return stdin(_headerless_layout(STDIN, table, known))
 
 
@@ -310,16 +309,16 @@ def _headerless_layout(path: Path, table: Sensor, known: RawOverrides) -> Layout
 
 
 def _without_masked(content: RawContent, table: Sensor) -> tuple[RawContent, MaskedValues | None, tuple[int, int]]:
-    """Cut the masked pixels of the camera off a frame that contains them.
+    """Separate the light-sensitive pixels in a frame from the camera's masked pixels.
 
     Returns
     -------
     content : RawContent
-        The light-sensitive pixels. If the camera has masked pixels but the frame does not, a note is added.
+        The light-sensitive pixels, with a note if the camera has masked pixels that the frame lacks.
     masked : MaskedValues or None
         The masked pixels. None if there are none.
     corner : tuple of int
-        Row and column of the first light-sensitive pixel in the values of the file.
+        Row and column of the first light-sensitive pixel among the values in the file.
     """
     camera = table if isinstance(table, CameraModel) else table.camera
     if "masked" in content:
@@ -332,8 +331,8 @@ def _without_masked(content: RawContent, table: Sensor) -> tuple[RawContent, Mas
     if parts is None:
         rows, cols = camera.masked.around(camera.rows, camera.cols)
         note = (
-            f"the frame does not have the {rows}×{cols} pixels of the sensor with its masked pixels, so offsets of rows and "
-            "columns are not subtracted; use uncropped frames, unless your camera has already subtracted the offsets"
+            f"the frame does not include the sensor's masked pixels ({rows}×{cols} pixels in total), so row and column "
+            "offsets are not subtracted; use uncropped frames, unless your camera has already subtracted the offsets"
         )
         return {**content, "notes": (*content.get("notes", ()), note)}, None, (0, 0)
     content = {**content, "values": parts[0]}
@@ -343,7 +342,7 @@ def _without_masked(content: RawContent, table: Sensor) -> tuple[RawContent, Mas
 
 
 def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides) -> RawFrame:
-    """Convert the content of a file to a frame, and apply the corrections in `known`.
+    """Convert the content of a raw file to a frame, and apply the corrections in `known`.
 
     Parameters
     ----------
@@ -352,9 +351,9 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
     content : RawContent
         Content of the file.
     table : TransformTable or CameraModel
-        The table or camera. Its values apply if neither `known` nor the file contains a value.
+        Table or camera. Its properties apply if neither `known` nor the file contains them.
     known : RawOverrides
-        Settings of the user, which override the file.
+        User settings, which override the file.
 
     Returns
     -------
@@ -363,8 +362,8 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
     Raises
     ------
     InputFileError
-        If the content is not an array (row, col), is too large, or has a fault, if its levels are invalid, or if its colour
-        filter array does not match the table.
+        If the content is not an array (row, col), is too large, or has an unresolved fault, if its levels are invalid, or if
+        its colour filter array does not match the table.
     """
     values = content["values"]
     if values.size == 0:
@@ -383,8 +382,8 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
     white_level = content.get("white_level", table.white_level) if known.white_level is None else known.white_level
     if not 0 <= black_level < white_level <= TOP:
         raise InputFileError(
-            f"{name}: the black level {black_level:g} must be at least 0 and below the white level {white_level:g}, which "
-            f"must not exceed {TOP}; set ‹black_level› and ‹white_level›"
+            f"{name}: a black level of {black_level:g} DN and a white level of {white_level:g} DN are invalid; set "
+            f"‹black_level› and ‹white_level› to 0 ≤ black level < white level ≤ {TOP}"
         )
     frame_phase = find_phase(name, pattern, table) if pattern is not None and known.phase is None else (0, 0)
     gain, warps = content.get("gain"), tuple(LensWarp(**each) for each in content.get("warps", ()))
@@ -412,32 +411,31 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
 
 
 def _misread(content: RawContent, table: Sensor, phase: NDArray[np.integer]) -> str:
-    """Return the option that would decode a headerless file to a much smoother frame, or "" if no such option exists.
+    """Return the option with which a headerless file would decode to a much smoother frame, or "" if there is none.
 
-    `phase` contains the CFA row and CFA column of the first stored pixel, which may be a masked pixel.
+    `phase` contains the CFA row and column of the first stored pixel, which may be a masked pixel.
     """
     first = int(phase[0]), int(phase[1])
     return smoother_reading(content["readings"](), shifted_cfa(table.cfa, first)) if "readings" in content else ""
 
 
 def _displaced(content: RawContent, table: Sensor, phase: tuple[int, int]) -> tuple[str, ...]:
-    """Return a warning if the packing of a headerless frame implies an impossible crop, otherwise an empty tuple.
+    """Return a warning if the packing implies that a headerless frame is cropped although it has the size of the sensor.
 
-    A packing implies a crop if its colour pattern does not start at the first site of the CFA. A crop is impossible if the
-    frame has the size of the whole sensor.
+    A packing implies a crop if its colour pattern does not start at the first site of the CFA.
     """
     if "readings" not in content or phase == (0, 0) or content["values"].shape != (table.rows, table.cols):
         return ()
-    begins = f"according to its packing, the frame begins at row {phase[0]}, column {phase[1]} of the table's array"
+    begins = f"according to its packing, the frame starts at row {phase[0]}, column {phase[1]} of the table's array"
     return (f"{begins}, but the frame has the size of the whole sensor; check ‹packing›, or set ‹phase›",)
 
 
 def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides, masked: MaskedValues | None) -> RawFrame:
-    """Set the phase, exposure time, gain and dark signal of a frame, and apply the corrections in `known`.
+    """Set a frame's phase, exposure time, gain and dark signal, and apply the corrections in `known`.
 
-    Only the masked pixels, and the dark frame, the correction and the hot-pixel test in `known` change pixel values. The
-    dark signal is stored in the frame, but is not subtracted from the values. Raises InputFileError if the dark signal
-    reaches the white level.
+    Pixel values are changed only by the masked pixels, the dark frame, the correction and the hot-pixel test. The dark
+    signal is recorded in the frame, but is not subtracted from the values. Raises InputFileError if the dark signal reaches
+    the white level.
     """
     phase = frame.phase if known.phase is None else known.phase
     rows, cols = table.cfa.shape

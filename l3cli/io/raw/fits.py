@@ -1,8 +1,8 @@
-"""Read FITS files with astropy. The first image is a frame (row, col) or a stack (frame, row, col).
+"""Read FITS files with astropy. The first image is a frame, (row, col), or a stack, (frame, row, col).
 
 astropy supports unsigned values (BZERO), compressed images (fpack) and headers of several blocks. The first stored row is
-the top row, unless ROWORDER is BOTTOM-UP. BAYERPAT contains the colours of the top left pixels of a Bayer array (4 letters)
-or an X-Trans array (36 letters). XBAYROFF and YBAYROFF shift this pattern.
+the top row, unless ROWORDER is BOTTOM-UP. BAYERPAT contains the colours of a Bayer array (4 letters) or an X-Trans array (36
+letters), starting at the top left pixel. XBAYROFF and YBAYROFF shift this pattern.
 """
 
 import contextlib
@@ -22,8 +22,8 @@ from l3cli.io.raw.cfa_codes import LETTERS, codes_of
 from l3cli.system.limits import require_picture
 
 INSTALL = 'FITS files need astropy; install it with: pip install "l3cli[fits]"'
-SIDES = {4: 2, 36: 6}  # number of letters in BAYERPAT → side of the pattern in pixels (Bayer, X-Trans)
-PLANES = 3  # number of planes of an RGB picture
+SIDES = {4: 2, 36: 6}  # number of letters in BAYERPAT → side length of the pattern in pixels (Bayer, X-Trans)
+PLANES = 3  # number of planes in an RGB picture
 BOTTOM_UP = "BOTTOM-UP"
 ROW_ORDERS = "TOP-DOWN", BOTTOM_UP
 
@@ -31,7 +31,7 @@ ROW_ORDERS = "TOP-DOWN", BOTTOM_UP
 def stack(path: Path) -> MultiFrameFile | None:
     """Open an image with three axes as a stack. Return None for any other image.
 
-    Raises InputFileError if the order of the axes is not (frame, row, col), or if the image has three planes that are
+    Raises InputFileError if the axes are not in the order (frame, row, col), or if there are three planes, which are
     probably the colours of a picture.
     """
     shape, names, has_pattern = _shape(path)
@@ -40,7 +40,7 @@ def stack(path: Path) -> MultiFrameFile | None:
     axes = frame_axes(str(path), shape, names)
     if axes != STACK:
         raise InputFileError(
-            f"{path}: the CTYPE keywords do not state the axes in the order frame, row, column; save the frames along NAXIS3"
+            f"{path}: the axes (CTYPE keywords) are not in the order frame, row, column; save the frames along NAXIS3"
         )
     if shape[0] == PLANES and not has_pattern and MEANING.get(names[0].lower()) != "frame":
         raise InputFileError(
@@ -52,7 +52,7 @@ def stack(path: Path) -> MultiFrameFile | None:
 
 @isolated("astropy.io.fits")
 def _shape(path: Path) -> tuple[tuple[int, ...], list[str], bool]:
-    """Return the shape and the axis names (CTYPEn) of the first image, and whether the keyword BAYERPAT is set."""
+    """Return the shape and axis names (CTYPEn) of the first image, and whether BAYERPAT is set."""
     with _first_image(path) as (image, header):
         count = len(image.shape)
         names = [str(image.header.get(f"CTYPE{number}", "")).strip() for number in range(count, 0, -1)]
@@ -61,9 +61,9 @@ def _shape(path: Path) -> tuple[tuple[int, ...], list[str], bool]:
 
 @isolated("astropy.io.fits")
 def read(path: Path, number: int | None = None) -> RawContent:
-    """Read the pixels (row, col) in DN, the colours (BAYERPAT), and the exposure time in s (EXPTIME or EXPOSURE).
+    """Read the pixels, (row, col), in DN, the colours (BAYERPAT), and the exposure time in s (EXPTIME or EXPOSURE).
 
-    `number` selects a frame of a stack, from 0. Raises InputFileError if the file contains no frame, or if ROWORDER is
+    `number`, from 0, selects a frame in a stack. Raises InputFileError if the file contains no frame, or if ROWORDER is
     invalid.
     """
     with _first_image(path) as (image, header):
@@ -84,24 +84,23 @@ def read(path: Path, number: int | None = None) -> RawContent:
         content["pattern"] = np.roll(codes_of(pattern).reshape(side, side), (-offset[0], -offset[1]), axis=(0, 1))
     elif pattern:
         content["notes"] = (
-            f'BAYERPAT "{pattern}" is not a 2×2 or 6×6 pattern of known colours; l3 uses the table\'s array',
+            f'BAYERPAT "{pattern}" is not a 2×2 or 6×6 pattern of known colours; l3 uses the table\'s colour filter array',
         )
     return content
 
 
 @contextlib.contextmanager
 def _first_image(path: Path) -> Iterator[tuple[Any, Mapping[str, Any]]]:
-    """Open a file, and yield its first image and the keywords of this image. The file is closed after the block.
+    """Context manager that opens a file, and yields its first image and the keywords of this image.
 
-    The keywords include the keywords of the primary header. If both headers contain a keyword, the header of the image has
-    precedence.
+    Keywords in the image's own header take precedence over those in the primary header.
     """
     try:
         from astropy.io import fits
     except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # astropy warns about nonstandard headers, but raises exceptions for unreadable data
+        warnings.simplefilter("ignore")  # about nonstandard headers; unreadable data raise exceptions
         with fits.open(path, uint=True, lazy_load_hdus=True) as units:
             image = next((unit for unit in units if unit.is_image and unit.header.get("NAXIS", 0) >= 2), None)
             if image is None:

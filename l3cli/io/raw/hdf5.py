@@ -1,6 +1,6 @@
-"""Read raw frames from HDF5 files: a dataset with a stack (frame, row, col) or with one frame (row, col).
+"""Read raw frames from HDF5 files: a dataset with a stack, (frame, row, col), or with one frame, (row, col).
 
-If the file contains axis names, the axes can have any order.
+In a file that contains axis names, the axes can be in any order.
 """
 
 import re
@@ -19,21 +19,21 @@ from l3cli.io.raw.axes import STACK, Axes, frame_axes
 from l3cli.system.files import open_regular, stamp
 from l3cli.system.limits import require_picture, require_values
 
-FILTERS = {  # number of a compression filter, registered with The HDF Group → name of the filter
+FILTERS = {  # numbers of compression filters, as registered with The HDF Group → names
     4: "szip", 307: "bzip2", 32000: "LZF", 32001: "blosc", 32004: "LZ4", 32008: "bitshuffle", 32013: "ZFP", 32015: "zstd",
     32017: "SZ", 32018: "FCIDECOMP", 32019: "JPEG", 32024: "SZ3", 32026: "blosc2", 32028: "SPERR",
 }  # fmt: skip
-# Maximum size of the chunk cache in bytes. Without a cache, a chunk with many frames would be decompressed for each frame.
+# Maximum size of the chunk cache in bytes. Without a cache, a chunk with many frames would be decompressed once per frame.
 CHUNK_CACHE = 128 << 20
 MATLAB = "MATLAB_class"  # attribute of each variable in a MATLAB file
 TRUE_COLOUR = "IMAGE_TRUECOLOR"  # value of IMAGE_SUBCLASS in the HDF5 Image specification
 MOST_AXES = 8  # maximum number of axis names that are read
 
-_opened: dict[tuple[Any, ...], Any] = {}  # cache of the last file: identity of the file → open file
+_opened: dict[tuple[Any, ...], Any] = {}  # identity of the last file → open file
 
 
 def stack(path: Path, dataset: str | None) -> MultiFrameFile:
-    """Open the frames of a dataset. If `dataset` is None, the file must contain only one dataset with frames."""
+    """Open the frames in a dataset, or in the only dataset with frames if `dataset` is None."""
     name, count = find_stack(path, dataset)
     return MultiFrameFile(count, lambda number: RawContent(values=stack_frame(path, name, number)), numbered=False)
 
@@ -43,7 +43,7 @@ def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
     """Return the name of the dataset with the frames, and its number of frames.
 
     If `dataset` is None, the file must contain only one dataset with frames. Raises InputFileError if the dataset does not
-    exist, contains no frames, or contains a picture with several channels.
+    exist, or if it contains no frames, for example a picture with several channels.
     """
     root = _open(path)
     members = dict(datasets(root))
@@ -63,7 +63,7 @@ def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
 
 @isolated("h5py", "hdf5plugin")  # the optional package hdf5plugin adds compression filters to h5py
 def stack_frame(path: Path, name: str, number: int) -> NDArray:
-    """Read frame `number` (from 0) of the dataset that `find_stack` returned, as an array (row, col).
+    """Read frame `number`, from 0, in the dataset that `find_stack` returned, as an array (row, col).
 
     Raises InputFileError if the frame is damaged, or if a compression filter is not installed.
     """
@@ -86,7 +86,7 @@ def stack_frame(path: Path, name: str, number: int) -> NDArray:
 
 
 def _axes(path: Path, frames: Any) -> Axes:
-    """Determine the axes of a dataset from its axis names, or from the convention of the program that wrote the file.
+    """Determine a dataset's axes from their names, or from the convention of the program that wrote the file.
 
     Raises InputFileError if the dataset is a picture with several channels.
     """
@@ -104,9 +104,9 @@ def _axes(path: Path, frames: Any) -> Axes:
 
 
 def _axis_names(frames: Any) -> list[str]:
-    """Return the names of the axes of a dataset, or an empty list if the file does not state them.
+    """Return a dataset's axis names, or an empty list if the file does not contain them.
 
-    The names are read from the first of these places that contains one name per axis:
+    They are read from the first of these places that contains one name per axis:
 
     1. the labels or scales of the dimensions (HDF5),
     2. the attribute `axes` of the dataset,
@@ -126,7 +126,7 @@ def _scale_name(dimension: Any) -> str:
 
 
 def _listed(attribute: Any) -> list[str]:
-    """Return the axis names in an attribute: an array of names, or a string such as "[t:y:x]", "t,y,x" or "tyx"."""
+    """Parse the axis names in an attribute: an array of names, or a string such as "[t:y:x]", "t,y,x" or "tyx"."""
     if isinstance(attribute, np.ndarray):
         return [_text(each) for each in attribute.ravel()[:MOST_AXES]]
     words = re.findall(r"\w+", _text(attribute))
@@ -138,7 +138,7 @@ def _text(attribute: Any) -> str:
 
 
 def missing_filters(dataset: Any) -> list[str]:
-    """Return the names of the compression filters that are needed to read a dataset but are not installed."""
+    """Return the names of the compression filters that a dataset requires but that are not installed."""
     import h5py
 
     created = dataset.id.get_create_plist()
@@ -151,7 +151,7 @@ def missing_filters(dataset: Any) -> list[str]:
 
 
 def _open(path: Path, stack: str | None = None) -> Any:
-    """Open an HDF5 file. The file stays open for further frames, until this function opens a different file.
+    """Open an HDF5 file, which stays open for further frames until this function opens a different file.
 
     The size of the chunk cache is chosen for the dataset `stack`. Raises InputFileError if the file is not an HDF5 file.
     """
@@ -166,8 +166,7 @@ def _open(path: Path, stack: str | None = None) -> Any:
         _opened.clear()
         root = h5py.File(path, "r")
         if stack is not None:
-            # The cache has the size of the chunks of one frame. A larger cache would also keep chunks of earlier frames,
-            # which are not read again.
+            # The cache is as large as the chunks of one frame, because chunks of earlier frames are not read again.
             nbytes = min(CHUNK_CACHE, chunks_of_a_frame(root[stack], _axes(path, root[stack])))
             root.close()
             root = h5py.File(path, "r", rdcc_nbytes=nbytes)
@@ -183,10 +182,10 @@ def chunks_of_a_frame(frames: Any, axes: Axes = STACK) -> int:
 
 
 def _only_stack(path: Path, members: dict[str, Any]) -> str:
-    """Return the name of the only dataset (frame, row, col) with the type uint8 or uint16.
+    """Return the name of the only dataset, (frame, row, col), of type uint8 or uint16.
 
-    If no such dataset exists, datasets with any numeric type are considered, unless the file is an artifact of l3. Raises
-    InputFileError if no dataset or more than one is found.
+    If there is none, datasets of any numeric type are considered, unless the file is an l3 artifact. Raises InputFileError
+    if none or several are found.
     """
     stacks = sorted(name for name, member in members.items() if _is_stack(member) and member.ndim == 3)
     counts = [name for name in stacks if members[name].dtype.kind == "u" and members[name].dtype.itemsize <= 2]
@@ -199,13 +198,13 @@ def _only_stack(path: Path, members: dict[str, Any]) -> str:
 
 
 def _is_artifact(path: Path) -> bool:
-    """Return whether the file is an artifact of l3. Floating-point arrays in artifacts are not frames."""
+    """Return whether a file is an l3 artifact, in which floating-point arrays are not frames."""
     with open_regular(path) as stream:
         return stream.read(len(TITLE)) == TITLE
 
 
 def _is_stack(member: Any) -> bool:
-    """Return whether a dataset has the data type and the number of axes of a frame or a stack."""
+    """Return whether a dataset can be a frame or a stack, according to its data type and number of axes."""
     return member.dtype.kind in "uif" and member.ndim in (2, 3) and bool(member.size)
 
 
@@ -214,5 +213,5 @@ def _require_frames(path: Path, frames: Any, axes: Axes) -> None:
     require_within_file(path, frames.id)
     for shape in (frames.shape, frames.chunks or frames.shape):
         require_picture(f"{path}: {frames.name}", shape[axes.row], shape[axes.col])
-    if axes.frame not in (None, 0):  # HDF5 must read all frames, because every row contains values of all frames
+    if axes.frame not in (None, 0):  # to read one frame, HDF5 must read all frames, whose values are interleaved
         require_values(f"{path}: {frames.name}", frames.chunks or frames.shape[1:], frames.dtype.itemsize)

@@ -1,6 +1,6 @@
 """Read headerless files, which contain pixel values without any metadata.
 
-The user's options and the table determine the layout of the values. The packings are defined in frames/packings.py.
+The user's options and the table determine the layout. Packings are defined in frames/packings.py.
 """
 
 from collections.abc import Iterator
@@ -21,21 +21,18 @@ GIVE_LAYOUT = "specify the layout with ‹size› ROWSxCOLS, ‹packing›, ‹s
 
 @dataclass(frozen=True)
 class Layout:
-    """The layout of a headerless frame."""
+    """Layout of a headerless frame."""
 
     rows: int
     cols: int
     packing: Packing
-    stride: int | None = None  # bytes from the start of a row to the start of the next row; None if rows have no padding
+    stride: int | None = None  # bytes from the start of one row to the start of the next; None if rows have no padding
     skip: int = 0  # bytes before the first frame
     big_endian: bool = False  # whether 16-bit words are big-endian
 
     @property
     def bits(self) -> int:
-        """Number of bits of the largest possible value.
-
-        The number is always 16 for unpacked 16-bit words, because swapped bytes can result in any 16-bit value.
-        """
+        """Bit depth of the values. Always 16 for unpacked 16-bit words, because swapped bytes can result in any value."""
         return 16 if self.packing.is_words else self.packing.bits
 
     @property
@@ -45,20 +42,19 @@ class Layout:
 
     @property
     def row_pixels(self) -> int:
-        """Number of pixels in a stored row. If the packing stores cells of 2×2 pixels, a stored row is two sensor rows."""
+        """Number of pixels in a stored row, which is two sensor rows if the packing stores cells of 2×2 pixels."""
         return 2 * self.cols if self.packing.cells else self.cols
 
     @property
     def row_bytes(self) -> int:
-        """Number of bytes in a stored row without padding."""
+        """Number of bytes in a stored row, without padding."""
         return self.packing.bytes_of(self.row_pixels)
 
     @property
     def _lines(self) -> tuple[int, int]:
-        """Number of lines, and number of pixels per line. A line is a sequence of pixels that begins at a byte boundary.
+        """Number of lines, and number of pixels per line. A line is a sequence of pixels that starts at a byte boundary.
 
-        Usually, each stored row is a line. If an unpadded row of a bit stream would end within a byte, the whole frame is
-        one line.
+        Usually, each stored row is a line. If unpadded rows would end within a byte, the whole frame is one line.
         """
         run_on = 8 * self.row_pixels * self.packing.group_bytes % (8 * self.packing.group_pixels)
         if self.stride is None and self.packing.family != "mipi" and run_on:
@@ -67,13 +63,13 @@ class Layout:
 
     @property
     def exchangeable(self) -> bool:
-        """Whether the number of bytes per frame stays the same if the numbers of rows and columns are swapped."""
+        """Whether a frame with rows and columns swapped would have the same number of bytes."""
         padded = self.stride is not None and self.stride != self.row_bytes
         return not padded and self.frame_bytes == replace(self, rows=self.cols, cols=self.rows, stride=None).frame_bytes
 
     @property
     def pattern(self) -> NDArray[np.int64] | None:
-        """Colour codes (row, col) of the CFA that the packing states, or None if the packing states no CFA."""
+        """Colour codes, (row, col), of the CFA that the packing implies, or None if it implies none."""
         return codes_of(self.packing.pattern).reshape(2, 2) if self.packing.pattern else None
 
     def __str__(self) -> str:
@@ -82,7 +78,7 @@ class Layout:
         return f"{self.rows}×{self.cols} {words}{padded}"
 
     def unpack(self, content: bytes | bytearray | NDArray[np.uint8]) -> NDArray[np.uint16]:
-        """Convert the `frame_bytes` bytes of a frame to pixels (row, col) in DN."""
+        """Convert the bytes of a frame to pixels, (row, col), in DN."""
         values = self._stored(content)
         if not self.packing.cells:
             return values.reshape(self.rows, self.cols)
@@ -92,7 +88,7 @@ class Layout:
         return mosaic
 
     def _stored(self, content: bytes | bytearray | NDArray[np.uint8]) -> NDArray[np.uint16]:
-        """Convert the bytes of a frame to pixels (line, pixel) in the stored order."""
+        """Convert the bytes of a frame to pixels, (line, pixel), in the order in which they are stored."""
         packing, (lines, pixels) = self.packing, self._lines
         used = np.frombuffer(content, np.uint8).reshape(lines, -1)[:, : packing.bytes_of(pixels)]
         if packing.family == "words":
@@ -108,7 +104,7 @@ class Layout:
         return np.ascontiguousarray(values.reshape(lines, -1)[:, :pixels])
 
     def others(self) -> Iterator[tuple[str, "Layout"]]:
-        """Yield each other layout with the same number of bytes per frame, as (option that selects the layout, layout)."""
+        """Yield (option that selects the layout, layout) for all other layouts with the same number of bytes per frame."""
         if self.packing.is_words:
             yield f"‹byte_order› {'little' if self.big_endian else 'big'}", replace(self, big_endian=not self.big_endian)
         for other in () if self.packing.cells else PACKINGS.values():
@@ -123,20 +119,20 @@ class Layout:
 def make_layout(
     size: tuple[int, int], name: str, stride: int | None = None, skip: int = 0, byte_order: str | None = None
 ) -> Layout:
-    """Return the layout of headerless frames.
+    """Create the layout of headerless frames from user options.
 
     Parameters
     ----------
     size : tuple of int
-        Numbers of rows and columns.
+        Number of rows and columns.
     name : str
-        Name of the packing. Letter case is ignored.
+        Name of the packing, in upper or lower case.
     stride : int, optional
-        Bytes from the start of a row to the start of the next row. [default: rows without padding]
+        Bytes from the start of one row to the start of the next. [default: rows without padding]
     skip : int
         Bytes before the first frame.
-    byte_order : str, optional
-        "little" or "big". Permitted only for packings of 16-bit words. [default: little]
+    byte_order : {"little", "big"}, optional
+        Byte order of 16-bit words, for packings of such words only. [default: "little"]
 
     Raises
     ------
@@ -145,7 +141,7 @@ def make_layout(
     """
     rows, cols = size
     if min(size) < 1:
-        raise RecipeError(f"‹size› {rows}x{cols} describes a frame without pixels; set at least 1 row and 1 column")
+        raise RecipeError(f"a frame of ‹size› {rows}x{cols} has no pixels; set at least 1 row and 1 column")
     packing = packing_named(name)
     if packing is None:
         raise RecipeError(f"‹packing› {unknown_packing(name)}")
@@ -170,11 +166,10 @@ def make_layout(
 def layout_of(
     path: Path, size: tuple[int, int], packing: str | None, stride: int | None, skip: int = 0, byte_order: str | None = None
 ) -> Layout:
-    """Return the layout of a headerless file.
+    """Create the layout of a headerless file as `make_layout` does.
 
-    If `packing` is None, the suffix of the file name selects the packing, as in .raw10. If the suffix is not the name of a
-    packing, u16 is used. Raises RecipeError if a parameter is invalid, and InputFileError if a frame is too large. See
-    `make_layout` for the other parameters.
+    If `packing` is None, it is selected by the file suffix, such as .raw10, or is u16 for other suffixes. Raises RecipeError
+    if a parameter is invalid, and InputFileError if a frame is too large.
     """
     suffix = path.suffix.lower().removeprefix(".")
     layout = make_layout(size, packing or (suffix if suffix in PACKINGS else WORDS), stride, skip, byte_order)
@@ -184,7 +179,7 @@ def layout_of(
 
 
 def read(path: Path, layout: Layout) -> RawContent:
-    """Read a file with a single frame. Raises InputFileError if the layout does not match the size of the file."""
+    """Read a file with a single frame. Raises InputFileError if the file size does not match the layout."""
     size = path.stat().st_size - layout.skip
     if size != layout.frame_bytes:
         raise InputFileError(
@@ -201,7 +196,7 @@ def _counted(size: int, layout: Layout) -> str:
 
 
 def _cure(size: int, layout: Layout) -> str:
-    """Suggest how to correct the layout of a file with an unexpected size. The text lists packings that match the size."""
+    """Suggest how to correct the layout for a file with an unexpected size, by listing packings that match the size."""
     fitting = [
         name
         for name, packing in PACKINGS.items()
@@ -213,10 +208,10 @@ def _cure(size: int, layout: Layout) -> str:
 
 
 def content_of(stored: bytes | bytearray | NDArray[np.uint8], layout: Layout) -> RawContent:
-    """Convert the bytes of a frame to a RawContent.
+    """Convert the bytes of a frame to a RawContent, with the CFA if the packing implies one.
 
-    The content also includes the pixels in every other layout with the same number of bytes per frame, so that a wrong
-    layout can be detected. If the packing states a CFA, the content includes the CFA.
+    So that a wrong layout can be detected, the content also provides the pixels in all other layouts with the same number of
+    bytes per frame.
     """
     content = RawContent(values=layout.unpack(stored), exchangeable=layout.exchangeable)
 
@@ -234,7 +229,7 @@ def content_of(stored: bytes | bytearray | NDArray[np.uint8], layout: Layout) ->
 def stack(path: Path, layout: Layout) -> MultiFrameFile | None:
     """Open a file with several frames. Return None if the file is too short for two frames.
 
-    If the last frame is truncated, reading this frame raises InputFileError.
+    Reading a truncated last frame raises InputFileError.
     """
     size = path.stat().st_size - layout.skip
     if size < 2 * layout.frame_bytes:
@@ -243,7 +238,7 @@ def stack(path: Path, layout: Layout) -> MultiFrameFile | None:
 
 
 def read_frame(path: Path, layout: Layout, number: int) -> RawContent:
-    """Read frame `number` (from 0) of a file. Raises InputFileError if the frame is truncated."""
+    """Read frame `number`, from 0, in a file. Raises InputFileError if the frame is truncated."""
     stored = np.fromfile(path, np.uint8, layout.frame_bytes, offset=layout.skip + number * layout.frame_bytes)
     if stored.size < layout.frame_bytes:
         raise InputFileError(f"{path} ends in the middle of frame {number} ({layout}); {GIVE_LAYOUT}")
@@ -251,11 +246,11 @@ def read_frame(path: Path, layout: Layout, number: int) -> RawContent:
 
 
 def stdin(layout: Layout) -> MultiFrameFile:
-    """Return the frames on stdin, which are read one at a time. The first `layout.skip` bytes are skipped.
+    """Open the frames on stdin, which are read one at a time.
 
-    Reading a frame raises InputFileError if stdin ends in the middle of the frame.
+    Reading a frame raises InputFileError if stdin ends in the middle of it.
     """
-    # The stream is unbuffered, because a thread that waits in a buffered stream would prevent the interpreter from exiting.
+    # Unbuffered, because a thread that is blocked in a buffered stream would prevent the interpreter from exiting.
     pipe = open(0, "rb", buffering=0, closefd=False)  # noqa: SIM115
     to_skip = layout.skip
 

@@ -1,7 +1,7 @@
-"""Read raw files from cameras with LibRaw: pixels, black levels, white levels and colours.
+"""Read camera raw files with LibRaw: pixels, black and white levels, and colours.
 
-The module also reads metadata about the camera: names, colour matrices, noise and lens. These metadata are in the tags of
-DNG 1.7 and Exif. If a tag is missing, l3 uses the value that LibRaw reports.
+The module also reads metadata about the camera (names, colour matrices, noise and lens) from DNG 1.7 and Exif tags or, if a
+tag is missing, from LibRaw.
 """
 
 import contextlib
@@ -39,7 +39,7 @@ def read(path: Path) -> RawContent:
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[Any]:
-    """Open a raw file with LibRaw, and yield its rawpy object. The file is closed after the block.
+    """Context manager that opens a raw file with LibRaw and yields its rawpy object.
 
     Raises InputFileError if LibRaw cannot read the file, or if the file contains no mosaic.
     """
@@ -62,11 +62,11 @@ def opened(path: Path) -> Iterator[Any]:
 def _visible(path: Path, raw: Any) -> RawContent:
     """Return the frame without masked borders.
 
-    If the black levels of the colours differ, the values are shifted to a common black level. If only the white levels
-    differ, the lowest white level is returned. Raises InputFileError if the colours or the levels are invalid.
+    If the colours have different black levels, the values are converted to common levels. If only their white levels differ,
+    the lowest white level is returned. Raises InputFileError if the colours or the levels are invalid.
     """
     colours, letters = raw.raw_colors_visible, raw.color_desc.decode("ascii", "replace")
-    if raw.num_colors == 1:  # for a monochrome sensor, LibRaw returns colour index 6, which is not in `letters`
+    if raw.num_colors == 1:  # LibRaw reports colour index 6, which is not in `letters`, for monochrome sensors
         colours, letters = np.zeros_like(colours), "W"
     black_level = np.array(raw.black_level_per_channel, np.float64)
     whites = np.array(raw.camera_white_level_per_channel or (0,), np.float64)
@@ -98,10 +98,10 @@ def _visible(path: Path, raw: Any) -> RawContent:
 
 
 def _neutral(raw: Any, letters: str) -> NDArray[np.float64] | None:
-    """Return the code of each colour and the signal of a grey surface (colour, 2).
+    """Return each colour's code and signal of a grey surface, (colour, 2), from the white-balance multipliers.
 
-    The signal is the inverse of the white-balance multiplier. The result is None if the file has only one colour, or if the
-    file states no multipliers. LibRaw returns 0 for missing multipliers.
+    The signal is the inverse of the multiplier. None if there is only one colour, or if multipliers are missing, for which
+    LibRaw returns 0.
     """
     multipliers = np.array(raw.camera_whitebalance[: len(letters)], np.float64)
     stated = {code: 1 / each for code, each in zip(codes_of(letters).tolist(), multipliers, strict=False) if each > 0}
@@ -111,18 +111,18 @@ def _neutral(raw: Any, letters: str) -> NDArray[np.float64] | None:
 
 
 def _stated_by_tags(path: Path) -> tuple[list[str], dict[str, str | float]]:
-    """Return the camera names and the shot settings from TIFF tags. Both are empty if the file has no such tags."""
+    """Return the camera names and the shot settings from TIFF tags, which are empty if the file has no such tags."""
     import tifffile
 
     try:
         with tifffile.TiffFile(path) as file:
             return camera_names(file.pages[0]), shot_of_page(file.pages[0])
-    except Exception:  # LibRaw has already read the frame, which is usable without the tags
+    except Exception:  # the frame, which LibRaw has already read, is usable without the tags
         return [], {}
 
 
 def _shot(raw: Any) -> dict[str, str | float]:
-    """Return the shot settings that LibRaw reports for all file formats. Empty if rawpy is older than 0.26."""
+    """Return the shot settings that LibRaw reports, in any file format. Empty if rawpy is older than 0.26."""
     shot, lens = getattr(raw, "other", None), getattr(raw, "lens", None)
     stated = {
         "lens": getattr(lens, "model", None),
@@ -139,14 +139,14 @@ LIGHTS = {  # value of the Exif tag LightSource (and CalibrationIlluminant in DN
     1: "D55", 2: "F2", 3: "A", 4: "D55", 9: "D55", 10: "D65", 11: "D75", 12: "F1", 13: "F3", 14: "F2", 15: "F3", 17: "A",
     18: "B", 19: "C", 20: "D55", 21: "D65", 22: "D75", 23: "D50", 24: "3200K",
 }  # fmt: skip
-USUAL_LIGHT = "D65"  # assumed illuminant of a matrix for which no illuminant is stated, such as the matrices in LibRaw
+USUAL_LIGHT = "D65"  # assumed illuminant of matrices without a stated illuminant, such as LibRaw's built-in matrices
 UNITS_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # value of the Exif tag FocalPlaneResolutionUnit → unit in mm
 PITCHES_UM = 0.5, 50.0  # range of plausible pixel pitches in µm
-LONGEST = 60  # maximum length of a make or model in characters
+LONGEST = 60  # makes and models are cut to this number of characters
 
 
 def stated(path: Path) -> Stated:
-    """Return the metadata about the camera from a raw file. Invalid tags are treated as missing.
+    """Read the metadata about the camera from a raw file. Invalid tags are treated as missing.
 
     Raises InputFileError if LibRaw cannot read the file.
     """
@@ -172,9 +172,9 @@ def stated(path: Path) -> Stated:
 
 
 def _rows(codes: NDArray, values: NDArray) -> dict[int, NDArray[np.float64]]:
-    """Return one row of a colour matrix per colour code, or an empty dictionary if the matrix is invalid.
+    """Return the rows of a colour matrix by colour code, or {} if the matrix is invalid.
 
-    If several rows have the same code, the first of these rows is returned.
+    If several rows have the same code, the first of them is returned.
     """
     values = np.asarray(values, np.float64)
     if values.size != 3 * len(codes) or not np.isfinite(values).all() or not values.any(axis=-1).all():
@@ -186,7 +186,7 @@ def _rows(codes: NDArray, values: NDArray) -> dict[int, NDArray[np.float64]]:
 
 
 def _named(names: list[str]) -> str:
-    """Join the make and the model without repetition: "Canon" and "Canon EOS 550D" become "Canon EOS 550D"."""
+    """Join make and model without repetition: "Canon" and "Canon EOS 550D" become "Canon EOS 550D"."""
     make, model = (" ".join("".join(c if c.isprintable() else " " for c in name).split())[:LONGEST] for name in names)
     return model if model.lower().startswith(make.lower()) else f"{make} {model}".strip()
 
@@ -209,7 +209,7 @@ def _stated(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, ND
     figures : dict of str to float
         Numbers such as "iso" and "f_number".
     matrices : list of tuple
-        One tuple per colour matrix: the code of the illuminant, the colour code of each row, and the values (row, 3).
+        One tuple per colour matrix: illuminant code, colour code of each row, and values, (row, 3).
     """
     names, figures, matrices = _facts_of_tags(path)
     with opened(path) as raw:
@@ -220,7 +220,7 @@ def _stated(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, ND
         shot = getattr(raw, "other", None)  # requires rawpy 0.26
         known = {"iso": "iso_speed", "focal_length_mm": "focal_length", "f_number": "aperture"}
         if not getattr(shot, "focal_length", 0.0):
-            del known["f_number"]  # LibRaw returns 1 if a file states no aperture
+            del known["f_number"]  # for a file without an aperture, LibRaw returns 1
         figures = {name: float(getattr(shot, key, 0.0)) for name, key in known.items()} | figures
     return names, figures, matrices
 
@@ -228,7 +228,7 @@ def _stated(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, ND
 def _facts_of_tags(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, NDArray, NDArray]]]:
     """Read the names, figures and matrices (see `_stated`) from the tags of a TIFF or DNG file.
 
-    All three results are empty for files in other formats and for files with unreadable tags.
+    All three are empty for files in other formats, and for files with unreadable tags.
     """
     import tifffile
 
@@ -237,7 +237,7 @@ def _facts_of_tags(path: Path) -> tuple[list[str], dict[str, float], list[tuple[
             first = file.pages[0]
             pages = [first, *(first.pages or ())]
             return [str(first.tags.valueof(tag) or "") for tag in ("Make", "Model")], _figures(pages), _matrices(pages)
-    except Exception:  # files with unreadable tags are accepted, and LibRaw reports damaged files
+    except Exception:  # unreadable tags are accepted, and LibRaw reports damaged files
         return ["", ""], {}, []
 
 
@@ -260,9 +260,9 @@ def _figures(pages: list[Any]) -> dict[str, float]:
 
 
 def _matrices(pages: list[Any]) -> list[tuple[int, NDArray, NDArray]]:
-    """Return the matrices that convert XYZ to camera signals: AnalogBalance · CameraCalibration · ColorMatrix.
+    """Return the matrices from XYZ to camera signals: AnalogBalance · CameraCalibration · ColorMatrix.
 
-    Each matrix is a tuple (code of the illuminant, colour code of each row, values).
+    Each of them is a tuple (illuminant code, colour code of each row, values).
     """
     raw = [page for page in pages if page.tags.valueof("PhotometricInterpretation") == COLOUR_FILTER_ARRAY]
     codes = np.array(numbers((raw or pages)[0], "CFAPlaneColor", (0, 1, 2)), np.int64)

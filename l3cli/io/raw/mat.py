@@ -1,8 +1,8 @@
 """Read frames from MATLAB files: a variable (row, col) or (row, col, frame).
 
-Files of version 7.3 are read as HDF5, and files of earlier versions with scipy. MATLAB users store stacks in the order (row,
-col, frame). Stacks that Python wrote to files of version 5 (scipy.io.savemat) have the order (frame, row, col). The text at
-the beginning of a file shows which program wrote the file.
+Version 7.3 files are read as HDF5, and earlier versions with scipy. MATLAB users store stacks in the order (row, col,
+frame), whereas version 5 files written by Python (scipy.io.savemat) use the order (frame, row, col). The text at the
+beginning of a file names the program that wrote it.
 """
 
 from pathlib import Path
@@ -20,16 +20,16 @@ from l3cli.system.limits import require_picture, require_values
 
 PYTHON_PLATFORMS = (b"Platform: posix", b"Platform: nt")
 HDF5_VERSION = b"MATLAB 7.3 MAT-file"
-TEXT = 116  # number of bytes of text at the beginning of a file; the text states which program wrote the file
+TEXT = 116  # length in bytes of the text at the beginning of a file, which names the program that wrote it
 COUNTS, NUMBERS = ("uint8", "uint16"), ("uint8", "uint16", "int16", "int32", "uint32", "single", "double")
 BYTES = {"uint8": 1, "int16": 2, "uint16": 2, "double": 8}  # type → bytes per value; all other types have 4 bytes
-LEAST_SIDE = 8  # minimum number of rows and columns of a frame; smaller variables contain settings
+LEAST_SIDE = 8  # minimum number of rows and columns in a frame, because smaller variables contain settings
 
-_loaded: dict[tuple[Any, ...], NDArray] = {}  # cache of the last variable: identity of the file, and name → values
+_loaded: dict[tuple[Any, ...], NDArray] = {}  # identity of the last file and name of the last variable → values
 
 
 def stack(path: Path, dataset: str | None) -> MultiFrameFile:
-    """Open the frames of a variable. If `dataset` is None, the file must contain only one array of frames."""
+    """Open the frames in a variable, or in the only array of frames if `dataset` is None."""
     with open_regular(path) as stream:
         text = stream.read(TEXT)
     if text.startswith(HDF5_VERSION):
@@ -46,11 +46,11 @@ def find_variable(path: Path, dataset: str | None, from_python: bool) -> tuple[s
     Parameters
     ----------
     path : Path
-        MATLAB file older than version 7.3.
+        MATLAB file of a version before 7.3.
     dataset : str or None
         Name of the variable. If None, the file must contain only one array of frames.
     from_python : bool
-        Whether Python wrote the file. The order of the axes in files from MATLAB differs.
+        Whether Python wrote the file. Files from MATLAB have a different order of axes.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def find_variable(path: Path, dataset: str | None, from_python: bool) -> tuple[s
 
 @isolated("scipy.io")
 def frame(path: Path, name: str, from_python: bool, number: int) -> NDArray:
-    """Read frame `number` (from 0) of the variable that `find_variable` returned, as an array (row, col)."""
+    """Read frame `number`, from 0, in the variable that `find_variable` returned, as an array (row, col)."""
     import scipy.io
 
     key = (str(path), *stamp(path), name)
@@ -100,10 +100,9 @@ def _axes(path: Path, name: str, shape: tuple[int, ...], from_python: bool) -> A
 
 
 def _only_variable(path: Path, variables: dict[str, tuple[tuple[int, ...], str]]) -> str:
-    """Return the name of the only array with the type uint8 or uint16.
+    """Return the name of the only array of type uint8 or uint16 or, if there is none, of any numeric type.
 
-    If no array has this type, arrays with any numeric type are considered. Raises InputFileError if the file contains no
-    suitable array, or more than one.
+    Raises InputFileError if the file contains no suitable array, or more than one.
     """
     arrays = sorted(name for name, (shape, kind) in variables.items() if kind in NUMBERS and _is_stack(shape))
     chosen = [name for name in arrays if variables[name][1] in COUNTS] or arrays

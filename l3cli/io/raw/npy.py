@@ -1,7 +1,4 @@
-"""Read raw frames from numpy's .npy files by memory mapping.
-
-An array is one frame (row, col) or a stack (frame, row, col).
-"""
+"""Read raw frames from memory-mapped .npy files. An array is one frame, (row, col), or a stack, (frame, row, col)."""
 
 from pathlib import Path
 from typing import Any
@@ -17,17 +14,17 @@ from l3cli.system.limits import require_picture
 
 
 def map_array(path: Path) -> NDArray[Any]:
-    """Memory-map the array of a .npy file.
+    """Memory-map the array in a .npy file.
 
     Raises InputFileError if the file is not a complete .npy file, or if it contains Python objects.
     """
     require_regular(path, "use a .npy file")
     try:
-        with np.errstate(over="ignore"):  # a damaged header may state a huge shape, which is rejected below
+        with np.errstate(over="ignore"):  # the shape in a damaged header may be huge, and is rejected below
             values = np.load(path, mmap_mode="r", allow_pickle=False)
     except OSError as error:
         raise InputFileError(f"{path} cannot be read: {error.strerror or error}; use a readable .npy file") from error
-    except Exception as error:  # numpy parses the header as Python code, so a damaged header can raise any exception
+    except Exception as error:  # numpy parses the header as Python code, so a damaged header can raise anything
         raise InputFileError(f"{path} is not a complete .npy file; write it with numpy.save(file, array)") from error
     if not isinstance(values, np.ndarray):
         values.close()
@@ -36,7 +33,7 @@ def map_array(path: Path) -> NDArray[Any]:
 
 
 def read(path: Path) -> RawContent:
-    """Read a file with a single frame. Raises InputFileError if the file contains anything else."""
+    """Read a file with a single frame. Raises InputFileError for any other content."""
     shape = map_array(path).shape
     if len(shape) == 3:
         raise InputFileError(
@@ -46,21 +43,21 @@ def read(path: Path) -> RawContent:
 
 
 def stack(path: Path) -> MultiFrameFile | None:
-    """Open the frames of an array with three axes. Return None for any other array."""
+    """Open an array with three axes as a stack. Return None for any other array."""
     shape = map_array(path).shape
     if len(shape) != 3:
         return None
     frame_axes(str(path), shape)
 
     def frame(number: int) -> RawContent:
-        # The file is mapped again for each frame, because pages of a permanent mapping would count as used memory.
+        # Map the file again for each frame, because the pages of a permanent mapping would count as used memory.
         return RawContent(values=np.array(_mapped(path, 3)[number]))
 
     return MultiFrameFile(len(_mapped(path, 3)), frame, numbered=False)
 
 
 def _mapped(path: Path, axes: int) -> NDArray:
-    """Memory-map an array. Raises InputFileError if the array is not numeric, is too large, or does not have `axes` axes."""
+    """Memory-map an array. Raises InputFileError if it is not numeric, is too large, or does not have `axes` axes."""
     values = map_array(path)
     if values.ndim != axes or values.dtype.kind not in "iuf":
         found = f"a {values.ndim}-dimensional array of {values.dtype}"

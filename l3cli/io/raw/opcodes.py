@@ -1,8 +1,8 @@
-"""Opcode lists of DNG files (Adobe DNG 1.7, chapter 7): corrections that a file requests for the mosaic or the picture.
+"""Opcode lists in DNG files (Adobe DNG 1.7, chapter 7): corrections that a file requests for the mosaic or the picture.
 
-l3 supports three types of corrections. It corrects bad pixels, converts gain maps and radial vignetting to a gain per pixel,
-and applies rectilinear lens warps to the picture. Other opcodes are ignored with a note if they are optional. If other
-opcodes are required, l3 rejects the file, unless the user sets an option to ignore these opcodes.
+l3 corrects bad pixels, converts gain maps and radial vignetting to a gain per pixel, and applies rectilinear lens warps to
+the picture. All other opcodes are unsupported. If they are optional, l3 ignores them with a note. If they are required, l3
+rejects the file, unless the user chooses to ignore them.
 """
 
 import struct
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from l3cli.frames.lens_warp import BLUE, GREEN, RED, UNCHANGED, LensWarp, corrected_places
 
-LISTS = ("OpcodeList1", "OpcodeList2", "OpcodeList3")  # opcodes for stored values, linear values and demosaicked values
+LISTS = ("OpcodeList1", "OpcodeList2", "OpcodeList3")  # opcodes for stored, linear and demosaicked values
 WARP_RECTILINEAR, FIX_VIGNETTE_RADIAL, FIX_BAD_PIXELS_CONSTANT, FIX_BAD_PIXELS_LIST, GAIN_MAP = 1, 3, 4, 5, 9
 SUPPORTED = ((4, 5), (5, 3, 9), (3, 9, 1))  # supported opcodes in each of LISTS
 NAMES = (
@@ -23,20 +23,20 @@ NAMES = (
     "MapTable", "MapPolynomial", "GainMap", "DeltaPerRow", "DeltaPerColumn", "ScalePerRow", "ScalePerColumn",
     "WarpRectilinear2",
 )  # fmt: skip
-OPTIONAL = 1  # flag of an opcode: readers may ignore the opcode
+OPTIONAL = 1  # flag of opcodes that readers may ignore
 MOST_OPCODES = 1000  # maximum number of opcodes in a list
 MOST_GAIN = 64.0  # largest plausible gain
 MOST_PLANES = 16  # maximum number of colour planes
-MOST_WARP = 10.0  # maximum factor by which a warp may lengthen or shorten a distance from the centre
+MOST_WARP = 10.0  # largest plausible factor by which a warp lengthens or shortens distances from the centre
 HEAD = struct.Struct(">IIII")  # identifier, version, flags, number of bytes
 AREA = struct.Struct(">8I")  # top, left, bottom, right, first plane, number of planes, row pitch, column pitch
-MAP = struct.Struct(">2I4dI")  # numbers of points down and across, spacings, origins, number of planes
+MAP = struct.Struct(">2I4dI")  # number of points down and across, spacings, origins, number of planes
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Opcode:
-    """An entry of an opcode list."""
+    """An entry in an opcode list."""
 
     stage: int  # index in LISTS
     number: int
@@ -46,12 +46,12 @@ class Opcode:
 
 @dataclass(frozen=True)
 class GainMap:
-    """Gains on a coarse grid, which apply to some of the rows, columns and colour planes."""
+    """Gains on a coarse grid, for some of the rows, columns and colour planes."""
 
     stage: int  # index in LISTS
     area: tuple[slice, slice]  # rows and columns to which the gains apply
     planes: range  # colour planes to which the gains apply
-    spacing: tuple[float, float]  # spacing of the grid (down, across) as fractions of the height and width of the image
+    spacing: tuple[float, float]  # grid spacing (down, across), as fractions of the image height and width
     origin: tuple[float, float]  # position of the first grid point (down, across), in the units of `spacing`
     gains: Floats  # (row, col, plane)
 
@@ -61,8 +61,8 @@ class Vignette:
     """Radial gain 1 + k0 r² + k1 r⁴ + …, where r is the distance from the centre, relative to the farthest corner."""
 
     terms: tuple[float, ...]  # k0, k1, …
-    centre: tuple[float, float]  # centre (down, across) as fractions of the height and width of the image
-    warps: tuple[LensWarp, ...]  # warps in the list before this opcode; the gain applies to the warped picture
+    centre: tuple[float, float]  # centre (down, across), as fractions of the image height and width
+    warps: tuple[LensWarp, ...]  # warps that precede this opcode; the gain applies to the warped picture
 
 
 @dataclass(frozen=True)
@@ -70,10 +70,10 @@ class Opcodes:
     """The corrections that a file requests."""
 
     constants: tuple[int, ...] = ()  # stored values that mark bad pixels
-    rects: tuple[NDArray[np.int64], ...] = ()  # (rectangle, 5): index in LISTS, and top, left, bottom, right of bad pixels
+    rects: tuple[NDArray[np.int64], ...] = ()  # (rectangle, 5) areas of bad pixels: index in LISTS, top, left, bottom, right
     gains: tuple[GainMap | Vignette, ...] = ()
     warps: tuple[LensWarp, ...] = ()  # lens warps, which apply to the picture of the active area
-    notes: tuple[str, ...] = ()  # notes about optional opcodes that are ignored
+    notes: tuple[str, ...] = ()  # notes about ignored optional opcodes
     demanded: tuple[str, ...] = ()  # required opcodes that l3 does not support
 
     def __bool__(self) -> bool:
@@ -84,16 +84,16 @@ class Opcodes:
 
 
 def read_opcodes(page: Any, planes: Sequence[int], area: tuple[int, int]) -> Opcodes:
-    """Read the opcode lists of a page.
+    """Read the opcode lists on a page.
 
     Parameters
     ----------
     page : tifffile.TiffPage
-        The page with the opcode lists.
+        The page.
     planes : sequence of int
-        Colour code of each plane of the demosaicked picture.
+        Colour code of each plane in the demosaicked picture.
     area : tuple of int
-        Numbers of rows and columns of the active area.
+        Number of rows and columns in the active area.
 
     Returns
     -------
@@ -149,10 +149,9 @@ def _listed(page: Any) -> list[Opcode]:
 
 
 def _bad_rects(opcode: Opcode) -> NDArray[np.int64]:
-    """Return the rectangles of bad pixels in an opcode. A single bad pixel becomes a rectangle of 1×1 pixel.
+    """Return the rectangles of bad pixels in an opcode, as in `Opcodes.rects`. A single pixel becomes a 1×1 rectangle.
 
-    Each row of the result (rectangle, 5) contains the index of the opcode list, followed by the top, left, bottom and right
-    edges. Raises ValueError if the content of the opcode has the wrong length.
+    Raises ValueError if the opcode has the wrong length.
     """
     _, points, rects = struct.unpack_from(">III", opcode.content)
     if len(opcode.content) != 12 + 8 * points + 16 * rects:
@@ -186,10 +185,10 @@ def _vignette(opcode: Opcode, warps: tuple[LensWarp, ...]) -> Vignette:
 
 
 def _warps(opcode: Opcode, planes: Sequence[int], area: tuple[int, int]) -> list[LensWarp]:
-    """Return a list with the warp of an opcode, or an empty list if the warp does not move any pixel.
+    """Return the warp in an opcode as a list, which is empty if the warp does not move any pixel.
 
     Raises ValueError if the number of coefficient sets is neither 1 nor the number of planes, if a coefficient or the centre
-    is out of range, or if the warp lengthens or shortens distances by more than a factor of MOST_WARP.
+    is out of range, or if the warp changes distances by more than a factor of MOST_WARP.
     """
     (count,) = struct.unpack_from(">I", opcode.content)
     if count not in (1, len(planes)):
@@ -210,12 +209,12 @@ def _warps(opcode: Opcode, planes: Sequence[int], area: tuple[int, int]) -> list
 
 
 def bad_pixels(opcodes: Opcodes, stored: NDArray[np.uint16], active: tuple[int, int, int, int]) -> NDArray[np.bool_]:
-    """Return a mask (row, col) of the active area. The mask is true for pixels that the opcodes mark as bad.
+    """Return a mask of the pixels in the active area, (row, col), that the opcodes mark as bad.
 
     Parameters
     ----------
     opcodes : Opcodes
-        The opcodes of the file.
+        The file's opcodes.
     stored : ndarray, (row, col)
         Stored values of the whole image.
     active : tuple of int
@@ -235,18 +234,18 @@ def bad_pixels(opcodes: Opcodes, stored: NDArray[np.uint16], active: tuple[int, 
 def gain_of_pixels(
     opcodes: Opcodes, pattern: NDArray[np.int64], planes: Sequence[int], shape: tuple[int, int]
 ) -> NDArray[np.float32]:
-    """Return the gain (row, col) of each pixel in the active area.
+    """Return the gain of each pixel in the active area, (row, col).
 
     Parameters
     ----------
     opcodes : Opcodes
-        The opcodes of the file.
+        The file's opcodes.
     pattern : ndarray, (row, col)
         Colour codes of the CFA.
     planes : sequence of int
         Colour code of each plane.
     shape : tuple of int
-        Numbers of rows and columns of the active area.
+        Number of rows and columns in the active area.
 
     Raises
     ------
@@ -291,7 +290,7 @@ def _radial(vignette: Vignette, shape: tuple[int, int]) -> Floats:
 
 
 def _interpolated(each: GainMap, plane: int, shape: tuple[int, int]) -> Floats:
-    """Return the gains (row, col) in the area of a gain map, interpolated linearly. Outside the grid, gains are constant."""
+    """Interpolate a gain map linearly in its area, (row, col). Beyond the grid, the gains are constant."""
     sides = []
     for axis in (0, 1):
         place = (np.arange(shape[axis])[each.area[axis]] + 0.5) / shape[axis]

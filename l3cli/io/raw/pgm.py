@@ -19,7 +19,7 @@ LONGEST_HEADER = 65536  # maximum length of the header in bytes, including comme
 
 
 def read(path: Path) -> RawContent:
-    """Read the pixels (row, col) of a graymap in DN: uint8 if the maximum in the header is below 256, otherwise uint16.
+    """Read a graymap's pixels, (row, col), in DN: uint8 if the maximum in the header is below 256, otherwise uint16.
 
     Raises InputFileError if the file is not a single, complete P5 graymap.
     """

@@ -1,8 +1,7 @@
 """Read SER files, the raw videos of planetary astronomy: a header of 178 bytes, and frames with 8 or 16 bits per value.
 
-The reference is the SER format description 3. Programs disagree about the meaning of the header field LittleEndian. l3
-therefore chooses the byte order in which neighbouring pixels of the first frame are more similar. The frame times at the end
-of the file are not read.
+The reference is the SER format description 3. Because programs disagree about the meaning of the header field LittleEndian,
+l3 chooses the byte order that makes the first frame smoother. The frame times at the end of the file are not read.
 """
 
 import struct
@@ -20,7 +19,7 @@ from l3cli.io.raw.headerless import Layout, read_frame
 from l3cli.system.files import open_regular
 from l3cli.system.limits import require_picture
 
-HEADER = struct.Struct("<14s7i")  # beginning of the header; the rest contains names and two dates
+HEADER = struct.Struct("<14s7i")  # start of the header, which is followed by names and two dates
 HEADER_BYTES = 178
 MAGIC = b"LUCAM-RECORDER"
 # Value of ColorID → letters of the CFA, or "" for a monochrome sensor.
@@ -48,7 +47,7 @@ def stack(path: Path) -> MultiFrameFile:
 
 
 def _header(path: Path) -> tuple[Layout, NDArray[np.int64] | None, int]:
-    """Return the layout of the frames, the colour codes of the CFA (None for monochrome cameras), and the number of frames.
+    """Return the frame layout, the colour codes of the CFA (None for monochrome cameras), and the number of frames.
 
     Raises InputFileError if the header is damaged or describes demosaicked frames, or if frames are missing.
     """
@@ -73,10 +72,10 @@ def _header(path: Path) -> tuple[Layout, NDArray[np.int64] | None, int]:
 
 
 def _in_byte_order(path: Path, layout: Layout) -> Layout:
-    """Return `layout` with the byte order that makes the first frame smoother. 8-bit layouts are returned unchanged."""
+    """Set the byte order that makes the first frame smoother. 8-bit layouts are returned unchanged."""
     if not layout.packing.is_words:
         return layout
     first = read_frame(path, layout, 0)
-    period = np.arange(4, dtype=np.uint8).reshape(2, 2)  # the period of every CFA in SER files is 2×2
+    period = np.arange(4, dtype=np.uint8).reshape(2, 2)  # every CFA in a SER file has a period of 2×2
     readings = [roughness(values, bits, period) for _, values, bits in first["readings"]()][:2]
     return Layout(layout.rows, layout.cols, layout.packing, skip=layout.skip, big_endian=readings[1] < readings[0])

@@ -1,7 +1,7 @@
 """Read raw frames from single-channel TIFF and PNG files.
 
-A TIFF file with several pages is a stack, whose pages must have the same size and type. Files in the layout in which l3
-writes mosaics are read in this process. All other files are read with OpenImageIO in the isolated process.
+A TIFF file with several pages is a stack. Its pages must have the same size and type. Files in the layout in which l3 writes
+mosaics are read in this process, and all other files with OpenImageIO in the isolated process.
 """
 
 import contextlib
@@ -25,11 +25,11 @@ from l3cli.system.limits import most_pixels
 
 MOST_PAGES = 1_000_000  # maximum number of pages
 
-_opened: dict[tuple[Any, ...], Any] = {}  # cache of the last file: identity of the file → its open ImageInput
+_opened: dict[tuple[Any, ...], Any] = {}  # identity of the last file → open ImageInput
 
 
 def read(path: Path) -> RawContent:
-    """Read a single-channel picture as a frame. Raises InputFileError if the file is not a single-channel picture."""
+    """Read a single-channel picture as a frame. Raises InputFileError for any other file."""
     if (plain := read_plain(path)) is not None:
         return plain
     return read_by_library(path)
@@ -37,7 +37,7 @@ def read(path: Path) -> RawContent:
 
 @isolated("OpenImageIO", "tifffile")
 def read_by_library(path: Path) -> RawContent:
-    """Read a single-channel picture as a frame with OpenImageIO. Raises the same errors as `read`."""
+    """Read a single-channel picture as a frame, with OpenImageIO. Raises the same errors as `read`."""
     _check_first_page(path)
     with opened(path) as (source, spec):
         return _content(path, source, spec)
@@ -68,8 +68,8 @@ def stack(path: Path) -> MultiFrameFile | None:
 def count_pages(path: Path) -> int:
     """Return the number of pages in a TIFF file, or 1 for a PNG file.
 
-    Raises InputFileError if the pages differ in size or type, if the pages are the channels of a picture, or if the file
-    contains images that are not pages. Pages differ, for example, if one page is a thumbnail.
+    Raises InputFileError if the pages differ in size or type, for example because one of them is a thumbnail, if they are
+    the channels of a picture, or if the file contains images that are not pages.
     """
     first = _page(path, 0).spec()
     usual, count = _kind(first), _count(path)
@@ -86,7 +86,7 @@ def count_pages(path: Path) -> int:
 
 @isolated("OpenImageIO", "tifffile")
 def read_page(path: Path, number: int) -> RawContent:
-    """Read the frame on page `number` (from 0). Raises InputFileError if the page is damaged or has several channels."""
+    """Read the frame on page `number`, from 0. Raises InputFileError if the page is damaged or has several channels."""
     source = _page(path, number)
     require_bearable(path, source.spec())
     return _content(path, source, source.spec())
@@ -95,13 +95,13 @@ def read_page(path: Path, number: int) -> RawContent:
 def _require_frames(path: Path, spec: Any, count: int) -> None:
     """Raise InputFileError if the pages are probably not frames.
 
-    The image description of ImageJ, tifffile or OME may state that the pages are the channels of a picture. The pages are
-    also rejected if they have so few columns that the axes are probably in a different order (see `frame_axes`).
+    Pages are rejected if they are the channels of a picture according to the image description from ImageJ, tifffile or OME,
+    or if they have so few columns that the axes are probably in a different order (see `frame_axes`).
     """
     text = spec.get_string_attribute("ImageDescription")
     channels = re.search(r"^channels=([0-9]{1,9})$", text, re.MULTILINE) if text.startswith("ImageJ=") else None
     channels = channels or re.search(r'<Pixels [^>]*SizeC="([0-9]{1,9})"', text)
-    # More channels than MOST_CHANNELS are frames, because tifffile by default describes the frames of a stack as channels.
+    # More than MOST_CHANNELS channels are frames, because by default, tifffile describes the frames in a stack as channels.
     if (channels and 1 < int(channels[1]) <= MOST_CHANNELS) or re.match(r"""\{.*"axes": "[A-Z]*C[A-Z]*\"""", text):
         raise InputFileError(
             f"{path}: according to the image description, the pages are the channels of one picture; save one raw frame per "
@@ -111,7 +111,7 @@ def _require_frames(path: Path, spec: Any, count: int) -> None:
 
 
 def _page(path: Path, number: int) -> Any:
-    """Return the OpenImageIO ImageInput of a file, positioned at a page. The file stays open for further pages.
+    """Return a file's OpenImageIO ImageInput, positioned at a page. The file stays open for further pages.
 
     Raises InputFileError if the page is damaged.
     """
@@ -127,19 +127,16 @@ def _page(path: Path, number: int) -> Any:
 
 
 def _kind(spec: Any) -> str:
-    """Describe the size, channels and data type of a page.
-
-    The text also states whether the page is a small copy or a mask.
-    """
+    """Describe a page's size, channels and data type, and whether it is a smaller copy or a mask."""
     part = ", a smaller copy or a mask" if spec.get_int_attribute("tiff:subfiletype", 0) & ~ONE_OF_MANY else ""
     channels = f"{spec.nchannels} channel{'s' if spec.nchannels > 1 else ''}"
     return f"{spec.height}×{spec.width} pixels, {channels} of {spec.format}{part}"
 
 
 def _count(path: Path) -> int:
-    """Return the number of pages in a TIFF file.
+    """Count the pages in a TIFF file.
 
-    Libraries treat a broken chain of pages as the end of the file. This function therefore checks that the offset after the
+    Libraries treat a broken chain of pages as the end of the file, so this function also checks that the offset after the
     last page is zero. Raises InputFileError if the chain is broken, or if a page has subpages other than smaller copies.
     """
     import tifffile
@@ -147,7 +144,7 @@ def _count(path: Path) -> int:
     broken = InputFileError(f"{path} is damaged, because the chain of its pages is broken; copy the file again")
     with tifffile.TiffFile(path) as file:
         with contextlib.suppress(IndexError):
-            file.pages.get(MOST_PAGES)  # an index above the limit, because a damaged chain of pages may form a loop
+            file.pages.get(MOST_PAGES)  # must raise IndexError, unless a damaged chain of pages forms a loop
             raise broken
         file.filehandle.seek(file.pages.next_page_offset)
         following = file.filehandle.read(file.tiff.offsetsize)
@@ -161,10 +158,7 @@ def _count(path: Path) -> int:
 
 
 def _check_first_page(path: Path) -> None:
-    """Check the tags of the first page if the file is a TIFF file.
-
-    Damaged files pass, because OpenImageIO reports the damage.
-    """
+    """Check the tags on the first page of a TIFF file. Other files and damaged files are left to OpenImageIO."""
     import tifffile
 
     try:
@@ -177,7 +171,7 @@ def _check_first_page(path: Path) -> None:
 
 
 def _check_tags(path: Path, page: Any) -> None:
-    """Raise InputFileError if a page has an invalid orientation, or is a DNG mosaic, which OpenImageIO would not detect."""
+    """Raise InputFileError for invalid orientations and for DNG mosaics, neither of which OpenImageIO detects."""
     tags = page.tags
     flip_of(path, tags.valueof("Orientation", UPRIGHT))
     if "DNGVersion" in tags or tags.valueof("PhotometricInterpretation") == COLOUR_FILTER_ARRAY:
@@ -187,8 +181,8 @@ def _check_tags(path: Path, page: Any) -> None:
 
 
 # ------------------------------------------------------------------------------------------------- plain mosaics
-# Files in the layout of l3's mosaics are read without tifffile and without the isolated process. For a single frame, the
-# import of tifffile would take 10 % of the rendering time, and the start of the isolated process 25 %.
+# Files in the layout of l3's mosaics are read without tifffile and the isolated process. When a single frame is rendered,
+# importing tifffile would take 10 % of the time, and starting the isolated process 25 %.
 
 ENTRY = np.dtype([("tag", "<u2"), ("type", "<u2"), ("count", "<u4"), ("content", "V4")])
 MAX_TAGS, MAX_STRIPS = 20, 1 << 20
@@ -203,12 +197,12 @@ TYPES: dict[int, np.dtype] = {3: np.dtype("<u2"), 4: np.dtype("<u4"), 5: RATIONA
 
 
 class _Plain(NamedTuple):
-    """The layout and the exposure time of a TIFF file that can be read without a library."""
+    """Layout and exposure time of a TIFF file that can be read without a library."""
 
     shape: tuple[int, int]
     dtype: np.dtype
     offset: int  # number of bytes before the pixels
-    exposure: float | None  # exposure time in s; None if the file does not state it
+    exposure: float | None  # exposure time in s; None if the file does not contain it
 
 
 def is_plain(path: Path) -> bool:
@@ -221,7 +215,7 @@ def is_plain(path: Path) -> bool:
 
 
 def read_plain(path: Path, depths: tuple[int, ...] = (8, 16)) -> RawContent | None:
-    """Read a mosaic as uint16 (row, col) if the file has the layout that l3 writes and a bit depth in `depths`.
+    """Read a mosaic as uint16, (row, col), if the file has the layout that l3 writes and a bit depth in `depths`.
 
     Otherwise, return None.
     """
@@ -239,8 +233,8 @@ def read_plain(path: Path, depths: tuple[int, ...] = (8, 16)) -> RawContent | No
 def _layout(stream: BinaryIO) -> _Plain | None:
     """Return the layout of a TIFF file that looks like a mosaic written by l3, or None for any other file.
 
-    The mosaics that l3 writes are little-endian and uncompressed. They have one page, one channel of 8 or 16 bits,
-    consecutive strips, and no additional tags.
+    Such files are little-endian and uncompressed, with one page, one channel of 8 or 16 bits, consecutive strips, and no
+    additional tags.
     """
     try:
         magic, at = struct.unpack("<4sI", stream.read(8))
@@ -277,7 +271,7 @@ def _directory(stream: BinaryIO, at: int) -> dict[int, list[Any]]:
     [following] = _numbers(stream, at + 2 + ENTRY.itemsize * count, np.dtype("<u4"), 1)
     tags: dict[int, list[Any]] = {}
     for tag, kind, length, content in _numbers(stream, at + 2, ENTRY, min(count, MAX_TAGS)):
-        if tag == DATE_TIME:  # a text that l3 does not need
+        if tag == DATE_TIME:  # text that l3 does not need
             tags[tag] = []
         elif TYPES[kind].itemsize * length > len(content):
             tags[tag] = _numbers(stream, int.from_bytes(content, "little"), TYPES[kind], length)

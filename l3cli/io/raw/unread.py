@@ -1,6 +1,6 @@
-"""Formats from which l3 cannot read raw frames, each with advice for the user.
+"""File formats that l3 recognises but cannot read raw frames from, with advice for the user.
 
-l3 recognises these formats by the first bytes or the suffix of a file, so that an intact file is not reported as damaged.
+The formats are recognised by the first bytes or the suffix of a file, so that intact files are not reported as damaged.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ class UnreadFormat:
     name: str  # noun with an article, for messages of the form "FILE is NAME; INSTEAD"
     suffixes: tuple[str, ...]  # in lower case
     instead: str  # advice for messages, in the imperative
-    magic: tuple[tuple[int, bytes], ...] = ()  # (offset, bytes) pairs; each pair alone identifies the format
+    magic: tuple[tuple[int, bytes], ...] = ()  # (offset, bytes) pairs, any of which identifies the format
 
 
 UNREAD = (
@@ -56,17 +56,17 @@ UNREAD = (
     UnreadFormat("an OpenEXR or Radiance file", (".exr",), DEVELOPED, ((0, b"v/1\x01"), (0, b"#?RADIANCE"))),
     UnreadFormat("a Photoshop file", (".psd", ".psb"), DEVELOPED, ((0, b"8BPS"),)),
 )
-# First bytes of a format that l3 reads → suffix of the format. l3 uses this table to detect files with a wrong suffix.
+# First bytes → suffix of a format that l3 reads, to detect files with a wrong suffix.
 MISNAMED = {
     b"SIMPLE  =": ".fits", b"\x89HDF\r\n\x1a\n": ".h5", b"\x93NUMPY": ".npy", b"\x89PNG": ".png", b"P5": ".pgm",
     b"LUCAM-RECORDER": ".ser", b"MATLAB 5.0 MAT-file": ".mat", b"MATLAB 7.3 MAT-file": ".mat", b"YUV4MPEG2": ".y4m",
     b"\x1aE\xdf\xa3": ".mkv",
 }  # fmt: skip
-START = 160  # number of bytes at the beginning of a file that are examined
+START = 160  # how many bytes at the beginning of a file are examined
 
 
 def refuse_unread(path: Path) -> None:
-    """Raise InputFileError, with advice, if a file has a known but unsupported format, or if its suffix is wrong."""
+    """Raise InputFileError, with advice, if a file's format is known but unsupported, or if its suffix is wrong."""
     with open_regular(path) as stream:
         start = stream.read(START)
     suffix = path.suffix.lower()

@@ -1,8 +1,7 @@
 """Convert pixel values of any number type to 16-bit DN.
 
-Integer values from 0 to 65535 are DN, even if they are stored as floating-point numbers. Other values, such as fractions
-from 0 to 1 or negative values, are not DN, and their scale is unknown. The user must then set the black level and the white
-level in the units of the file.
+Whole numbers from 0 to 65535 are DN, even if they are stored as floating-point numbers. The scale of all other values, such
+as fractions from 0 to 1, is unknown, so the user must set the black and white level in the units of the file.
 """
 
 import numpy as np
@@ -11,17 +10,17 @@ from numpy.typing import NDArray
 from l3cli.errors import InputFileError
 
 TOP = 65535  # largest DN
-# Black level and white level of scaled values in DN, with margins for noise below black and for values above white.
+# Black and white level of scaled values in DN, with margins for noise below black and for values above white.
 SCALED_BLACK, SCALED_WHITE = 8192.0, 57344.0
 FULL_SCALE_ONE = 2.0  # if full scale is 1, all values are below this limit, even with noise
-LEAST_DN_LEVEL = 16.0  # a white level of at least this value is probably meant in DN
+LEAST_DN_LEVEL = 16.0  # white levels from this value are probably meant in DN
 
 
 def as_dn(values: NDArray) -> NDArray[np.uint16] | None:
-    """Convert integer values from 0 to 65535, of any data type, to uint16. Return None if the values are not DN.
+    """Convert whole numbers from 0 to 65535, of any data type, to uint16. Return None if the values are not DN.
 
-    Values are not DN if a value is not an integer, is out of range or is NaN, or if the array is empty. Floating-point
-    values are also not DN if none of them exceeds 1, because they may be fractions of full scale.
+    Values are not DN if one of them is not a whole number or is out of range, or if the array is empty. If no floating-point
+    value exceeds 1, they are not DN either, because they may be fractions of full scale.
     """
     if values.dtype in (np.uint8, np.uint16):
         return values.astype(np.uint16, copy=False)
@@ -33,7 +32,7 @@ def as_dn(values: NDArray) -> NDArray[np.uint16] | None:
 
 
 def require_dn(name: str, values: NDArray) -> NDArray[np.uint16]:
-    """Convert values to DN. Raises InputFileError if the values are not DN. `name` is the file name for the message."""
+    """Convert values to DN, or raise InputFileError if they are not DN. `name` is the file name for the message."""
     dn = as_dn(values)
     if dn is None:
         raise InputFileError(f"{name} contains {_range_of(name, values)}; save the values in DN (integers from 0 to {TOP})")
@@ -41,7 +40,7 @@ def require_dn(name: str, values: NDArray) -> NDArray[np.uint16]:
 
 
 def scaled_dn(name: str, values: NDArray, black: float | None, white: float | None) -> NDArray[np.uint16]:
-    """Convert values in the units of a file to DN, with SCALED_BLACK as the black level and SCALED_WHITE as the white level.
+    """Scale values in the units of a file to DN, with a black level of SCALED_BLACK and a white level of SCALED_WHITE.
 
     Parameters
     ----------
@@ -50,7 +49,7 @@ def scaled_dn(name: str, values: NDArray, black: float | None, white: float | No
     values : ndarray
         Stored values.
     black, white : float or None
-        Black level and white level in the units of the file. A level is None if the user has not set it.
+        Black and white level in the units of the file, or None if the user has not set them.
 
     Returns
     -------
@@ -60,7 +59,7 @@ def scaled_dn(name: str, values: NDArray, black: float | None, white: float | No
     Raises
     ------
     InputFileError
-        If a level is None or is not in the units of the values, or if a value is not finite.
+        If a level is None or does not match the values, or if a value is not finite.
     """
     found = _range_of(name, values)
     if black is None or white is None:
@@ -78,7 +77,7 @@ def scaled_dn(name: str, values: NDArray, black: float | None, white: float | No
 
 
 def _range_of(name: str, values: NDArray) -> str:
-    """Describe the type and the range of values. Raises InputFileError if the values are not finite numbers."""
+    """Describe the type and the range of values. Raises InputFileError if they are not finite numbers."""
     if values.dtype.kind not in "iuf":
         raise InputFileError(f"{name} contains values of type {values.dtype}; save integers or floating-point numbers")
     least, most = values.min(), values.max()

@@ -1,4 +1,4 @@
-"""Read raw videos with PyAV (FFmpeg). A raw video contains losslessly compressed mosaics with one channel."""
+"""Read raw videos, which contain losslessly compressed mosaics, with PyAV (FFmpeg)."""
 
 import contextlib
 import itertools
@@ -15,11 +15,11 @@ from l3cli.io.raw import InOrder, MultiFrameFile, RawContent
 from l3cli.io.video import CONTAINERS, DecodedVideo, InTurn, StatedTimes, storable_rate
 
 PALETTE = "pal8"  # pixel format of uncompressed 8-bit AVI files
-AT_A_TIME = 500  # number of frame times that one request reads
+AT_A_TIME = 500  # number of frame times per request to the isolated process
 
 
 def stack(path: Path) -> MultiFrameFile:
-    """Open a video. The number of frames is unknown until the video ends.
+    """Open a raw video. The number of frames is unknown until the video ends.
 
     Raises InputFileError unless the video has one grey channel with 8 to 16 bits, such as FFV1 in MKV.
     """
@@ -34,9 +34,9 @@ def stack(path: Path) -> MultiFrameFile:
 
 
 def _times(path: Path) -> StatedTimes | None:
-    """Return the frame times without decoding the frames. None if the video has no frames, or if a time is missing.
+    """Read the frame times, up to the first damaged frame, without decoding the frames.
 
-    The function reads the file up to its end or up to the first damaged frame.
+    None if the video has no frames, or if a time is missing.
     """
     ticks: list[int | None] = []
     tick = (1, 1)
@@ -60,17 +60,17 @@ def _rate(path: Path) -> tuple[int, int] | None:
 
 @isolated("av")
 def _some_times(path: Path, number: int) -> tuple[tuple[int, int], list[int | None]]:
-    """Return the length of a tick in s, and the times in ticks of up to AT_A_TIME frames, starting at frame `number`."""
+    """Return the duration of a tick in s, and the times in ticks of up to AT_A_TIME frames, starting at frame `number`."""
     video = _timed.video(path, number)
     return (video.tick.numerator, video.tick.denominator), video.times(AT_A_TIME)
 
 
 @isolated("av")
 def _frame(path: Path, number: int) -> NDArray[np.uint16] | None:
-    """Return frame `number` (row, col) of a raw video in DN, or None after the last frame.
+    """Return frame `number` in a raw video, (row, col), in DN, or None after the last frame.
 
-    Frames must be requested in order, starting at 0. Raises InputFileError if the frame is damaged. Frames after a damaged
-    frame can still be read.
+    Frames must be requested in order, starting at 0. Raises InputFileError if the frame is damaged. The following frames can
+    still be read.
     """
     frame = _in_turn.frame(path, number)
     if frame is None:
@@ -80,7 +80,7 @@ def _frame(path: Path, number: int) -> NDArray[np.uint16] | None:
 
 
 def _of_palette(path: Path, pixels: NDArray[np.uint8], palette: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the indices of a palette image. They are raw values if the palette (colour, ARGB) is a grey ramp.
+    """Return the raw values in a palette image, which are its indices if the palette, (colour, ARGB), is a grey ramp.
 
     Raises InputFileError if the palette is not a grey ramp.
     """
