@@ -1,1 +1,1 @@
-"""Data types for raw frames, scenes and lab measurements, and functions that correct and check raw frames."""
+"""Data types for raw frames, scenes and lab measurements, and functions that check and correct raw frames."""

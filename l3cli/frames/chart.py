@@ -1,9 +1,8 @@
-"""Finds a colour chart in a mosaic and measures its patches (docs/method.md#charts-in-photographs).
+"""Find a colour chart in a mosaic, and measure its patches (docs/method.md#charts-in-photographs).
 
-A chart is recognised as a grid of uniform regions whose values are consistent with the reflectances of the patches. For this
-test, the responsivities of the camera need not be known. l3 tests whether the values of each channel are a linear
-combination of a constant and the principal components of the reflectances. The test also determines the orientation of the
-chart.
+A chart is recognised as a grid of uniform regions with values that are consistent with the patch reflectances. Because the
+camera's responsivities are unknown, l3 tests whether the values of each channel are a linear combination of a constant and
+the principal components of the reflectances. This test also determines the orientation of the chart.
 """
 
 import itertools
@@ -17,35 +16,34 @@ from numpy.typing import NDArray
 from l3cli.physics.mosaic import tiled
 
 # A cell is a square of the grid that contains one patch. x and y are measured in cells from the corner of the first patch.
-CORE = 0.25  # half the side of the measured area of a patch, in cells; this area excludes borders and blurred edges
-# robust standard deviations; a pixel is an outlier, for example dust, if it differs from the median by more than this
+CORE = 0.25  # half the side, in cells, of the measured area of a patch, which excludes borders and blurred edges
+# A pixel is an outlier, such as dust, if it differs from the median by more than this number of robust standard deviations.
 OUTLIER = 5.0
 DUSTY = 0.2  # maximum fraction of outliers in a usable patch
 CLIPPED = 1e-3  # maximum fraction of saturated pixels in a usable patch
-MIN_PIXELS = 12  # minimum number of pixels of one channel in a patch
-PRECISION = 0.002  # relative error of patch means due to texture and gloss, which averaging over more pixels does not reduce
-MIN_POINTS = 6  # minimum number of points for fitting a photon transfer line; each patch has one point per channel
-MAD = 1.4826  # ratio of the standard deviation to the median absolute deviation of a normal distribution
+MIN_PIXELS = 12  # minimum number of pixels per channel in a patch
+PRECISION = 0.002  # relative error of patch means due to texture and gloss, which does not decrease with more pixels
+MIN_POINTS = 6  # minimum number of points, one per patch and channel, for fitting a photon transfer line
+MAD = 1.4826  # standard deviation of a normal distribution, divided by its median absolute deviation
 Array = NDArray[np.floating]
 SEARCHED = 480  # maximum side, in pixels, of the reduced picture in which l3 searches for a chart
-SLOPES = (0.02, 0.04, 0.08, 0.15)  # limits for the relative gradient (per pixel) of uniform regions; l3 tries all limits
-# To reduce the effect of noise in dark areas, this fraction of the 99th percentile is added to the signal before the
-# gradient is divided by the signal.
+SLOPES = (0.02, 0.04, 0.08, 0.15)  # maximum relative gradients, per pixel, of uniform regions; all of them are tried
+# Relative gradients are divided by the signal plus this fraction of its 99th percentile, to suppress noise in dark areas.
 DARK_FRACTION = 0.02
 MIN_AREA, MAX_SHARE = 9, 0.03  # minimum area of a patch in pixels, and maximum area as a fraction of the picture
-# Maximum aspect ratio of a patch, and range of the area of a patch relative to a parallelogram with the same moments
+# Maximum aspect ratio of a patch, and range of its area relative to a parallelogram with the same moments.
 LONG, FILLED = 2.2, (0.75, 1.25)
-# Number of nearest regions that may define the basis vectors of a grid, and number of regions at which l3 starts a grid
+# Number of nearest regions that may define the basis vectors of a grid, and number of regions at which grids are started.
 NEIGHBOURS, SEEDS = 8, 160
 PAIRS = np.array(list(itertools.permutations(range(NEIGHBOURS), 2)))
-# basis vectors of a grid: maximum cosine of the angle between them, maximum ratio of their lengths
+# Basis vectors of a grid: maximum cosine of the angle between them, and maximum ratio of their lengths.
 ASKEW, UNEQUAL = 0.5, 1.8
 OFF = 0.22  # maximum distance between a region and a grid point, in units of the grid spacing
-REFINED = (0.25, 0.15, 0.1, 0.1)  # maximum distance between a region and the centre of a patch in each refinement, in cells
-MIN_SHARE, MIN_REGIONS = 0.4, 5  # at least this fraction and this number of patches must be found as uniform regions
-GROWN, TRIED = 200, 20  # number of grids that are extended, and number of extended grids that are fitted to the reflectances
-COMPONENTS = 6  # number of principal components of the reflectances, which describe any channel to a few percent
-MIN_FIT = 0.9  # minimum R² when the principal components are fitted to the values of a chart
+REFINED = (0.25, 0.15, 0.1, 0.1)  # maximum distance, in cells, between a region and a patch centre in each refinement
+MIN_SHARE, MIN_REGIONS = 0.4, 5  # minimum fraction and minimum number of patches that must be found as uniform regions
+GROWN, TRIED = 200, 20  # number of grids that are extended, and number of these that are compared with the reflectances
+COMPONENTS = 6  # number of principal components of the reflectances, which describe any channel to within a few percent
+MIN_FIT = 0.9  # minimum R² of the fit of the principal components to a chart's values
 
 
 def homography(cells: Array, pixels: Array) -> Array:
@@ -61,12 +59,12 @@ def homography(cells: Array, pixels: Array) -> Array:
     Returns
     -------
     ndarray, (3, 3)
-        Homography, whose product with (x, y, 1) is proportional to (column, row, 1).
+        Homography. Its product with (x, y, 1) is proportional to (column, row, 1).
 
     Raises
     ------
     LinAlgError
-        If there are exactly four points and three of these points are on a line, so that the homography is not unique.
+        If there are exactly four points and three of them are collinear, so that the homography is not unique.
     """
     scale, shift = float(np.ptp(pixels, axis=0).max()) or 1.0, pixels.mean(axis=0)
     right = (pixels - shift) / scale
@@ -78,10 +76,9 @@ def homography(cells: Array, pixels: Array) -> Array:
 
 
 def _equations(cells: Array, pixels: Array) -> Array:
-    """Return the matrix (…, 2 · point, 8) of the linear equations for the elements of a homography.
+    """Return the matrix, (…, 2 · point, 8), of the linear equations for the first eight elements of a homography.
 
-    The unknowns are the first eight elements. The ninth element is 1. The right-hand side contains the column and the row of
-    each pixel.
+    The ninth element is 1. The right-hand side contains the column and the row of each pixel.
     """
     place = np.concatenate([cells, np.ones_like(cells[..., :1])], axis=-1)
     along = [np.concatenate(parts, axis=-1) for parts in ((place, 0 * place), (0 * place, place))]
@@ -90,10 +87,7 @@ def _equations(cells: Array, pixels: Array) -> Array:
 
 
 def corner_cells(rows: int, cols: int) -> Array:
-    """Return x and y (4, 2) of the outer corners of a grid of patches, in cells.
-
-    The order is clockwise, from the corner of the first patch.
-    """
+    """Return x and y, (4, 2), of a grid's outer corners in cells, clockwise from the corner of the first patch."""
     return np.array([[0, 0], [cols, 0], [cols, rows], [0, rows]], dtype=np.float64)
 
 
@@ -103,14 +97,14 @@ def through(matrix: Array, points: Array) -> Array:
     Parameters
     ----------
     matrix : ndarray, (3, 3) or (grid, 3, 3)
-        One homography, or several homographies that each transform all points.
+        One homography, or several homographies, each of which transforms all points.
     points : ndarray, (…, 2) or (point, 2)
         x and y of the points. For several homographies, the shape must be (point, 2).
 
     Returns
     -------
     ndarray, (…, 2) or (grid, point, 2)
-        Transformed points. If a point is mapped to infinity, its coordinates are infinite or NaN.
+        Transformed points. Points at infinity have infinite coordinates or NaN.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         moved = points @ matrix[..., :2].swapaxes(-1, -2) + matrix[..., None, :, 2]
@@ -118,18 +112,18 @@ def through(matrix: Array, points: Array) -> Array:
 
 
 def patch_map(to_pixels: Array, grid: tuple[int, int], shape: tuple[int, int], core: float) -> NDArray[np.int64]:
-    """Return an array (row, col) with the index of the patch whose core contains the pixel.
+    """Assign each pixel, (row, col), to the patch in whose core (a square at the patch centre) it is.
 
-    The core is a square at the centre of a patch. For pixels outside all cores, the index is the number of patches.
+    Returns patch indices, and the number of patches for pixels outside all cores.
 
     Parameters
     ----------
     to_pixels : ndarray, (3, 3)
         Homography from cells to pixels.
     grid : tuple of int
-        Rows and columns of patches.
+        Number of rows and columns of patches.
     shape : tuple of int
-        Rows and columns of the result.
+        Number of rows and columns in the result.
     core : float
         Half the side of a core, in cells.
     """
@@ -146,19 +140,19 @@ def patch_map(to_pixels: Array, grid: tuple[int, int], shape: tuple[int, int], c
 
 @dataclass(frozen=True)
 class PatchValues:
-    """Measured values of the patches of a chart."""
+    """Measured values of a chart's patches."""
 
     mean: Array  # (patch, channel) DN above black
     deviation: Array  # (patch, channel) DN; standard deviation of the mean
     variance: Array  # (patch, channel) DN²; noise variance of a pixel, without texture and gradients
     used: NDArray[np.bool_]  # (patch, channel) whether the mean is usable
-    left_out: tuple[tuple[int, int, str], ...]  # patch index, channel and reason, for each mean that is not usable
+    left_out: tuple[tuple[int, int, str], ...]  # patch index, channel and reason for each unusable mean
 
 
 def patch_values(
     frames: Sequence[Array], cfa: NDArray[np.uint8], to_pixels: Array, grid: tuple[int, int], saturation: float
 ) -> PatchValues:
-    """Measure the mean and the noise of each patch of a chart.
+    """Measure the mean and the noise of each patch on a chart.
 
     Parameters
     ----------
@@ -169,9 +163,9 @@ def patch_values(
     to_pixels : ndarray, (3, 3)
         Homography from cells to pixels.
     grid : tuple of int
-        Rows and columns of patches.
+        Number of rows and columns of patches.
     saturation : float
-        Value in DN above black at or above which a pixel counts as clipped.
+        DN above black from which a pixel counts as clipped.
 
     Raises
     ------
@@ -204,7 +198,7 @@ def patch_values(
 
 
 def _pixels(patch: NDArray[np.int64], patches: int, cfa: NDArray[np.uint8]) -> Iterator[tuple[tuple[int, int], NDArray]]:
-    """Yield (patch, channel) and the flat indices of the pixels of each channel in each patch.
+    """Yield (patch, channel) with the flat indices of this channel's pixels in this patch.
 
     `patch` is the result of `patch_map`, and `patches` is the number of patches.
     """
@@ -220,18 +214,18 @@ def _pixels(patch: NDArray[np.int64], patches: int, cfa: NDArray[np.uint8]) -> I
 def _typical(values: Array, least: float) -> NDArray[np.bool_]:
     """Return a mask that is False for outliers, such as dust or hot pixels.
 
-    If the standard deviation of the values without outliers is smaller than `least`, `least` is used instead.
+    The robust standard deviation from which outliers are determined is at least `least`.
     """
     off = np.abs(values - np.median(values))
     return np.asarray(off <= OUTLIER * max(MAD * float(np.median(off)), least))
 
 
 def _differences(frames: Sequence[Array], cfa: NDArray[np.uint8]) -> Array:
-    """Return differences (row, col) between pixels, scaled so that their variance is the noise variance of a pixel.
+    """Return differences between pixels, (row, col), scaled so that their variance is the noise variance of a pixel.
 
-    If there are several frames, the result is the difference between the first two frames, divided by √2. For a single
-    frame, the result is the mixed second difference of four neighbouring pixels with the same CFA site, divided by 2,
-    because linear gradients cancel in this difference. The result is NaN at the lower and right edges of a single frame.
+    For several frames, the result is the difference between the first two, divided by √2. For a single frame, it is the
+    mixed second difference of four neighbouring pixels at the same CFA site, in which linear gradients cancel, divided by 2.
+    It is NaN at the lower and right edges of a single frame.
     """
     if len(frames) > 1:
         return np.asarray((frames[0].astype(np.float64) - frames[1]) / np.sqrt(2.0))
@@ -253,9 +247,9 @@ def _robust_variance(values: Array) -> float:
 def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None:
     """Estimate the conversion gain (DN/e-) and the dark noise (DN) by fitting a photon transfer line.
 
-    The line is fitted to the usable patches and channels in `values`. The dark noise does not include the quantisation
-    noise. The result is None if there are too few points, or if the slope is not positive, for example because the files
-    were processed or contain almost no noise.
+    The line is fitted to the usable patches and channels in `values`. The dark noise excludes quantisation noise. None if
+    there are too few points, or if the slope is not positive, for example because the files were processed or contain almost
+    no noise.
     """
     mean = np.concatenate([each.mean[each.used] for each in values])
     variance = np.concatenate([each.variance[each.used] for each in values])
@@ -264,7 +258,7 @@ def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None
         return None
     mean, variance = mean[real], variance[real]
     weight = 1.0 / variance
-    for _ in range(3):  # The weight of a point is the inverse of the variance on the line, so the fit must be repeated.
+    for _ in range(3):  # the weights are the inverse variances on the fitted line itself
         slope, constant = np.polyfit(mean, variance, 1, w=weight)
         weight = 1.0 / np.maximum(slope * mean + constant, 0.1 * np.median(variance))
     if slope <= 0:
@@ -274,14 +268,14 @@ def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None
 
 @dataclass(frozen=True)
 class Located:
-    """The position of a chart in a picture."""
+    """Position of a chart in a picture."""
 
-    to_pixels: Array  # (3, 3) homography from cells (x, y) to pixels (column, row) of the mosaic
-    fit: float  # R² when the reflectances are fitted to the values, averaged over the channels
+    to_pixels: Array  # (3, 3) homography from cells (x, y) to pixels (column, row)
+    fit: float  # R² of the fit of the reflectances to the values, averaged over the channels
 
 
 def superpixels(mosaic: Array, cfa: NDArray[np.uint8]) -> Array:
-    """Return the mean of each channel in each complete CFA period, as an array (row, col, channel).
+    """Return the mean of each channel in each complete CFA period, (row, col, channel).
 
     The first pixel of the mosaic must be at CFA site (0, 0).
     """
@@ -305,7 +299,7 @@ def locate(mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array, grid: tupl
     reflectance : ndarray, (patch, wavelength)
         Reflectances of the patches, row by row.
     grid : tuple of int
-        Rows and columns of patches.
+        Number of rows and columns of patches.
 
     Returns
     -------
@@ -334,9 +328,9 @@ def locate(mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array, grid: tupl
 
 
 def components(reflectance: Array) -> Array:
-    """Return an orthonormal basis (patch, component) for the values of the patches in any channel.
+    """Return an orthonormal basis, (patch, component), for the patch values in any channel.
 
-    The basis consists of a constant, which represents glare, and the principal components of the reflectances.
+    It spans a constant, which represents glare, and the principal components of the reflectances.
     """
     left, _, _ = np.linalg.svd(reflectance, full_matrices=False)
     basis, _ = np.linalg.qr(np.column_stack([np.ones(len(reflectance)), left[:, :COMPONENTS]]))
@@ -347,7 +341,7 @@ def components(reflectance: Array) -> Array:
 
 
 def _steepest(picture: Array) -> Array:
-    """Return the relative gradient (row, col) of a picture (row, col, channel), which is the maximum over the channels."""
+    """Return the relative gradient, (row, col), of a picture, (row, col, channel): the maximum over the channels."""
     from scipy import ndimage
 
     steepest = np.zeros(picture.shape[:2])
@@ -360,11 +354,10 @@ def _steepest(picture: Array) -> Array:
 
 
 def _plain_regions(steepest: Array, slope: float) -> tuple[Array, Array]:
-    """Find uniform regions that may be patches, and return their centres (region, 2) and areas in pixels.
+    """Find uniform regions that may be patches, and return their centres (column, row), (region, 2), and areas in pixels.
 
-    A centre is (column, row). A region consists of connected pixels whose relative gradient is below `slope`. A region may
-    be a patch if it is neither too small nor too large, is not elongated, and has about the area of a parallelogram with the
-    same moments.
+    A region consists of connected pixels with relative gradients below `slope`. It may be a patch if it is neither too small
+    nor too large, is not elongated, and has about the area of a parallelogram with the same moments.
     """
     from scipy import ndimage
 
@@ -393,8 +386,7 @@ def _plain_regions(steepest: Array, slope: float) -> tuple[Array, Array]:
 def _grids(centres: Array, areas: Array, grid: tuple[int, int]) -> list[Array]:
     """Find the grids that contain the most regions, and return their homographies from grid points to pixels.
 
-    The search for a grid starts at a region, which becomes grid point (0, 0). The list is empty if there are too few
-    regions.
+    Each grid is built outwards from one region, which becomes grid point (0, 0). Empty if there are too few regions.
     """
     least = max(MIN_REGIONS, round(MIN_SHARE * grid[0] * grid[1]))
     if len(centres) < least:
@@ -419,10 +411,10 @@ def _grids(centres: Array, areas: Array, grid: tuple[int, int]) -> list[Array]:
 
 
 def _may_be_steps(steps: Array) -> NDArray[np.bool_]:
-    """Return a mask (pair) of the pairs of offsets `steps` (pair, 2, 2) that may be the basis vectors of a chart's grid.
+    """Return a mask, (pair,), of the pairs of offsets, (pair, 2, 2), that may be the basis vectors of a chart's grid.
 
-    The two offsets must have similar lengths and must be roughly perpendicular. The offsets must not form a mirrored grid,
-    because the camera photographs the front of the chart.
+    The two offsets must have similar lengths and be roughly perpendicular. They must not form a mirrored grid, because the
+    camera sees the front of the chart.
     """
     one, other = np.hypot(*steps.T)
     turn = np.linalg.det(steps)  # positive unless the grid is mirrored
@@ -432,10 +424,10 @@ def _may_be_steps(steps: Array) -> NDArray[np.bool_]:
 
 
 def _on_grid(coordinates: Array, reach: int) -> NDArray[np.int64]:
-    """Return an array (grid, y, x) with the index of the region at each grid point, or -1 if no region is near the point.
+    """Return the index of the region nearest to each grid point, (grid, y, x), or -1 if there is no region near the point.
 
-    The grid points extend from −`reach` to `reach` in x and y. `coordinates` (grid, region, 2) contains x and y of every
-    region in each grid. If several regions are near a grid point, the result contains the nearest region.
+    The grid points extend from −`reach` to `reach` in x and y. `coordinates`, (grid, region, 2), contains x and y of every
+    region in each grid.
     """
     places = np.rint(coordinates)
     off = np.abs(coordinates - places).max(axis=-1)
@@ -444,7 +436,7 @@ def _on_grid(coordinates: Array, reach: int) -> NDArray[np.int64]:
     grids, regions = (index[order] for index in np.nonzero(close))
     x, y = places[close][order].astype(np.int64).T + reach
     on = np.full((len(coordinates), 2 * reach + 1, 2 * reach + 1), -1)
-    on[grids, y, x] = regions  # sorted by decreasing distance, so that the nearest region overwrites the other regions
+    on[grids, y, x] = regions  # sorted by decreasing distance, so that the nearest region overwrites all others
     return on
 
 
@@ -464,10 +456,7 @@ def _grown(centres: Array, matrices: Array, reach: int) -> tuple[NDArray[np.int6
 
 
 def _fitted(centres: Array, on: NDArray[np.int64]) -> Array:
-    """Fit a homography from grid points to pixels for each grid, and return the homographies (grid, 3, 3).
-
-    `on` is the result of `_on_grid`.
-    """
+    """Fit a homography, from grid points to pixels, to each grid, (grid, 3, 3). `on` is the result of `_on_grid`."""
     used = (on >= 0).reshape(len(on), -1, 1)
     pixels = centres[on.reshape(len(on), -1)]
     shift = (used * pixels).sum(axis=1, keepdims=True) / used.sum(axis=1, keepdims=True)
@@ -486,7 +475,7 @@ def _fitted(centres: Array, on: NDArray[np.int64]) -> Array:
 
 
 def _refined(located: Located, centres: Array, grid: tuple[int, int]) -> Located:
-    """Improve the position of a chart by fitting it to all regions that are close to the centre of a patch."""
+    """Refine the position of a chart by fitting it to all regions that are close to a patch centre."""
     matrix = located.to_pixels
     for tolerance in REFINED:
         cells = through(np.linalg.inv(matrix), centres)
@@ -504,9 +493,9 @@ def _refined(located: Located, centres: Array, grid: tuple[int, int]) -> Located
 
 
 def _placed(matrix: Array, smooth: Array, basis: Array, grid: tuple[int, int]) -> Located | None:
-    """Try all positions and orientations of the chart on a grid, and return the result that fits the reflectances best.
+    """Try all positions and orientations of the chart on a grid, and return the one that fits the reflectances best.
 
-    The result is None if no position is completely inside the picture.
+    None if no position is completely inside the picture.
     """
     rows, cols = grid
     places = np.arange(-max(grid), max(grid) + 1.0)
@@ -526,10 +515,7 @@ def _placed(matrix: Array, smooth: Array, basis: Array, grid: tuple[int, int]) -
 
 
 def _sampled(picture: Array, points: Array) -> Array:
-    """Return the values (…, channel) of the pixels that are nearest to the points (…, 2).
-
-    Each point is (column, row). The values of points outside the picture are NaN.
-    """
+    """Return the values, (…, channel), of the pixels nearest to points (column, row), (…, 2), or NaN outside the picture."""
     inside: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1))
     index = np.rint(np.where(inside[..., None], points, -1)).astype(np.int64)
     height, width = picture.shape[:2]
@@ -539,7 +525,7 @@ def _sampled(picture: Array, points: Array) -> Array:
 
 
 def fit(patches: Array, basis: Array) -> Array:
-    """Fit the basis from `components` to patch values (…, patch, channel), and return the mean R² of the channels."""
+    """Fit the basis from `components` to patch values, (…, patch, channel), and return R², averaged over the channels."""
     centred = patches - patches.mean(axis=-2, keepdims=True)
     left = patches - basis @ (basis.T @ patches)
     return np.asarray(np.mean(1.0 - (left**2).sum(axis=-2) / np.maximum((centred**2).sum(axis=-2), 1e-12), axis=-1))

@@ -1,6 +1,6 @@
-"""Corrections of raw frames: bad and hot pixels, shading, dark frames (docs/method.md#corrections).
+"""Correct raw frames: bad and hot pixels, shading, dark frames (docs/method.md#corrections).
 
-This module also reads corrections from the file of a camera model, and checks that they are suitable for a transform table.
+This module also reads corrections from a camera model file, and checks that they match a transform table.
 """
 
 import functools
@@ -26,33 +26,32 @@ from l3cli.system.files import require_same
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
 
-NEIGHBOURS = 4  # number of neighbours from which the value of a bad pixel is computed
+NEIGHBOURS = 4  # number of neighbours from which a bad pixel's value is computed
 SEARCH_PIXELS = 16  # maximum distance between a bad pixel and its neighbours, in rows and in columns
-MAX_BAD = 0.1  # maximum fraction of bad pixels; if more pixels are marked, the mask is probably not a defect map
-MIN_EXCESS = 8.0  # a hot pixel exceeds its brightest neighbour by at least this number of noise standard deviations
-RANGE = 2.0  # a hot pixel also exceeds its brightest neighbour by at least this multiple of the range of its neighbours
-# The adjacent pixels of a hot pixel may be brighter than usual by at most this number of standard deviations, or by at most
-# this fraction of the excess of the hot pixel.
+MAX_BAD = 0.1  # maximum fraction of bad pixels; a mask with more of them is probably not a defect map
+MIN_EXCESS = 8.0  # minimum excess of a hot pixel over its brightest neighbour, in noise standard deviations
+RANGE = 2.0  # minimum excess of a hot pixel over its brightest neighbour, as a multiple of the neighbours' range
+# The pixels adjacent to a hot pixel may be brighter than usual by at most this number of standard deviations, or by at most
+# this fraction of the hot pixel's excess.
 NEXT_SIGMAS, NEXT_SHARE = 2.0, 0.1
 AROUND = [(row, col) for row in (-1, 0, 1) for col in (-1, 0, 1) if (row, col) != (0, 0)]
 Array = NDArray[np.float64]
-# pixels that deviate by more than this number of standard deviations are excluded from the mean level of a dark frame
+# Pixels that deviate by more standard deviations are excluded from the mean level of a dark frame.
 HOT = 5.0
-MAD = 1.4826  # ratio of the standard deviation to the median absolute deviation of a normal distribution
+MAD = 1.4826  # standard deviation of a normal distribution, divided by its median absolute deviation
 
 
 @dataclass(frozen=True, eq=False)
 class BadPixelCorrection:
-    """The bad pixels of a sensor, and for each bad pixel the good pixels from which its value is computed."""
+    """A sensor's bad pixels, and for each of them the good pixels from which its value is computed."""
 
     target: NDArray[np.int64]  # (defect) flat index in a frame
     source: NDArray[np.int64]  # (defect, NEIGHBOURS) flat indices of good pixels
 
     def corrected(self, values: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Return a copy of a frame (row, col) in which the bad pixels are replaced.
+        """Return a copy of a frame, (row, col), with the bad pixels replaced.
 
-        Of the four neighbours of a bad pixel, the brightest and the darkest are left out. The new value is the mean of the
-        remaining two, rounded up.
+        The new value of a bad pixel is the mean, rounded up, of its four neighbours without the brightest and the darkest.
         """
         result = values.copy()
         neighbours = values.ravel()[self.source].astype(np.int32)
@@ -61,7 +60,7 @@ class BadPixelCorrection:
 
 
 def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixelCorrection:
-    """Find the neighbours that replace each bad pixel: the nearest good pixels of the same channel.
+    """Find the nearest good pixels of the same channel, from which each bad pixel is computed.
 
     Parameters
     ----------
@@ -103,7 +102,7 @@ def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixe
                 f"the defective pixel in row {row}, column {col} has no good neighbour of the same channel within "
                 f"{SEARCH_PIXELS} pixels; mark fewer pixels as defective"
             )
-        # If there are fewer than NEIGHBOURS good pixels, use some repeatedly.
+        # If there are fewer than NEIGHBOURS good pixels, some of them are used repeatedly.
         again = np.arange(NEIGHBOURS) % count[:, None]
         targets.append(defects[:, 0] * shape[1] + defects[:, 1])
         sources.append(np.take_along_axis(nearest, again, axis=1))
@@ -113,9 +112,9 @@ def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixe
 
 
 def _offsets(cfa: NDArray[np.integer], site: tuple[int, ...]) -> NDArray[np.int64]:
-    """Return the offsets (offset, 2) from a CFA site to other pixels of the same channel, sorted by distance.
+    """Return the offsets, (offset, 2), from a CFA site to other pixels of the same channel, sorted by distance.
 
-    Among the offsets with the same distance, each offset is followed by the opposite offset.
+    At equal distances, each offset is followed by the opposite offset.
     """
     down, across = np.mgrid[-SEARCH_PIXELS : SEARCH_PIXELS + 1, -SEARCH_PIXELS : SEARCH_PIXELS + 1].reshape(2, -1)
     same = cfa[(site[0] + down) % cfa.shape[0], (site[1] + across) % cfa.shape[1]] == cfa[site]
@@ -130,7 +129,7 @@ def _offsets(cfa: NDArray[np.integer], site: tuple[int, ...]) -> NDArray[np.int6
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """The corrections for the frames of one camera."""
+    """The corrections for one camera's frames."""
 
     camera: str  # name of the camera
     shape: tuple[int, int]  # rows and columns of the camera's frames
@@ -139,30 +138,30 @@ class Correction:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all data in the correction that affect pictures."""
+        """SHA-256 digest of all data in the correction that affect pictures."""
         parts = (self.bad_pixels.target, self.bad_pixels.source) if self.bad_pixels else ()
         gains = (self.shading.gain, self.shading.colour) if self.shading else ()
         content = [each.tobytes() for each in (*parts, *gains) if each is not None]
         return hashlib.sha256(repr(self.shape).encode() + b"".join(content)).hexdigest()
 
     def corrected(self, frame: RawFrame) -> RawFrame:
-        """Return the frame with its bad pixels replaced.
+        """Return the frame with bad pixels replaced, and with the shading correction from the camera's flat field, if any.
 
-        If the camera has a flat field, the shading correction of the flat field replaces the correction that the raw file
-        states. Raises InputFileError if the frame is not a full frame of the camera.
+        That shading correction replaces the one in the raw file. Raises InputFileError if the frame is not a full frame from
+        this camera.
         """
         if frame.values.shape != self.shape or frame.phase != (0, 0):
             raise InputFileError(
-                f"{frame.name} has {_size(frame.values.shape)} pixels and its first pixel is at CFA site "
-                f"{frame.phase[0]},{frame.phase[1]}, but a full frame of camera {self.camera} has {_size(self.shape)} "
-                "pixels and starts at CFA site 0,0; set ‹camera› to the camera of the frame"
+                f"{frame.name} has {_size(frame.values.shape)} pixels and starts at CFA site "
+                f"{frame.phase[0]},{frame.phase[1]}, but a full frame from camera {self.camera} has {_size(self.shape)} "
+                "pixels and starts at CFA site 0,0; set ‹camera› to the camera that took the frame"
             )
         values = frame.values if self.bad_pixels is None else self.bad_pixels.corrected(frame.values)
         return replace(frame, values=values, shading=self.shading or frame.shading)
 
 
 def correction_of(camera: CameraModel) -> Correction:
-    """Return the corrections for the frames of a camera.
+    """Return the corrections for a camera's frames.
 
     Raises InputFileError if the camera has neither a defect map nor a flat field, or if too many pixels are defective.
     """
@@ -186,7 +185,7 @@ def _size(shape: tuple[int, ...]) -> str:
 
 @dataclass(frozen=True)
 class HotTest:
-    """Finds hot pixels in a frame, based on the noise model of the camera.
+    """Finds and replaces hot pixels in a frame, based on the camera's noise model.
 
     The noise variance is constant + (linear + quadratic · signal) · signal, with the signal in DN above black.
     """
@@ -199,7 +198,7 @@ class HotTest:
 
     @classmethod
     def of(cls, camera: CameraModel) -> "HotTest":
-        """Return the test for a camera. The noise of the noisiest channel is used for all channels."""
+        """Return the test for a camera, with the noise of its noisiest channel for all channels."""
         rows, cols = camera.cfa.shape
         constant, linear, quadratic = camera.noise_terms(channel=np.arange(len(camera.channels)))
         noisiest = float(np.max(constant)), float(np.max(linear))  # the terms differ between channels with different gains
@@ -208,16 +207,16 @@ class HotTest:
     def without_hot(self, frame: RawFrame, cfa: NDArray[np.uint8]) -> RawFrame:
         """Return the frame with hot pixels replaced.
 
-        A hot pixel is far brighter than the eight nearest pixels of its CFA site, but its adjacent pixels are not brighter
-        than usual. In contrast, a star or any other small detail in the image also brightens adjacent pixels. Frames
-        with at most two CFA periods per row or column are returned unchanged.
+        A hot pixel is far brighter than the eight nearest pixels at the same CFA site, while its adjacent pixels are not
+        brighter than usual. In contrast, a star or any other small detail also brightens adjacent pixels. Frames with at
+        most two CFA periods per row or column are returned unchanged.
 
         Parameters
         ----------
         frame : RawFrame
             Frame of the camera.
         cfa : ndarray, (cfa_row, cfa_col)
-            Channel of each site, starting with the site of the first pixel of the frame.
+            Channel of each site, starting with the site of the frame's first pixel.
         """
         if min(frame.values.shape) <= 2 * max(self.period):
             return frame
@@ -248,7 +247,7 @@ class HotTest:
     def _isolated(
         self, frame: RawFrame, row: NDArray[np.intp], col: NDArray[np.intp]
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Select the hot pixels among the suspects in `row` and `col`, and return their rows and columns."""
+        """Return the rows and columns of the hot pixels among the suspects at `row` and `col`."""
         neighbours = self._neighbours(frame, row, col)
         brightest, darkest = neighbours.max(axis=0), neighbours.min(axis=0)
         excess = frame.values[row, col] - brightest
@@ -261,15 +260,15 @@ class HotTest:
             usual = np.median(self._neighbours(frame, *place), axis=0)
             inside = (place[0] != row) | (place[1] != col)
             brighter += np.where(inside, frame.values[place] - usual, 0.0)
-            # The median of eight values adds about 0.2 times the variance of a pixel.
+            # The variance of the median of eight values is about 0.2 times the variance of a pixel.
             variance += np.where(inside, 1.2 * self._variance(frame, usual), 0.0)
         hot = brighter < np.maximum(NEXT_SIGMAS * np.sqrt(variance), NEXT_SHARE * excess)
         return row[hot], col[hot]
 
     def _neighbours(self, frame: RawFrame, row: NDArray[np.intp], col: NDArray[np.intp]) -> Array:
-        """Return the values (neighbour, pixel), in DN, of the eight nearest pixels with the same CFA site.
+        """Return the values, (neighbour, pixel), in DN, of the eight nearest pixels at the same CFA site.
 
-        A neighbour beyond an edge of the frame is replaced by a pixel at twice the distance on the opposite side.
+        Neighbours outside the frame are replaced by pixels at twice the distance on the opposite side.
         """
         rows, cols = frame.values.shape
         down, across = self.period
@@ -301,18 +300,18 @@ class DarkFrame:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all data in the dark frame that affect pictures."""
+        """SHA-256 digest of all data in the dark frame that affect pictures."""
         return hashlib.sha256(repr(self.level).encode() + self.offset.tobytes()).hexdigest()
 
 
 def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
     """Average dark frames, which must have the same size, phase, orientation and exposure time.
 
-    The mean of n frames still contains 1/√n of the noise of a frame, which would be added to every picture. The difference d
-    between a pixel and the mean level is therefore reduced to d · max(0, 1 − σ²/d²), where σ is the standard deviation of
-    the remaining noise (non-negative garrote, Breiman 1995). With this reduction, a few frames are enough to remove hot
-    pixels almost completely, and more frames improve the removal of weak patterns. σ is estimated from the differences
-    between consecutive frames or, if there is only one frame, from the spread of its pixels.
+    The mean of n frames still contains 1/√n of one frame's noise, which would be added to every picture. The difference d
+    between a pixel and the mean level is therefore shrunk to d · max(0, 1 − σ²/d²), where σ is the standard deviation of
+    the remaining noise (non-negative garrote, Breiman 1995). With this shrinkage, a few frames remove hot pixels almost
+    completely, and more frames improve the removal of weak patterns. σ is estimated from the differences between consecutive
+    frames or, for a single frame, from the spread of its pixels.
 
     Raises
     ------
@@ -339,7 +338,7 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
         total += values
         count += 1
     if first is None:
-        raise InputFileError("there are no dark frames; set ‹dark› to at least one frame")
+        raise InputFileError("‹dark› contains no frames; set it to at least one dark frame")
     mean = total / count
     middle, spread = float(np.median(mean)), _spread(mean)
     level = float(mean[np.abs(mean - middle) <= HOT * spread + 0.5].mean())
@@ -359,9 +358,9 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
 def without_dark(frame: RawFrame, dark: DarkFrame) -> RawFrame:
     """Subtract the pattern of a dark frame from a frame.
 
-    Only the differences from the mean level of the dark frame are subtracted. The mean level above black is stored as
-    `RawFrame.dark`. Clipped pixels are unchanged. Exposure times may differ by 2 %, and are not compared if one of them is
-    unknown.
+    Only the differences from the dark frame's mean level are subtracted. The mean level above black is stored as
+    `RawFrame.dark`. Clipped pixels are unchanged. The exposure times may differ by 2 %, and are not compared if one of them
+    is unknown.
 
     Raises
     ------
@@ -371,8 +370,8 @@ def without_dark(frame: RawFrame, dark: DarkFrame) -> RawFrame:
     if dark.offset.shape != frame.values.shape or (dark.phase, dark.orientation) != (frame.phase, frame.orientation):
         raise InputFileError(
             f"the dark frame {dark.name} ({_size(dark.offset.shape)} pixels) does not match {frame.name} "
-            f"({_size(frame.values.shape)} pixels); use a dark frame of the same camera with the same size, CFA phase and "
-            "orientation"
+            f"({_size(frame.values.shape)} pixels); use a dark frame from the same camera, with the same size, CFA phase "
+            "and orientation"
         )
     if dark.exposure and frame.exposure and not math.isclose(dark.exposure, frame.exposure, rel_tol=0.02):
         raise InputFileError(
@@ -392,7 +391,7 @@ def without_dark(frame: RawFrame, dark: DarkFrame) -> RawFrame:
 
 
 def _spread(values: NDArray[np.float64]) -> float:
-    """Return a robust estimate of the standard deviation, which hot pixels do not affect."""
+    """Estimate the standard deviation robustly, so that hot pixels do not affect it."""
     return MAD * float(np.median(np.abs(values - np.median(values))))
 
 
@@ -405,9 +404,9 @@ class CameraFile:
 
 
 def correction_in(file: CameraFile, table: "TransformTable") -> Correction:
-    """Read the corrections from the file of a camera model.
+    """Read the corrections from a camera model file.
 
-    Raises InputFileError if the file contains no corrections, or if the CFA of the camera differs from the CFA of the table.
+    Raises InputFileError if the file contains no corrections, or if the camera's CFA differs from the table's.
     """
     camera = _camera_of(file)
     if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
@@ -421,7 +420,7 @@ def correction_in(file: CameraFile, table: "TransformTable") -> Correction:
 
 @functools.lru_cache(1)
 def correction_again(file: CameraFile) -> Correction:
-    """Read the corrections in a worker process. The result is cached for the frames of a run.
+    """Read the corrections again in a worker process. The result is cached for all frames in a run.
 
     Raises InputFileError if the file has changed since the main process read it.
     """
@@ -445,9 +444,7 @@ def _camera_of(file: CameraFile) -> CameraModel:
 
 
 def hot_test(table: "TransformTable") -> HotTest:
-    """Return the test for hot pixels of a table's camera. Raises RecipeError if the table contains no camera model."""
+    """Return the hot-pixel test for a table's camera. Raises RecipeError if the table contains no camera model."""
     if table.camera is None:
-        raise RecipeError(
-            "‹hot› needs the noise model of the camera, which this table does not contain; train the table again"
-        )
+        raise RecipeError("‹hot› needs the camera's noise model, which this table does not contain; train the table again")
     return HotTest.of(table.camera)

@@ -1,4 +1,4 @@
-"""Raw frames: the mosaic of digital numbers (DN) from a sensor, with the metadata that are needed to process it.
+"""Raw frames: mosaics of digital numbers (DN) from a sensor, with the metadata needed to process them.
 
 This module also converts frames to other black and white levels, rotates pictures, and pads mosaics.
 """
@@ -16,7 +16,7 @@ from l3cli.frames.shading import Shading, colour_corrected
 
 @dataclass(frozen=True)
 class Shot:
-    """Camera, lens and exposure settings according to a raw file. A setting that the file does not state is "" or 0."""
+    """Camera, lens and exposure settings from a raw file. Missing settings are "" or 0."""
 
     make: str = ""
     model: str = ""
@@ -29,20 +29,16 @@ class Shot:
 
 @dataclass(frozen=True)
 class NoiseLeft:
-    """The fraction of the noise variance that remains after a temporal filter, for each cell of a frame.
+    """The fraction of the noise variance that remains after a temporal filter, for each cell (a rectangle of pixels)."""
 
-    A cell is a rectangle of pixels.
-    """
-
-    shares: NDArray[np.uint16]  # (cell row, cell col) fraction of the camera's noise variance, multiplied by `whole`
-    whole: int  # value of `shares` for a fraction of 1
+    shares: NDArray[np.uint16]  # (cell row, cell col) fraction of the camera's noise variance, times `whole`
+    whole: int  # value in `shares` that represents a fraction of 1
     cell: tuple[int, int]  # rows and columns of pixels in a cell
 
     def below(self, limits: Sequence[float], shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Count, for each pixel (row, col), the `limits` that are not smaller than the remaining noise fraction of the
-        pixel.
+        """Count for each pixel, (row, col), how many of the `limits` its noise fraction does not exceed.
 
-        `shape` contains the numbers of rows and columns of the frame.
+        `shape` contains the number of rows and columns in the frame.
         """
         cells = np.sum([self.shares <= int(limit * self.whole) for limit in limits], axis=0, dtype=np.uint8)
         return cells.repeat(self.cell[1], 1)[:, : shape[1]].repeat(self.cell[0], 0)[: shape[0]]
@@ -61,21 +57,21 @@ class RawFrame:
     black_level: float  # DN
     white_level: float  # DN at which a pixel saturates
     phase: tuple[int, int] = (0, 0)  # CFA row and column of the first pixel
-    orientation: int = 0  # orientation of the camera, as a LibRaw flip code (see `upright`)
+    orientation: int = 0  # LibRaw flip code that makes the picture upright (see `upright`)
     exposure: float | None = None  # exposure time in s; None if unknown
     dark: float = 0.0  # DN; mean signal of the dark current above the black level
     dark_measured: bool = False  # whether `dark` was measured in a dark frame instead of computed from the exposure time
-    neutral: tuple[float, ...] | None = None  # (channel) relative signals of a grey object; None if the file states none
-    taken_by: tuple[str, ...] = ()  # make, model and other names of the camera; empty if the file states none
+    neutral: tuple[float, ...] | None = None  # (channel) relative signals of a grey object; None if unknown
+    taken_by: tuple[str, ...] = ()  # make, model and other names of the camera; empty if unknown
     shot: Shot = Shot()
     shading: Shading | None = None  # lens shading that is still present in the values
     gain: float = 1.0  # analog gain, relative to the gain of the camera model
     baseline_exposure: float = 0.0  # EV by which pictures should be brightened according to the file
     noise_share: float = 1.0  # noise variance as a fraction of the camera's noise variance; below 1 after a temporal filter
-    noise_left: NoiseLeft | None = None  # remaining noise fraction of each cell of the frame; None: 1 everywhere
-    warps: tuple[LensWarp, ...] = ()  # lens corrections for the rendered picture, in the order of their application
+    noise_left: NoiseLeft | None = None  # remaining noise fraction of each cell; None for 1 everywhere
+    warps: tuple[LensWarp, ...] = ()  # lens corrections for the rendered picture, in order of application
     notes: tuple[str, ...] = ()  # warnings about processing that the file requests but l3 does not support
-    exchangeable: bool = False  # whether rows and columns may be exchanged, because the file does not state its size
+    exchangeable: bool = False  # whether rows and columns may be swapped, because a headerless file fits both ways
     misread: str = ""  # option that would decode the file to a plausible picture; "" unless the values look like noise
 
     def __post_init__(self) -> None:
@@ -93,18 +89,18 @@ class RawFrame:
 
     @property
     def light_share(self) -> float:
-        """Fraction of full scale that remains for light after the dark current is subtracted."""
+        """Fraction of full scale that remains for light after subtraction of the dark current."""
         return 1.0 - self.dark / (self.white_level - self.black_level)
 
     def at_levels(self, black_level: float, white_level: float, bits: int) -> "RawFrame":
-        """Return the frame with other black and white levels and without the dark current.
+        """Convert the frame linearly to other black and white levels, and subtract the dark current.
 
-        The conversion is linear. The black level plus the dark current becomes `black_level`, and the white level becomes
-        `white_level`. The values are limited to `bits` bits. Full scale of the result corresponds to the fraction
-        `light_share` of full scale of this frame.
+        The black level plus the dark current becomes `black_level`, and the white level becomes `white_level`. The values
+        are limited to `bits` bits. Full scale of the result corresponds to the fraction `light_share` of this frame's full
+        scale.
 
-        So that different values do not become equal, the dark current is subtracted in whole DN. The remainder of at most
-        half a DN is converted to the new scale and added to the black level of the result.
+        To keep different values distinct, the dark current is subtracted in whole DN. The remainder of at most half a DN is
+        converted to the new scale and added to the black level of the result.
         """
         levelled = self.rescaled(black_level, white_level, bits)
         if levelled.values is self.values and self.values.max() >= 2**bits:
@@ -112,10 +108,9 @@ class RawFrame:
         return levelled
 
     def rescaled(self, black_level: float, white_level: float, bits: int) -> "RawFrame":
-        """Convert the frame like `at_levels`, but return the frame unchanged if it already has these levels and no dark
-        current.
+        """Convert the frame as `at_levels` does, unless it already has these levels and no dark current.
 
-        In this case, values may exceed `bits` bits.
+        Such a frame is returned unchanged, even if its values exceed `bits` bits.
         """
         if (self.black_level, self.white_level, self.dark) == (black_level, white_level, 0):
             return self
@@ -129,9 +124,9 @@ class RawFrame:
         return replace(self, values=values, black_level=black_level, white_level=white_level, dark=0.0)
 
     def shading_corrected(self) -> "RawFrame":
-        """Return the frame with its colour shading corrected (`shading.colour_corrected`).
+        """Return the frame with its colour shading corrected (see `shading.colour_corrected`).
 
-        The part of the shading that is common to all channels remains in `shading`.
+        The shading that all channels have in common is not corrected, and remains in `shading`.
         """
         if self.shading is None or self.shading.colour is None:
             return self
@@ -141,10 +136,7 @@ class RawFrame:
 
 @functools.lru_cache(maxsize=8)
 def _level_table(black_level: float, new_black_level: float, scale: float, top: int) -> NDArray[np.uint16] | None:
-    """Return a look-up table for 16-bit values, or None if the table would not change any value up to `top`.
-
-    The entries are limited to the range 0…`top`.
-    """
+    """Return a look-up table for 16-bit values with entries from 0 to `top`, or None if it would not change any of them."""
     every = np.arange(1 << 16)
     table = np.clip(np.rint((every - black_level) * scale + new_black_level), 0, top).astype(np.uint16)
     return None if np.array_equal(table[: top + 1], every[: top + 1]) else table
@@ -153,22 +145,22 @@ def _level_table(black_level: float, new_black_level: float, scale: float, top: 
 def with_one_black_level(
     values: NDArray[np.uint16], black_level: NDArray[np.floating], white_level: NDArray[np.floating]
 ) -> tuple[NDArray[np.uint16], float, float]:
-    """Shift the values of pixels with different black levels to a single black level.
+    """Shift the values of pixels with different black levels to a common black level.
 
     Parameters
     ----------
     values : ndarray, (row, col)
         Values in DN.
     black_level, white_level : ndarray
-        Levels of each pixel in DN, in a shape that can be broadcast to the shape of the values.
+        Levels of each pixel in DN, in a shape that can be broadcast to the shape of `values`.
 
     Returns
     -------
     values : ndarray, (row, col)
         Shifted values.
     black_level, white_level : float
-        The common levels. The black level is the rounded mean of all black levels. The difference between the white level
-        and the black level is the smallest difference of any pixel. This ensures that every saturated pixel is recognised.
+        The common levels in DN. The black level is the rounded mean of all black levels. The white level exceeds it by the
+        smallest full scale of any pixel, so that every saturated pixel is recognised.
     """
     room = float((white_level - black_level).min())
     if np.ptp(black_level) == 0:
@@ -180,10 +172,10 @@ def with_one_black_level(
 
 
 def upright(pixels: NDArray, orientation: int) -> NDArray:
-    """Rotate or mirror an array of pixels (row, col, …) so that the picture is upright.
+    """Rotate or mirror an array of pixels, (row, col, …), so that the picture is upright.
 
-    `orientation` is a LibRaw flip code, which is a sum of flags: 1 reverses the columns, 2 reverses the rows, and 4 then
-    transposes the result. For example, code 3 rotates by 180°, code 5 by 90° to the left, and code 6 by 90° to the right.
+    `orientation` is a LibRaw flip code, a sum of flags: 1 reverses the columns, 2 reverses the rows, and 4 then transposes
+    the result. For example, code 3 rotates by 180°, code 5 by 90° to the left, and code 6 by 90° to the right.
     """
     if orientation & 1:
         pixels = pixels[:, ::-1]
@@ -193,11 +185,11 @@ def upright(pixels: NDArray, orientation: int) -> NDArray:
 
 
 def mirrored_indices(length: int, margin: int, period: int) -> NDArray[np.int32]:
-    """Return the index of the source sample for each sample of a row or column that is padded on both sides.
+    """Return the indices of the samples from which a row or column is padded on both sides.
 
-    The result has `length` + 2 · `margin` elements. A sample within the frame is its own source. For a sample in the margin,
-    the source is the sample of the same CFA phase that is nearest to the mirror image at the edge, so that padding continues
-    the mosaic (docs/method.md#rendering). If the frame is shorter than the CFA period, the source is the nearest sample.
+    The result has `length` + 2 · `margin` elements. A sample within the frame is its own source. So that the padding
+    continues the mosaic, the source of a sample in the margin is the sample with the same CFA phase that is nearest to its
+    mirror image (docs/method.md#rendering). If the frame is shorter than the CFA period, it is the nearest sample.
     """
     wanted = np.arange(-margin, length + margin)
     if length < period:
@@ -211,15 +203,14 @@ def mirrored_indices(length: int, margin: int, period: int) -> NDArray[np.int32]
 
 
 def pad_mosaic(values: NDArray, margin: int, cfa_shape: tuple[int, int]) -> NDArray:
-    """Pad a mosaic (row, col) by `margin` pixels on every side, with the source pixels of `mirrored_indices`."""
+    """Pad a mosaic, (row, col), by `margin` pixels on every side, with the source pixels from `mirrored_indices`."""
     rows = mirrored_indices(values.shape[0], margin, cfa_shape[0])
     cols = mirrored_indices(values.shape[1], margin, cfa_shape[1])
     return values[np.ix_(rows, cols)]
 
 
 def as_taken(pixels: NDArray, orientation: int) -> NDArray:
-    """Rotate or mirror upright pixels (row, col, …) back to the orientation of the sensor. This is the inverse of
-    `upright`."""
+    """Rotate or mirror upright pixels, (row, col, …), back to the sensor orientation. This is the inverse of `upright`."""
     if orientation & 4:
         pixels = pixels.swapaxes(0, 1)
     if orientation & 2:

@@ -1,20 +1,20 @@
-"""Estimates the analog gain of a frame from the noise in uniform areas (docs/method.md#gains).
+"""Estimate a frame's analog gain from the noise in uniform areas (docs/method.md#gains).
 
-1. The frame is divided into patches that are aligned with the CFA, so that every patch has the same channels at the same
-   positions. In each patch, the mean of every channel is subtracted from its pixels. The difference is divided by the
-   standard deviation of the noise that the camera would have at an assumed gain.
+1. The frame is divided into patches that are aligned with the CFA, so that all patches have the same channels at the same
+   positions. In each patch, the channel means are subtracted, and the differences are divided by the standard deviation of
+   the noise that the camera would have at an assumed gain.
 2. The principal components of all patches are divided into a stronger half, which contains texture, and a weaker half, in
    which natural pictures have almost no texture. This combines noise estimation by principal components (Pyatykh, Hesser and
    Zheng, 2013) with the selection of weakly textured patches (Liu, Tanaka and Okutomi, 2013). The components are computed
    from one half of the frame and applied to the other half.
-3. The patches whose strong components are smallest are assumed to be uniform. The noise of these patches is measured in
-   their weak components. The selection causes no bias, because the noise in the weak components is independent of the noise
-   in the strong components.
+3. The patches with the smallest strong components are assumed to be uniform, and their noise is measured in the weak
+   components. This selection causes no bias, because the noise in the weak components is independent of the noise in the
+   strong components.
 4. The gain is the maximum-likelihood estimate for all uniform patches, dark and bright, under the noise model. The variance
-   of the remaining texture is assumed to be proportional to the square of the signal, like the variance of photo-response
+   of the remaining texture is assumed to be proportional to the square of the signal, like that of photo-response
    nonuniformity. The factor of proportionality is fitted as a second parameter (`excess`).
 
-These steps are repeated with the estimated gain until the gain no longer changes.
+These steps are repeated with the estimated gain until it no longer changes.
 """
 
 from dataclasses import dataclass
@@ -26,25 +26,23 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.frames.frame import RawFrame
 
-# Side of a patch in pixels, and minimum spacing of patches in pixels, which is rounded up to a multiple of the CFA period
+# Side of a patch, and minimum spacing of patches, which is rounded up to a multiple of the CFA period, both in pixels.
 PATCH_SIDE_PIXELS, MIN_STEP = 8, 4
 MAX_PATCHES = 20_000  # maximum number of patches in a frame
-ROUNDS, CLOSE = 10, 0.01  # maximum number of iterations, and relative change of the gain at which the iterations end
-STRIPE = 8  # The two halves of the frame consist of alternating vertical stripes, each this number of patches wide.
-# A pixel at or above the fraction CLIPPED of full scale is clipped. A patch may contain at most the fraction MAX_CLIPPED of
-# clipped pixels.
+ROUNDS, CLOSE = 10, 0.01  # maximum number of iterations, and relative change of the gain below which they end
+STRIPE = 8  # width, in patches, of the alternating vertical stripes that form the two halves of the frame
+# Fraction of full scale from which a pixel is clipped, and maximum fraction of clipped pixels in a patch.
 CLIPPED, MAX_CLIPPED = 0.99, 0.02
-# Minimum difference of a mean from black and from white, in standard deviations, so that almost no noise is clipped
+# Minimum distance of a mean from black and from white, in standard deviations, so that almost no noise is clipped.
 MIN_DEVIATIONS = 2.5
 SIGNAL_RANGES, MIN_PLAIN = 8, 32  # maximum number of signal ranges, and minimum number of uniform patches in each range
-# Criteria for uniform patches, in the order in which they are tried. The first number is the fraction of the patches
-# to select in each signal range. The second number is the maximum ratio between the mean squares of the strong and of the
-# weak principal components of the selected patches.
+# Criteria for uniform patches, in the order in which they are tried: fraction of the patches to select in each signal range,
+# and maximum ratio of the selected patches' strong to weak principal components (mean squares).
 PLAIN = ((0.05, 1.0), (0.01, 2.0))
-AGREE = 1.3  # a signal range is consistent with a gain if measured and predicted variance differ by a smaller factor
+AGREE = 1.3  # a signal range agrees with a gain if its measured and predicted variance differ by less than this factor
 LOWEST, HIGHEST = 2.0**-8, 2.0**10  # range of gains
 USUAL_EXCESS, MAX_EXCESS = 0.01**2, 25.0  # expected relative variance of texture, and maximum multiple of this variance
-# Fisher scoring: maximum number of steps, and change of the log gain below which the steps end
+# Fisher scoring: maximum number of steps, and change of the log gain below which they end.
 MAX_SCORING_STEPS, SMALL = 50, 1e-4
 # Relative standard errors: systematic error (tests/studies/test_gain_study.py), and maximum error of an accepted estimate
 SYSTEMATIC, MAX_ERROR = 0.04, 0.08
@@ -60,21 +58,20 @@ class GainEstimate:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Interval of ±2 standard errors around the estimated gain. The interval is symmetric on a logarithmic scale."""
+        """Interval of ±2 standard errors around the gain, on a logarithmic scale."""
         return self.gain * float(np.exp(-2 * self.error)), self.gain * float(np.exp(2 * self.error))
 
 
 def estimate_gain(frame: RawFrame, camera: CameraModel) -> GainEstimate:
-    """Estimate the analog gain of a frame, relative to the gain of the camera model.
+    """Estimate a frame's analog gain, relative to the gain of the camera model.
 
     The frame may have any levels and any phase of the camera's CFA.
 
     Raises
     ------
     ValueError
-        If the gain cannot be estimated, for example because too few areas are uniform and not clipped, or because the camera
-        has temporal row or column noise. Differences between neighbouring pixels contain only part of such noise. The
-        message states the reason.
+        If the gain cannot be estimated, with the reason as the message. Examples are frames with too few uniform, unclipped
+        areas, and cameras with temporal row or column noise, which is only partly visible in small patches.
     """
     if camera.noise.lines:
         raise ValueError("the camera has temporal noise of rows or columns")
@@ -93,7 +90,7 @@ def estimate_gain(frame: RawFrame, camera: CameraModel) -> GainEstimate:
 
 @dataclass(frozen=True, eq=False)
 class _Patches:
-    """Patches of a frame, in DN above the black level on the scale of the camera model."""
+    """A frame's patches, in DN above black on the scale of the camera model."""
 
     values: Array  # (patch, pixel)
     means: Array  # (patch, channel) mean of each channel
@@ -105,7 +102,7 @@ class _Patches:
 
     @property
     def member(self) -> NDArray[np.bool_]:
-        """Mask (pixel, channel) that is True if the pixel belongs to the channel."""
+        """Mask, (pixel, channel), of the pixels in each channel."""
         return np.asarray(self.channel[:, None] == np.arange(len(self.sites)))
 
     def chosen(self, which: NDArray[np.bool_]) -> "_Patches":
@@ -114,10 +111,9 @@ class _Patches:
 
 
 def _patches_of(frame: RawFrame, camera: CameraModel) -> _Patches:
-    """Return patches of a frame that contain few clipped pixels.
+    """Return about MAX_PATCHES or fewer patches with few clipped pixels, on the scale of the camera model.
 
-    The number of patches is at most about MAX_PATCHES. The values are converted to the levels of the camera model. Raises
-    ValueError if the frame is smaller than a patch.
+    Raises ValueError if the frame is smaller than a patch.
     """
     starts = [-phase % period for phase, period in zip(frame.phase, camera.cfa.shape, strict=True)]
     aligned = frame.values[starts[0] :, starts[1] :]
@@ -143,7 +139,7 @@ def _patches_of(frame: RawFrame, camera: CameraModel) -> _Patches:
 class _Plain:
     """Uniform patches, and the variance of their weak components.
 
-    The variance is relative to the variance that was assumed when the patches were selected.
+    Variances are relative to the noise variance that was assumed when the patches were selected.
     """
 
     level: NDArray[np.intp]  # (patch) index of the signal range
@@ -158,22 +154,18 @@ class _Plain:
         return _Plain(*parts, self.sites)
 
     def predicted(self, camera: CameraModel, gain: float, excess: float) -> Array:
-        """Return the variance that the noise model predicts for each patch at `gain`, relative to the assumed variance."""
+        """Return each patch's variance according to the noise model at `gain`, relative to the assumed variance."""
         return np.asarray((_variance(self.signal, self.sites, camera, gain, excess) * self.weight).sum(axis=1))
 
     def slopes(self, camera: CameraModel, gain: float, excess: float) -> Array:
-        """Return the derivatives (2, patch) of the logarithm of the predicted variance.
-
-        The first row is the derivative with respect to the logarithm of the gain, and the second row with respect to the
-        excess.
-        """
+        """Return the derivatives, (2, patch), of the log predicted variance by the log gain and by the excess."""
         middle = self.predicted(camera, gain, excess)
         moved = self.predicted(camera, gain * np.exp(SMALL), excess), self.predicted(camera, gain, excess + SMALL)
         return np.stack([np.log(each / middle) / SMALL for each in moved])
 
 
 def _variance(signal: Array, sites: NDArray[np.uint8], camera: CameraModel, gain: float, excess: float) -> Array:
-    """Return the variance in DN² of noise and texture for each patch and channel.
+    """Return the variance of noise and texture in DN² for each patch and channel.
 
     The relative variance of the texture is `excess` · USUAL_EXCESS.
     """
@@ -184,9 +176,8 @@ def _variance(signal: Array, sites: NDArray[np.uint8], camera: CameraModel, gain
 def _plain(patches: _Patches, camera: CameraModel, gain: float, excess: float) -> _Plain:
     """Select uniform patches, for an assumed gain and excess.
 
-    Patches near black or white are left out. The remaining patches are divided into signal ranges, and the most uniform
-    patches of each range are selected. Raises ValueError if nearly all patches are near black or white, or if no patch is
-    uniform.
+    Patches near black or white are left out. The others are divided into signal ranges, and the most uniform patches in each
+    range are selected. Raises ValueError if nearly all patches are near black or white, or if none is uniform.
     """
     signal = np.maximum(patches.means, 0.0)
     room = MIN_DEVIATIONS * np.sqrt(_variance(signal, patches.sites, camera, gain, excess))
@@ -216,14 +207,13 @@ def _plain(patches: _Patches, camera: CameraModel, gain: float, excess: float) -
 def _energies(whitened: Array, patches: _Patches) -> tuple[Array, Array, int]:
     """Split the variation within each patch into weak components (noise) and strong components (texture).
 
-    The components are the eigenvectors of the covariance of the pixels, without the channel means. The components are
-    estimated from one half of the patches and applied to the other half, so that a patch does not influence its own
-    components.
+    The components are the eigenvectors of the pixel covariance, without the channel means. So that a patch does not
+    influence its own components, they are estimated from one half of the patches and applied to the other half.
 
     Returns
     -------
     weak, strong : ndarray, (patch,)
-        Mean squares of the half of the components with the smallest eigenvalues, and of the other components.
+        Mean squares of the half of the components with the smallest eigenvalues, and of the other half.
     count : int
         Number of weak components.
     """
@@ -241,12 +231,12 @@ def _energies(whitened: Array, patches: _Patches) -> tuple[Array, Array, int]:
 
 
 def _consistent(plain: _Plain, camera: CameraModel, gain: float) -> _Plain:
-    """Keep only the patches of signal ranges in which the weak components contain noise and no texture.
+    """Keep only the patches in signal ranges where the weak components contain noise and no texture.
 
-    Texture in the weak components, for example a grating with a period of two pixels, makes the gain that is estimated from
-    a range too high. The function therefore estimates the gain from each range alone, and tries these gains in ascending
-    order. The first gain that predicts the noise of at least a quarter of the ranges determines which ranges are kept.
-    Raises ValueError if there is no such gain.
+    Texture in the weak components, for example a grating with a period of two pixels, raises the gain estimated from a
+    range. The gain is therefore estimated from each range alone, and these gains are tried in ascending order. The first one
+    that predicts the noise of at least a quarter of the ranges determines which ranges are kept. Raises ValueError if there
+    is none.
     """
     count = int(plain.level.max()) + 1
     alone = [_most_likely(plain.chosen(plain.level == each), camera, gain, None)[0] for each in range(count)]
@@ -262,9 +252,9 @@ def _consistent(plain: _Plain, camera: CameraModel, gain: float) -> _Plain:
 def _most_likely(plain: _Plain, camera: CameraModel, gain: float, excess: float | None) -> tuple[float, float]:
     """Return the most likely gain and excess for the measured variances, by Fisher scoring from the given values.
 
-    The measured variances are assumed to have gamma distributions whose means are the predicted variances. The prior of the
-    excess is a normal distribution with a standard deviation of 1. If `excess` is None, the excess is fixed at 0. Otherwise,
-    the function raises ValueError if the noise does not depend on the gain because all pixels are black.
+    The measured variances are assumed to be gamma-distributed around the predicted variances. The prior of the excess is a
+    normal distribution with a standard deviation of 1. If `excess` is None, it is fixed at 0. Otherwise, ValueError is
+    raised if all pixels are black, so that the noise does not depend on the gain.
     """
     free, excess = excess is not None, excess or 0.0
     for _ in range(MAX_SCORING_STEPS):
@@ -287,5 +277,5 @@ def _most_likely(plain: _Plain, camera: CameraModel, gain: float, excess: float 
 
 
 def _information(slopes: Array, components: int) -> Array:
-    """Return the Fisher information matrix (2, 2) for the logarithm of the gain and for the excess."""
+    """Return the Fisher information matrix, (2, 2), of the log gain and the excess."""
     return np.asarray(components / 2 * slopes @ slopes.T + np.diag([0.0, 1.0]))

@@ -1,9 +1,9 @@
-"""Correction of lens distortion and lateral chromatic aberration (docs/raw-files.md#lens-warps).
+"""Correct lens distortion and lateral chromatic aberration (docs/raw-files.md#lens-warps).
 
-A warp is a function that returns, for each pixel of the corrected picture, the corresponding position in the uncorrected
-picture. The formula is defined by the opcode WarpRectilinear (Adobe DNG 1.7, chapter 7). Positions are relative to the
-optical centre, and the distance from the optical centre to the farthest corner is 1. Let (y, x) be the position of a pixel
-in the corrected picture, and r² = y² + x². The position in the uncorrected picture is then
+A warp maps each pixel of the corrected picture to a position in the uncorrected picture, as defined by the opcode
+WarpRectilinear (Adobe DNG 1.7, chapter 7). Positions are relative to the optical centre, in units of the distance to the
+farthest corner. Let (y, x) be the position of a pixel in the corrected picture, and r² = y² + x². Its position in the
+uncorrected picture is then
 
     y' = f·y + t0·(r² + 2y²) + 2·t1·x·y
     x' = f·x + t1·(r² + 2x²) + 2·t0·x·y        f = k0 + k1·r² + k2·r⁴ + k3·r⁶
@@ -22,20 +22,20 @@ Floats = NDArray[np.float64]
 Terms = tuple[float, float, float, float, float, float]  # k0, k1, k2, k3, t0, t1
 UNCHANGED: Terms = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 RED, GREEN, BLUE = range(3)
-STRIP_PIXELS = 1 << 20  # number of pixels that are resampled at a time, to limit the use of memory
+STRIP_PIXELS = 1 << 20  # number of pixels resampled at a time, to limit memory use
 INVERSE_STEPS = 12  # number of fixed-point iterations in `corrected_places`, each of which at least halves the error
 
 
 @dataclass(frozen=True)
 class LensWarp:
-    """The warp that corrects the pictures of one lens.
+    """The warp that corrects one lens.
 
-    The unit of length is the distance from the optical centre to the farthest corner of the active area of the sensor. The
-    active area may be larger than the frame.
+    Lengths are in units of the distance from the optical centre to the farthest corner of the sensor's active area, which
+    may be larger than the frame.
     """
 
     terms: tuple[Terms, Terms, Terms]  # coefficients for red, green and blue
-    # row and column of the optical centre in the active area, as fractions of the height and width
+    # row and column of the optical centre in the active area, as fractions of its height and width
     centre: tuple[float, float]
     area: tuple[int, int]  # rows and columns of the active area
     origin: tuple[int, int] = (0, 0)  # row and column of the frame's first pixel in the active area
@@ -46,9 +46,9 @@ class LensWarp:
         return len(set(self.terms)) > 1
 
     def source(self, rows: Floats, cols: Floats, colour: int) -> tuple[Floats, Floats]:
-        """Return the rows and columns in the uncorrected frame that correspond to positions in the corrected frame.
+        """Map positions in the corrected frame to rows and columns in the uncorrected frame.
 
-        Rows and columns are measured from the centre of the first pixel of the frame. `colour` is RED, GREEN or BLUE.
+        Positions are measured in pixels from the centre of the frame's first pixel. `colour` is RED, GREEN or BLUE.
         """
         k0, k1, k2, k3, t0, t1 = self.terms[colour]
         down, across = (
@@ -67,16 +67,16 @@ class LensWarp:
 
 
 def source_places(warps: Sequence[LensWarp], rows: Floats, cols: Floats, colour: int) -> tuple[Floats, Floats]:
-    """Return the same positions as `LensWarp.source`, but for several warps that are applied in succession."""
+    """Map positions as `LensWarp.source` does, for several warps that are applied in succession."""
     for warp in reversed(warps):
         rows, cols = warp.source(rows, cols, colour)
     return rows, cols
 
 
 def corrected_places(warps: Sequence[LensWarp], rows: Floats, cols: Floats) -> tuple[Floats, Floats]:
-    """Return the rows and columns in the corrected frame that correspond to positions in the uncorrected frame.
+    """Map positions in the uncorrected frame to rows and columns in the corrected frame, as the inverse of `source_places`.
 
-    This is the inverse of `source_places` for green.
+    The warps for green are used.
     """
     there = rows, cols
     for _ in range(INVERSE_STEPS):
@@ -91,19 +91,17 @@ def warped(outputs: NDArray[np.float32], names: Sequence[str], warps: Sequence[L
     Parameters
     ----------
     outputs : ndarray, (output, row, col)
-        Linear outputs of a table, in the orientation of the sensor.
+        Linear outputs of a table, in sensor orientation.
     names : sequence of str
-        Names of the outputs. If the first outputs are X, Y, Z and a warp differs between red, green and blue, these outputs
-        are converted to linear sRGB, and the result is converted back to X, Y, Z. The warp for green is applied to all other
-        outputs.
+        Names of the outputs. If the first outputs are X, Y and Z and a warp differs between red, green and blue, these
+        outputs are warped in linear sRGB. The warp for green is applied to all other outputs.
     warps : sequence of LensWarp
-        Warps in the order of their application. Without warps, `outputs` is returned unchanged.
+        Warps in order of application. Without warps, `outputs` is returned unchanged.
 
     Returns
     -------
     ndarray, (output, row, col)
-        Corrected outputs. Pixels that correspond to positions outside the uncorrected frame have the value of the nearest
-        position at its edge.
+        Corrected outputs. Positions outside the uncorrected frame have the value at the nearest edge.
     """
     if not warps:
         return outputs
@@ -117,8 +115,8 @@ def warped(outputs: NDArray[np.float32], names: Sequence[str], warps: Sequence[L
 
 
 def _resampled(planes: NDArray[np.float32], warps: Sequence[LensWarp], colour: int) -> NDArray[np.float32]:
-    """Apply the warps for one colour to all `planes` (plane, row, col), as described in `warped`."""
-    from scipy import ndimage  # imported here to save start-up time, because few files contain a warp
+    """Apply the warps for one colour to all `planes`, (plane, row, col), as described in `warped`."""
+    from scipy import ndimage  # slow import that few files need
 
     moved = np.empty_like(planes)
     splines = [ndimage.spline_filter(plane, 3, mode="mirror") for plane in planes]

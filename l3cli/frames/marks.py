@@ -1,4 +1,4 @@
-"""Applies the metadata of stored values: no-data values, gains and offsets."""
+"""Apply the metadata of stored values: no-data values, gains and offsets."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,7 +7,7 @@ ROUNDING = 1e-5  # relative tolerance for no-data values, which may be rounded i
 
 
 def missing(values: NDArray, mark: float, good: NDArray[np.bool_] | None = None) -> NDArray[np.bool_] | None:
-    """Return a mask (row, col) of the pixels without data in at least one good band, or None if there are no such pixels.
+    """Return a mask, (row, col), of the pixels without data in at least one good band, or None if there are none.
 
     Parameters
     ----------
@@ -33,10 +33,10 @@ def missing(values: NDArray, mark: float, good: NDArray[np.bool_] | None = None)
 
 
 def scaled(values: NDArray, gain: NDArray[np.float64] | float, offset: NDArray[np.float64] | float) -> NDArray:
-    """Multiply values (row, col, band) by a gain, and add an offset.
+    """Multiply values, (row, col, band), by a gain and add an offset, as float32.
 
-    `gain` and `offset` are numbers, or arrays with one number per band. The result has the type float32. If all gains are 1
-    and all offsets are 0, `values` is returned.
+    `gain` and `offset` are numbers, or arrays with one number per band. If all gains are 1 and all offsets are 0, `values`
+    is returned unchanged.
     """
     if np.all(gain == 1) and np.all(offset == 0):
         return values

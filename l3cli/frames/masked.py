@@ -1,13 +1,12 @@
-"""Corrects the offsets of rows and columns with optically black pixels (docs/method.md#masked-pixels).
+"""Correct row and column offsets with optically black (masked) pixels (docs/method.md#masked-pixels).
 
-1. The fixed offset of each masked column is subtracted. It is the median over the rows of the same CFA phase, after the
-   median of each row has been subtracted.
-2. Values that deviate from the median of their row by more than `OUTLIER` standard deviations, such as those of hot pixels,
-   are left out.
-3. The mean of the remaining values of a row, minus the mean over all rows, estimates the offset of this row. The estimate is
-   multiplied by its reliability, so that the remaining noise is as small as possible.
-4. The offset is subtracted from all pixels of the row. Values are whole DN. If the offset is not, it is rounded up in some
-   pixels and down in the others, so that the mean over the row is correct.
+1. The fixed offset of each masked column is subtracted: the median over the rows with the same CFA phase, after the median
+   of each row has been subtracted.
+2. Values that deviate from their row's median by more than `OUTLIER` standard deviations, such as hot pixels, are left out.
+3. A row's offset is estimated as the mean of its remaining values, minus the mean over all rows. The estimate is multiplied
+   by its reliability, so that the remaining noise is as small as possible.
+4. The offset is subtracted from all pixels in the row. Because pixel values are whole DN, a fractional offset is rounded up
+   in some pixels and down in others, so that the mean over the row is correct.
 
 Columns are corrected in the same way, with masked rows above and below the frame.
 """
@@ -22,21 +21,21 @@ from l3cli.artifacts.camera import QUANTISATION, CameraModel
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.shading import CLIPPED
 
-OUTLIER = 4.0  # a masked pixel is left out if it deviates by more standard deviations
-GOLDEN = (np.sqrt(5) - 1) / 2  # multiples of this number modulo 1 are evenly distributed
+OUTLIER = 4.0  # standard deviations; masked pixels that deviate by more are left out
+GOLDEN = (np.sqrt(5) - 1) / 2  # the multiples of this number, modulo 1, are evenly distributed
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class MaskedValues:
-    """The values of the masked pixels beside the rows, and above and below the columns, of a frame."""
+    """Values of the masked pixels beside a frame's rows, and above and below its columns."""
 
-    of_rows: NDArray[np.number]  # (row, masked pixel) DN; no masked pixels if the frame has none beside its rows
-    of_columns: NDArray[np.number]  # (masked pixel, col) DN
+    of_rows: NDArray[np.number]  # (row, masked pixel) DN; may have no masked pixels
+    of_columns: NDArray[np.number]  # (masked pixel, col) DN; may have no masked pixels
 
     @property
     def present(self) -> bool:
-        """Whether there is a masked pixel."""
+        """Whether there are any masked pixels."""
         return bool(self.of_rows.size or self.of_columns.size)
 
 
@@ -46,8 +45,8 @@ def split_masked(values: NDArray, camera: CameraModel) -> tuple[NDArray, MaskedV
     Returns
     -------
     tuple or None
-        Light-sensitive pixels (row, col), and values of the masked pixels. None if the camera has no masked pixels, or if
-        the size of the frame is not the size of the sensor with its masked pixels.
+        Light-sensitive pixels, (row, col), and masked pixels. None if the camera has no masked pixels, or if the frame does
+        not have the size of the sensor including its masked pixels.
     """
     masked, rows, cols = camera.masked, camera.rows, camera.cols
     if masked is None or values.shape != masked.around(rows, cols):
@@ -60,17 +59,17 @@ def split_masked(values: NDArray, camera: CameraModel) -> tuple[NDArray, MaskedV
 
 
 def without_line_offsets(frame: RawFrame, masked: MaskedValues, camera: CameraModel) -> RawFrame:
-    """Subtract the offsets of rows and columns that the masked pixels show. Clipped pixels are unchanged.
+    """Subtract the row and column offsets that are measured in the masked pixels. Clipped pixels are unchanged.
 
-    Rows are corrected only if the camera has row noise, and columns only if the camera has column noise. The variances of
-    this noise, at the gain of the frame, determine the reliability of the estimates.
+    Rows are corrected only if the camera has row noise, and columns only if it has column noise. The variances of this
+    noise, at the frame's gain, determine the reliability of the estimated offsets.
 
     Parameters
     ----------
     frame : RawFrame
         Frame with its gain and its dark signal.
     masked : MaskedValues
-        Masked pixels of the frame, with the levels of the frame.
+        The frame's masked pixels, in DN on the scale of the frame.
     camera : CameraModel
         Camera of the frame.
     """
@@ -102,16 +101,16 @@ def line_offsets(values: NDArray[np.number], period: int, variance: float, pixel
     values : ndarray, (line, masked pixel)
         Masked pixels of each line.
     period : int
-        Number of lines in a period of the CFA. Lines at different positions may have different fixed offsets.
+        Number of lines in a CFA period. Lines at different positions may have different fixed offsets.
     variance : float
-        Variance of the offsets of lines in DN². If it is 0, the offsets are 0.
+        Variance of the line offsets in DN². If it is 0, the offsets are 0.
     pixel : float
-        Noise variance of a masked pixel in DN², without the offset of its line.
+        Noise variance of a masked pixel in DN², excluding its line's offset.
 
     Returns
     -------
     ndarray, (line,)
-        Estimated offsets, multiplied by their reliability. They are 0 if there are no masked pixels.
+        Estimated offsets, multiplied by their reliability. All 0 if there are no masked pixels.
     """
     if not (variance and values.shape[1]):
         return np.zeros(len(values))
@@ -130,6 +129,6 @@ def line_offsets(values: NDArray[np.number], period: int, variance: float, pixel
 
 @functools.lru_cache(maxsize=2)
 def _thresholds(rows: int, cols: int) -> Floats:
-    """Return numbers (row, col) from 0 to 1 that are evenly distributed in every row and in every column."""
+    """Return numbers from 0 to 1, (row, col), that are evenly distributed in every row and in every column."""
     steps = np.arange(cols) * GOLDEN + np.arange(rows)[:, None] * GOLDEN**2
     return np.asarray(steps % 1.0)

@@ -1,7 +1,6 @@
-"""Data types for lab measurements, which are the input of calibration.
+"""Data types for measurements in a real or virtual lab, which are the input of calibration.
 
-The measurements come from a real lab or from the virtual lab. Captures contain iterables that read their frames one by one,
-so that the memory does not depend on the number of frames.
+Captures contain iterables that read their frames one by one, so that memory use does not depend on the number of frames.
 """
 
 from collections.abc import Iterable, Sequence
@@ -16,7 +15,7 @@ from l3cli.frames.frame import RawFrame
 from l3cli.physics.lens import relative_illumination
 
 CHART_ROWS, CHART_COLS = 4, 6
-LEAKAGE_NM = np.arange(200.0, 2001.0, 5.0)  # nm; wavelengths of the leakages in `Body.polarisers`
+LEAKAGE_NM = np.arange(200.0, 2001.0, 5.0)  # nm; wavelengths of the polariser leakages in `Body.polarisers`
 PATCHES = CHART_ROWS * CHART_COLS
 PATCH_NAMES = (
     "dark skin", "light skin", "blue sky", "foliage", "blue flower", "bluish green",
@@ -24,7 +23,7 @@ PATCH_NAMES = (
     "blue", "green", "red", "yellow", "magenta", "cyan",
     "white 9.5", "neutral 8", "neutral 6.5", "neutral 5", "neutral 3.5", "black 2",
 )  # fmt: skip
-DIODE = {  # alternative name of a column in the table of a monochromator sweep → name that l3 uses
+DIODE = {  # alternative column names in the table of a monochromator sweep → column names that l3 uses
     **dict.fromkeys(("diode", "photodiode", "photodiode light"), "diode light"),
     **dict.fromkeys(("dark", "photodiode dark"), "diode dark"),
 }
@@ -32,7 +31,7 @@ DIODE = {  # alternative name of a column in the table of a monochromator sweep 
 
 @dataclass(frozen=True)
 class Body:
-    """The properties of a camera that are known without a measurement."""
+    """Properties of a camera that are known without a measurement."""
 
     name: str
     rows: int
@@ -43,47 +42,44 @@ class Body:
     cfa: NDArray[np.uint8]  # (cfa_row, cfa_col) channel of each site
     optics: Optics
     readout: Readout | None = None  # exposure and gain of each channel, without read noise; None if all channels are equal
-    # polarisers in the measurement file, with leakages at LEAKAGE_NM; None if the file states none
+    # polarisers in the measurement file, with leakages at LEAKAGE_NM; None if the file contains none
     polarisers: Polarisers | None = None
-    masked: MaskedPixels | None = None  # masked pixels in the files, which are cut off before frames are used; or None
+    masked: MaskedPixels | None = None  # masked pixels in the files, which are cut off before frames are used
 
     @property
     def channel_gains(self) -> NDArray[np.float64]:
-        """Conversion gain of each channel, relative to the gain of the camera."""
+        """Conversion gain of each channel, relative to the camera's gain."""
         return np.ones(len(self.channels)) if self.readout is None else self.readout.channel_gain
 
     @property
     def channel_exposures(self) -> NDArray[np.float64]:
-        """Exposure time of each channel, relative to the exposure time of the frame."""
+        """Exposure time of each channel, relative to the frame's exposure time."""
         return np.ones(len(self.channels)) if self.readout is None else self.readout.channel_exposure
 
     @property
     def photons_per_radiance(self) -> float:
-        """Photons/s that reach a pixel, divided by the radiance in photons/s/sr/m² (docs/method.md#optics).
-
-        The unit is m² sr.
-        """
+        """Photon rate at a pixel per radiance, in m² sr (docs/method.md#optics)."""
         return self.optics.irradiance_per_radiance * self.pixel_pitch**2
 
     @property
     def relative_illumination(self) -> NDArray[np.float64]:
-        """Illuminance of each pixel (row, col) for a uniform scene, relative to the optical axis (docs/method.md#optics)."""
+        """Illuminance of each pixel, (row, col), under a uniform scene, relative to the axis (docs/method.md#optics)."""
         return relative_illumination(self.optics.image_distance, self.pixel_pitch, (self.rows, self.cols))
 
 
 @dataclass(frozen=True)
 class Capture:
-    """Frames of the same scene with the same exposure, such as dark frames (lens cap on) or white frames (uniform light)."""
+    """Frames of one subject with the same exposure, such as dark frames (lens cap on) or white frames (uniform light)."""
 
-    name: str  # name for messages, which is the name of the first frame in the measurement file
-    exposure: float  # s
-    frames: Iterable[NDArray[np.uint16]]  # frames (row, col) in DN; can be iterated repeatedly
-    # intensity of the lamp, relative to its intensity when the spectrum was measured
+    name: str  # name in messages: the name of the first frame in the measurement file
+    exposure: float  # exposure time in s
+    frames: Iterable[NDArray[np.uint16]]  # frames, (row, col), in DN; can be iterated repeatedly
+    # lamp intensity, relative to its intensity while the spectrum was measured
     monitor: float = field(default=1.0, kw_only=True)
 
     @property
     def lit(self) -> float:
-        """Exposure time in s, multiplied by the relative intensity of the lamp."""
+        """Exposure time in s, multiplied by the relative lamp intensity."""
         return self.exposure * self.monitor
 
 
@@ -91,7 +87,7 @@ class Capture:
 class MonoCapture(Capture):
     """Frames of a uniform field, illuminated by a monochromator at one wavelength setting.
 
-    The spectrum was measured, so it includes the bandwidth and the stray light of the monochromator.
+    The spectrum is measured, and therefore includes the monochromator's bandwidth and stray light.
     """
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
@@ -111,13 +107,12 @@ class ChartCapture(Capture):
 
 @dataclass(frozen=True)
 class BandCapture(ChartCapture):
-    """Frames of a ColorChecker through a narrow-band filter, all with the same exposure time. The radiance may be
-    relative."""
+    """Frames of a ColorChecker with a narrow-band filter in the light path. The radiances may be relative."""
 
 
 @dataclass(frozen=True)
 class PolariserCapture(Capture):
-    """Frames of uniform light that passes through a rotating linear polariser."""
+    """Frames of a uniform light source behind a linear polariser at one angle."""
 
     # degrees; angle of the polariser's transmission axis, counter-clockwise in the picture
     angle: float = field(kw_only=True)
@@ -129,7 +124,7 @@ class Rotator:
 
     leakage: float = 0.0  # inverse of the extinction ratio
     angle_error: float = 0.0  # degrees; standard deviation of the error in the angle of a capture
-    # Channel whose stated angle is the reference for all angles. If None, the angles of the captures are the reference.
+    # Channel with an exact angle, from which the zero of the angle scale is derived. If None, the scale's zero is exact.
     reference: str | None = None
 
     @property
@@ -140,31 +135,28 @@ class Rotator:
 
 @dataclass(frozen=True)
 class SweepTable:
-    """Mean signals of the camera and of a photodiode next to it, with and without light, for each wavelength of a sweep."""
+    """Mean signals of the camera and of a photodiode next to it, with and without light, at each wavelength of a sweep."""
 
     wavelength: NDArray[np.float64]  # (wavelength) nm; wavelength setting of the monochromator
     light: NDArray[np.float64]  # (channel, wavelength) DN; signal with light
     dark: NDArray[np.float64]  # (channel, wavelength) DN; signal without light
     diode_light: NDArray[np.float64]  # (wavelength) signal of the photodiode with light, in any unit
     diode_dark: NDArray[np.float64]  # (wavelength) signal of the photodiode without light, in the same unit
-    diode_response: NDArray[np.float64]  # (wavelength) signal of the photodiode per energy, in any unit
+    diode_response: NDArray[np.float64]  # (wavelength) photodiode signal per energy, in any unit
 
 
 @dataclass(frozen=True)
 class FinishedCurves:
-    """Relative responsivities per photon that were read from a file instead of being computed from captures."""
+    """Relative responsivities per photon from a file, which need not be computed from captures."""
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
     responsivity: NDArray[np.float64]  # (channel, wavelength)
-    note: str | None = None  # message that lists unused columns of the file; None if all columns are used
+    note: str | None = None  # message that lists the unused columns in the file, if there are any
 
 
 @dataclass(frozen=True)
 class CurveStatistics:
-    """Statistics of the responsivities of many measured cameras.
-
-    Responsivities are per photon, and each channel is scaled to a peak of 1.
-    """
+    """Statistics of the responsivities measured for many cameras, per photon, with each channel scaled to a peak of 1."""
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
     mean: NDArray[np.float64]  # (channel, wavelength) mean over the cameras
@@ -200,17 +192,17 @@ class PhotoCapture:
     chart: Chart
     light: str | None  # name of the illuminant; None if the illuminant must be estimated
     wavelength: NDArray[np.float64]  # (light_wavelength) nm
-    radiance: NDArray[np.float64]  # (light_wavelength) relative photon radiance; not used if the illuminant is estimated
+    radiance: NDArray[np.float64]  # (light_wavelength) relative photon radiance; unused if the illuminant is estimated
     corners: NDArray[np.float64] | None  # (4, 2) as in ChartCapture; None if l3 must find the chart
-    darks: tuple[RawFrame, ...] = ()  # frames without light and with the same exposure
-    # frames of a uniform white target at the place of the chart, under the same illuminant
+    darks: tuple[RawFrame, ...] = ()  # frames taken in the dark, with the same exposure
+    # frames of a uniform white target in place of the chart, under the same illuminant
     whites: tuple[RawFrame, ...] = ()
 
     def __post_init__(self) -> None:
         first, *others = (*self.frames, *self.darks, *self.whites)
         for frame in others:
             if frame.values.shape != first.values.shape or frame.phase != first.phase:
-                raise ValueError(f"{frame.name} and {first.name} differ in size or CFA phase; use frames of the same camera")
+                raise ValueError(f"{frame.name} and {first.name} differ in size or CFA phase; use frames from one camera")
 
 
 @dataclass(frozen=True)
@@ -236,10 +228,10 @@ class GainCaptures:
 class Measurements:
     """All measurements of one camera, and the uncertainty of the light sources.
 
-    The responsivity is determined from `mono`, `bands`, `curve` or `photos`, whose light is not polarised. Gain, levels and
-    noise are determined from `darks` and `whites` if these captures exist, otherwise from `datasheet` or, if there is no
-    data sheet, from `photos`. Polarisers are determined from `polariser`, or are stated in `body`. If there is a `base`,
-    only the defects and the flat field, or only the polarisers, are measured. All other data then come from the base.
+    The responsivity is determined from `mono`, `bands`, `curve` or `photos`, all with unpolarised light. Gain, levels and
+    noise come from the first available source: (1) `darks` and `whites`; (2) `datasheet`; (3) `photos`. Polarisers are
+    measured with `polariser`, or specified in `body`. If there is a `base`, only its defects and flat field, or only its
+    polarisers, are measured, and all other data come from the base.
     """
 
     body: Body
@@ -247,7 +239,7 @@ class Measurements:
     charts: tuple[ChartCapture, ...] = ()
     darks: tuple[Capture, ...] = ()
     whites: tuple[Capture, ...] = ()
-    iso: float | None = None  # ISO speed of `darks` and `whites`; None if it is not stated
+    iso: float | None = None  # ISO speed of `darks` and `whites`; None if unknown
     gains: tuple[GainCaptures, ...] = ()  # captures at higher ISO speeds
     bands: tuple[BandCapture, ...] = ()
     curve: SweepTable | FinishedCurves | None = None
@@ -257,31 +249,31 @@ class Measurements:
     cameras: CurveStatistics | tuple[FinishedCurves, ...] | None = None  # curves of other cameras, used with `photos`
     datasheet: SensorFigures | None = None
     base: CameraModel | None = None  # existing camera model to which the new measurements are added
-    lamp_drift: float = 0.0  # relative standard deviation of the lamps' intensity since their spectra were measured
+    lamp_drift: float = 0.0  # relative standard deviation of the lamp intensity since the spectra were measured
     wavelength_uncertainty: float = 0.0  # nm; standard deviation of the error in the spectrometer's wavelength scale
-    blinking_defects: bool = False  # whether blinking pixels are added to the defects
+    blinking_defects: bool = False  # whether to add blinking pixels to the defects
 
 
 @dataclass(frozen=True)
 class StatedMatrix:
-    """A matrix from a raw file that converts the XYZ of a surface under an illuminant to camera signals."""
+    """Matrix in a raw file that converts the XYZ of a surface under one illuminant to camera signals."""
 
     light: str  # name of the illuminant
-    assumed: bool  # whether the illuminant is an assumption, because the file states no illuminant
-    rows: dict[int, NDArray[np.float64]]  # for the colour code of each channel: row (3) of the matrix
+    assumed: bool  # whether the illuminant is assumed, because the file does not name it
+    rows: dict[int, NDArray[np.float64]]  # colour code of a channel → row of the matrix, (3,)
 
     def of(self, codes: Sequence[int | None]) -> NDArray[np.float64]:
-        """Return the rows (channel, 3) of the matrix for the given colour codes. Codes that are None are skipped."""
+        """Return the matrix rows, (channel, 3), for these colour codes. Codes that are None are skipped."""
         return np.array([self.rows[code] for code in codes if code is not None])
 
 
 @dataclass(frozen=True)
 class Stated:
-    """Properties of a camera according to a raw file. A property that the file does not state is None or ""."""
+    """Properties of a camera according to a raw file. Missing properties are None or ""."""
 
     camera: str  # make and model
     matrices: tuple[StatedMatrix, ...]
-    noise: tuple[float, float] | None  # noise variance: slope and intercept, on a signal scale from 0 (black) to 1 (white)
+    noise: tuple[float, float] | None  # slope and intercept of the noise variance, with signals from 0 (black) to 1 (white)
     iso: float | None
     pitch_um: float | None
     focal_length_mm: float | None
@@ -290,7 +282,7 @@ class Stated:
 
 @dataclass(frozen=True)
 class CaptureFolder:
-    """The files of a measurement in a folder. Their paths are relative to the folder."""
+    """The measurement files in a folder, with paths relative to the folder."""
 
     folder: Path
     frames: tuple[str, ...]
@@ -300,11 +292,11 @@ class CaptureFolder:
 
 @dataclass(frozen=True)
 class RawFile:
-    """A raw frame and the properties that its file states. A property that the file does not state is None."""
+    """A raw frame with the metadata in its file. Missing metadata are None."""
 
     values: NDArray[np.uint16]  # (row, col) DN as stored, without any processing
-    seconds: float | None  # exposure time
-    pattern: NDArray[np.int64] | None  # colour codes of the CFA
+    seconds: float | None  # exposure time in s
+    pattern: NDArray[np.int64] | None  # (row, col) colour codes of the CFA
     black_level: float | None  # DN
     white_level: float | None  # DN
-    count: int = 1  # number of frames in the file; `values` is the first
+    count: int = 1  # number of frames in the file, of which `values` is the first

@@ -1,9 +1,8 @@
-"""Packings of headerless raw frames. A packing defines how the bits of the pixels are arranged in the bytes of a file.
+"""Packings of headerless raw frames. A packing defines how pixel bits are arranged in the bytes of a file.
 
 The packings are defined in MIPI CSI-2 (RAW10, RAW12), GenICam Pixel Format Naming Convention (PFNC) 2.4, and GigE Vision 2
-(formats "…Packed"). PFNC has no names for polarisation cameras. For these cameras, Teledyne FLIR ("Polarized8",
-"BayerRGPolarized12p") and Lucid ("PolarizeMono8", "PolarizedAngles_0d_45d_90d_135d_Mono8") use their own names with the bit
-layouts of PFNC.
+(formats "…Packed"). PFNC has no names for polarisation cameras. Teledyne FLIR ("Polarized8", "BayerRGPolarized12p") and
+Lucid ("PolarizeMono8", "PolarizedAngles_0d_45d_90d_135d_Mono8") use their own names with PFNC bit layouts.
 
 The option help, error messages and the table in docs/raw-files.md are generated from `PACKINGS`.
 """
@@ -26,32 +25,31 @@ FAMILIES = {
     "Packed": "GigE Vision: two pixels in three bytes; the middle byte contains the lower bits of both pixels",
 }
 CELL = ((1, 1), (0, 1), (0, 0), (1, 0))  # (row, col) of the polarisers at 0°, 45°, 90° and 135° in a cell of 2×2 pixels
-# first parts of the names of formats that do not contain raw values
-COMPUTED = ("PolarizedStokes", "PolarizedDolp", "PolarizedAolp")
+COMPUTED = ("PolarizedStokes", "PolarizedDolp", "PolarizedAolp")  # prefixes of formats that do not contain raw values
 
 
 class Piece(NamedTuple):
-    """Adjacent bits of a pixel that are stored in the same byte of a group (`Packing`)."""
+    """Adjacent bits of a pixel that are stored in one byte of a group (see `Packing`)."""
 
     byte: int  # index of the byte in the group
-    shift: int  # position of the piece's lowest bit in the byte
+    shift: int  # position of the lowest bit in the byte
     bits: int
-    place: int  # position of the piece's lowest bit in the pixel
+    place: int  # position of the lowest bit in the pixel
 
 
 @dataclass(frozen=True)
 class Packing:
-    """How the bits of pixels are stored in bytes.
+    """How pixel bits are stored in bytes.
 
-    The layout repeats with each group. A group is a fixed number of pixels that occupies a fixed number of bytes.
+    The layout repeats after each group, a fixed number of pixels in a fixed number of bytes.
     """
 
     name: str
     family: str  # one of FAMILIES
     bits: int  # bits per pixel
     group_bytes: int
-    pieces: tuple[tuple[Piece, ...], ...]  # pieces that form each pixel of a group
-    pattern: str = ""  # 2×2 CFA at the first pixel, such as "rggb"; "" if the packing does not define a CFA
+    pieces: tuple[tuple[Piece, ...], ...]  # pieces of each pixel in a group
+    pattern: str = ""  # 2×2 CFA at the first pixel, such as "rggb"; "" if the packing implies no CFA
     polarised: bool = False  # whether only polarisation cameras use this name
     cells: bool = False  # whether the four pixels of each 2×2 cell are stored consecutively, in the order of CELL
 
@@ -66,20 +64,17 @@ class Packing:
         return self.family == "words" and self.group_bytes == 2
 
     def bytes_of(self, pixels: int) -> int:
-        """Return the number of bytes that a row of `pixels` pixels occupies.
-
-        In the MIPI packings, the last group is always complete.
-        """
+        """Return the number of bytes in a row of `pixels` pixels. In MIPI packings, the last group is always complete."""
         if self.family == "mipi":
             return -(-pixels // self.group_pixels) * self.group_bytes
         return -(-pixels * self.group_bytes * 8 // (8 * self.group_pixels))
 
 
 def _stream(bits: int, lower_first: bool) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
-    """Return the layout of pixels that are packed without gaps: the bytes per group, and the bit fields of each pixel.
+    """Return the layout of pixels that are packed without gaps: bytes per group, and pieces of each pixel.
 
-    A group is the smallest number of pixels that fills a whole number of bytes. `lower_first` states whether the lower
-    bits of a pixel are stored first.
+    A group is the smallest number of pixels that fills a whole number of bytes. `lower_first` is True if the lower bits of a
+    pixel are stored first.
     """
     pixels = next(count for count in (1, 2, 4, 8) if count * bits % 8 == 0)
     groups = []
@@ -98,10 +93,10 @@ def _stream(bits: int, lower_first: bool) -> tuple[int, tuple[tuple[Piece, ...],
 
 
 def _mipi(bits: int) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
-    """Return the layout of a MIPI packing: the bytes per group, and the bit fields of each pixel.
+    """Return the layout of a MIPI packing: bytes per group, and pieces of each pixel.
 
-    A group contains the upper 8 bits of each pixel in a separate byte, followed by a byte with the lower bits of all pixels.
-    The lowest bits of this last byte belong to the first pixel.
+    A group contains one byte per pixel with its upper 8 bits, followed by one byte with the lower bits of all pixels,
+    starting with the first pixel in the lowest bits.
     """
     low = bits - 8
     pixels = 8 // low
@@ -109,11 +104,10 @@ def _mipi(bits: int) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
 
 
 def _gige(bits: int) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
-    """Return the layout of a GigE Vision packing: the bytes per group, and the bit fields of each pixel.
+    """Return the layout of a GigE Vision packing: bytes per group, and pieces of each pixel.
 
-    A group contains two pixels in three bytes. The first byte contains the upper 8 bits of the first pixel. The last byte
-    contains the upper 8 bits of the second pixel. The middle byte contains the lower bits of the first pixel from bit 0, and
-    the lower bits of the second pixel from bit 4.
+    A group contains two pixels in three bytes. The first and the last byte contain the upper 8 bits of the first and of the
+    second pixel. The middle byte contains the lower bits of the first pixel from bit 0, and those of the second from bit 4.
     """
     low = bits - 8
     return 3, ((Piece(0, 0, 8, low), Piece(1, 0, low, 0)), (Piece(2, 0, 8, low), Piece(1, 4, low, 0)))
@@ -123,7 +117,7 @@ def _word(bytes_of_pixel: int) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
     return bytes_of_pixel, (tuple(Piece(byte, 0, 8, 8 * byte) for byte in range(bytes_of_pixel)),)
 
 
-POLARISED = (  # names that polarisation cameras use: any of the first parts, combined with any of the last parts
+POLARISED = (  # (prefixes, suffixes) of packing names for polarisation cameras; any prefix can be combined with any suffix
     (("Polarized", "BayerRGPolarized"), ("8", "10p", "12p", "16")),
     (("PolarizeMono",), ("8", "12", "12p", "12Packed", "16")),
     (("PolarizedAngles_0d_45d_90d_135d_Mono", "PolarizedAngles_0d_45d_90d_135d_BayerRG"), ("8", "12p", "16")),
@@ -159,16 +153,16 @@ WORDS = "u16"
 
 
 def packing_named(name: str) -> Packing | None:
-    """Return the packing with the given name, or None if the name is unknown.
+    """Return the packing with this name, in upper or lower case, or None if the name is unknown.
 
-    Upper and lower case are not distinguished. "Mono" may be omitted, as in "12p" for "Mono12p".
+    "Mono" may be omitted, as in "12p" for "Mono12p".
     """
     known = {each.lower(): packing for each, packing in PACKINGS.items()}
     return known.get(name.lower()) or (known.get(f"mono{name.lower()}") if not name.isdigit() else None)
 
 
 def unknown_packing(name: str) -> str:
-    """Return an error message for a name that `packing_named` does not know. The message starts with the name in quotes."""
+    """Return an error message for an unknown packing, which starts with the name in quotes."""
     if name.lower().startswith(tuple(map(str.lower, COMPUTED))):
         return (
             f'"{shortened(name)}" is a format for values that the camera computed from its raw values; record raw frames in '

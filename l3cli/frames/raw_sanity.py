@@ -1,9 +1,9 @@
-"""Checks whether the CFA, the CFA phase and the black level that a raw file states are consistent with its pixels.
+"""Check whether the CFA, the CFA phase and the black level stated in a raw file are consistent with its pixels.
 
-In a smooth block of a frame, all sites of a channel have nearly the same value. If their values differ, the stated phase is
-probably wrong. This test cannot detect phases that exchange channels with equal patterns, such as r and b of a Bayer CFA.
-Such phases are detected with the signals of a grey object, which many files state. The mean of a photo is roughly grey, so
-it should be roughly proportional to these signals.
+In a smooth block of a frame, all sites of a channel have nearly the same value. If they differ, the stated phase is probably
+wrong. This test cannot detect phases that exchange channels with equal patterns, such as r and b in a Bayer CFA. They are
+detected with the signals of a grey object, which many files contain: the mean of a photo is roughly grey, and should
+therefore be roughly proportional to these signals.
 
 A super-pixel is one period of the CFA.
 """
@@ -22,64 +22,63 @@ from l3cli.physics.mosaic import shifted_cfa, tiled
 # In the constants below, differences between sites are fractions of the signal.
 BLOCK_SIDE, MAX_BLOCKS = 8, 32  # maximum side of a block in super-pixels; maximum number of blocks in each direction
 MIN_SIGNAL = 1e-3  # fraction of full scale; frames with a lower mean are too dark to check
-# A phase at which the sites of a channel differ by this amount may be wrong. In real frames, the difference is at most 0.007
+# Difference between the sites of a channel from which a phase may be wrong. In real frames, the difference is at most 0.007
 # at the correct phase, and at least 0.045 at wrong phases.
 SITES_DIFFER = 0.02
-# Let q be the ratio of the signals of two channels, divided by the ratio for a grey object. A phase may also be wrong if
-# ln q is at least this value. In coloured scenes, ln q is at most 0.67 at the correct phase.
+# Log ratio of two channel signals, relative to a grey object, from which a phase may be wrong. Even in coloured scenes, it
+# is at most 0.67 at the correct phase.
 FAR_FROM_GREY = 0.75
-BETTER = 0.4  # a different phase is better only if its difference is below this fraction of the stated phase's difference
-ALIKE = 1.5  # two phases fit about equally well if the ratio of their differences is at most this factor
+BETTER = 0.4  # another phase is better only if its difference is below this fraction of the stated phase's difference
+ALIKE = 1.5  # two phases fit about equally well if their differences differ by at most this factor
 BLACK_PERCENTILE = 0.1  # percentile of a channel's values that is close to black in most pictures
-MIN_BLACK, MAX_BLACK = 1 / 64, 1 / 6  # range of the black levels of real cameras, as fractions of the white level
-# A frame may be decoded incorrectly if its roughness is at least the fraction ROUGH of full scale and SMOOTHER times the
-# roughness after a different decoding.
+MIN_BLACK, MAX_BLACK = 1 / 64, 1 / 6  # range of real cameras' black levels, as fractions of the white level
+# A frame may be decoded incorrectly if its roughness is at least the fraction ROUGH of full scale, and SMOOTHER times the
+# roughness with another decoding.
 ROUGH, SMOOTHER = 0.01, 3.0
 MAX_BANDS = 32  # maximum number of bands, each two super-pixels high, in which roughness is measured
-ARRAY_PERIODS_PIXELS, COMMON_PERIOD = (4, 6, 8), 24  # periods of the CFAs that are considered, and a common multiple
+ARRAY_PERIODS_PIXELS, COMMON_PERIOD = (4, 6, 8), 24  # CFA periods that are considered, and a common multiple
 TILE, TILES = 120, 8  # side of a tile in pixels, a multiple of all periods; maximum number of tiles in each direction
-# Minimum mean difference between sites that indicates a different CFA. For the Bayer CFA, the mean difference is 0.001 to
-# 0.02 in real Bayer frames, and 0.05 to 2 in frames with other CFAs.
+# Mean difference between sites from which the CFA is different. With a Bayer CFA, it is 0.001 to 0.02 in real Bayer frames,
+# and 0.05 to 2 in frames with other CFAs.
 ARRAYS_DIFFER = 0.05
-# If the CFA is different, at least 30 % of the sites also differ by this amount. Autofocus pixels affect fewer sites.
+# With a different CFA, at least 30 % of the sites also differ by this amount. Autofocus pixels affect fewer sites.
 MOST_SITES_DIFFER = 0.03
 # The scene has stripes if a factor per row or column explains all but this fraction of the differences.
 STRIPED = 0.25
 SLANTED = 0.03  # like STRIPED, but for a factor per slanted line
 SLANTS = ((1, 1), (1, -1), (2, 1), (2, -1), (1, 2), (1, -2))  # lines on which row · first + column · second is constant
-# A checkerboard in the scene is distinguished from a different CFA by two limits: the minimum range of the sites of the mean
-# super-pixel relative to their mean, and the minimum contrast of any site relative to the maximum contrast.
+# Two limits distinguish a checkerboard in the scene from a different CFA: the minimum range of the sites in the mean
+# super-pixel, relative to their mean, and the minimum contrast of any site, relative to the maximum contrast.
 CHECKED_SITES_DIFFER = 0.15
 LEAST_CHECK = 0.1
-# number of alternating fits of the super-pixel and the checkerboard, needed if the size of the squares is odd
-CHECK_FITS = 30
-TWO_GAINS = 2.0  # minimum ratio of the gains in sensors whose pairs of rows alternate between two gains
-# width in pixels of the areas whose noise is measured; percentile over the areas, which represents uniform areas
+CHECK_FITS = 30  # number of alternating fits of super-pixel and checkerboard, needed if the squares have an odd size
+TWO_GAINS = 2.0  # minimum ratio of the gains in sensors with pairs of rows that alternate between two gains
+# Width, in pixels, of the areas in which noise is measured, and percentile over these areas, which represents uniform areas.
 NOISE_COLUMNS, NOISE_PERCENTILE = 8, 25
 UNCLIPPED = 0.8  # fraction of full scale; noise is measured only in areas with a lower mean
-MIN_NOISE = 0.5  # DN²; smaller variances consist mainly of rounding errors
-CONTROL = 3.0  # a difference is evidence only if it exceeds this multiple of the difference at a period that no CFA has
+MIN_NOISE = 0.5  # DN²; smaller variances are mainly rounding errors
+CONTROL = 3.0  # minimum difference that is evidence, as a multiple of the difference at a period that no CFA has
 FITS = 0.01  # sites that differ by less count as equal
 SMALLEST_BLACK = 16.0  # DN; lower black levels are not checked
-BELOW = 0.5  # fraction of the black level; if the black level is correct, even noisy dark pixels are brighter than this
-MIN_REPORTED_FRACTION = 0.05  # l3 reports pixels that are too dark if at least this fraction of all pixels is too dark
+BELOW = 0.5  # fraction of a correct black level that even noisy dark pixels exceed
+MIN_REPORTED_FRACTION = 0.05  # minimum fraction of too dark pixels that l3 reports
 Phase = tuple[int, int]  # row and column
 
 
 @dataclass(frozen=True)
 class PhaseDoubt:
-    """Evidence that the CFA phase that a file states is wrong."""
+    """Evidence that a file states a wrong CFA phase."""
 
     stated: float  # mean difference between the sites of a channel at the stated phase, as a fraction of the signal
-    least: float  # the smallest mean difference at any phase
-    phases: tuple[Phase, ...]  # phases with about the smallest difference, starting with the most likely phase
+    least: float  # smallest mean difference at any phase
+    phases: tuple[Phase, ...]  # phases with about the smallest difference, starting with the most likely one
     by_grey: bool = False  # whether the signals of a grey object are the only evidence
 
 
 def phase_doubt(
     frame: RawFrame, cfa: NDArray[np.uint8], neutral: Sequence[float] | NDArray[np.floating] | None = None
 ) -> PhaseDoubt | None:
-    """Return evidence that the CFA phase of a frame is wrong, or None if there is no evidence or the frame is too dark.
+    """Return evidence that a frame's CFA phase is wrong, or None if there is none or the frame is too dark.
 
     Parameters
     ----------
@@ -88,17 +87,18 @@ def phase_doubt(
     cfa : ndarray, (cfa_row, cfa_col)
         Channel of each site.
     neutral : sequence of float, (channel,), optional
-        Signals of a grey object, on any scale. If None, phases that exchange channels with equal patterns are not detected.
+        Signals of a grey object, on any scale. Without them, phases that exchange channels with equal patterns are not
+        detected.
     """
     blocks = block_means(frame, cfa.shape)
     if not blocks.size or not blocks.mean() > MIN_SIGNAL * (frame.white_level - frame.black_level):
         return None
-    arrays: dict[bytes, Phase] = {}  # first phase that produces each shifted CFA, by the bytes of the shifted CFA
+    arrays: dict[bytes, Phase] = {}  # bytes of a shifted CFA → first phase that results in this CFA
     for phase in (frame.phase, *itertools.product(range(cfa.shape[0]), range(cfa.shape[1]))):
         arrays.setdefault(shifted_cfa(cfa, phase).tobytes(), phase)
     phases = {phase: shifted_cfa(cfa, phase) for phase in arrays.values()}
     grey = {phase: _far_from_grey(blocks, array, neutral) for phase, array in phases.items()}
-    # Single blocks have stronger colours than the mean of the frame, but the mean is less noisy.
+    # Blocks have stronger colours than the frame's mean, but the mean is less noisy.
     for scale in (blocks, blocks.mean(axis=0, keepdims=True)):
         sites = {phase: _sites_differ(scale, array) for phase, array in phases.items()}
         stated, least = sites[frame.phase], min(sites.values())
@@ -114,18 +114,17 @@ def phase_doubt(
 
 @dataclass(frozen=True)
 class ArrayDoubt:
-    """Evidence that the CFA of a mosaic differs from the CFA that the file states."""
+    """Evidence that a mosaic has a different CFA than its file states."""
 
-    # mean difference between sites that the stated CFA assigns to the same channel, as a fraction of the signal
-    differ: float
+    differ: float  # mean difference between sites of the same channel in the stated CFA, as a fraction of the signal
     means: NDArray[np.float64]  # (row, col) DN; mean signal at each position in a period of COMMON_PERIOD pixels
 
     def likely(self, arrays: Mapping[str, NDArray[np.uint8]]) -> list[str]:
         """Return the names of the CFAs that fit the pixels best at any phase, sorted by the number of channels.
 
-        `arrays` contains the candidates (row, col) by name. Candidates with more than four sites and a different channel at
-        every site would fit any pixels, so they are ignored. Candidates whose period does not divide COMMON_PERIOD are also
-        ignored.
+        `arrays` contains the candidates, (row, col), by name. Two types of candidate are ignored: those with more than four
+        sites and a different channel at every site, because they would fit any pixels, and those with a period that does
+        not divide COMMON_PERIOD.
         """
         judged = {name: cfa for name, cfa in arrays.items() if len(set(cfa.flat)) < cfa.size or cfa.size <= 4}
         misfits = {
@@ -136,21 +135,21 @@ class ArrayDoubt:
         return sorted(fitting, key=lambda name: (len(set(arrays[name].flat)), misfits[name]))
 
     def _misfit(self, cfa: NDArray[np.uint8]) -> float:
-        """Return the mean difference between sites of the same channel at the best phase, as a fraction of the signal."""
+        """Return a CFA's mean difference between sites of a channel at the best phase, as a fraction of the signal."""
         phases = itertools.product(range(cfa.shape[0]), range(cfa.shape[1]))
         whole = [tiled(shifted_cfa(cfa, phase), self.means.shape) for phase in phases]
         return min(_sites_differ(self.means[None], array) for array in whole)
 
 
 def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
-    """Return evidence that the CFA of a frame differs from `cfa` (row, col).
+    """Return evidence that a frame's CFA differs from `cfa`, (row, col).
 
-    If the CFA is correct, sites at the same position in the super-pixel have the same mean over the frame. Sites of the same
-    channel also have the same mean, unless the phase is wrong (`phase_doubt`). Three types of difference are not regarded as
-    evidence of a different CFA:
+    If the CFA is correct, sites at the same position in the super-pixel have the same mean over the frame. So do the sites
+    of a channel, unless the phase is wrong (see `phase_doubt`). Three types of difference are no evidence of a different
+    CFA:
 
     1. differences at single pixels, such as autofocus pixels
-    2. differences that are not much larger than the differences for a period that no CFA has
+    2. differences not much larger than those for a period that no CFA has
     3. stripes and checkerboards in the scene, which change all channels by the same factor
 
     Returns
@@ -159,7 +158,7 @@ def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
         None if there is no evidence, or if the frame is too small or too dark to check.
     """
     tiles = _tiles(frame)
-    tile, control = tiles.mean(axis=(0, 1)), (5 * cfa.shape[0], 5 * cfa.shape[1])  # No CFA has the period `control`.
+    tile, control = tiles.mean(axis=(0, 1)), (5 * cfa.shape[0], 5 * cfa.shape[1])  # `control` is a period that no CFA has
     if min(np.array(tile.shape) // control) < 2 or any(TILE % period for period in control):
         return None
     if not tile.mean() > MIN_SIGNAL * (frame.white_level - frame.black_level):
@@ -181,7 +180,7 @@ def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
 
 
 def _tiles(frame: RawFrame) -> NDArray[np.float64]:
-    """Return the signals (tile row, tile col, row, col) of tiles that are evenly spaced over a frame.
+    """Return the signals in tiles that are evenly spaced over a frame, (tile row, tile col, row, col).
 
     Signals are in DN above black and dark current. All tiles start at the same CFA site if the CFA period divides TILE.
     """
@@ -200,7 +199,7 @@ def _halves(tiles: NDArray[np.float64], axis: int) -> list[NDArray[np.float64]]:
 
 
 def _means(tile: NDArray[np.float64], period: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return the mean signal of a tile at each position (row, col) within a period."""
+    """Return the mean signal in a tile at each position within a period, (row, col)."""
     down, across = tile.shape[0] // period[0], tile.shape[1] // period[1]
     whole = tile[: down * period[0], : across * period[1]].reshape(down, period[0], across, period[1])
     return np.asarray(whole.mean(axis=(0, 2)))
@@ -209,10 +208,10 @@ def _means(tile: NDArray[np.float64], period: tuple[int, ...]) -> NDArray[np.flo
 def _are_stripes(
     means: NDArray[np.float64], period: tuple[int, ...], parts: list[NDArray[np.float64]], two_gains: Callable[[], bool]
 ) -> bool:
-    """Whether the super-pixels in `means` differ only by a factor per row, per column or per slanted line.
+    """Return whether the super-pixels in `means` differ only by a factor per row, per column or per slanted line.
 
-    The result is False if pairs of rows alternate between two factors in all `parts` of a frame and `two_gains` returns
-    True, because such rows occur in sensors with two gains.
+    False if pairs of rows alternate between two factors in all `parts` of a frame and `two_gains` returns True, because such
+    rows occur in sensors with two gains.
     """
     blocks = _super_pixels(means, period)
     sites = blocks.mean(axis=(0, 2), keepdims=True)  # mean super-pixel
@@ -225,14 +224,14 @@ def _are_stripes(
 
 
 def _super_pixels(means: NDArray[np.float64], period: tuple[int, ...]) -> NDArray[np.float64]:
-    """Divide means (row, col) into super-pixels (down, row, across, col)."""
+    """Divide means, (row, col), into super-pixels, (down, row, across, col)."""
     return means.reshape(means.shape[0] // period[0], period[0], means.shape[1] // period[1], period[1])
 
 
 def _factors(blocks: NDArray[np.float64], along: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the mean of each row or column, relative to all rows or columns at the same position in the super-pixel.
+    """Return each row's or column's mean, relative to all rows or columns at the same position in the super-pixel.
 
-    `along` contains the axes of `blocks` that are averaged: (2, 3) for means of rows, or (0, 1) for means of columns.
+    `along` contains the axes of `blocks` to average over: (2, 3) for rows, or (0, 1) for columns.
     """
     lines = blocks.mean(axis=along, keepdims=True)
     mean = lines.mean(axis=0 if along == (2, 3) else 2, keepdims=True)
@@ -240,15 +239,15 @@ def _factors(blocks: NDArray[np.float64], along: tuple[int, int]) -> NDArray[np.
 
 
 def _are_checks(means: NDArray[np.float64], period: tuple[int, ...]) -> bool:
-    """Whether `means` is the mean super-pixel multiplied by a checkerboard, 1 + f(row) · g(col).
+    """Return whether `means` is the mean super-pixel multiplied by a checkerboard, 1 + f(row) · g(col).
 
-    The result is False if the frame has a CFA with a different period. With such a CFA, either the sites of the mean
-    super-pixel are nearly equal, as for a quad Bayer CFA, or some sites of `means` equal the mean super-pixel.
+    False if the frame has a CFA with a different period. With such a CFA, either the sites in the mean super-pixel are
+    nearly equal, as with a quad Bayer CFA, or some sites in `means` equal the mean super-pixel.
     """
     sites = _super_pixels(means, period).mean(axis=(0, 2))
     if np.ptp(sites) < CHECKED_SITES_DIFFER * sites.mean() or sites.min() <= 0:
         return False
-    for _ in range(CHECK_FITS):  # If the size of the squares is odd, they also affect the mean super-pixel.
+    for _ in range(CHECK_FITS):  # repeated, because squares of odd size also affect the mean super-pixel
         left, sizes, right = np.linalg.svd(means / tiled(sites, means.shape) - 1.0)
         factors = 1.0 + sizes[0] * np.outer(left[:, 0], right[0])
         sums = [_super_pixels(each, period).sum(axis=(0, 2)) for each in (means * factors, factors**2)]
@@ -261,10 +260,9 @@ def _are_checks(means: NDArray[np.float64], period: tuple[int, ...]) -> bool:
 
 
 def _are_slanted(means: NDArray[np.float64], sites: NDArray[np.float64], slant: tuple[int, int]) -> bool:
-    """Whether `means` is the product of the mean super-pixel `sites` and a factor for each slanted line.
+    """Return whether `means` is the product of the mean super-pixel `sites` and a factor per slanted line.
 
-    The limit SLANTED is strict, because CFAs in which a diagonal contains only one channel, such as RGBW, almost fulfil this
-    condition.
+    The limit SLANTED is strict, because CFAs with diagonals of a single channel, such as RGBW, almost meet this condition.
     """
     usual = np.maximum(tiled(sites[0, :, 0], means.shape), MIN_SIGNAL)
     row, col = np.indices(means.shape)
@@ -274,7 +272,7 @@ def _are_slanted(means: NDArray[np.float64], sites: NDArray[np.float64], slant: 
 
 
 def _has_two_gains(factors: NDArray[np.float64]) -> bool:
-    """Whether the factors of pairs of rows alternate between two gains."""
+    """Return whether the factors of pairs of rows alternate between two gains."""
     pairs = [np.roll(factors, shift).reshape(-1, 2) for shift in (0, 1)]
     return any(
         np.ptp(each, axis=1).max() <= FITS
@@ -285,10 +283,10 @@ def _has_two_gains(factors: NDArray[np.float64]) -> bool:
 
 
 def _noise_shows_two_gains(frame: RawFrame, tiles: NDArray[np.float64], period: tuple[int, ...]) -> bool:
-    """Whether the noise shows that, of every four rows, the two bright rows have a higher gain than the two dark rows.
+    """Return whether, according to the noise, the two bright rows of every four have a higher gain than the two dark rows.
 
-    The ratio of the noise variance to the signal is the gain in DN/e-. If all rows have the same gain, this ratio is equal
-    for bright and dark rows. The result is also True if the noise is too small to be measured.
+    The gain in DN/e- is the ratio of noise variance to signal, which is equal for bright and dark rows if all rows have the
+    same gain. Also True if the noise is too small to be measured.
     """
     cols = (tiles.shape[3] - period[1]) // NOISE_COLUMNS * NOISE_COLUMNS
     near, far = tiles[..., :cols], tiles[..., period[1] :][..., :cols]  # pairs of pixels of the same channel
@@ -312,9 +310,9 @@ def _noise_shows_two_gains(frame: RawFrame, tiles: NDArray[np.float64], period: 
 
 
 def _differences(means: NDArray[np.float64], array: NDArray[np.integer]) -> tuple[float, float]:
-    """Return how much sites deviate from the median of all sites with the same entry in `array`.
+    """Return how much sites deviate from the median over all sites with the same entry in `array`.
 
-    Only the sites of the entry with the largest mean deviation are used.
+    Only the entry with the largest mean deviation is considered.
 
     Returns
     -------
@@ -334,26 +332,26 @@ def _differences(means: NDArray[np.float64], array: NDArray[np.integer]) -> tupl
 
 
 def _median(values: NDArray[np.float64]) -> float:
-    """Return the median. np.median is not used, because it imports numpy.ma, which takes 5 % of the time for rendering."""
+    """Return the median without np.median, which imports numpy.ma and so adds 5 % to the rendering time."""
     in_order = np.sort(values)
     return float(in_order[(values.size - 1) // 2] + in_order[values.size // 2]) / 2
 
 
 def block_means(frame: RawFrame, period: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return the mean signal of each site of the super-pixel in evenly spaced blocks of a frame.
+    """Return the mean signal at each site of the super-pixel, in evenly spaced blocks of a frame.
 
     Parameters
     ----------
     frame : RawFrame
         Frame to measure.
     period : tuple of int
-        Rows and columns of the CFA.
+        Number of rows and columns in the CFA.
 
     Returns
     -------
     ndarray, (block, row, col)
-        Signals in DN above black and dark current. Row 0 and column 0 are the CFA site of the frame's first pixel. There are
-        no blocks if the frame is smaller than the CFA period.
+        Signals in DN above black and dark current, starting with the CFA site of the frame's first pixel. There are no
+        blocks if the frame is smaller than the CFA period.
     """
     rows, cols = period
     side = int(np.clip(min(frame.values.shape[0] // rows, frame.values.shape[1] // cols) // BLOCK_SIDE, 1, BLOCK_SIDE))
@@ -369,16 +367,16 @@ def block_means(frame: RawFrame, period: tuple[int, ...]) -> NDArray[np.float64]
 
 
 def _sites_differ(blocks: NDArray[np.float64], array: NDArray[np.uint8]) -> float:
-    """Return the mean difference between a site and the mean of all sites of its channel, as a fraction of the signal.
+    """Return the mean difference between a site and the mean over its channel's sites in the same block.
 
-    Only sites in the same block are compared.
+    The difference is a fraction of the signal.
     """
     of_channels = (blocks[:, array == channel] for channel in sorted(set(array.flat)))
     return float(sum(np.abs(each - each.mean(axis=1, keepdims=True)).sum() for each in of_channels) / blocks.sum())
 
 
 def _same_sites(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
-    """Whether two CFAs are equal after the channels are renumbered."""
+    """Return whether two CFAs differ only in the numbering of their channels."""
     pairs = set(zip(one.flat, other.flat, strict=True))
     return len(pairs) == len(set(one.flat))
 
@@ -386,9 +384,9 @@ def _same_sites(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
 def _far_from_grey(
     blocks: NDArray[np.float64], array: NDArray[np.uint8], neutral: Sequence[float] | NDArray[np.floating] | None
 ) -> float:
-    """Return the deviation of a frame from grey: the range of ln(mean signal / signal of grey) over the channels.
+    """Return a frame's deviation from grey: the range of ln(mean signal / signal of grey) over the channels.
 
-    The result is 0 if `neutral` is None or contains values that are not positive.
+    0 if `neutral` is None or contains values that are not positive.
     """
     if neutral is None or min(neutral) <= 0:
         return 0.0
@@ -397,10 +395,9 @@ def _far_from_grey(
 
 
 def share_below_black(frame: RawFrame) -> float:
-    """Return the fraction of pixels with values below BELOW times the black level.
+    """Return the fraction of pixels below BELOW times the black level, which noise cannot explain if the level is correct.
 
-    If the black level is correct, noise cannot explain such low values. The result is 0 if the fraction is too small to
-    report, or if the black level is below SMALLEST_BLACK.
+    0 if the fraction is too small to report, or if the black level is below SMALLEST_BLACK.
     """
     if frame.black_level < SMALLEST_BLACK:
         return 0.0
@@ -409,11 +406,11 @@ def share_below_black(frame: RawFrame) -> float:
 
 
 def black_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> float | None:
-    """Return the probable black level, in DN, of a frame whose file states a black level of 0.
+    """Return the probable black level, in DN, of a frame with a stated black level of 0.
 
-    If the stated level is wrong, the darkest values of all channels are at about the same level, far above 0. Relative to
-    their mean, these values differ less between the channels than the medians do. If light caused the darkest values, they
-    would differ in proportion to the transmittances of the colour filters.
+    If the stated level is wrong, the darkest values of all channels are at about the same level, far above 0: relative to
+    their mean, they differ less between the channels than the medians do. If light caused the darkest values, they would
+    differ in proportion to the filters' transmittances.
 
     Returns
     -------
@@ -435,31 +432,30 @@ def black_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> float | None:
 
 
 def smoother_reading(readings: Iterable[tuple[str, NDArray[np.uint16], int]], cfa: NDArray[np.uint8]) -> str:
-    """Find a decoding of a headerless file that gives a far smoother picture than the decoding in use.
+    """Find a decoding of a headerless file that results in a far smoother frame than the decoding in use.
 
-    If low bits are mistaken for high bits, neighbouring pixels of the same channel differ by a large fraction of full scale.
-    This is also true for uniform, dark or noisy frames. A wrong decoding never makes a frame smoother.
+    If low bits are mistaken for high bits, neighbouring pixels of the same channel differ by a large fraction of full scale,
+    even in uniform, dark or noisy frames. A wrong decoding never makes a frame smoother.
 
     Parameters
     ----------
     readings : iterable of (str, ndarray of uint16 (row, col), int)
-        Option, pixels and bits per pixel of each decoding of the same bytes. The first element is the decoding in use. The
-        following elements are only requested if this decoding gives a rough picture.
+        Option, pixels and bits per pixel of each decoding of the same bytes. The first one is the decoding in use. All
+        others are requested only if it results in a rough frame.
     cfa : ndarray of uint8, (row, col)
         Channel of each site, starting with the site of the first pixel.
 
     Returns
     -------
     str
-        Option that selects the smoothest decoding. The result is "" if the first decoding is plausible, or if no decoding is
-        much smoother.
+        Option that selects the smoothest decoding, or "" if the first decoding is plausible or none is much smoother.
     """
     each = iter(readings)
     _, values, bits = next(each)
     rough = roughness(values, bits, cfa)
     if rough < ROUGH:
         return ""
-    # If no value exceeds 255, exchanging the bytes always gives a smoother picture, even if their order was correct.
+    # If no value exceeds 255, swapping the bytes always results in a smoother frame, even if their order was correct.
     found = [(roughness(other, bits, cfa), name) for name, other, bits in each if bits < 16 or other.max() >= 256]
     least, name = min(found, default=(rough, ""))
     return name if least * SMOOTHER < rough else ""
@@ -468,8 +464,8 @@ def smoother_reading(readings: Iterable[tuple[str, NDArray[np.uint16], int]], cf
 def roughness(values: NDArray[np.uint16], bits: int, cfa: NDArray[np.uint8]) -> float:
     """Return the mean difference between neighbouring pixels of the same channel, as a fraction of full scale.
 
-    The differences are measured in evenly spaced bands of a frame (row, col). `cfa` starts with the site of the first pixel.
-    The result is 0 if the frame has fewer than two super-pixels in either direction.
+    It is measured in evenly spaced bands of a frame, (row, col). `cfa` starts with the site of the first pixel. 0 if the
+    frame has fewer than two super-pixels in one of the directions.
     """
     rows, cols = cfa.shape
     bands = len(values) // rows - 1
@@ -488,7 +484,7 @@ def roughness(values: NDArray[np.uint16], bits: int, cfa: NDArray[np.uint8]) -> 
 
 
 def _nearest_of_channel(cfa: NDArray[np.uint8], row: int, col: int) -> Phase:
-    """Return the offset (down, right) from a site to the nearest site of the same channel to the right or in a lower row."""
+    """Return the offset (down, right) from a site to the nearest site of its channel, to the right or in a lower row."""
     rows, cols = cfa.shape
     steps = [
         (down, right)

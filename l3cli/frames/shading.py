@@ -1,9 +1,9 @@
-"""Correction of lens shading, which is the loss of light towards the corners of a frame (docs/method.md#corrections).
+"""Correct lens shading, the loss of light towards the corners of a frame (docs/method.md#corrections).
 
-The mean loss of all channels is corrected by a gain that is applied to the rendered outputs. Because transforms are linear,
-this gain has the same effect as a gain that is applied to the raw values. The advantage is that classes are determined from
-uncorrected raw values, whose noise matches the noise model. Only the difference between the loss of a channel and the
-mean loss, called colour shading, is corrected in the raw values. This changes their noise only slightly.
+The mean loss of all channels is corrected by a gain on the rendered outputs. Because transforms are linear, this has the
+same effect as a gain on the raw values, but the classes are still determined from uncorrected raw values, so that the noise
+model applies. Only colour shading, the difference between a channel's loss and the mean loss, is corrected in the raw
+values. This changes their noise only slightly.
 """
 
 from dataclasses import dataclass
@@ -15,26 +15,26 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:  # not imported at run time, which saves 80 ms when the decoding process starts
     from l3cli.artifacts.camera import FlatField
 
-CLIPPED = 0.985  # fraction of full scale; pixels at or above this fraction count as clipped and are not corrected
-NODE_SPACING_COLUMNS = 16  # distance between the nodes at which the output gain is stored, in columns
-FRACTION = 15  # number of fractional bits in the gains of the colour shading
-MIN_COLOUR_SHADING = 8  # in units of 2^-FRACTION, together about 0.02 %; smaller colour shading is not corrected
+CLIPPED = 0.985  # fraction of full scale from which pixels count as clipped and are not corrected
+NODE_SPACING_COLUMNS = 16  # distance, in columns, between the nodes at which the output gain is stored
+FRACTION = 15  # number of fractional bits in the colour shading
+MIN_COLOUR_SHADING = 8  # in units of 2^-FRACTION, or about 0.02 %; smaller colour shading is not corrected
 
 
 @dataclass(frozen=True, eq=False)
 class Shading:
-    """The correction of lens shading for the frames of a sensor."""
+    """The correction of lens shading for a sensor's frames."""
 
     gain: NDArray[np.float32]  # (row, node) output gain at every node; interpolated linearly between the nodes
     # (row, col) gain of the raw values minus 1, in units of 2^-FRACTION; None if colour shading is not corrected
     colour: NDArray[np.int16] | None
 
     def gain_map(self, cols: int) -> NDArray[np.float64]:
-        """Return the output gain of each pixel (row, col) of a frame with `cols` columns."""
+        """Return the output gain of each pixel, (row, col), in a frame with `cols` columns."""
         return self.gain_at(np.arange(len(self.gain)), np.arange(cols))
 
     def gain_at(self, rows: NDArray[np.integer], cols: NDArray[np.integer]) -> NDArray[np.float64]:
-        """Return the output gains (row, col) for all combinations of the given rows and columns."""
+        """Return the output gains, (row, col), for all combinations of these rows and columns."""
         node, part = cols // NODE_SPACING_COLUMNS, (cols % NODE_SPACING_COLUMNS) / NODE_SPACING_COLUMNS
         gain = self.gain[rows].astype(np.float64)
         return np.asarray(gain[:, node] + (gain[:, node + 1] - gain[:, node]) * part)
@@ -49,13 +49,13 @@ class Shading:
         taken : tuple of ndarray
             Index arrays that select the pixels of all patches.
         rows, cols : ndarray
-            Rows and columns of the centres of the patches. Each combination of a row and a column is a centre.
+            Rows and columns of the patch centres. Each combination of a row and a column is a centre.
 
         Returns
         -------
         Shading
-            Correction with the gain (patch, 1) at the centre of each patch, and the colour shading (patch, tap) of the
-            pixels. A tap is one pixel of a patch.
+            Correction with the gain at each patch centre, (patch, 1), and the colour shading of each pixel (tap) in a patch,
+            (patch, tap).
         """
         colour = None if self.colour is None else self.colour[taken].reshape(rows.size * cols.size, -1)
         return Shading(self.gain_at(rows, cols).reshape(-1, 1).astype(np.float32), colour)
@@ -69,7 +69,7 @@ def shading_of(field: "FlatField", shape: tuple[int, int], cfa: NDArray[np.uint8
     field : FlatField
         Gains of each channel on a grid of points.
     shape : tuple of int
-        Rows and columns of the frames, whose first pixel is at CFA site (0, 0).
+        Number of rows and columns in the frames, which start at CFA site (0, 0).
     cfa : ndarray, (cfa_row, cfa_col)
         Channel of each site.
     """
@@ -90,13 +90,15 @@ def shading_of(field: "FlatField", shape: tuple[int, int], cfa: NDArray[np.uint8
 def shading_of_gain(gain: NDArray[np.floating], period: tuple[int, ...]) -> Shading:
     """Return the shading correction that multiplies each pixel by a gain.
 
+    The output gain of a pixel is the mean gain in the surrounding CFA period. The quotient of the pixel's gain and the
+    output gain is corrected as colour shading.
+
     Parameters
     ----------
     gain : ndarray, (row, col)
         Gain of each pixel.
     period : tuple of int
-        Rows and columns of the CFA. The output gain is the mean gain in the surrounding CFA period. The gain of a pixel,
-        divided by the output gain, determines the colour shading.
+        Number of rows and columns in the CFA.
     """
     (rows, cols), (down, across) = gain.shape, period
     first = np.clip(np.arange(0, cols + NODE_SPACING_COLUMNS, NODE_SPACING_COLUMNS) - across // 2, 0, max(cols - across, 0))
@@ -111,9 +113,9 @@ def shading_of_gain(gain: NDArray[np.floating], period: tuple[int, ...]) -> Shad
 
 
 def interpolation(lines: NDArray[np.floating], places: NDArray[Any]) -> NDArray[Any]:
-    """Return the weights (place, line) for linear interpolation between grid lines at increasing positions `lines`.
+    """Return the weights, (place, line), for linear interpolation between grid lines at increasing positions `lines`.
 
-    There must be at least two lines. Outside the range of the lines, values are extrapolated linearly.
+    There must be at least two lines. Beyond them, values are extrapolated linearly.
     """
     above = np.clip(np.searchsorted(lines, places, side="right"), 1, lines.size - 1)
     part = (places - lines[above - 1]) / (lines[above] - lines[above - 1])
@@ -131,10 +133,10 @@ def clipped_from(black_level: float, white_level: float) -> int:
 def colour_corrected(
     values: NDArray[np.uint16], colour: NDArray[np.int16], black_level: float, white_level: float
 ) -> NDArray[np.uint16]:
-    """Multiply the differences between raw values and the black level by 1 + `colour` · 2^-FRACTION.
+    """Multiply raw signals above black by 1 + `colour` · 2^-FRACTION.
 
     `values` and `colour` have the same shape. Clipped pixels are unchanged, and no other pixel becomes clipped. The results
-    are identical to the results of opencl/common/shading.cl.
+    are identical to those from opencl/common/shading.cl.
     """
     black, clipped = round(black_level), clipped_from(black_level, white_level)
     wide = values.astype(np.int32)

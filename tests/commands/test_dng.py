@@ -288,7 +288,10 @@ READ: dict[str, tuple[Tags, list[bytes] | None, Callable[[RawFrame], bool]]] = {
                     lambda frame: frame.shading is not None),
 }  # fmt: skip
 REFUSED: dict[str, tuple[Tags, str]] = {
-    "DNGBackwardVersion": ({50707: (BYTE, [1, 8, 0, 0])}, "requires DNG version 1.8, but l3 supports only up to 1.7"),
+    "DNGBackwardVersion": (
+        {50707: (BYTE, [1, 8, 0, 0])},
+        "requires DNG version 1.8, but l3 supports only versions up to 1.7",
+    ),
     "NewSubFileType": ({254: (LONG, [16])}, "contains no raw image"),
     "BitsPerSample": ({258: (SHORT, [32])}, "LibRaw"),
     "Compression": ({259: (SHORT, [52546])}, "has JPEG XL"),

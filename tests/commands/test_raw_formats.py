@@ -272,7 +272,7 @@ def test_dumps_of_another_size_are_refused(refused: Refused, tmp_path: Path, raw
     (tmp_path / "b.raw").write_bytes(bytes(1600))
     assert "raw10, Mono10p, Mono10pmsb" in refused(3, "render", raw_table, tmp_path / "b.raw", "-o", tmp_path / "a.png")
     assert "raw14" in refused(2, "render", raw_table, tmp_path / "a.raw12", "-o", tmp_path / "a.png", "--packing", "raw14")
-    with pytest.raises(RecipeError, match="without pixels"):
+    with pytest.raises(RecipeError, match="has no pixels"):
         make_layout((0, 4), "raw10", None)
 
 

@@ -1,9 +1,8 @@
-"""Formats of scene files. The key `source` in a recipe and the suffix of a file determine which module reads the file.
+"""Scene file formats. The key `source` in a recipe and the file suffix determine which module reads a file.
 
 To add a format, write a module in this folder and add an entry to FORMATS. For a new source, also add its keys to
-simulation/sources.py. The module must define the functions `read` and `size`. It must also define `files` if the entry sets
-`has_files`, and `unknown` if the entry sets `names_unknown`. l3 imports the module when it reads the first scene in this
-format.
+simulation/sources.py. The module must define the functions `read` and `size`, and also `files` if the entry sets
+`has_files`, and `unknown` if it sets `names_unknown`. l3 imports the module when it reads the first scene in this format.
 """
 
 import importlib
@@ -23,13 +22,13 @@ class SceneFormat:
 
     source: str  # value of the key `source` in a recipe
     module: str  # module in this folder that reads the format
-    suffixes: tuple[str, ...] = ()  # in lower case; empty for all suffixes that no earlier entry with this source contains
+    suffixes: tuple[str, ...] = ()  # in lower case; empty for all suffixes that no earlier entry for this source lists
     keys: tuple[str, ...] = ()  # recipe keys that are passed to `read` and `size`
     is_folder: bool | None = False  # whether a scene is a folder instead of a file; None if it can be either
     has_files: bool = False  # whether a scene consists of several files
-    names_unknown: bool = False  # whether the module has a function `unknown`, which returns unknown header fields
-    holds: str = ""  # description of the contents, for the documentation
-    states: str = ""  # description of the metadata that l3 reads, for the documentation
+    names_unknown: bool = False  # whether the module defines `unknown`, which lists unknown header fields
+    holds: str = ""  # contents, for the documentation
+    states: str = ""  # metadata that l3 reads, for the documentation
 
     def read(self, path: Path, **keys: Any) -> Scene | SpectralCube | PolarisedPictures | NDArray[np.float32]:
         """Read a scene.
@@ -37,8 +36,8 @@ class SceneFormat:
         Returns
         -------
         Scene, SpectralCube, PolarisedPictures or ndarray
-            A scene with its illuminant, a cube of bands, pictures of polarised light, or a linear picture (row, col, 3),
-            depending on the format.
+            Depending on the format: a scene with its illuminant, a cube of bands, pictures of polarised light, or a linear
+            picture, (row, col, 3).
 
         Raises
         ------
@@ -49,7 +48,7 @@ class SceneFormat:
         return content
 
     def size(self, path: Path, **keys: Any) -> tuple[int, int]:
-        """Return the number of rows and columns of a scene. Pixel values are read only if no header contains the size."""
+        """Return a scene's number of rows and columns. Pixel values are read only if no header contains the size."""
         rows, cols = self._reader.size(path, **keys)
         return rows, cols
 
@@ -58,7 +57,7 @@ class SceneFormat:
         return self._reader.files(path) if self.has_files else [path]
 
     def unknown(self, path: Path) -> list[str]:
-        """Return the names of header fields that l3 does not recognise and that may affect the values of the scene."""
+        """Return the names of unknown header fields that may affect the values of the scene."""
         fields: list[str] = self._reader.unknown(path) if self.names_unknown else []
         return fields
 
@@ -103,11 +102,11 @@ FORMATS = (
 
 
 def format_of(source: str, path: Path) -> SceneFormat:
-    """Return the format of a scene file, given the value of the recipe key `source`."""
+    """Return a scene file's format, given the value of the recipe key `source`."""
     suffix = path.suffix.lower()
     return next(each for each in FORMATS if each.source == source and (not each.suffixes or suffix in each.suffixes))
 
 
 def is_folder(source: str) -> bool | None:
-    """Return True if a scene of this source is a folder, False if a scene is a file, and None if a scene can be either."""
+    """Return whether scenes with this `source` are folders (True), files (False), or either (None)."""
     return next((each.is_folder for each in FORMATS if each.source == source), False)

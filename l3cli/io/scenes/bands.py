@@ -1,7 +1,6 @@
-"""Read spectral cubes from pictures.
+"""Read spectral cubes from a folder with one picture per band, or from one file.
 
-A cube is a folder with one picture per band, a picture with one channel per band (such as EXR), or a TIFF file with one page
-per band.
+The file is a picture with one channel per band, such as EXR, or a TIFF file with one page per band.
 """
 
 import re
@@ -28,10 +27,10 @@ ITEM = re.compile(r'<Item name="(\w+)"([^>]*)>([^<]*)</Item>')
 def read(path: Path) -> SpectralCube:
     """Read a cube from a folder of pictures, from a picture with several channels, or from the pages of a TIFF file.
 
-    The pictures in a folder are sorted by the numbers in their names, and only the first channel of each picture is used.
-    The names of files, channels or pages may contain wavelengths ("450nm", "S0.450,5nm"). If only some names contain a
-    wavelength, bands without a wavelength are omitted. If no name contains a wavelength, the wavelengths of the cube are
-    None. Raises InputFileError if a folder contains no pictures, or if its pictures differ in size or bit depth.
+    The pictures in a folder are sorted by the numbers in their names, and only their first channel is used. Wavelengths are
+    taken from the names of files, channels or pages ("450nm", "S0.450,5nm"). If only some names contain a wavelength, the
+    other bands are omitted. If none does, the cube's wavelengths are None. Raises InputFileError if a folder contains no
+    pictures, or if its pictures differ in size or bit depth.
     """
     if path.is_dir():
         pictures = _pictures(path)
@@ -45,7 +44,7 @@ def read(path: Path) -> SpectralCube:
 
 
 def size(path: Path) -> tuple[int, int]:
-    """Return the numbers of rows and columns of a cube. Raises InputFileError if a folder contains no pictures."""
+    """Return a cube's number of rows and columns. Raises InputFileError if a folder contains no pictures."""
     if path.suffix.lower() in TIFF and not path.is_dir():
         rows, cols = _tiff_size(path)
         return rows, cols
@@ -53,10 +52,7 @@ def size(path: Path) -> tuple[int, int]:
 
 
 def files(path: Path) -> list[Path]:
-    """Return the pictures in a folder, sorted by the last number in their names.
-
-    If `path` is a file, return only this file.
-    """
+    """Return the pictures in a folder, sorted by the last number in their names, or the file itself if `path` is a file."""
 
     def order(path: Path) -> tuple[str, int]:
         numbers = re.findall(r"\d+", path.stem)
@@ -77,9 +73,9 @@ def _pictures(folder: Path) -> list[Path]:
 
 
 def _named(names: list[str] | tuple[str, ...]) -> tuple[list[int], NDArray[np.float64] | None]:
-    """Return the indices of the bands whose names contain a wavelength, and these wavelengths in nm.
+    """Return the indices of the bands with a wavelength in their names, and these wavelengths in nm.
 
-    If no name contains a wavelength, return the indices of all bands, and None instead of wavelengths.
+    If no name contains a wavelength, return the indices of all bands, and None.
     """
     stated = of_names(names)
     wanted = [index for index, each in enumerate(stated) if each is not None]
@@ -89,7 +85,7 @@ def _named(names: list[str] | tuple[str, ...]) -> tuple[list[int], NDArray[np.fl
 
 
 def _stacked(pictures: list[Path]) -> NDArray:
-    """Return the first channel of each picture as a cube (row, col, band).
+    """Read the first channel of each picture as a cube, (row, col, band).
 
     Raises InputFileError if the pictures differ in size or bit depth.
     """
@@ -112,10 +108,9 @@ def _stacked(pictures: list[Path]) -> NDArray:
 
 
 def _of_tiff(values: NDArray, names: list[str], stated: dict[str, Any]) -> SpectralCube:
-    """Convert the result of `read_tiff` to a cube.
+    """Convert the result of `read_tiff` to a cube: apply scales and offsets, and mark pixels without data.
 
-    The wavelengths are taken from the metadata or, if the metadata contain no wavelengths, from the names of the bands.
-    Scales and offsets are applied, and pixels with the no-data value are marked.
+    The wavelengths are taken from the metadata or, if there are none, from the band names.
     """
     if stated["wavelengths"]:
         wanted, wavelength = list(range(values.shape[2])), in_nm(stated["wavelengths"], "")
@@ -132,7 +127,7 @@ def _of_tiff(values: NDArray, names: list[str], stated: dict[str, Any]) -> Spect
 
 @isolated("tifffile")
 def _tiff_size(path: Path) -> tuple[int, int]:
-    """Return the numbers of rows and columns of the bands in a TIFF file."""
+    """Return the number of rows and columns of the bands in a TIFF file."""
     import tifffile
 
     with tifffile.TiffFile(path) as file:
@@ -142,9 +137,9 @@ def _tiff_size(path: Path) -> tuple[int, int]:
 
 @isolated("OpenImageIO", "tifffile")
 def read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
-    """Read the bands of a TIFF file (row, col, band), the names of the bands, and the metadata in the tags (see `_stated`).
+    """Read the bands of a TIFF file, (row, col, band), their names, and the metadata in the tags (see `_stated`).
 
-    The list of names is empty if the file contains no names. Raises InputFileError if a page is damaged.
+    The list of names is empty if the file contains none. Raises InputFileError if a page is damaged.
     """
     import tifffile
 
@@ -154,7 +149,7 @@ def read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
         bands = int(np.prod(series.shape)) // (page.imagelength * page.imagewidth)
         stated, names = _stated(file, page, bands), _page_names(file, series, bands)
         pages = [each.index for each in series.pages if each is not None]
-        # ImageJ can write one page and then append the values of the other bands without page headers.
+        # ImageJ may write a single page and append the values of all other bands without page headers.
         has_all_pages = len(pages) * page.samplesperpixel == bands
         values = None if has_all_pages else series.asarray()
         axes = series.axes
@@ -170,7 +165,7 @@ def read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
         require_bearable(path, spec)
         pixels = pixels_of(path, source, spec)
         depth = 8 * pixels.dtype.itemsize
-        if pixels.dtype.kind == "u":  # OpenImageIO stores a 12-bit value, for example, in the upper bits of 16 bits
+        if pixels.dtype.kind == "u":  # OpenImageIO scales, for example, 12-bit values to 16 bits
             pixels = pixels >> pixels.dtype.type(depth - spec.get_int_attribute("oiio:BitsPerSample", depth))
         planes.append(pixels)
         names = names or list(spec.channelnames)
@@ -179,7 +174,7 @@ def read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
 
 
 def _bands_of(path: Path, file: Any) -> Any:
-    """Return the tifffile series that contains the bands.
+    """Return the tifffile series (a stack of pages) that contains the bands.
 
     Raises InputFileError if the file contains several series of the same size, or if the series has axes other than row,
     column and band.
@@ -206,8 +201,8 @@ def _stated(file: Any, page: Any, bands: int) -> dict[str, Any]:
     Returns
     -------
     dict
-        "wavelengths" (in nm), "SCALE", "OFFSET" and "DESCRIPTION" are lists with one entry per band. A list is empty if the
-        page does not contain the metadata. "nodata" is the value of pixels without data, or None.
+        "wavelengths" (in nm), "SCALE", "OFFSET" and "DESCRIPTION" are lists with one entry per band, or empty lists if they
+        are missing. "nodata" is the value of pixels without data, or None.
     """
     stated: dict[str, Any] = {"wavelengths": [], "nodata": None, "SCALE": [], "OFFSET": [], "DESCRIPTION": []}
     for metadata in file.shaped_metadata or ():
@@ -232,9 +227,9 @@ def _stated(file: Any, page: Any, bands: int) -> dict[str, Any]:
 
 
 def _page_names(file: Any, series: Any, bands: int) -> list[str]:
-    """Return the name of each band: its ImageJ label, its OME channel name, or the name or description of its page.
+    """Return each band's name: its ImageJ label, its OME channel name, or the name or description of its page.
 
-    The result is empty if the file does not contain one name per band.
+    Empty if the file does not contain one name per band.
     """
     if file.is_imagej and len(labels := (file.imagej_metadata or {}).get("Labels") or ()) == bands:
         return [str(label) for label in labels]

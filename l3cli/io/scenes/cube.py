@@ -1,8 +1,8 @@
 """Read spectral cubes from MATLAB, HDF5 and .npy files.
 
-The attributes of an HDF5 dataset specify how its values are scaled. l3 supports the attributes of the CF conventions
-(scale_factor, add_offset, _FillValue, missing_value) and the attributes of NEON (Scale_Factor, by which the values are
-divided, and Data_Ignore_Value). A .npy file contains only the values, without wavelengths and attributes.
+The values of an HDF5 dataset are scaled according to its attributes from the CF conventions (scale_factor, add_offset,
+_FillValue, missing_value) or from NEON (Scale_Factor, by which the values are divided, and Data_Ignore_Value). A .npy file
+contains only values, without wavelengths and attributes.
 """
 
 from collections.abc import Container, Iterator
@@ -22,14 +22,14 @@ from l3cli.io.scenes.wavelengths import GOOD_NAMES, NAMES, in_nm, is_named, unit
 from l3cli.system.limits import require_values
 
 Content = dict[str, Any]
-# Names of attributes. SCALE: factor for the stored values. OFFSET: offset that is added after scaling. WHITE: stored value
-# of a perfect white.
+# Attribute names for the factor of the stored values, for the offset added after scaling, and for the value of a perfect
+# white.
 SCALE, OFFSET, WHITE = "scale_factor", "add_offset", "Scale_Factor"
-MISSING = ("_FillValue", "missing_value", "Data_Ignore_Value")  # attributes that contain the value of pixels without data
+MISSING = ("_FillValue", "missing_value", "Data_Ignore_Value")  # attribute names for the value of pixels without data
 MATLAB, NPY = ".mat", ".npy"
-# Suffix that this module does not read → value of the key `source` for files with this suffix.
+# Suffix of files that other modules read → value of the key `source` for them.
 OTHER_SOURCES = {".tif": "channels", ".tiff": "channels", ".exr": "channels", ".hdr": "envi"}
-TITLES = ("NAME", "standard_name", "long_name")  # attributes that contain the name of an array (HDF5, CF conventions)
+TITLES = ("NAME", "standard_name", "long_name")  # attribute names for the name of an array (HDF5, CF conventions)
 DEEPEST = 16  # maximum nesting of groups or structs
 
 
@@ -41,25 +41,24 @@ def read(path: Path, variable: str | None, axes: str) -> SpectralCube:
     path : Path
         The cube file.
     variable : str or None
-        Name of the array that contains the cube. None selects the only array with three axes.
+        Name of the array that contains the cube, or None for the only array with three axes.
     axes : str
-        Names of the axes of the stored array in order, separated by spaces, such as "band row col".
+        Names of the stored array's axes in order, separated by spaces, such as "band row col".
 
     Returns
     -------
     SpectralCube
-        The cube (row, col, band). Its wavelengths are None if the file contains no wavelengths.
+        The cube, (row, col, band). Its wavelengths are None if the file contains none.
 
     Raises
     ------
     InputFileError
-        If the file cannot be read or does not contain the cube, or if it contains several lists of wavelengths that differ.
+        If the file cannot be read, if it does not contain the cube, or if it contains different lists of wavelengths.
 
     Notes
     -----
-    A list of wavelengths is an array or attribute with one number per band and with a name in `wavelengths.NAMES`. l3
-    searches for the list among the attributes of the cube, then in the group or struct of the cube, then in the enclosing
-    groups, and finally in the whole file.
+    A list of wavelengths is an array or attribute with one number per band and a name in `wavelengths.NAMES`. l3 searches
+    the cube's attributes first, then its group or struct, then the enclosing groups, and finally the whole file.
     """
     _refuse_other_source(path)
     content = {"values": map_array(path)} if path.suffix.lower() == NPY else read_content(path)
@@ -87,10 +86,7 @@ def read(path: Path, variable: str | None, axes: str) -> SpectralCube:
 def _as_stored(
     values: NDArray, wavelength: NDArray[np.float64] | None, good: NDArray[np.bool_] | None, attributes: dict[str, Any]
 ) -> SpectralCube:
-    """Scale the values (row, col, band) of a dataset, and mark the pixels without data.
-
-    The scale, the offset, the value of a perfect white and the values of pixels without data are read from `attributes`.
-    """
+    """Scale a dataset's values, (row, col, band), and mark pixels without data, according to its attributes."""
     ignored = None
     for mark in (attributes[name] for name in MISSING if name in attributes):
         found = missing(values, float(np.ravel(mark)[0]), good)
@@ -104,7 +100,7 @@ def _as_stored(
 def size(path: Path, variable: str | None, axes: str) -> tuple[int, int]:
     """Return the number of rows and columns of the cube that `read` returns.
 
-    The values are read only if the header does not state the size. Raises the same errors as `read`.
+    The values are read only if the header does not contain the size. Raises the same errors as `read`.
     """
     _refuse_other_source(path)
     shapes = {"values": map_array(path).shape} if path.suffix.lower() == NPY else array_shapes(path)
@@ -119,13 +115,13 @@ def size(path: Path, variable: str | None, axes: str) -> tuple[int, int]:
 
 
 def _refuse_other_source(path: Path) -> None:
-    """Raise InputFileError if a file with this suffix requires a different value of the key `source`."""
+    """Raise InputFileError if files with this suffix require a different value of the key `source`."""
     if (source := OTHER_SOURCES.get(path.suffix.lower())) is not None:
         raise InputFileError(f'{path} is not a MATLAB, HDF5 or .npy file; set source = "{source}" in the recipe')
 
 
 def _path_of(variable: str) -> str:
-    """Convert the name of a variable, such as "a", "a/b" or "a.b", to a path with "/" as the separator."""
+    """Convert a variable name such as "a", "a/b" or "a.b" to a path with "/" as the separator."""
     return variable.replace(".", "/").strip("/")
 
 
@@ -133,10 +129,10 @@ Lists = dict[tuple[str, str], NDArray[np.float64]]  # (group, name) → list of 
 
 
 def _lists(arrays: dict[str, NDArray], attributes: dict[str, dict[str, Any]], length: int) -> Lists:
-    """Return all lists of `length` numbers in the arrays and attributes of a file, or no lists if `length` is 1.
+    """Return all lists of `length` numbers, at least 2, in a file's arrays and attributes.
 
-    The keys of the result are (group, name). For a list in an attribute, the group is the path of the group or array to
-    which the attribute belongs.
+    The keys of the result are (group, name). For an attribute, the group is the path of the group or array that has the
+    attribute.
     """
     found: Lists = {}
     for path, values in arrays.items():
@@ -152,7 +148,7 @@ def _lists(arrays: dict[str, NDArray], attributes: dict[str, dict[str, Any]], le
 
 
 def _titles(attributes: dict[str, Any]) -> Iterator[str]:
-    """Yield the names in the attributes of an array, such as the value of "long_name"."""
+    """Yield the names of an array in its attributes, such as the value of "long_name"."""
     for key in TITLES:
         if isinstance(title := attributes.get(key), str):
             yield title.removeprefix("radiation_")  # as in the CF standard name "radiation_wavelength"
@@ -161,10 +157,10 @@ def _titles(attributes: dict[str, Any]) -> Iterator[str]:
 def _nearest(
     cube: str, lists: Lists, names: tuple[str, ...], titled: Container[tuple[str, str]] = ()
 ) -> list[tuple[str, str]]:
-    """Find the lists nearest to a cube in the hierarchy of the file, and return their keys.
+    """Return the keys of the lists that are nearest to a cube in the hierarchy of the file.
 
-    Only lists in `titled` and lists with a name in `names` are considered. The attributes of the cube are nearest, followed
-    by the group of the cube, the enclosing groups from the innermost to the outermost, and all other groups.
+    Only lists in `titled` and lists with a name in `names` are considered. The cube's attributes are nearest, followed by
+    its group, the enclosing groups from the inside out, and all other groups.
     """
     usual = [key for key in lists if key in titled or is_named(key[1], names)]
     places = [cube]
@@ -177,11 +173,10 @@ def _nearest(
 
 
 def _wavelengths(path: Path, cube: str, lists: Lists, attributes: dict[str, dict[str, Any]]) -> NDArray[np.float64] | None:
-    """Return the wavelength of each band in nm, or None if the file contains no list of wavelengths.
+    """Return each band's wavelength in nm, or None if the file contains no list of wavelengths.
 
-    The unit is the attribute "unit" or "units" of the list, or the last word of the name of the list. If the file states no
-    unit, l3 infers the unit from the numbers. Raises InputFileError if a list is invalid, or if several lists are equally
-    near to the cube but differ.
+    The unit is the list's attribute "unit" or "units", or the last word of its name. Otherwise, l3 infers the unit from the
+    numbers. Raises InputFileError if a list is invalid, or if several lists are equally near to the cube but differ.
     """
     found = []
     titled = {key for key in lists if any(map(is_named, _titles(attributes.get("/".join(key).strip("/"), {}))))}
@@ -200,9 +195,9 @@ def _wavelengths(path: Path, cube: str, lists: Lists, attributes: dict[str, dict
 
 
 def _good_bands(cube: str, lists: Lists) -> NDArray[np.bool_] | None:
-    """Return a mask that is true for good bands, or None if the file contains no list of good bands.
+    """Return a mask of the good bands, or None if the file contains no list of good bands.
 
-    A list is used only if all its values are 0 or 1 and at least one value is 1.
+    A list is used only if all of its values are 0 or 1, and at least one of them is 1.
     """
     for key in _nearest(cube, lists, GOOD_NAMES):
         if np.isin(lists[key], (0, 1)).all() and lists[key].any():
@@ -216,16 +211,15 @@ def _good_bands(cube: str, lists: Lists) -> NDArray[np.bool_] | None:
 def read_content(path: Path) -> Content:
     """Read all numeric arrays in a MATLAB file (suffix .mat) or an HDF5 file (any other suffix).
 
-    Groups and structs become nested dictionaries. The axes of arrays that MATLAB wrote have the same order as in MATLAB.
-    Axes of length 1 are removed from these arrays. Strings are read only from MATLAB files older than version 7.3. Raises
-    InputFileError if the file cannot be read.
+    Groups and structs become nested dictionaries. Arrays from MATLAB keep MATLAB's order of axes, without axes of length 1.
+    Strings are read only from MATLAB files before version 7.3. Raises InputFileError if the file cannot be read.
     """
     return read_matlab(path) if path.suffix.lower() == MATLAB else _read_hdf5(path)
 
 
 @isolated("h5py", "scipy.io")
 def read_matlab(path: Path) -> Content:
-    """Read a MATLAB file with any suffix. The result has the same form as the result of `read_content`."""
+    """Read a MATLAB file with any suffix, as `read_content` does."""
     import h5py
 
     return _stored(path, reverse=True) if h5py.is_hdf5(path) else _loaded(path)  # version 7.3 is HDF5, with reversed axes
@@ -238,11 +232,9 @@ def _read_hdf5(path: Path) -> Content:
 
 @isolated("h5py", "scipy.io")
 def array_shapes(path: Path) -> dict[str, tuple[int, ...]]:
-    """Return the shape of each numeric array in a MATLAB or HDF5 file.
+    """Return the shapes of the arrays that `read_content` returns, by their paths in the file, such as "a" or "a/b".
 
-    The keys of the result are paths in the file, such as "a" or "a/b". The values are the shapes of the arrays that
-    `read_content` returns. Only headers are read, except that structs in MATLAB files older than version 7.3 must be read
-    completely.
+    Only headers are read, except that structs in MATLAB files before version 7.3 must be read completely.
     """
     import h5py
 
@@ -264,7 +256,7 @@ def _squeezed(shape: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _arrays(content: Content, prefix: str = "") -> Iterator[tuple[str, NDArray]]:
-    """Yield the path, such as "a/b", and the values of every numeric array in nested dictionaries."""
+    """Yield (path, values) for every numeric array in nested dictionaries. A path looks like "a/b"."""
     for name, value in content.items():
         if isinstance(value, dict):
             yield from _arrays(value, f"{prefix}{name}/")
@@ -273,7 +265,7 @@ def _arrays(content: Content, prefix: str = "") -> Iterator[tuple[str, NDArray]]
 
 
 def _loaded(path: Path, names: list[str] | None = None) -> Content:
-    """Read variables from a MATLAB file older than version 7.3. If `names` is None, all variables are read."""
+    """Read variables, or all variables if `names` is None, from a MATLAB file before version 7.3."""
     from scipy.io import loadmat, whosmat
 
     for name, shape, _ in whosmat(path):
@@ -283,7 +275,7 @@ def _loaded(path: Path, names: list[str] | None = None) -> Content:
 
 
 def _plain(content: Content, depth: int = 0) -> Content:
-    """Remove all fields that are not numbers, text or structs, and all structs at a nesting depth above DEEPEST."""
+    """Remove all fields that are not numbers, text or structs, and all structs nested more than DEEPEST levels deep."""
     fields: Content = {}
     for name, value in content.items():
         if isinstance(value, dict) and depth < DEEPEST:
@@ -294,18 +286,16 @@ def _plain(content: Content, depth: int = 0) -> Content:
 
 
 def _is_matlab(path: Path) -> bool:
-    """Return whether a file is a MATLAB file of version 7.3. Files of this version are HDF5 files."""
+    """Return whether an HDF5 file is a MATLAB version 7.3 file."""
     with open(path, "rb") as stream:
         return stream.read(10) == b"MATLAB 7.3"
 
 
 @isolated("h5py")
 def _attributes(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the attributes of all groups and datasets in an HDF5 file.
+    """Return the numeric and text attributes of all groups and datasets in an HDF5 file, by path ("" for the root).
 
-    The keys of the result are the paths of the groups and datasets, and "" for the root. Only attributes that are numbers or
-    strings are included. Groups and datasets without such attributes are omitted. If the file is not an HDF5 file, the
-    result is empty.
+    Groups and datasets without such attributes are omitted. The result is empty if the file is not an HDF5 file.
     """
     import h5py
 
@@ -326,7 +316,7 @@ def _attributes(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def _plain_attribute(attributes: Any, key: str) -> Any:
-    """Return an attribute if it is a string or an array of at most a million numbers. Otherwise return None."""
+    """Return an attribute if it is a string or an array of at most a million numbers, otherwise None."""
     kind, shape = attributes.get_id(key).dtype, attributes.get_id(key).shape
     if kind.kind in "fiu" and np.prod(shape, dtype=float) <= 1e6:
         return np.asarray(attributes[key])

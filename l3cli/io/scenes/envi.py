@@ -1,8 +1,8 @@
 """Read ENVI cubes, which consist of a text header and a data file in the same folder.
 
-FIELDS lists every field of the format and describes how l3 uses the field. The list follows "ENVI Header Files" by NV5
-Geospatial, and includes the frame offsets of ENVI Classic. l3 ignores fields that camera manufacturers have added. The
-function `unknown` returns the names of the ignored fields that could affect the values.
+FIELDS lists every header field and how l3 uses it. The list follows "ENVI Header Files" by NV5 Geospatial, and includes the
+frame offsets of ENVI Classic. Fields that camera manufacturers have added are ignored. `unknown` returns those of them that
+could affect the values.
 """
 
 import math
@@ -28,7 +28,7 @@ STANDARD = ("envi standard", "envi", "standard", *UNSTATED)  # file types of unc
 DATA = ("", ".img", ".dat", ".raw", ".bsq", ".bil", ".bip", ".bin", ".cube", ".hyspex")  # suffixes of data files
 CURE = "use a complete ENVI header"
 
-# Words in a field name that suggest that a manufacturer's field affects the values, as in "radiance gain" or "dark level".
+# Words in a manufacturer's field name that suggest that the field affects the values, as in "radiance gain".
 CHANGING = re.compile(
     r"gain|offset|scal|factor|calib|coeff|multipl|slope|intercept|bias|dark|black|white|ceiling|gamma|linear|"
     r"no ?data|ignore|mask|bad|invalid|fill|unit|quantity|radiance|reflectance|responsivity|sensitivity"
@@ -39,11 +39,10 @@ READ, REFUSED, HARMLESS = "read", "refused", "harmless"
 
 @dataclass(frozen=True)
 class HeaderField:
-    """A field of an ENVI header."""
+    """A field in an ENVI header."""
 
     name: str
-    # READ: l3 uses the field. REFUSED: l3 rejects unsupported values of the field. HARMLESS: the field has no effect.
-    fate: str
+    fate: str  # READ: used. REFUSED: rejected if its value is unsupported. HARMLESS: ignored, because it has no effect.
     meaning: str  # for the documentation
 
 
@@ -137,7 +136,7 @@ class Layout:
     """Data type and positions of the values in the data file."""
 
     shape: tuple[int, int, int]  # lengths of `axes`
-    axes: tuple[str, str, str]  # "lines", "samples" and "bands" in the order of the file; the last axis varies fastest
+    axes: tuple[str, str, str]  # "lines", "samples" and "bands" in file order; the last axis varies fastest
     dtype: np.dtype
     offset: int  # number of bytes before the first value
     strides: tuple[int, int, int]  # distance in bytes between neighbouring values along each of `axes`
@@ -149,10 +148,7 @@ class Layout:
 
 
 class Header:
-    """The fields of an ENVI header file.
-
-    Field names are in lower case. Raises InputFileError if the file is not a header.
-    """
+    """The fields in an ENVI header file, by names in lower case. Raises InputFileError if the file is not a header."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.fields = path, _fields(path)
@@ -166,7 +162,7 @@ class Header:
     def whole(self, name: str, least: int = 0, default: int | None = None) -> int:
         """Return a field as an integer, or `default` if the field is missing.
 
-        Raises InputFileError if the field is not an integer of at least `least`, or if it is missing and `default` is None.
+        Raises InputFileError if the field is not an integer of at least `least`, or if it is missing without a default.
         """
         text = self.text(name)
         if not text and default is not None:
@@ -178,9 +174,9 @@ class Header:
         return int(text)
 
     def numbers(self, name: str, count: int) -> NDArray[np.float64] | None:
-        """Return the `count` numbers in a field, or None if the field is missing. A single number is repeated `count` times.
+        """Return the numbers in a field, (count,), or None if the field is missing. A single number is repeated.
 
-        Raises InputFileError if the field contains a wrong number of entries, or an entry that is not a number.
+        Raises InputFileError if the number of entries is wrong, or if an entry is not a number.
         """
         if not self.text(name):
             return None
@@ -195,20 +191,20 @@ class Header:
 
 
 def read(path: Path, holds: str = "reflectance") -> SpectralCube:
-    """Read the cube of an ENVI header (.hdr). The data file must be in the same folder as the header.
+    """Read a cube from its ENVI header (.hdr) and the data file in the same folder.
 
     Parameters
     ----------
     path : Path
         The header.
     holds : str
-        Content of the cube according to the recipe: "reflectance", "radiance" or "photons". For "reflectance", gains for
-        reflectance are applied if the header contains such gains. In all other cases, gains for radiance are applied.
+        Content of the cube according to the recipe: "reflectance", "radiance" or "photons". For "reflectance", the header's
+        reflectance gains are applied if it contains any. In all other cases, its radiance gains are applied.
 
     Returns
     -------
     SpectralCube
-        The cube (row, col, band). Its wavelengths are None if the header contains no wavelengths.
+        The cube, (row, col, band). Its wavelengths are None if the header contains none.
 
     Raises
     ------
@@ -233,7 +229,7 @@ def read(path: Path, holds: str = "reflectance") -> SpectralCube:
 
 
 def size(path: Path, holds: str = "reflectance") -> tuple[int, int]:
-    """Read the numbers of rows and columns from the header. Raises the same errors as `read`."""
+    """Read the number of rows and columns from the header. Raises the same errors as `read`."""
     header = Header(path)
     layout = _layout(header)
     _wavelengths(header), _good_bands(header), _scale(header, holds), _whole_data(path, layout)
@@ -241,26 +237,24 @@ def size(path: Path, holds: str = "reflectance") -> tuple[int, int]:
 
 
 def files(path: Path) -> list[Path]:
-    """Return an ENVI header and its data file. Raises InputFileError if either file is missing."""
+    """Return an ENVI header and its data file. Raises InputFileError if one of them is missing."""
     _fields(path)
     return [path, _data(path)]
 
 
 def unknown(path: Path) -> list[str]:
-    """Return the names of header fields that are not in FIELDS and that probably affect the values.
-
-    Empty fields are omitted.
-    """
+    """Return the names of non-empty header fields that are not in FIELDS but probably affect the values."""
     known = {field.name for field in FIELDS}
     return [name for name, text in _fields(path).items() if name not in known and text and CHANGING.search(name)]
 
 
 def _fields(path: Path) -> dict[str, str]:
-    """Return the fields of a header as a dictionary. The keys are the names of the fields in lower case.
+    """Read the fields in a header by their names in lower case, without braces and comments.
 
-    Braces and comments are removed from the values. Raises InputFileError if the file is not an ENVI header.
+    Raises InputFileError if the file is not an ENVI header.
     """
-    with open_regular(path, "use the .hdr file") as stream:  # checked first, because `read_bounded` rejects large data files
+    # Check the first bytes, because for a large data file, the error from `read_bounded` would be misleading.
+    with open_regular(path, "use the .hdr file") as stream:
         if b"ENVI" not in stream.read(64):
             raise InputFileError(f"{path} is not an ENVI header; give the .hdr file of the cube")
     content = read_bounded(path)
@@ -286,9 +280,9 @@ def _fields(path: Path) -> dict[str, str]:
 
 
 def _goes_on(value: str, following: str) -> bool:
-    """Return whether the value of a field continues in the following line.
+    """Return whether a field's value continues in the following line.
 
-    A value continues if its brace is not closed. An empty value continues if the following line starts with a brace.
+    It continues if its brace is not closed, or if it is empty and the following line starts with a brace.
     """
     return "}" not in value if value.startswith("{") else not value and following.lstrip().startswith("{")
 
@@ -312,7 +306,7 @@ def _whole_data(path: Path, layout: Layout) -> Path:
 
 
 def _layout(header: Header) -> Layout:
-    """Return the layout of the values. Raises InputFileError if a field is missing, invalid or unsupported."""
+    """Return the layout of the data file. Raises InputFileError if a field is missing, invalid or unsupported."""
     sizes = {name: header.whole(name, 1) for name in ("lines", "samples", "bands")}
     kind = " ".join(header.text("file type").split())
     if kind.lower() not in STANDARD:
@@ -354,10 +348,9 @@ def _frame_offsets(header: Header, name: str) -> tuple[int, int]:
 
 
 def _wavelengths(header: Header) -> NDArray[np.float64] | None:
-    """Return the wavelength of each band in nm.
+    """Return each band's wavelength in nm, from the field "wavelength" or, if it is missing, from the band names.
 
-    The wavelengths are in the field "wavelength". If this field is missing, the wavelengths are in the names of the bands.
-    Returns None if the header contains no wavelengths. Raises InputFileError if the field or its unit is invalid.
+    None if the header contains no wavelengths. Raises InputFileError if the field or its unit is invalid.
     """
     bands = header.whole("bands", 1)
     if (listed := header.numbers("wavelength", bands)) is not None:
@@ -385,10 +378,9 @@ def _good_bands(header: Header) -> NDArray[np.bool_] | None:
 
 
 def _scale(header: Header, holds: str) -> tuple[NDArray[np.float64], NDArray[np.float64], float | None]:
-    """Return the gain of each band, the offset of each band, and the value of a perfect white.
+    """Return each band's gain and offset, and the scaled value of a perfect white, or None if it is unknown.
 
-    The value of a perfect white is the value after scaling, or None if the header does not contain this value. If `holds` is
-    "reflectance" and the header contains gains for reflectance, these gains are used. Otherwise, the gains for radiance are
+    If `holds` is "reflectance" and the header contains reflectance gains, these are used. Otherwise, the radiance gains are
     used. Raises InputFileError if a field is invalid, or if two fields scale the data.
     """
     bands = header.whole("bands", 1)
@@ -429,9 +421,9 @@ def _scale(header: Header, holds: str) -> tuple[NDArray[np.float64], NDArray[np.
 
 
 def _linear(header: Header, kind: str, bands: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return the gain and the offset of each band from the fields whose names begin with `kind`.
+    """Return each band's gain and offset from the fields with names that begin with `kind`.
 
-    Missing gains are 1, and missing offsets are 0. Returns None if all gains are 1 and all offsets are 0.
+    Missing gains are 1, and missing offsets are 0. None if all gains are 1 and all offsets are 0.
     """
     gain, offset = (header.numbers(f"{kind} {what} values", bands) for what in ("gain", "offset"))
     gain, offset = np.ones(bands) if gain is None else gain, np.zeros(bands) if offset is None else offset

@@ -15,25 +15,25 @@ Curve = tuple[NDArray[np.floating], NDArray[np.floating]]  # wavelengths in nm, 
 
 
 def read(path: Path, light: Curve | None = None) -> Scene:
-    """Read the reflectances of an ISET scene and the illuminant of the scene.
+    """Read the reflectances and the illuminant of an ISET scene.
 
-    l3 reads all three forms in which ISET stores scenes: a struct `scene`, the variables `photons` and `wave`, and
-    coefficients `mcCOEF` of basis functions with an optional mean spectrum `imgMean`. Photon counts are floating-point
-    numbers, or integers that represent the range from `dmin` to `dmax`. l3 divides the photon counts by the illuminant to
-    obtain reflectances. Negative reflectances are noise and are set to zero. Reflectances above 1 are specular highlights
-    and are preserved (docs/method.md#simulation).
+    ISET stores scenes in three forms: as a struct `scene`, as variables `photons` and `wave`, or as coefficients `mcCOEF` of
+    basis functions with an optional mean spectrum `imgMean`. Photon counts are floating-point numbers, or integers that
+    represent the range from `dmin` to `dmax`. l3 divides them by the illuminant to obtain reflectances. Negative
+    reflectances are noise and are set to zero. Reflectances above 1 are specular highlights and are preserved
+    (docs/method.md#simulation).
 
     Parameters
     ----------
     path : Path
         The scene file.
     light : tuple of ndarray, optional
-        Illuminant that is used if the file contains no illuminant: wavelengths in nm, and photons at each wavelength.
+        Illuminant for a file that contains none: wavelengths in nm, and photons at each wavelength.
 
     Raises
     ------
     InputFileError
-        If the file is not a complete ISET scene, or if neither the file nor `light` states the illuminant.
+        If the file is not a complete ISET scene, or if the illuminant is unknown.
     """
     content = read_matlab(path)
     content = content["scene"] if isinstance(content.get("scene"), dict) else content
@@ -48,7 +48,7 @@ def read(path: Path, light: Curve | None = None) -> Scene:
             f"{path}: wavelengths or photons are not numbers, or a wavelength occurs twice; save the scene from ISET again"
         ) from error
     if wavelength.size == 1 and photons.ndim == 2:
-        photons = photons[..., None]  # MATLAB drops a last axis of length 1
+        photons = photons[..., None]  # MATLAB drops trailing axes of length 1
     if photons.ndim != 3 or photons.shape[2] != wavelength.size:
         raise InputFileError(
             f"{path}: the photons of shape {photons.shape} do not match the {wavelength.size} wavelengths; "
@@ -80,10 +80,9 @@ def size(path: Path, light: Curve | None = None) -> tuple[int, int]:
 
 
 def _photons(content: Content) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """Return the wavelengths in nm and the photons (row, col, wavelength).
+    """Return the wavelengths in nm, and the photons, (row, col, wavelength), or (row, col) for a single wavelength.
 
-    The last axis of the photons is missing if there is only one wavelength. Raises KeyError with the name of a missing
-    variable.
+    Raises KeyError with the name of a missing variable.
     """
     if "mcCOEF" in content:
         basis = content["basis"]
@@ -103,9 +102,9 @@ def _photons(content: Content) -> tuple[NDArray[np.float64], NDArray[np.float32]
 def _illuminant(stored: Any, wavelength: NDArray[np.float64], light: Curve | None) -> NDArray[np.float64]:
     """Return the photons that a perfect white reflects under the illuminant, at each wavelength.
 
-    New versions of ISET store photons. Old versions store energy, which l3 converts to photons. `stored` is the illuminant
-    struct of the file. If `stored` is not a struct, the file contains no illuminant, and `light` is used instead. Raises
-    KeyError if the illuminant is incomplete, or if both the file and `light` contain no illuminant.
+    `stored` is the illuminant struct in the file. If it is not a struct, the file contains no illuminant, and `light` is
+    used instead. New versions of ISET store photons, and old versions store energy, which l3 converts to photons. Raises
+    KeyError if the illuminant is missing or incomplete.
     """
     if not isinstance(stored, dict):
         if light is None:
@@ -128,10 +127,10 @@ def _numbers(values: Any) -> NDArray[np.float64]:
 
 
 def _decoded(values: Any, holder: Content, low: str, high: str) -> NDArray[np.float32]:
-    """Convert stored values to float32. Integers are scaled linearly to the range between two limits.
+    """Convert stored values to float32.
 
-    The integer 0 becomes the lower limit, and the largest integer of the data type becomes the upper limit. The struct
-    `holder` contains the limits in its fields `low` and `high`.
+    Integers are scaled linearly: 0 becomes the field `low` of the struct `holder`, and the largest integer of the data type
+    becomes its field `high`.
     """
     array = np.asarray(values)
     decoded = array.astype(np.float32)

@@ -1,7 +1,7 @@
 """Read pictures that were taken through a polariser at several angles.
 
-The pictures are in a folder, with one picture per angle, or in a single file with a stack of pictures. The angles are stated
-in the recipe or in the names of the pictures.
+The pictures are in a folder, with one picture per angle, or in a stack in a single file. The angles are specified in the
+recipe or in the file names.
 """
 
 import re
@@ -24,8 +24,7 @@ PICTURES = (".png", ".tif", ".tiff", ".pgm", ".ppm", ".exr", ".jpg", ".jpeg")
 NUMBER = re.compile(r"[0-9]+(?:\.[0-9]+)?")
 DEGREES = re.compile(r"([0-9]+(?:\.[0-9]+)?) ?(?:deg|°)", re.IGNORECASE)
 FEWEST_PICTURES = 3
-# Maximum condition number of the Malus matrix. The condition number of the angles 0°, 45°, 90° and 135° is 1.4, and the
-# condition number of the angles 0°, 30° and 60° is 6.
+# Maximum condition number of the Malus matrix. It is 1.4 for the angles 0°, 45°, 90° and 135°, and 6 for 0°, 30° and 60°.
 MAX_CONDITION = 10.0
 
 
@@ -35,13 +34,13 @@ def read(path: Path, pictures: str, angles_deg: Sequence[float] | None) -> Polar
     Parameters
     ----------
     path : Path
-        A folder with one picture per angle, a TIFF file with one page per angle, or a .npy file. The axes of the array in
-        the .npy file are (angle, row, col) or (angle, row, col, colour).
+        A folder with one picture per angle, a TIFF file with one page per angle, or a .npy file with the axes (angle, row,
+        col) or (angle, row, col, colour).
     pictures : str
         Glob that selects the pictures in the folder.
     angles_deg : sequence of float, optional
-        Angle of the polariser in degrees for each picture, in the natural order of the file names or in the order of the
-        pages. Required for a stack. [default for a folder: angles from the file names]
+        Polariser angle of each picture in degrees, in the natural order of the file names or in page order. Required for a
+        stack. [default for a folder: angles from the file names]
 
     Raises
     ------
@@ -55,7 +54,7 @@ def read(path: Path, pictures: str, angles_deg: Sequence[float] | None) -> Polar
     else:
         values = _stack(path)
         if angles_deg is None:
-            raise InputFileError(f"{path} states no angles; set angles_deg to the polariser angle of each picture")
+            raise InputFileError(f"{path} contains no angles; set angles_deg to the polariser angle of each picture")
         angles = tuple(angles_deg)
         if len(values) != len(angles):
             raise InputFileError(
@@ -67,7 +66,7 @@ def read(path: Path, pictures: str, angles_deg: Sequence[float] | None) -> Polar
 
 
 def size(path: Path, pictures: str, angles_deg: Sequence[float] | None) -> tuple[int, int]:
-    """Return the number of rows and columns of the pictures. Raises InputFileError if the angles are invalid."""
+    """Return the pictures' number of rows and columns. Raises InputFileError if the angles are invalid."""
     if not path.is_dir():
         rows, cols = read(path, pictures, angles_deg).values.shape[1:3]
         return rows, cols
@@ -77,9 +76,9 @@ def size(path: Path, pictures: str, angles_deg: Sequence[float] | None) -> tuple
 
 
 def files(path: Path) -> list[Path]:
-    """Return all pictures in a folder in natural order, or the file itself if `path` is a file.
+    """Return all pictures in a folder in natural order, even if the recipe does not select them.
 
-    The result includes pictures that the recipe does not select.
+    If `path` is a file, return only this file.
     """
     if not path.is_dir():
         return [path]
@@ -91,32 +90,32 @@ def _is_picture(path: Path) -> bool:
 
 
 def _selected(folder: Path, pattern: str) -> list[Path]:
-    """Return all pictures in `folder` whose file names match the glob `pattern`.
+    """Return the pictures in a folder that match the glob `pattern`.
 
-    Raises InputFileError if fewer than FEWEST_PICTURES match.
+    Raises InputFileError if there are fewer than FEWEST_PICTURES.
     """
     found = [each for each in files(folder) if each.match(pattern)]
     if len(found) < FEWEST_PICTURES:
         names = f" ({listed(each.name for each in found)})" if found else ""
         raise InputFileError(
             f"{folder} contains {len(found)} pictures{names} that match {pattern}; use pictures at {FEWEST_PICTURES} or "
-            "more angles of the polariser"
+            "more polariser angles"
         )
     return found
 
 
 def _angles(folder: Path, paths: list[Path], stated: Sequence[float] | None) -> tuple[float, ...]:
-    """Return the angle of each picture in degrees.
+    """Return each picture's angle in degrees.
 
-    Raises InputFileError if the angles in the recipe contradict the names of the pictures, or if the recipe states no angles
-    and the names are ambiguous.
+    Raises InputFileError if the angles in the recipe contradict the file names, or if the recipe contains no angles and the
+    file names are ambiguous.
     """
     named = _named_angles([path.stem for path in paths])
     names = listed(path.name for path in paths)
     if stated is None:
         if named is None:
             raise InputFileError(
-                f"{folder}: the names of the pictures ({names}) do not state one angle each; name the pictures like "
+                f"{folder}: the file names ({names}) do not contain one angle each; name the pictures like "
                 'scene_045.png, select the pictures of one scene with the key "pictures", or set "angles_deg"'
             )
         if len(set(named)) < len(named):
@@ -140,13 +139,13 @@ def _angles(folder: Path, paths: list[Path], stated: Sequence[float] | None) -> 
 
 
 def _named_angles(names: list[str]) -> tuple[float, ...] | None:
-    """Return the angle in degrees in the name of each picture, or None if the angles cannot be identified.
+    """Return the angle in degrees in each file name, or None if the angles cannot be identified.
 
     The first of these rules that applies to all names is used:
 
-    1. Each name contains exactly one number with a unit (45deg, 45°). This number is the angle.
-    2. Each name contains exactly one number. This number is the angle.
-    3. The names differ in exactly one number, and in nothing else. This number is the angle.
+    1. If each name contains exactly one number with a unit (45deg, 45°), this number is the angle.
+    2. If each name contains exactly one number, this number is the angle.
+    3. If the names differ in exactly one number, and in nothing else, this number is the angle.
     """
     with_unit = [DEGREES.findall(name) for name in names]
     if all(len(each) == 1 for each in with_unit):
@@ -161,7 +160,7 @@ def _named_angles(names: list[str]) -> tuple[float, ...] | None:
 
 
 def _require_determined(path: Path, angles: Sequence[float]) -> None:
-    """Raise InputFileError if the angles do not determine the Stokes parameters well."""
+    """Raise InputFileError if the angles do not determine the Stokes parameters accurately."""
     if np.linalg.cond(malus_matrix(angles)) <= MAX_CONDITION:
         return
     shown = ", ".join(f"{angle:g}" for angle in angles)
@@ -172,7 +171,7 @@ def _require_determined(path: Path, angles: Sequence[float]) -> None:
 
 
 def _stacked(paths: list[Path]) -> NDArray:
-    """Read pictures as an array (picture, row, col, colour).
+    """Read pictures as an array, (picture, row, col, colour).
 
     Raises InputFileError if the pictures differ in size or type.
     """
@@ -201,9 +200,9 @@ def _colours(path: Path, pixels: NDArray) -> NDArray:
 
 
 def _stack(path: Path) -> NDArray:
-    """Read a stack as an array (picture, row, col, colour).
+    """Read a stack as an array, (picture, row, col, colour), with one colour for grey pictures.
 
-    Grey pictures have one colour. Raises InputFileError if the file is not a stack.
+    Raises InputFileError if the file is not a stack.
     """
     suffix = path.suffix.lower()
     if suffix in bands.TIFF:

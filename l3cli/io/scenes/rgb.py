@@ -1,7 +1,4 @@
-"""Read RGB pictures as scenes.
-
-The values of a picture are either colours, from which l3 estimates spectra, or signals of camera channels.
-"""
+"""Read RGB pictures as scenes. Their values are colours, from which l3 estimates spectra, or camera signals."""
 
 from pathlib import Path
 
@@ -14,16 +11,16 @@ from l3cli.physics.display import srgb_decoded
 
 
 def size(path: Path, holds: str = "sRGB") -> tuple[int, int]:
-    """Return the number of rows and columns of a picture. `holds` has no effect. Raises the same errors as `read`."""
+    """Return a picture's number of rows and columns. `holds` has no effect. Raises the same errors as `read`."""
     return picture_size(path)
 
 
 def read(path: Path, holds: str = "sRGB") -> NDArray[np.float32]:
-    """Read a picture (row, col, 3) as linear values, where 1 is white. An alpha channel is ignored.
+    """Read a picture, (row, col, 3), as linear values, where 1 is white. An alpha channel is ignored.
 
-    If `holds` is "codes", integers are divided by the maximum of their data type. Otherwise, integers are decoded from sRGB.
-    Floating-point values are assumed to be linear, and negative values and NaN become 0. Raises InputFileError if the file
-    is not a colour picture.
+    Integers are decoded from sRGB or, if `holds` is "codes", divided by the maximum of their data type. Floating-point
+    values are assumed to be linear, and negative values and NaN become 0. Raises InputFileError if the file is not a colour
+    picture.
     """
     pixels, names = read_image(path)
     if len(names) < 3:

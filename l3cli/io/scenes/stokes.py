@@ -23,9 +23,9 @@ def read(path: Path) -> PolarisedPictures:
 
     Notes
     -----
-    If the file contains channels with the names S0, S1 and S2, their order does not matter. If the channels have other names
-    or no names, they must be S0, S1 and S2, or S0, S1, S2, DoLP and AoLP as in the files that l3 writes. OpenEXR files must
-    contain the names. The array in a .npy file must have the axes (row, col, parameter) or (parameter, row, col).
+    Channels named S0, S1 and S2 may be in any order. OpenEXR files must contain these names. In other files without these
+    names, the channels must be S0, S1 and S2, or S0, S1, S2, DoLP and AoLP as in files from l3. The array in a .npy file
+    must have the axes (row, col, parameter) or (parameter, row, col).
     """
     values, names = _planes(path)
     if set(IN_ORDER) <= set(names):
@@ -47,7 +47,7 @@ def size(path: Path) -> tuple[int, int]:
 
 
 def _planes(path: Path) -> tuple[NDArray, list[str]]:
-    """Return the channels of a file (row, col, channel) and their names. The list is empty if the file contains no names."""
+    """Return a file's channels, (row, col, channel), and their names, or an empty list if it contains no names."""
     suffix = path.suffix.lower()
     if suffix == ".npy":
         values = map_array(path)

@@ -1,4 +1,4 @@
-"""Determine the wavelengths of bands from lists of numbers and from the names of bands, pages, files and arrays."""
+"""Determine the wavelengths of bands from lists of numbers, or from the names of bands, pages, files and arrays."""
 
 import re
 from collections.abc import Sequence
@@ -12,15 +12,15 @@ NAMES = (
     "wave", "wavelength", "wavelengths", "lambda", "wl", "wvl", "bands", "wlens", "wavelengthlist", "bandwavelengths",
     "centerwavelength", "centerwavelengths", "centrewavelength", "centrewavelengths", "bandcenters", "bandcentres",
 )  # fmt: skip
-GOOD_NAMES = ("bbl", "goodwavelengths", "goodbands")  # names of lists in which 0 is a bad band and 1 is a good band
+GOOD_NAMES = ("bbl", "goodwavelengths", "goodbands")  # names of lists in which 0 marks bad bands and 1 marks good bands
 UNSTATED = ("", "unknown", "none", "n/a")  # header values that mean "not specified"
 INVERSE_CM = ("wavenumber", "wavenumbers", "cm-1", "1/cm", "cm^-1", "cm⁻¹")
 HERTZ = {"thz": 1e12, "ghz": 1e9, "mhz": 1e6, "khz": 1e3, "hz": 1.0}
 METRIC = {"millimeter": 1e6, "millimetre": 1e6, "centimeter": 1e7, "centimetre": 1e7, "meter": 1e9, "metre": 1e9}
 LIGHT_SPEED_NM = 299792458e9  # nm/s
-MICROMETRES = 100.0  # numbers without a unit are assumed to be in µm if all of them are below this number
+MICROMETRES = 100.0  # numbers without a unit are in µm if all of them are below this limit
 UNIT_WORDS = "Nanometers, Micrometers, Millimeters, Centimeters, Meters, Angstroms, Wavenumber, GHz, MHz, Index"
-SHORTEST, LONGEST = 300.0, 2600.0  # a number without a unit in a name is a wavelength only within this range, in nm
+SHORTEST, LONGEST = 300.0, 2600.0  # nm; only numbers in this range are wavelengths if a name contains no unit
 IN_NAME = re.compile(r"(\d+(?:[.,]\d+)?)[\s_]*(nm|nanomet\w*|[uµμ]m|micromet\w*|microns?)(?![A-Za-z])", re.IGNORECASE)
 
 
@@ -32,14 +32,13 @@ def in_nm(values: Sequence[float] | NDArray, unit: str) -> NDArray[np.float64] |
     values : array, (band,)
         Numbers in the unit `unit`.
     unit : str
-        Name of the unit in the file. If the name is empty or "unknown", consecutive integers from 0 or 1 are assumed to be
-        indices of bands. Other numbers without a unit are assumed to be in µm if all of them are below 100, and otherwise in
-        nm.
+        Name of the unit in the file. If it is empty or "unknown", consecutive integers from 0 or 1 are assumed to be band
+        indices. Other numbers without a unit are assumed to be in µm if all of them are below 100, and otherwise in nm.
 
     Returns
     -------
     ndarray, (band,), or None
-        Wavelengths in nm. None if the numbers are indices of bands.
+        Wavelengths in nm. None if the numbers are band indices.
 
     Raises
     ------
@@ -65,10 +64,10 @@ def in_nm(values: Sequence[float] | NDArray, unit: str) -> NDArray[np.float64] |
 
 
 def in_name(name: str) -> float | None:
-    """Return the wavelength, in nm, that a name such as "red (650.5 nm)" contains. None if the name contains no wavelength.
+    """Return the wavelength in nm in a name such as "red (650.5 nm)", or None if the name contains no wavelength.
 
-    A comma or a period in the number is a decimal separator, unless the wavelength would then be below 100 nm. In this case,
-    the wavelength starts after the separator: "S0.450nm" is 450 nm.
+    A comma or a period in the number is a decimal separator. If the wavelength would then be below 100 nm, it starts after
+    the separator instead: "S0.450nm" is 450 nm.
     """
     found = IN_NAME.search(name)
     if found is None:
@@ -80,11 +79,11 @@ def in_name(name: str) -> float | None:
 
 
 def of_names(names: Sequence[str]) -> list[float | None]:
-    """Return the wavelength in nm in each name, or None for each name without a wavelength.
+    """Return the wavelength in nm in each name, or None for names without a wavelength.
 
-    If no name contains a wavelength with a unit, the last number in each name is assumed to be a wavelength in nm under four
-    conditions: there are at least two names, every name contains a number, all numbers are from 300 to 2600, and any two
-    numbers differ by at least 2. Otherwise, the result is None for every name.
+    If no name contains a wavelength with a unit, the last number in each name is assumed to be a wavelength in nm, provided
+    that there are at least two names, every name contains a number, all numbers are from 300 to 2600, and any two numbers
+    differ by at least 2.
     """
     stated = [in_name(name) for name in names]
     if any(stated):
@@ -101,12 +100,12 @@ def of_names(names: Sequence[str]) -> list[float | None]:
 
 
 def is_named(name: str, names: Sequence[str] = NAMES) -> bool:
-    """Return whether an array name is in `names`. Letter case, punctuation and a unit at the end of the name are ignored."""
+    """Return whether an array name is in `names`, ignoring letter case, punctuation and a trailing unit."""
     return _plain(name) in names
 
 
 def unit_in(name: str) -> str:
-    """Return the unit at the end of an array name, as in "wavelength_um" or "Wavelength (nm)". Without a unit, return ""."""
+    """Return the unit at the end of an array name such as "wavelength_um" or "Wavelength (nm)", or "" if there is none."""
     words = [word for word in re.split(r"[\s_()\[\]/]+", name) if word]
     return words[-1] if len(words) > 1 and length_nm(words[-1]) is not None else ""
 
