@@ -1,11 +1,11 @@
-"""Add patches to the sums of their classes (docs/method.md#training).
+"""Accumulate the normal equations of each class from patches (docs/method.md#training).
 
 Patches are added in two steps, so that intermediate arrays fit into the processor caches:
 
-1. Small groups of patches are scaled to random levels, receive noise, and are assigned to classes. Only the class, level and
-   scale of each patch are kept.
-2. The patches are sorted by class, scaled again without noise, and weighted. The products of the columns of each patch are
-   added to the sums of its class.
+1. Small groups of patches are scaled to random levels and receive noise. Each patch is assigned to a class. Only its class,
+   level and scale factor are kept.
+2. The patches are sorted by class, scaled again without noise, and weighted. Each patch's taps, intercept and outputs are
+   multiplied pairwise, and the products are added to the sums of its class.
 """
 
 import math
@@ -27,9 +27,9 @@ from l3cli.training.sample_weighting import TARGET_FLOOR, SampleWeighting
 from l3cli.training.sums import add_products, add_rounded, empty_sums, grid_steps, pieces_of, rounding_number, runs_of
 from l3cli.training.training_pass import BATCH_PATCHES, TrainingPass
 
-EXPOSED_PATCHES = 4096  # number of patches in a group of step 1, whose arrays must fit into the processor caches
-CLIPPED_GREY_EDGES = 8.0  # weight of colourless patches at edges of clipped areas, such as text on over-exposed paper
-DARKEST_LEVEL = 1e-4  # level, as a fraction of full scale, below which all patches have the same weight
+EXPOSED_PATCHES = 4096  # number of patches per group in step 1, small enough for the processor caches
+CLIPPED_GREY_EDGES = 8.0  # weight of grey patches at edges of clipped areas, such as text on over-exposed paper
+DARKEST_LEVEL = 1e-4  # lower limit of the level that determines a patch's weight, as a fraction of full scale
 
 
 def sum_sites(
@@ -37,21 +37,21 @@ def sum_sites(
     blocks: Iterable[tuple[int, tuple[int, ...], Iterator[TrainingPair]]],
     weightings: Mapping[int, SampleWeighting | None],
 ) -> dict[int, ClassSums]:
-    """Add up the products of all training patches, by site and class.
+    """Accumulate the sums of each class at each site over all training patches.
 
     Parameters
     ----------
     pass_ : TrainingPass
         Settings of the pass.
     blocks : iterable of (int, tuple of int, iterator of TrainingPair)
-        For each block, the index of its first frame, the sites to sum, and its frames.
+        For each block of frames: the index of its first frame, the sites to sum, and its frames.
     weightings : mapping of int to SampleWeighting or None
-        For each site, the object that derives weights from the errors of the first pass, or None in the first pass.
+        For each site, the object that computes weights from the errors of the first pass. None in the first pass.
 
     Returns
     -------
     dict of int to ClassSums
-        Sums of each site.
+        Sums by site.
     """
     neighbours = neighbourhoods(pass_.head.camera.cfa, pass_.rule.patch, len(pass_.head.camera.channels))
     sums = {site: empty_sums(pass_.rule, len(pass_.head.outputs), pass_.head.camera) for site in weightings}
@@ -69,10 +69,9 @@ def _batches(
     neighbours: Neighbourhoods,
     rngs: dict[int, np.random.Generator],
 ) -> Iterator[tuple[int, Patches]]:
-    """Yield pairs (site, patches) from a block of frames. `first` is the index of the first frame in the block.
+    """Yield (site, patches) for a block of frames. `first` is the index of the block's first frame.
 
-    A site usually receives all its patches of the block in one batch. If a frame has more than `BATCH_PATCHES` patches, the
-    site receives several batches.
+    A site's patches from the whole block form one batch, unless a single frame has more than `BATCH_PATCHES` patches.
     """
     waiting: dict[int, list[Patches]] = {site: [] for site in rngs}
     for index, frame in enumerate(frames, first):
@@ -92,7 +91,7 @@ def _batches(
 
 
 class _Batch:
-    """A batch of patches that belong to one site."""
+    """A batch of patches for one site."""
 
     def __init__(
         self, pass_: TrainingPass, patches: Patches, neighbours: Neighbourhoods, site: int, weighting: SampleWeighting | None
@@ -100,11 +99,11 @@ class _Batch:
         self.pass_, self.patches, self.neighbours, self.site, self.weighting = pass_, patches, neighbours, site, weighting
         self.lines = LineNoise.of(pass_.head.camera, pass_.dark)
         member = (neighbours.channel[site][:, None] == np.arange(neighbours.count.shape[1])) / neighbours.count[site]
-        # Weight of each tap in the level, which is the mean of the channel means.
+        # The level is the mean of the channel means. This is each tap's weight in it.
         self.tap_share = member.mean(axis=1).astype(np.float32)
 
     def add_to(self, sums: ClassSums, rng: np.random.Generator) -> None:
-        """Scale the patches to random levels, determine the class of each patch, and add the patches to `sums`."""
+        """Scale the patches to random levels, assign them to classes, and add them to `sums`."""
         label, level, scale = self._exposed(rng)
         order = np.argsort(label, kind="stable")
         label = label[order]
@@ -115,10 +114,10 @@ class _Batch:
             self._add_piece(sums, large, label[piece], level[draw], scale[draw], patch, rng)
 
     def _exposed(self, rng: np.random.Generator) -> tuple[NDArray[np.unsignedinteger], Floats, Floats]:
-        """Scale each patch to several levels, add noise, and determine the classes.
+        """Scale each patch to several levels, add noise, and assign the results to classes.
 
-        Returns three flat arrays with one value per draw and patch: the class, the level with noise and clipping, and the
-        scale factor.
+        Returns three flat arrays, ordered by draw and then by patch: classes, levels of the noisy, clipped patches, and
+        scale factors.
         """
         pass_, signal = self.pass_, self.patches.signal
         patch_level = np.maximum(signal @ self.tap_share, 1e-3)
@@ -135,10 +134,7 @@ class _Batch:
         return label.reshape(-1), np.maximum(level, np.float32(DARKEST_LEVEL)).reshape(-1), scale.reshape(-1)
 
     def _scale(self, patch_level: Floats, places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the factors that scale the patches to random levels.
-
-        `places` contains random numbers between 0 and 1, which `levels_at` converts to levels.
-        """
+        """Return the factors that scale the patches to the levels from `levels_at`."""
         if not self.pass_.recipe.rescale:
             return np.ones(patch_level.size)
         return levels_at(self.pass_.recipe, places) / patch_level
@@ -146,10 +142,7 @@ class _Batch:
     def _seen(
         self, batch: slice, scale: Floats, order: TapOrder, rng: np.random.Generator
     ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-        """For each draw, yield the classes and the levels of a slice of the patches after scaling and noise.
-
-        Each row of `scale` (draw, patch) contains the factors by which the patches are multiplied in one draw.
-        """
+        """Yield the classes and levels of a slice of the patches, draw by draw, after scaling by `scale` (draw, patch)."""
         pass_, patches = self.pass_, self.patches
         signal: Floats = np.ascontiguousarray(patches.signal[batch].T)[order.taps]
         channel = self.neighbours.channel[self.site][order.taps][:, None]
@@ -168,10 +161,7 @@ class _Batch:
         self, signal: Floats, rng: np.random.Generator, carried: Floats | None, channel: NDArray[np.int64],
         offsets: Offsets | None,
     ) -> NDArray[np.uint32]:  # fmt: skip
-        """Convert signals to DN, and add noise unless the recipe has noise = "none".
-
-        The parameters are the same as for `expose_patches`.
-        """
+        """Convert signals to raw values as `expose_patches` does, but without noise if the recipe sets noise = "none"."""
         camera = self.pass_.head.camera
         if self.pass_.recipe.noise != "none":
             return expose_patches(signal, camera, rng, carried, self.pass_.dark, channel, offsets)
@@ -179,10 +169,7 @@ class _Batch:
         return np.clip(np.rint(values), 0.0, np.floor(camera.white_level)).astype(np.uint32)
 
     def _level(self, sums: NDArray[np.uint32]) -> NDArray[np.float64]:
-        """Return the level of each patch as a fraction of full scale.
-
-        `sums` contains the sums of the pixels of each channel.
-        """
+        """Compute each patch's level, as a fraction of full scale, from its channel sums (channel, patch)."""
         camera, shift = self.pass_.head.camera, self.pass_.rule.shift
         mean = (1 / (self.neighbours.count[self.site] * len(sums))) @ sums
         seen = (mean * 2**shift + (truncation(shift) - camera.black_level)) / (camera.white_level - camera.black_level)
@@ -198,18 +185,18 @@ class _Batch:
         patch: NDArray[np.int64],
         rng: np.random.Generator,
     ) -> None:
-        """Scale and weight patches, and add the products of their columns to the sums.
+        """Scale and weight patches, and add the pairwise products of their columns to the sums.
 
         Parameters
         ----------
         sums : ClassSums
-            Sums of the site, which are changed in place.
+            Sums of the site, changed in place.
         large : ndarray, (level, pair)
-            Results of `rounding_number`, with which the products are rounded to grid steps.
+            Results of `rounding_number`, used to round the products to grid steps.
         label : ndarray, (patch)
             Class of each patch. The patches are sorted by class.
         level : ndarray, (patch)
-            Level of each patch with noise, as a fraction of full scale.
+            Level of each noisy patch, as a fraction of full scale.
         scale : ndarray, (patch)
             Scale factor of each patch.
         patch : ndarray, (patch)
@@ -264,7 +251,7 @@ class _Batch:
             sums.count[index] += last - first
 
     def _shared(self, lines: LineNoise, clean: Floats, patch: NDArray[np.int64], scale: Floats) -> SharedNoise:
-        """Return the line noise that must be added to scaled patches.
+        """Return the line noise that scaled patches lack.
 
         Parameters
         ----------
@@ -280,7 +267,8 @@ class _Batch:
         Returns
         -------
         SharedNoise
-            Line noise of the camera, and the share of each tap. A share is lower if a patch already contains noise.
+            Line noise of the camera, and the factor by which it applies to each tap. The factor is lower for patches that
+            already contain noise.
         """
         pass_, chosen = self.pass_, self.patches
         gain = pass_.head.camera.channel_gains.astype(np.float32)[self.neighbours.channel[self.site]]

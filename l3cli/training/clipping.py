@@ -1,4 +1,4 @@
-"""Train the outputs of uniform areas in which channels clip (docs/method.md#uniform-clipped-areas).
+"""Train the colours of uniform areas with clipped channels (docs/method.md#uniform-clipped-areas).
 
 The training data are measured surfaces at increasing exposures.
 """
@@ -14,11 +14,11 @@ from l3cli.training.plain_surfaces import plain_surfaces
 
 Array = NDArray[np.float64]
 EXPOSURES = np.geomspace(0.35, 4.5, 24)  # relative to the exposure at which the first channel of a surface clips
-SURFACE_STEP = 7  # only every seventh surface is used, to save time
-SAMPLE_RIDGE = 1e-3  # absolute ridge of the fit of the corrections
-COLOUR_RIDGE = 1e-3  # ridge of the colour matrix, relative to the mean power of the channels' deviations from grey
+SURFACE_STEP = 7  # use every seventh surface, to save time
+SAMPLE_RIDGE = 1e-3  # absolute ridge when fitting the corrections
+COLOUR_RIDGE = 1e-3  # ridge when fitting the colour matrix, relative to the mean power of the deviations from grey
 EXPOSURE_POWER = 2  # clipped samples have the weight exposure^−2, because brighter areas are rarer
-CHANGE_WEIGHT = 3.0  # weight of changes between adjacent exposures; high, because a step is more visible than a wrong colour
+CHANGE_WEIGHT = 3.0  # weight of errors in changes between exposures, because steps are more visible than wrong colours
 
 
 def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Array) -> Clipping | None:
@@ -36,8 +36,8 @@ def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Ar
     Returns
     -------
     Clipping or None
-        None if the illuminant is unknown, if the exposures or gains of the channels differ, or if the camera has only one
-        channel. With one channel, no other channel can predict the clipped signal.
+        None if the illuminant is unknown, if the channels differ in exposure or gain, or if the camera has a single channel,
+        so that no other channel can predict the clipped signal.
     """
     if light is None or camera.readout is not None or len(camera.channels) == 1:
         return None
@@ -58,7 +58,7 @@ def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Ar
     weight = np.maximum(over, 1.0) ** -EXPOSURE_POWER / (len(signals) * target[:, 1] * seen.mean(axis=1))
     features, missing = (np.concatenate([each, _changes(each)]) for each in (features, missing))
     weight = np.concatenate([weight, CHANGE_WEIGHT * weight[len(weight) // EXPOSURES.size :]])
-    # einsum instead of BLAS, because the results of BLAS depend on the number of threads
+    # einsum instead of BLAS, because BLAS results depend on the number of threads
     system = np.einsum("r,ri,rj->ij", weight, features, features, optimize=False)
     right = np.einsum("r,ri,rj->ij", weight, features, missing, optimize=False)
     system += SAMPLE_RIDGE * np.eye(len(system))
@@ -68,13 +68,13 @@ def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Ar
 
 
 def _changes(values: Array) -> Array:
-    """Return how signals or outputs change from each exposure to the next. Rows are sorted by exposure, then by surface."""
+    """Return the differences between successive exposures. Rows of `values` are sorted by exposure, then by surface."""
     by_exposure = values.reshape(EXPOSURES.size, -1, values.shape[1])
     return np.diff(by_exposure, axis=0).reshape(-1, values.shape[1])
 
 
 def _colours(signals: Array, outputs: Array) -> Array:
-    """Fit a matrix (channel, output) from signals to outputs, both relative to white. White is reproduced exactly."""
+    """Fit a matrix (channel, output) that maps signals to outputs, both relative to white, and white exactly to white."""
     weight = 1 / signals.mean(axis=1)
     about, wanted = (each - signals.mean(axis=1, keepdims=True) for each in (signals, outputs))
     power = np.einsum("s,si,sj->ij", weight**2, about, about, optimize=False)
@@ -86,11 +86,11 @@ def _colours(signals: Array, outputs: Array) -> Array:
 
 
 def _target(outputs: Array, over: Array, white: Array, brightest: float) -> Array:
-    """Return the target outputs of clipped surfaces.
+    """Return the target outputs of surfaces that may clip.
 
-    `over` contains the exposure of each surface, relative to the exposure at which its first channel just clips. Above a
-    relative exposure of 1, the target colour becomes paler. The luminance is limited to `brightest`, the luminance of a
-    white whose last channel just clips.
+    `over` is each surface's exposure, relative to the exposure at which its first channel just clips. Above 1, the target
+    colour becomes paler. The target luminance is limited to `brightest`, the luminance of a white at the exposure at which
+    its last channel just clips.
     """
     luminance = np.minimum(outputs[:, 1:2], brightest)
     chroma = outputs / outputs[:, 1:2] - white

@@ -1,6 +1,6 @@
-"""The training goal: the outputs, and the properties of the camera, illuminant and surfaces on which transforms depend.
+"""The training goal: everything that determines the first layer's transforms, except the training samples.
 
-The goal is the same for all sites and for both passes.
+The goal is the same for all sites and both passes.
 """
 
 from dataclasses import dataclass
@@ -19,12 +19,12 @@ from l3cli.training.plain_surfaces import PlainSurfaces, plain_surfaces
 from l3cli.training.systems import Integers
 
 Array = NDArray[np.float64]
-ONE_LIGHT = 0.001  # largest spread of illuminants that are treated as one illuminant
+ONE_LIGHT = 0.001  # largest relative spread at which several illuminants count as one
 
 
 @dataclass(frozen=True)
 class Goal:
-    """Everything on which the transforms of the first layer depend, except the training samples."""
+    """Outputs, illuminant and camera properties for which the first layer is trained."""
 
     outputs: tuple[str, ...]
     channels: tuple[str, ...]
@@ -32,7 +32,7 @@ class Goal:
     white_signal: Array | None  # (channel) signals of this white, as fractions of full scale, or None if unknown
     black_level: float  # DN
     white_level: float  # DN
-    white_error: Array | float = 0.0  # (channel) relative error of `white_signal` if predicted from measured surfaces
+    white_error: Array | float = 0.0  # (channel) relative error of white's signals if estimated from patches
     surfaces: PlainSurfaces | None = None  # measured surfaces under the training illuminant, if used for training
     filters: tuple[int, ...] = ()  # (channel) first channel with the same filter, or () if no channels share a filter
     sensitivity: Array | None = None  # (channel) relative sensitivity, or None if all channels are equally exposed
@@ -40,12 +40,12 @@ class Goal:
 
 
 def one_light(light: LightSpectrum | None) -> LightSpectrum | None:
-    """Return the mean illuminant `light` if all frames have the same known illuminant, otherwise None."""
+    """Return the mean illuminant if all frames have the same known illuminant, otherwise None."""
     return light if light is not None and light.spread <= ONE_LIGHT else None
 
 
 def has_components(head: TrainingSet) -> bool:
-    """Whether a refinement layer can refine leading components.
+    """Whether a refinement layer can correct the outputs' three leading components.
 
     This requires a spectrum of more than three outputs, or colours with Stokes parameters.
     """
@@ -59,7 +59,7 @@ def goal_of(head: TrainingSet, white_point: Array, light: LightSpectrum | None) 
     Parameters
     ----------
     head : TrainingSet
-        Properties that all training sets share, such as the camera and the outputs.
+        Properties common to all training frames, such as the camera and the outputs.
     white_point : ndarray, (output)
         Mean outputs of a perfect white, with Y = 1.
     light : LightSpectrum or None

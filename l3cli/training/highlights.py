@@ -1,10 +1,10 @@
-"""Train clipped areas to become grey (docs/method.md#clipped-areas).
+"""Train clipped areas to render grey (docs/method.md#clipped-areas).
 
-If channels clip, the colour of a surface is lost. The mean colour of all training surfaces that clip in the same channels
-would give highlights a colour cast. Most highlights are neutral, and a neutral error is hardly visible. Saturated classes of
-uniform areas are therefore also trained on uniform greys that clip in the same channels. The more channels clip, the more
-weight the greys have. Classes of textured areas are not trained on greys, because their unclipped pixels still show the
-colour, and greys would remove detail.
+Where channels clip, the colour of a surface is lost. The mean colour of all training surfaces that clip in the same channels
+would give highlights a colour cast. Most highlights are neutral, and an error towards neutral is hardly visible. Saturated
+classes for uniform areas are therefore also trained on uniform greys that clip in the same channels. The more channels clip,
+the more weight the greys have. Classes for textured areas are not trained on greys, because their unclipped pixels still
+show the colour, and greys would suppress detail.
 """
 
 import numpy as np
@@ -22,16 +22,16 @@ Array = NDArray[np.float64]
 
 MIN_GREY = 0.3  # darkest grey, relative to the grey that just clips the first channel
 MAX_GREY = 1.6  # brightest grey, relative to the grey that just clips the last channel
-GREY_RATIO = 1.02  # ratio of the brightness of successive greys
-# Saturation thresholds for the greys, relative to the threshold of the class rule. Noise can clip a slightly darker grey.
+GREY_RATIO = 1.02  # brightness ratio of successive greys
+# Saturation thresholds for the greys, relative to the class rule's threshold. Noise can clip a slightly darker grey.
 CLIPPING_FRACTIONS = (0.94, 0.97, 1.0)
-# The number of greys per patch is this factor times the ratio of clipped to unclipped filters. With a factor of 1, the
-# borders between classes would be visible.
+# Greys per training patch, times the ratio of clipped to unclipped filters. With a factor of 1, the borders between classes
+# would be visible.
 GREYS_PER_PATCH = 4.0
-MAX_GREYS_PER_PATCH = 30.0  # largest number of greys per patch, which is used if every channel clips
-UNCLIPPED_FRACTION = 0.2  # assumed fraction of clipped filters if no filter clips; 0.2 gives one grey per patch
-WHITE_TOLERANCE = 0.1  # largest relative difference between the computed signals of white and an estimate from the patches
-OUTPUT_CUTOFF = 1e-6  # singular values below this fraction of the largest are ignored in the regression on the outputs
+MAX_GREYS_PER_PATCH = 30.0  # upper limit, reached if every channel clips
+UNCLIPPED_FRACTION = 0.2  # assumed fraction of clipped filters if no filter clips completely, for one grey per patch
+WHITE_TOLERANCE = 0.1  # largest relative difference between the camera model's signals of white and the patches' estimate
+OUTPUT_CUTOFF = 1e-6  # relative cutoff of the singular values in the regression on the outputs
 
 
 def grey_patches(
@@ -45,12 +45,12 @@ def grey_patches(
     filters: tuple[int, ...] = (),
     sensitivity: Array | None = None,
 ) -> dict[int, Array]:
-    """Return the moments of uniform greys for the saturated classes of the lowest contrast.
+    """Compute moments of uniform greys for the saturated classes of the lowest contrast.
 
-    The moments of a class are the mean over all greys of the class. In this mean, each grey is multiplied by a weight
-    relative to a training patch: `GREYS_PER_PATCH` times the ratio of clipped to unclipped filters, up to
-    `MAX_GREYS_PER_PATCH`. Each grey is also added to the corresponding classes of the next darker and the next brighter
-    level. For the saturation case in which every channel clips, only greys that are fully clipped in every channel are used.
+    A class's moments are the weighted mean over its greys. The weight of a grey, relative to a training patch, is
+    `GREYS_PER_PATCH` times the ratio of clipped to unclipped filters, up to `MAX_GREYS_PER_PATCH`. Each grey also counts
+    in the corresponding classes one level below and one level above. The saturation case in which every channel clips
+    uses only greys that are fully clipped in every channel.
 
     Parameters
     ----------
@@ -67,15 +67,15 @@ def grey_patches(
     signal : ndarray, (channel), or None
         Signals of the perfect white, as fractions of full scale, or None if they are unknown.
     filters : tuple of int
-        For each channel, the first channel with the same filter, as in `Goal`. A filter counts as clipped only if all its
-        channels clip.
+        For each channel, the first channel with the same filter, as in `Goal`. A filter counts as clipped only if all
+        channels with this filter clip.
     sensitivity : ndarray, (channel), or None
-        Relative sensitivity of the channels, as in `Goal`.
+        Relative sensitivity of each channel, as in `Goal`.
 
     Returns
     -------
     dict of int to ndarray, (column, column)
-        Moments of each class. The columns are taps, intercept and outputs. The dict is empty if `signal` is None.
+        Moments by class. The columns are taps, intercept and outputs. The dict is empty if `signal` is None.
     """
     if signal is None:
         return {}
@@ -91,9 +91,9 @@ def grey_patches(
         for nearly in CLIPPING_FRACTIONS:
             saturated = clipped >= nearly * threshold
             case = int(saturation.cases(rule, saturation.code_of(saturated)))
-            # All greys that clip in every channel have identical values. If greys with a channel just short of clipping were
-            # added, the class would learn a steep rise over the top 1 % of the range of this channel. Textures, whose taps
-            # are far below clipping, would then be rendered black.
+            # All fully clipped greys have identical values. With greys in which one channel is just short of clipping, the
+            # class would learn a steep rise over the top 1 % of this channel's range. It would then render textures black,
+            # because some of their taps are far below clipping.
             if not case or (saturated.all() and clipped.min() < 1.0):
                 continue
             clipped_filters = (saturated[:, None] | ~same).all(axis=0).mean() or UNCLIPPED_FRACTION
@@ -101,17 +101,17 @@ def grey_patches(
             weight = np.sqrt(min(GREYS_PER_PATCH * ratio, MAX_GREYS_PER_PATCH))
             for neighbour in {max(at - 1, 0), at, min(at + 1, rule.levels - 1)}:
                 samples.setdefault((neighbour, case), []).append(weight * sample)
-    taught: dict[int, Array] = {}
+    moments: dict[int, Array] = {}
     for (neighbour, case), greys in samples.items():
         classes = rule.join(neighbour, 0, rule.kinds_of(case), combination=np.arange(rule.combinations))
-        taught |= dict.fromkeys(classes.ravel().tolist(), np.array(greys).T @ np.array(greys) / len(greys))
-    return taught
+        moments |= dict.fromkeys(classes.ravel().tolist(), np.array(greys).T @ np.array(greys) / len(greys))
+    return moments
 
 
 def steps_back(
     common: Array, clipping: NDArray[np.int64], rule: ClassRule, signal: Array, black_level: float, white_level: float
 ) -> tuple[NDArray[np.int64], Array]:
-    """Compute by how much the rendered luminance of a grey drops when the last channel clips.
+    """Compute the drop in a grey's rendered luminance where its last channel clips.
 
     Parameters
     ----------
@@ -129,10 +129,10 @@ def steps_back(
     Returns
     -------
     last : ndarray of int
-        Positions in `clipping` of the classes to which a fully clipped grey can belong.
+        Positions in `clipping` of the classes that can contain a fully clipped grey.
     missing : ndarray
-        For each class in `last`, the amount by which the fully clipped grey is darker than the brightest grey with an
-        unclipped channel, or 0 if the clipped grey is not darker.
+        For each class in `last`, the luminance by which the fully clipped grey is darker than the brightest grey with an
+        unclipped channel. 0 if the fully clipped grey is not darker.
     """
     threshold = (rule.saturation - black_level) / (white_level - black_level)
     greys = np.exp(np.arange(np.log(threshold / signal.max()), np.log(threshold / signal.min()), np.log(GREY_RATIO)))
@@ -156,10 +156,10 @@ def white_channels(
     known: Array | None,
     white_error: Array | float = 0.0,
 ) -> Array | None:
-    """Return the signals of a white with Y = 1 under the training illuminant.
+    """Determine the signals of a white with Y = 1 under the training illuminant.
 
-    The patches can disagree with the camera model, for example if real frames were taken through another lens. In this case,
-    the signals are estimated from the patches.
+    They come from the camera model if the patches agree with it, and otherwise from the patches. Patches can disagree with
+    the camera model if real frames were taken through another lens, for example.
 
     Parameters
     ----------
@@ -174,30 +174,29 @@ def white_channels(
     known : ndarray, (channel), or None
         Signals of the white according to the camera model, or None if they are unknown.
     white_error : ndarray, (channel), or float
-        Relative error to expect if the signals of white are estimated from surfaces.
+        Expected relative error of an estimate from patches, from `error_of_white`.
 
     Returns
     -------
     ndarray, (channel), or None
-        None if there are no patches of uniform areas.
+        None if the patches do not allow an estimate, for example if no patch shows a uniform area.
     """
-    likely = _channels_of(flat_moments(sums, rule, window.size + 1 + white.size), window, white)
-    if known is None or likely is None or (np.abs(known / likely - 1) > np.maximum(white_error, WHITE_TOLERANCE)).any():
-        return likely
+    estimate = _channels_of(flat_moments(sums, rule, window.size + 1 + white.size), window, white)
+    if known is None or estimate is None or (np.abs(known / estimate - 1) > np.maximum(white_error, WHITE_TOLERANCE)).any():
+        return estimate
     return known
 
 
 def error_of_white(light: LightSpectrum, camera: CameraModel) -> Array:
-    """Return the relative error of each channel if the signals of white are predicted from X, Y and Z.
+    """Return the relative error with which a regression on X, Y, Z predicts each channel's signal of white.
 
-    The prediction is a regression on measured surfaces. The error is a few per cent for visible light, but large for a
-    camera that is sensitive to infrared light, because X, Y and Z contain no infrared light. The error is set to 0 if a
-    surface has no luminance or if a channel has no signal for white.
+    The regression is fitted to measured surfaces. The error is a few per cent for visible light. It is large for a camera
+    that is sensitive to infrared light, because X, Y and Z contain no infrared light. All errors are 0 if a surface has no
+    luminance or if a channel has no signal for white.
 
     Returns
     -------
     ndarray, (channel)
-        Relative error of each channel.
     """
     radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
     lit = np.vstack([radiance, spectra.reflectance_library(camera.wavelength) * radiance])
@@ -210,13 +209,7 @@ def error_of_white(light: LightSpectrum, camera: CameraModel) -> Array:
 
 
 def plain_colours(sums: ClassSums, rule: ClassRule, window: NDArray[np.int64]) -> Array:
-    """Return the second moments of the channel means over all unsaturated patches of the lowest contrast.
-
-    Returns
-    -------
-    ndarray, (channel, channel)
-        The moments are scaled so that their trace is 1.
-    """
+    """Return the channel means' second moments (channel, channel) in uniform, unsaturated patches, with a trace of 1."""
     width = int((np.sqrt(8 * sums.moments.shape[1] + 1) - 1) / 2)
     means = (window == np.arange(window.max() + 1)[:, None]) / np.bincount(window)[:, None]
     colours = means @ flat_moments(sums, rule, width)[: window.size, : window.size] @ means.T
@@ -225,12 +218,12 @@ def plain_colours(sums: ClassSums, rule: ClassRule, window: NDArray[np.int64]) -
 
 
 def flat_moments(sums: ClassSums, rule: ClassRule, width: int) -> Array:
-    """Return the sum of the moments of all unsaturated classes of the lowest contrast, as a matrix with `width` columns."""
+    """Sum the moments (column, column) over all unsaturated classes of the lowest contrast. There are `width` columns."""
     return moment_matrix(rule.by_feature(sums.moments)[0, :, 0, :, rule.kinds_of(0)].sum(axis=(0, 1, 2)), width)
 
 
 def _channels_of(moments: Array, window: NDArray[np.int64], white: Array) -> Array | None:
-    """Estimate the signals of white by a regression of the channels on the outputs. Return None if there are no patches.
+    """Estimate the signals of white by regressing the channels on the outputs. Return None if this is impossible.
 
     The estimate has an error of one or two per cent, because few training surfaces are white.
     """

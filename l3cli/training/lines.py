@@ -1,9 +1,8 @@
-"""Noise of rows and columns (docs/method.md#row-and-column-noise).
+"""Row and column noise (docs/method.md#row-and-column-noise).
 
-A *line* is a row or a column. All pixels of a line receive the same random offset, so the noise of two taps in the same row
-or column of a patch is correlated. The offsets do not change clipped taps, which have no noise. The *share* of a tap is the
-factor by which the offsets of its lines are multiplied. The share is 0 if the tap clips. Otherwise, the share is the gain of
-the channel relative to the gain of the camera.
+A *line* is a row or a column. All pixels of a line receive the same random offset, so taps in the same line of a patch have
+correlated noise. A tap's *share* is the factor by which the offsets of its row and column are multiplied: 0 if the tap
+clips, because clipped taps have no noise, and otherwise the gain of the tap's channel relative to the camera's gain.
 """
 
 import functools
@@ -21,9 +20,9 @@ Indices = NDArray[np.intp]
 
 
 class Offsets(NamedTuple):
-    """Random offsets of lines at some pixels, and the variance of the offsets.
+    """Random row and column offsets, summed per pixel, and their variance, for channels with the camera's gain.
 
-    Both arrays can be broadcast against the signals. The offsets apply to channels that have the gain of the camera.
+    Both arrays can be broadcast against the signals.
     """
 
     values: Floats  # fractions of full scale
@@ -35,28 +34,25 @@ class Offsets(NamedTuple):
 
 @dataclass(frozen=True)
 class LineNoise:
-    """Variances of the offsets of rows and of columns, as fractions of full scale²."""
+    """Variances of the row offsets and the column offsets, in full scale²."""
 
     rows: float
     columns: float  # temporal and fixed offsets together
 
     @classmethod
     def of(cls, camera: CameraModel, dark: float = 0.0) -> "LineNoise | None":
-        """Return the line noise of a camera, or None if the camera has no line noise.
-
-        `dark` is the dark signal, in DN, that was subtracted from the frames.
-        """
+        """Return the line noise of a camera, or None if it has none. `dark` is the subtracted dark signal in DN."""
         rows, columns = camera.line_variances(dark)
         span = camera.white_level - camera.black_level
         return cls(rows / span**2, columns / span**2) if camera.has_line_noise else None
 
     @property
     def total(self) -> float:
-        """Variance of the offset of a pixel. This offset is the sum of the offsets of the pixel's row and column."""
+        """Variance of a pixel's total offset, the sum of its row offset and its column offset, in full scale²."""
         return self.rows + self.columns
 
     def drawn(self, shape: tuple[int, ...], rng: np.random.Generator) -> Offsets:
-        """Draw the offsets of all pixels of a frame with the given numbers of rows and columns."""
+        """Draw random offsets for all pixels of a frame of the given shape (rows, cols)."""
         down, across = (
             rng.standard_normal(length, dtype=np.float32) * np.float32(np.sqrt(variance))
             for length, variance in zip(shape, (self.rows, self.columns), strict=True)
@@ -66,7 +62,7 @@ class LineNoise:
     def drawn_for_taps(
         self, taps: NDArray[np.integer], side: int, lacking: NDArray[np.floating], rng: np.random.Generator
     ) -> Offsets:
-        """Draw the offsets of all taps of patches.
+        """Draw random offsets for the taps of patches.
 
         Parameters
         ----------
@@ -94,33 +90,32 @@ class LineNoise:
 
 @dataclass(frozen=True)
 class SharedNoise:
-    """Line noise of patches, and the factor by which each tap scales this noise (see *share* in the module docstring)."""
+    """Line noise in patches: its variances, and each tap's *share* (see the module docstring)."""
 
     noise: LineNoise
-    shares: Floats  # (patch, tap) share of each tap
+    shares: Floats  # (patch, tap)
 
     def of(self, first: int, last: int) -> "SharedNoise":
-        """Return the line noise of the patches with the indices `first` to `last` − 1."""
+        """Return the line noise of the patches `first` to `last` − 1."""
         return replace(self, shares=self.shares[first:last])
 
     def covariances(self) -> Floats:
-        """Return the noise covariance of each pair of taps in `line_pairs`, summed over the patches."""
+        """Return the noise covariance of each tap pair in `line_pairs`, summed over the patches, in full scale²."""
         pairs = line_pairs(int(np.sqrt(self.shares.shape[1])))
         variance = np.where(pairs.is_row, np.float32(self.noise.rows), np.float32(self.noise.columns))
         return np.asarray((self.shares.T @ self.shares)[pairs.first, pairs.second] * variance)
 
     def propagated(self, weights: Floats, outputs: Sequence[tuple[int, int]]) -> Floats:
-        """Return the change in the output covariances that is due to the correlation of noise within lines.
+        """Compute how much the correlation of line noise changes the noise covariance of the outputs.
 
-        The change is the covariance from line noise, minus the covariance from independent noise with the same variance at
-        each tap.
+        This is the covariance from line noise, minus the covariance from independent noise of the same variance in each tap.
 
         Parameters
         ----------
         weights : ndarray, (tap, output)
-            Transform of the class of the patches.
+            Transform of the patches' class.
         outputs : sequence of (int, int)
-            Pairs of outputs whose covariance is returned.
+            Output pairs for which to compute the covariance.
 
         Returns
         -------
@@ -137,7 +132,7 @@ class SharedNoise:
 
 
 class LinePairs(NamedTuple):
-    """Pairs of different taps of a window that are in the same row or in the same column. Each pair occurs once."""
+    """Pairs of different taps in the same row or column of a window, each listed once."""
 
     first: Indices
     second: Indices
@@ -146,10 +141,7 @@ class LinePairs(NamedTuple):
 
 @functools.cache
 def line_pairs(side: int) -> LinePairs:
-    """Return all pairs of taps that share a line in a window of `side` × `side` pixels.
-
-    Pairs in rows precede pairs in columns.
-    """
+    """List the tap pairs in the same row, then in the same column, of a window of `side` × `side` pixels."""
     taps = np.arange(side**2).reshape(side, side)
     one, other = np.triu_indices(side, 1)
     rows, columns = [(each[:, one].ravel(), each[:, other].ravel()) for each in (taps, taps.T)]
@@ -158,10 +150,9 @@ def line_pairs(side: int) -> LinePairs:
 
 
 def split_noise(noise: NDArray[np.float64], taps: int) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    """Split stored noise into the variance of each tap and the covariance of each pair of taps.
+    """Split stored noise sums (class, column) into variances (class, tap) and covariances (class, tap, tap).
 
-    `noise` has the axes (class, column). The variances have the axes (class, tap). The covariances have the axes (class,
-    tap, tap) and are zero on the diagonal. If the camera has no line noise, the covariances are None.
+    The covariances are zero on the diagonal. They are None if the camera has no line noise.
     """
     if noise.shape[1] == taps:
         return noise, None

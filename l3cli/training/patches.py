@@ -1,4 +1,7 @@
-"""Patches from training frames, their levels and their noise (docs/method.md#patches, docs/method.md#level-rescaling)."""
+"""Draw patches from training frames, scale them to random levels, and add noise.
+
+See docs/method.md#patches and docs/method.md#level-rescaling.
+"""
 
 import functools
 import math
@@ -25,23 +28,23 @@ Y = 1  # index of Y among the outputs X, Y, Z, and of S0 among the outputs S1, S
 
 @dataclass(frozen=True)
 class Patches:
-    """Patches of one canonical site, with their targets. Patches from simulated frames are free of noise and clipping."""
+    """Patches of one canonical site, with their targets. Simulated patches are free of noise and clipping."""
 
     signal: Floats  # (patch, tap) as a fraction of full scale
     target: Floats  # (patch, output) in the output unit of the table
-    carried: Floats | None = None  # (patch, tap) noise variance that measured signals contain, in full scale², or None
-    colourless: NDArray[np.bool_] | None = None  # (patch) whether a patch shows only luminance; None if no patch does
+    carried: Floats | None = None  # (patch, tap) variance of the noise in measured signals, in full scale²; None for 0
+    colourless: NDArray[np.bool_] | None = None  # (patch) whether colours were replaced by greys; None for no patch
 
     def possible(self, scale: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Limit the factors by which patches are made brighter or darker.
+        """Limit the factors that scale patches to other levels.
 
-        Simulated patches may be multiplied by any factor. A patch of a real frame can only be made darker, because noise can
+        Simulated patches may be scaled by any factor. A patch from a real frame may only be made darker, because noise can
         be added but not removed. A real patch with a clipped tap is not scaled.
 
         Parameters
         ----------
         scale : ndarray, (patch)
-            Wanted factors.
+            Desired factors.
 
         Returns
         -------
@@ -53,9 +56,9 @@ class Patches:
         return np.where(self.carried.any(axis=1), followed, scale)
 
     def lacking_share(self, scale: Floats) -> Floats:
-        """Return the fraction of signal-independent noise that patches lack after they are multiplied by `scale`.
+        """Return the fraction of signal-independent noise variance that patches lack after scaling.
 
-        Noise-free patches lack all of the noise. Patches of real frames lack noise only if they are made darker.
+        Noise-free patches lack all of this noise. Patches from real frames lack noise only if they are made darker.
         """
         if self.carried is None:
             return np.ones_like(scale)
@@ -63,10 +66,7 @@ class Patches:
 
     @classmethod
     def concatenated(cls, parts: list["Patches"]) -> "Patches":
-        """Join several sets of patches.
-
-        If only some sets contain measured noise, the `carried` noise of all other patches is set to zero.
-        """
+        """Concatenate sets of patches. Simulated patches get `carried` = 0 if other patches contain measured noise."""
         colourless = [np.zeros(len(p.signal), bool) if p.colourless is None else p.colourless for p in parts]
         carried = None
         if any(part.carried is not None for part in parts):
@@ -86,14 +86,14 @@ def patches_of(
     achromatic: float = 0.0,
     colourless: TrainingFrame | None = None,
 ) -> Patches:
-    """Take patches for a canonical site from a frame.
+    """Draw patches for a canonical site from a frame.
 
     Parameters
     ----------
     frame : TrainingPair
         A simulated frame (TrainingFrame), or a real pair.
     head : TrainingSet
-        Properties that all frames of the training share, such as the camera and the outputs.
+        Properties common to all training frames, such as the camera and the outputs.
     neighbours : Neighbourhoods
         Windows of all sites.
     site : int
@@ -103,12 +103,12 @@ def patches_of(
     rng : numpy.random.Generator
         Source of the random numbers.
     allowed : tuple of int
-        Orientations in which patches of real pairs may be read, as in `site_maps`. Patches of simulated frames are read in
-        all orientations of `orientations_of_scenes`, because their noise is added later.
+        Orientations in which patches from real pairs may be read, as in `site_maps`. Patches from simulated frames are read
+        in all orientations of `orientations_of_scenes`, because their noise is added later.
     achromatic : float
-        Fraction of the patches to take from `colourless`.
+        Fraction of the patches to draw from `colourless`.
     colourless : TrainingFrame, optional
-        Result of `colourless_frame` for this frame. [default: all patches have colour]
+        Result of `colourless_frame` for this frame. [default: all patches are in colour]
 
     Returns
     -------
@@ -139,10 +139,10 @@ def patches_of(
 
 
 def colourless_frame(frame: TrainingPair, head: TrainingSet) -> TrainingFrame | None:
-    """Return a version of the frame without colour, or None if this is not possible.
+    """Replace the colours of a simulated frame by greys, or return None if this is impossible.
 
-    The frame must be simulated under a known illuminant, and its outputs must begin with X, Y, Z or be Stokes parameters.
-    The Stokes parameters of the new frame describe unpolarised light.
+    The illuminant must be known, and the outputs must begin with X, Y, Z or be Stokes parameters. The new Stokes parameters
+    describe unpolarised light.
     """
     if not isinstance(frame, TrainingFrame) or frame.light is None or head.outputs[:3] not in (XYZ, STOKES):
         return None
@@ -150,9 +150,9 @@ def colourless_frame(frame: TrainingPair, head: TrainingSet) -> TrainingFrame | 
 
 
 def without_colour(frame: TrainingFrame, camera: CameraModel) -> TrainingFrame:
-    """Return a version of the frame in which every surface is a grey with the luminance of the original surface.
+    """Replace every surface of a frame by a neutral grey with the same luminance.
 
-    The greys have the colour of the illuminant. Raises ValueError if the illuminant of the frame is unknown.
+    Raises ValueError if the illuminant of the frame is unknown.
     """
     if frame.light is None:
         raise ValueError("the illuminant of the frame must be known")
@@ -172,10 +172,10 @@ def sample_pair(
     rng: np.random.Generator,
     allowed: Allowed = EVERY_ORIENTATION,
 ) -> Patches:
-    """Take patches at random places from a real pair: a raw frame and a picture of the same scene.
+    """Draw patches at random positions from a real pair: a raw frame and a picture of the same scene.
 
-    The CFA of a real frame cannot be moved or turned. Patches are therefore taken only at sites that are a rotation or
-    reflection of the canonical site, and are read in the corresponding orientation.
+    The CFA of a real frame cannot be moved or rotated. Patches are therefore drawn only at sites that are equivalent to the
+    canonical site by rotation or reflection, and are read in the corresponding orientation.
 
     Parameters
     ----------
@@ -245,25 +245,25 @@ def sample_patches(
     orientations: Sequence[NDArray[np.int64]],
     rng: np.random.Generator,
 ) -> Patches:
-    """Take patches at random places and in random orientations from a simulated frame.
+    """Draw patches at random positions and in random orientations from a simulated frame.
 
     A simulated frame contains the electrons of all channels at every pixel. The CFA can therefore be placed at any offset
-    and in any orientation. Patches that would contain an ignored pixel are not taken.
+    and in any orientation. No patch contains an ignored pixel.
 
     Parameters
     ----------
     frame : TrainingFrame
         The simulated frame.
     head : TrainingSet
-        Properties that all frames of the training share, such as the camera and the outputs.
+        Properties common to all training frames, such as the camera and the outputs.
     unit : float
-        The output unit, by which targets are divided.
+        Output unit by which the targets are divided.
     window : ndarray, (tap)
         Channel of each tap.
     count : int
         Number of patches.
     orientations : sequence of ndarray, (tap)
-        Permutations of the taps, which are used equally often.
+        Tap permutations. Each is used equally often.
     rng : numpy.random.Generator
         Source of the random numbers.
 
@@ -291,9 +291,9 @@ def sample_patches(
 
 
 def _centres(frame: TrainingFrame, side: int, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Return the rows and the columns of the centres of `count` patches without ignored pixels.
+    """Choose centres (row and col, patch) of patches without ignored pixels.
 
-    Raises an InputFileError if every possible patch contains an ignored pixel.
+    Raises InputFileError if every possible patch contains an ignored pixel.
     """
     rows, cols = frame.raw.shape[0] - side + 1, frame.raw.shape[1] - side + 1
     if frame.ignored is None:
@@ -301,19 +301,18 @@ def _centres(frame: TrainingFrame, side: int, count: int, rng: np.random.Generat
     free = maximum_filter(frame.ignored.mask, side, mode="nearest")[side // 2 :, side // 2 :][:rows, :cols] == 0
     if not free.any():
         raise InputFileError(
-            f"the frame of scene {frame.scene} contains no {side}×{side} window without ignored pixels; remove the scene "
-            "from the recipe"
+            f"every {side}×{side} window in the frame of scene {frame.scene} contains ignored pixels; remove the scene from "
+            "the recipe"
         )
     places = np.flatnonzero(free)[(even_places(count, 1, rng)[:, 0] * np.count_nonzero(free)).astype(np.int64)]
     return np.stack(np.unravel_index(places, free.shape)) + side // 2
 
 
 def levels_at(recipe: LearningRecipe, places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Draw levels for patches (docs/method.md#level-rescaling).
+    """Map uniform random numbers to random levels (docs/method.md#level-rescaling).
 
-    Most levels are drawn from a log-uniform distribution between `darkest` and `brightest`. A fraction `highlight_share` of
-    the levels is drawn between `highlight_from` and `brightest`, and a fraction `dark_share` between half of `darkest` and
-    `darkest`. These distributions are also log-uniform.
+    The levels are log-uniform within three ranges: `highlight_share` of the levels between `highlight_from` and `brightest`,
+    `dark_share` between half of `darkest` and `darkest`, and all others between `darkest` and `brightest`.
 
     Parameters
     ----------
@@ -337,13 +336,14 @@ def levels_at(recipe: LearningRecipe, places: NDArray[np.float64]) -> NDArray[np
 
 
 def even_places(count: int, axes: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return points that cover the unit cube more evenly than random points (docs/method.md#patches).
+    """Return a low-discrepancy sequence of points in the unit cube (docs/method.md#patches).
 
-    The points are an additive recurrence from a random start. The step along axis k is g^−k, where g^(axes + 1) = g + 1.
+    The points are an additive recurrence (Kronecker sequence) from a random start. The step along axis k is g^−k, where
+    g^(axes + 1) = g + 1.
 
     Returns
     -------
-    ndarray, (place, axis)
+    ndarray, (point, axis)
         Coordinates between 0 and 1.
     """
     ratio = 2.0
@@ -358,10 +358,10 @@ def _normal_deviates() -> Floats:
 
 
 def _normal(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
-    """Return standard normal values from a table of 2²⁰ values, starting at a random position in the table.
+    """Return consecutive values from a table of 2²⁰ standard normal deviates, starting at a random position.
 
-    This is twenty times as fast as drawing new values. The repetition does no harm, because the values only determine the
-    class of each patch.
+    This is twenty times as fast as drawing new deviates. Reusing them does no harm, because they only affect the class to
+    which a patch is assigned.
     """
     pool, size = _normal_deviates(), math.prod(shape)
     start = rng.integers(max(pool.size - size, 0), endpoint=True)
@@ -378,7 +378,7 @@ def expose_patches(
     channel: NDArray[np.integer] | None = None,
     offsets: Offsets | None = None,
 ) -> NDArray[np.uint32]:
-    """Convert signals to noisy raw values, which determine the class of each patch.
+    """Convert signals to noisy raw values, from which patches are assigned to classes.
 
     Parameters
     ----------
@@ -389,14 +389,14 @@ def expose_patches(
     rng : numpy.random.Generator
         Source of the random numbers.
     carried : ndarray, optional
-        Noise variance that measured signals already contain, in full scale². Only the rest of the noise is added.
+        Noise variance that measured signals already contain, in full scale². Only the remaining noise is added.
         [default: 0]
     dark : float
-        Dark signal that has been subtracted from the frame, in DN.
+        Dark signal that was subtracted from the frame, in DN.
     channel : ndarray, optional
-        Channel of each signal, which is broadcast against `signal`.
+        Channel of each signal, broadcast against `signal`.
     offsets : Offsets, optional
-        Offsets of rows and columns, which are part of the noise. Required if the camera has line noise.
+        Random row and column offsets (line noise). Required if the camera has line noise.
 
     Returns
     -------
@@ -409,14 +409,14 @@ def expose_patches(
         noisy -= offsets.variance * gain**2
         np.maximum(noisy, 0, out=noisy)
     elif camera.has_line_noise:
-        raise ValueError("the offsets of rows and columns must be drawn")
+        raise ValueError("the camera has line noise; pass `offsets` drawn from it")
     np.sqrt(noisy, out=noisy)
     noisy *= _normal(signal.shape, rng)
     if offsets is not None:
         noisy += offsets.values * gain
     noisy += signal
     noisy *= np.float32(camera.white_level - camera.black_level)
-    noisy += np.float32(camera.black_level + 0.5)  # rounds to the nearest DN, because the cast rounds down
+    noisy += np.float32(camera.black_level + 0.5)  # + 0.5, because the cast truncates
     return np.clip(noisy, 0.0, np.floor(camera.white_level), out=noisy).astype(np.uint32)
 
 
@@ -427,10 +427,9 @@ def lacking_variance(
     dark: float = 0.0,
     channel: NDArray[np.integer] | None = None,
 ) -> Floats:
-    """Return the variance of the noise that must be added to each signal, in full scale².
+    """Return the noise variance that signals lack compared with raw values of the camera, in full scale².
 
-    With this noise, the signal is as noisy as in a frame of the camera. The variance is 0 for clipped values. The parameters
-    are the same as for `expose_patches`.
+    Clipped signals lack no noise. The parameters are the same as for `expose_patches`.
     """
     variance = _variance(signal, camera, carried, dark, channel=channel)
     variance *= signal < 1
@@ -445,10 +444,10 @@ def _variance(
     later: float = 0.0,
     channel: NDArray[np.integer] | None = None,
 ) -> Floats:
-    """Return the variance of the noise to add to each signal, in full scale².
+    """Return the noise variance to add to each signal, in full scale².
 
-    The result is the noise variance of the camera, minus the variance `carried` that the signals already contain, and minus
-    the variance `later`, in DN², that rounding will add. All other parameters are the same as for `expose_patches`.
+    This is the camera's noise variance minus `carried`, which the signals already contain, and minus `later`, the variance
+    in DN² that rounding will add. All other parameters are the same as for `expose_patches`.
     """
     if carried is not None:  # only measured signals can be negative
         signal = np.clip(signal, 0.0, np.inf)

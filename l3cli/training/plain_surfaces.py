@@ -1,16 +1,16 @@
-"""Train uniform areas on measured surfaces, in addition to the patches of scenes (docs/method.md#uniform-surfaces).
+"""Train uniform areas on measured reflectances, in addition to patches from scenes (docs/method.md#uniform-surfaces).
 
-Most patches of scenes are textured. From such patches, a class learns to infer colour from detail, which gives wrong colours
-in uniform areas. Each class of uniform areas is therefore also trained on measured surfaces that have the chroma of the
-class. Each surface is used at several saturations, both bare and with titanium white. White and grey paints, which are
-common in man-made scenes, are added.
+Most patches from scenes are textured. A class trained only on textures infers colour from detail, and renders uniform areas
+in wrong colours. Each class for uniform areas is therefore also trained on measured surfaces with the chroma of the class.
+Each surface is used at several saturations, both bare and mixed with titanium white. White and grey paints are added because
+they are common in man-made scenes.
 
-Some chromas occur only in stripes that have the period of the CFA. Classes of such a chroma are trained to be grey
+Some chromas occur only in stripes with the period of the CFA. Classes with these chromas are trained to render grey
 (docs/method.md#stripes).
 
-If the outputs are the channels of the camera, classes of uniform areas are also trained on areas in which each band varies
+If the outputs are the camera's channels, classes for uniform areas are also trained on patches in which each band varies
 independently (docs/method.md#single-bands). The training surfaces have smooth spectra. Without independent bands, a class
-would treat the deviation from a smooth spectrum as noise, and would give a uniform area with such a spectrum a colour cast.
+would treat any deviation from a smooth spectrum as noise, and render uniform areas with other spectra with a colour cast.
 """
 
 import functools
@@ -28,21 +28,21 @@ from l3cli.physics.spectra import BLACKEST, WHITEST, with_saturation, with_titan
 
 Array = NDArray[np.float64]
 
-MODULATIONS = np.linspace(0.3, 0.95, 8)  # modulations of the stripes on which classes are trained
-CENTRE = 0.65  # modulation of the stripes whose channel fractions are the chroma centre
-MAX_STRIPE_CHROMAS = 8  # largest number of chromas for stripes
-# Smallest distance between the channel fractions of stripes and of white. Noisy greys would otherwise count as stripes.
+MODULATIONS = np.linspace(0.3, 0.95, 8)  # modulation depths of the training stripes
+CENTRE = 0.65  # modulation depth at which stripes have the chroma at the class's centre
+MAX_STRIPE_CHROMAS = 8
+# Smallest distance between stripes and white, in channel fractions. If it were smaller, noisy greys would count as stripes.
 MIN_STRIPE_CHROMA = 0.1
-UNLIKE = 0.5  # smallest distance from stripes to the nearest optimal colour, relative to the distance from stripes to white
-BAND_EDGES = 31  # number of wavelengths at which the bright band of an optimal colour may begin or end
+UNLIKE = 0.5  # smallest distance from stripes to the nearest optimal colour, relative to their distance from white
+BAND_EDGES = 31  # number of candidate wavelengths for the edges of an optimal colour's bright band
 BLACKS = (0.02, 0.1, 0.3)  # reflectances outside the bright band of an optimal colour
 
 
 def uniform_stripes(cfa: NDArray[np.integer], channels: int) -> Array:
-    """Return the stripes that give the same raw values as a uniform colour.
+    """Find the stripe patterns that the CFA cannot distinguish from a uniform colour.
 
-    These stripes are sinusoidal patterns with a whole number of periods per CFA period, a mean of 0 and an amplitude of 1.
-    All sites of a channel sample the pattern at the same value, but the value differs between channels.
+    The patterns are sinusoids with a whole number of periods per CFA period, a mean of 0 and an amplitude of 1. All sites of
+    a channel sample a pattern at the same value, but different channels sample it at different values.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def uniform_stripes(cfa: NDArray[np.integer], channels: int) -> Array:
     Returns
     -------
     ndarray, (stripe, channel)
-        Value of each pattern at the sites of each channel.
+        Each pattern's value at the sites of each channel.
     """
     rows, cols = cfa.shape
     sites = np.stack([cfa == channel for channel in range(channels)]).reshape(channels, -1)
@@ -65,15 +65,16 @@ def uniform_stripes(cfa: NDArray[np.integer], channels: int) -> Array:
         wave = np.cos(2 * np.pi * (u * down / rows + v * across / cols) + np.pi / 2 * quarter).ravel()
         means = sites @ wave
         if np.ptp(means) > 0.5 and np.allclose(sites @ wave**2, means**2, atol=1e-9):
-            stripes.append(means.round(6) + 0.0)  # + 0.0 turns −0 into 0, so that `unique` recognises equal stripes
+            stripes.append(means.round(6) + 0.0)  # + 0.0 turns −0 into 0, so that `unique` finds equal stripes
     return np.unique(np.reshape(stripes, (-1, channels)), axis=0)
 
 
 def false_colours(camera: CameraModel, wavelength: Array, photons: Array) -> Array:
-    """Return the stripes from `uniform_stripes` whose raw values correspond to a colour that no surface can have.
+    """Find stripes that look to the camera like a colour that no surface can have.
 
-    Colours are compared as channel fractions. The distance from the stripes to white must be at least `MIN_STRIPE_CHROMA`,
-    and the distance to the nearest optimal colour must be at least `UNLIKE` times the distance to white.
+    Candidates are the patterns from `uniform_stripes`. Colours are compared as channel fractions. The distance from a
+    pattern to white must be at least `MIN_STRIPE_CHROMA`. The distance to the nearest optimal colour must be at least
+    `UNLIKE` times the distance to white.
 
     Parameters
     ----------
@@ -87,7 +88,7 @@ def false_colours(camera: CameraModel, wavelength: Array, photons: Array) -> Arr
     Returns
     -------
     ndarray, (stripe, channel)
-        At most `MAX_STRIPE_CHROMAS` stripes. The stripes that are farthest from all optimal colours come first.
+        At most `MAX_STRIPE_CHROMAS` patterns, starting with the one that is farthest from all optimal colours.
     """
     electrons = camera.signal_weights @ spectra.sampling_matrix(wavelength, camera.wavelength) * photons
     white = electrons.sum(axis=1)
@@ -104,23 +105,20 @@ def false_colours(camera: CameraModel, wavelength: Array, photons: Array) -> Arr
 
 
 def stripe_shares(white: Array, stripes: Array) -> Array:
-    """Return the chroma centre of each stripe pattern on a white surface, as channel fractions.
-
-    `white` contains the signals of the white surface, one per channel.
-    """
+    """Return the chroma centre (stripe, channel) of each pattern on a white surface with the signals `white` (channel)."""
     return shares(white * (1.0 + CENTRE * stripes))
 
 
 def shares(signals: Array) -> Array:
-    """Divide the signals of all channels by their sum, and return channel fractions."""
+    """Divide signals by their sum over the channels (the last axis)."""
     return np.asarray(signals / signals.sum(axis=-1, keepdims=True))
 
 
 def optimal_reflectances(wavelength: Array) -> Array:
-    """Return reflectances near Schrödinger's optimal colours, the most saturated colours that a surface can have.
+    """Return reflectances close to Schrödinger's optimal colours, the most saturated colours that a surface can have.
 
-    Each reflectance is 1 within one wavelength band, or everywhere except in one band. At all other wavelengths, the
-    reflectance is one of the values `BLACKS`.
+    Each reflectance is 1 inside one wavelength band, or everywhere outside it. At all other wavelengths it is one of
+    `BLACKS`.
 
     Returns
     -------
@@ -135,27 +133,27 @@ def optimal_reflectances(wavelength: Array) -> Array:
 
 
 SATURATIONS = (0.2, 0.4, 0.6, 0.8, 1.0)  # saturations of each measured surface, from pale to unchanged
-EDGES = 0.1, 0.2, 0.4  # ratio of absorption to scattering (K/S) of titanium white at 405 nm, as in the training scenes
-WIDTHS = 6.5, 9.5  # width of the absorption edge of titanium white, in nm
-BARE = 2  # number of copies of each surface without titanium white; there are six copies with titanium white
+EDGES = 0.1, 0.2, 0.4  # titanium white's ratio of absorption to scattering (K/S) at 405 nm, as in the training scenes
+WIDTHS = 6.5, 9.5  # width of titanium white's absorption edge, in nm
+BARE = 2  # copies of each surface without titanium white, compared with six copies with titanium white
 GREYS = np.geomspace(0.03, 0.95, 12)  # reflectances of white and grey paints
-GREY_SHARE = 100.0  # total weight of the paints in a chroma, relative to the total weight of all other surfaces
-OF_WHITE = 3.0  # additional weight of the chroma of white, in which a colour cast is most visible
+GREY_SHARE = 100.0  # total weight of the paints within a chroma, relative to all other surfaces
+OF_WHITE = 3.0  # extra weight of the chroma of white, where a colour cast is most visible
 NEAR_WHITE = 0.2  # typical distance of noisy dark greys from white, relative to the mean channel fraction
-MIN_SURFACES = 4  # a chroma is trained only if it has at least this number of surfaces per channel
-SAME_WHITE = 0.005  # relative tolerance for the white in X, Y, Z, which depends on the wavelength grid
+MIN_SURFACES = 4  # smallest number of surfaces per channel for which a chroma is trained
+SAME_WHITE = 0.005  # relative tolerance of the white's X, Y, Z, because different wavelength grids change them slightly
 
 
 @functools.lru_cache(maxsize=4)
 def cached_reflectances(wavelength: tuple[float, ...]) -> tuple[Array, int]:
-    """Return reflectances of bare and painted surfaces on a wavelength grid.
+    """Return the training surfaces' reflectances on a wavelength grid.
 
-    Each measured surface occurs at several saturations, both bare and with titanium white.
+    Each measured surface occurs at several saturations, both bare and mixed with titanium white.
 
     Returns
     -------
     reflectances : ndarray, (surface, wavelength)
-        Reflectances of the measured surfaces, then of white and grey paints with titanium white.
+        The measured surfaces, followed by white and grey paints with titanium white.
     greys : int
         Number of white and grey paints.
     """
@@ -176,12 +174,12 @@ class PlainSurfaces:
     outputs: Array  # (surface, 3) X, Y, Z
     white: Array  # (channel) signals of white
     greys: int  # number of white and grey paints, which are the last surfaces
-    beyond: Array  # (sample, channel) signals of stripes that look like impossible colours, then of optimal colours
-    beyond_outputs: Array  # (sample, 3) X, Y, Z of these samples; all stripes have the X, Y, Z of white
-    stripes: int  # number of samples that are stripes
+    beyond: Array  # (sample, channel) signals of stripes with impossible colours, followed by optimal colours
+    beyond_outputs: Array  # (sample, 3) targets X, Y, Z of these samples, which are those of white for all stripes
+    stripes: int  # number of stripes, which are the first samples of `beyond`
 
     def moments(self, rule: ClassRule, window: NDArray[np.int64]) -> list[Array | None]:
-        """Return, for each chroma, the mean moments of uniform patches that show the surfaces of this chroma.
+        """Compute the mean moments of uniform patches, by chroma of the surface.
 
         Parameters
         ----------
@@ -193,8 +191,8 @@ class PlainSurfaces:
         Returns
         -------
         list of (ndarray, (column, column), or None)
-            One entry per chroma, which is None if the chroma has too few surfaces. The columns are taps, intercept and
-            outputs, weighted in the same way as in `ClassSums`.
+            One entry per chroma, or None if the chroma has too few surfaces. The columns are taps, intercept and outputs,
+            weighted as in `ClassSums`.
         """
         centres = chroma_centres(rule)
         chroma = _nearest(self.signals, centres)
@@ -205,14 +203,14 @@ class PlainSurfaces:
         return every
 
     def nearness(self, rule: ClassRule) -> Array:
-        """Return the nearness of each chroma to white: 1 for the chroma of white, and almost 0 far from white."""
+        """Return the closeness of each chroma to white, from 1 for white to almost 0 for saturated colours."""
         if rule.chromas == 1:
             return np.zeros(1)
         distance = (chroma_centres(rule) - shares(self.white[None])) * rule.channels / NEAR_WHITE
         return np.asarray(np.exp(-(distance**2).sum(axis=1)))
 
     def moments_of_stripes(self, rule: ClassRule, window: NDArray[np.int64]) -> dict[int, Array]:
-        """Return the mean moments of stripes and optimal colours, for the chromas that occur only in stripes.
+        """Compute mean moments of stripes and optimal colours, for chromas that occur only in stripes.
 
         The parameters are the same as for `moments`.
 
@@ -227,12 +225,12 @@ class PlainSurfaces:
         stripes = np.bincount(chroma[: self.stripes], minlength=rule.chromas)
         vivid = np.bincount(chroma[self.stripes :], minlength=rule.chromas)
         surfaces = np.bincount(_nearest(self.signals, chroma_centres(rule)), minlength=rule.chromas)
-        # A chroma is trained on stripes if it contains few surfaces and at least half of the modulations of one pattern.
-        # Chromas with fewer modulations contain only stripes of low modulation.
+        # Train a chroma on stripes if it has few surfaces and at least half as many stripes as there are modulation depths.
+        # A chroma with fewer stripes contains only low-contrast stripes.
         theirs = np.flatnonzero((stripes >= len(MODULATIONS) / 2) & (surfaces < MIN_SURFACES * self.signals.shape[1]))
         every = {}
         for each in theirs.tolist():
-            # Optimal colours have the same total weight as stripes, because lamps can have colours that no surface has.
+            # Optimal colours get the same total weight as stripes, because lamps can have colours that no surface has.
             count = np.repeat([1 / stripes[each], 1 / max(vivid[each], 1)], [stripes[each], vivid[each]])
             members = chroma == each
             every[each] = _moments(self.beyond[members], self.beyond_outputs[members], count, window)
@@ -247,7 +245,7 @@ class PlainSurfaces:
 
 
 def _moments(signals: Array, outputs: Array, count: Array, window: NDArray[np.int64]) -> Array:
-    """Return the mean of the moments of uniform patches, one patch per sample. A sample is a surface or a stripe pattern.
+    """Compute the weighted mean moments of uniform patches, one patch per sample (a surface or a stripe pattern).
 
     Parameters
     ----------
@@ -267,7 +265,7 @@ def _moments(signals: Array, outputs: Array, count: Array, window: NDArray[np.in
     """
     weight = count / count.sum() / (signals.mean(axis=1) * outputs[:, 1])
     values = np.concatenate([signals, np.zeros((len(signals), 1)), outputs], axis=1)
-    # einsum instead of BLAS, because the results of BLAS depend on the number of threads
+    # einsum instead of BLAS, because BLAS results depend on the number of threads
     products = np.einsum("s,si,sj->ij", weight, values, values, optimize=False)
     channels = signals.shape[1]
     columns = np.concatenate([window, np.arange(channels, values.shape[1])])  # all taps of a channel have the same value
@@ -275,7 +273,7 @@ def _moments(signals: Array, outputs: Array, count: Array, window: NDArray[np.in
 
 
 def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpectrum, white: Array) -> PlainSurfaces | None:
-    """Compute the signals and outputs of the measured surfaces for a camera and an illuminant.
+    """Compute the training surfaces' signals and outputs for a camera and an illuminant.
 
     Parameters
     ----------
@@ -284,16 +282,16 @@ def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpect
     light : LightSpectrum
         Illuminant of the scene.
     target : LightSpectrum
-        Illuminant for which the outputs are computed.
+        Illuminant under which the outputs X, Y, Z are computed.
     white : ndarray, (output)
         Outputs of a perfect white, with Y = 1.
 
     Returns
     -------
     PlainSurfaces or None
-        None if the outputs are not CIE 1931 X, Y, Z, or if a channel receives no light from some surface.
+        None if `white` contradicts the CIE 1931 observer, or if a channel receives no light from some surface.
     """
-    grid = light.wavelength  # fine enough for the absorption edge of titanium white
+    grid = light.wavelength  # fine enough for titanium white's absorption edge
     lit = light.radiance.astype(np.float64)
     wanted = spectra.resample(target.radiance.astype(np.float64), target.wavelength, grid)
     electrons = camera.signal_weights @ spectra.sampling_matrix(grid, camera.wavelength) * lit
@@ -316,23 +314,20 @@ def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpect
 
 
 def _seen(reflectances: Array, to_signals: Array, to_outputs: Array) -> tuple[Array, Array]:
-    """Compute the signals and the outputs of surfaces.
-
-    BLAS is not used, because its results depend on the number of threads.
-    """
+    # einsum instead of BLAS, because BLAS results depend on the number of threads
     return np.einsum("sw,cw->sc", reflectances, to_signals), np.einsum("sw,ow->so", reflectances, to_outputs)
 
 
 def _nearest(signals: Array, centres: Array) -> NDArray[np.intp]:
-    """Return the chroma of each sample, which is the number of the nearest centre."""
+    """Return each sample's chroma, that is the number of the nearest chroma centre."""
     return np.argmin(((shares(signals)[:, None] - centres[None]) ** 2).sum(axis=2), axis=1)
 
 
-BAND_DEVIATION = 0.1  # standard deviation of the independent variation of a band, relative to the mean of the band
+BAND_DEVIATION = 0.1  # standard deviation of a band's independent variation, relative to the band's mean
 
 
 def output_gains(moments: Array, window: NDArray[np.int64]) -> Array | None:
-    """Estimate the ratio of each output to the signal of its channel in uniform areas, by regression.
+    """Regress each output on its channel's signal in uniform areas, and return the slopes.
 
     Parameters
     ----------
@@ -344,7 +339,7 @@ def output_gains(moments: Array, window: NDArray[np.int64]) -> Array | None:
     Returns
     -------
     ndarray, (channel), or None
-        None if a channel has no signal.
+        Ratio of output to signal, or None if a channel has no signal.
     """
     taps, means = window.size, _membership(window) / np.bincount(window)
     signal, both = means.T @ moments[:taps, :taps] @ means, means.T @ moments[:taps, taps + 1 :]
@@ -352,10 +347,10 @@ def output_gains(moments: Array, window: NDArray[np.int64]) -> Array | None:
 
 
 def single_bands(moments: Array, window: NDArray[np.int64], gains: Array) -> Array:
-    """Return the moments of uniform patches in which each band varies independently around the mean colour of a class.
+    """Compute the moments of uniform patches in which each band varies independently around a class's mean colour.
 
-    Each band has a standard deviation of `BAND_DEVIATION` times its mean. The moments have the weight of as many patches as
-    the class has training patches.
+    Each band's standard deviation is `BAND_DEVIATION` times its mean. The moments count as many patches as the class has
+    training patches.
 
     Parameters
     ----------
@@ -378,14 +373,14 @@ def single_bands(moments: Array, window: NDArray[np.int64], gains: Array) -> Arr
 
 
 def has_single_bands(rule: ClassRule, index: int) -> bool:
-    """Return whether `single_bands` applies to a class.
+    """Whether a class is also trained on the patches from `single_bands`.
 
-    The class rule must distinguish several contrasts. The class must be unsaturated and have the lowest contrast.
+    This applies to unsaturated classes of the lowest contrast, if the class rule distinguishes several contrasts.
     """
     place = rule.split(index)
     return bool(rule.contrasts > 1 and place.contrast == 0 and not rule.case(place.kind))
 
 
 def _membership(window: NDArray[np.int64]) -> Array:
-    """Return a matrix with the value 1 where a tap (row) belongs to a channel (column), and 0 otherwise."""
+    """Return the indicator matrix (tap, channel) of the channel of each tap."""
     return (window[:, None] == np.arange(window.max() + 1)).astype(np.float64)

@@ -1,4 +1,4 @@
-"""Class recipes: the keys of the first layer and of the refinement layers, and checks of their values."""
+"""Class recipes: the keys for the first layer and the refinement layers, and checks of their values."""
 
 import itertools
 from collections.abc import Iterator
@@ -24,11 +24,9 @@ from l3cli.training.symmetry import IDENTITY_ONLY, Allowed, orientations_of_fram
 MOST_PATCHES = 1_000_000_000
 MOST_REFINEMENT = 3  # largest number of refinement layers
 MOST_STRENGTH = 1e5  # largest value in `strengths`, far above the trace of any structure tensor
-MOST_OF_HIGHLIGHTS = (
-    0.5  # largest default of `darkest`, as a fraction of `highlight_from`; has an effect only if noise is very high
-)
+MOST_OF_HIGHLIGHTS = 0.5  # largest automatic `darkest`, as a fraction of `highlight_from`; reached only with very high noise
 LEAST_SENSITIVE = 1 / 16  # smallest relative sensitivity of a channel with one refinement layer (docs/method.md#exposures)
-LEAST_BETWEEN = 1 / 4  # smallest relative sensitivity with more refinement layers, which read planes of 16 bits
+LEAST_BETWEEN = 1 / 4  # smallest relative sensitivity with several refinement layers, which exchange 16-bit planes
 LEAST_STEP = 0.001  # smallest difference between two values in `strengths`, which are stored as integers
 ErrorPower = Annotated[float, msgspec.Meta(ge=0, le=0.5)]
 MOST_DRAWS = 1000  # largest number of levels per patch; more levels would add no information
@@ -39,28 +37,28 @@ class LearningRecipe(Recipe):
 
     # number of training patches per CFA site, over all frames; symmetric sites share their patches
     patches: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 60000
-    # number of random levels to which each patch is scaled (docs/method.md#level-rescaling)
+    # number of random levels per patch (docs/method.md#level-rescaling)
     draws: Annotated[int, msgspec.Meta(ge=1, le=MOST_DRAWS)] = 8
-    # number of random levels per patch in the first of two training passes; with 0 there is only one pass
+    # number of random levels per patch in the first of two training passes; with 0, there is only one pass
     first_draws: Annotated[int, msgspec.Meta(ge=0, le=MOST_DRAWS)] = 3
-    # lower limit of the log-uniform distribution of most random levels; with 0, l3 uses the level at which the signal equals
-    # its noise
+    # lowest random level, except for `dark_share`; levels are log-uniform; with 0, l3 uses the level at which the signal
+    # equals its noise
     darkest: float = 0.0
-    # fraction of the draws between half of `darkest` and `darkest`, for frames with a higher gain
+    # fraction of the random levels between half of `darkest` and `darkest`, for frames taken at a higher gain
     dark_share: Share = 0.0
-    brightest: float = 2.5  # highest level of the draws; patches are clipped at the white level after they are scaled
-    highlight_share: Share = 0.25  # fraction of the draws between `highlight_from` and `brightest`
-    highlight_from: float = 0.15  # lowest level of the draws for highlights
-    achromatic: Share = 0.0  # fraction of the patches that show their scene in greys (docs/method.md#patches)
-    rescale: bool = True  # whether patches are scaled to random levels; if false, patches keep the level of their frame
-    # "analytic" adds the computed covariance of the noise to noise-free patches; "sampled" adds random noise to the patches,
-    # so that luminance_noise and chroma_noise have no effect; "none" trains for frames without noise
+    brightest: float = 2.5  # highest random level; scaled patches are clipped at the white level
+    highlight_share: Share = 0.25  # fraction of the random levels between `highlight_from` and `brightest`
+    highlight_from: float = 0.15  # lowest level of the highlights
+    achromatic: Share = 0.0  # fraction of the patches whose colours are replaced by greys (docs/method.md#patches)
+    rescale: bool = True  # whether patches are scaled to random levels; if false, they keep the level of their frame
+    # "analytic" adds the computed noise covariance to the equations; "sampled" adds random noise to the patches, so that
+    # luminance_noise and chroma_noise have no effect; "none" trains for noise-free frames
     noise: Literal["analytic", "sampled", "none"] = "analytic"
-    # A second set of transforms is trained for this fraction of the temporal noise. l3 render --temporal uses this set for
-    # pixels that have little noise left (docs/method.md#noise-sets). With 0, there is no second set.
+    # fraction of the temporal noise for which a second set of transforms is trained, or 0 for no second set;
+    # l3 render --temporal uses this set for pixels with little remaining noise (docs/method.md#noise-sets)
     noise_left: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.0
-    # illuminants of the training frames for which additional transforms are trained; the white of a rendered scene selects
-    # the transforms (docs/method.md#several-illuminants)
+    # illuminants for which separate transforms are trained in addition to the common ones; at rendering, the white of the
+    # scene selects the transforms (docs/method.md#several-illuminants)
     lights: tuple[str, ...] = ()
     # training samples have the weight level^-power: 1 minimises errors relative to the level, 0 minimises absolute errors
     level_power: Share = 1.0
@@ -68,35 +66,35 @@ class LearningRecipe(Recipe):
     # samples of the second pass have the weight (e² + ¼)^-power, where e is the error of the first pass
     # (docs/method.md#second-pass)
     error_power: ErrorPower = 0.25
-    ridge: Positive = 1e-5  # regularisation of the least squares, relative to the mean power of a tap
-    # weight of the noise covariance for Y; outputs other than X, Y and Z have the same weight, but at most 1
+    ridge: Positive = 1e-5  # ridge (Tikhonov) regularisation, relative to the mean power of a tap
+    # weight of the noise covariance for Y; outputs other than X, Y and Z use the same weight, but at most 1
     # (docs/method.md#noise-weights)
     luminance_noise: NotNegative = 1.5
     chroma_noise: NotNegative = 2.0  # weight of the noise covariance for the two chroma outputs
-    # weights of the samples from classes one level away, two levels away and so on (docs/method.md#classes-with-few-patches)
+    # weights of samples from classes one level away, two levels away and so on (docs/method.md#classes-with-few-patches)
     level_pool: tuple[float, ...] = (0.5, 0.25)
-    # number of pseudo-patches of the parent that every class gets; the parent is the mean of all chromas of a level,
+    # number of pseudo-patches that every class receives from its parent, the mean over all chromas with the same level,
     # contrast and saturation case
     parent_patches: CountOrNone = 200
-    # in classes of uniform areas: weight of uniform patches with measured reflectances, relative to the other patches
+    # in classes for uniform areas: weight of uniform patches with measured reflectances, relative to the other patches
     # (docs/method.md#uniform-surfaces)
     plain_surfaces: NotNegative = 0.3
-    # spectral outputs only: width in pixels (odd) of the window over which spectra are smoothed; the brightness of each
-    # pixel does not change (docs/method.md#smoothed-spectra); with 0, spectra are not smoothed
+    # spectral outputs only: width in pixels (odd) of the window for smoothing spectra, or 0 for no smoothing; smoothing
+    # preserves the brightness of each pixel (docs/method.md#smoothed-spectra)
     spectral_window: Annotated[int, msgspec.Meta(ge=0, le=WINDOWS[-1])] = 0
     # smoothing ignores pixels whose brightness differs by at least this fraction from the central pixel's brightness
     spectral_reach: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.3
-    # X, Y, Z only: the chroma of a pixel is averaged with the chroma of a neighbour if X/Y and Z/Y, relative to white,
-    # differ by less than this limit (docs/method.md#smoothed-chroma); with 0, chroma is not smoothed
+    # X, Y, Z only: smoothing averages the chroma of neighbours if their X/Y and Z/Y, relative to white, differ by less than
+    # this limit; 0 for no smoothing (docs/method.md#smoothed-chroma)
     chroma_likeness: NotNegative = 0.0
-    # the chroma of two pixels is averaged only if their luminances differ by less than this fraction
+    # smoothing averages the chroma of neighbours only if their luminances differ by less than this fraction
     chroma_reach: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.6
     symmetry: bool = True  # whether rotated and mirrored CFA sites are trained together (docs/method.md#symmetry)
     # whether all CFA sites must produce the same outputs for a uniform patch (docs/method.md#equal-response)
     equal_response: bool = True
 
     def orientations(self, camera: CameraModel) -> Allowed:
-        """Return the orientations in which CFA sites may be trained together, as allowed by the key `symmetry`."""
+        """Return the orientations in which CFA sites may be trained together, or only the identity without `symmetry`."""
         return orientations_of_frames(camera) if self.symmetry else IDENTITY_ONLY
 
     @property
@@ -106,55 +104,55 @@ class LearningRecipe(Recipe):
 
 
 class LayerRecipe(Recipe):
-    """A refinement layer, which reads the planes that the previous layer outputs (docs/method.md#layers)."""
+    """Settings of a refinement layer, which filters the output planes of the previous layer (docs/method.md#layers)."""
 
     side: Annotated[int, msgspec.Meta(ge=1, le=9)] = 5  # width of the window in each plane, in pixels (odd)
-    # largest number of leaves of a decision tree that determines the classes; with 0, the structure determines the classes
+    # largest number of leaves if a decision tree assigns pixels to classes; with 0, a structure tensor assigns them
     leaves: Annotated[int, msgspec.Meta(ge=0, le=MAX_LEAVES)] = 0
-    # number of pixels per CFA site from which the tree is grown
+    # number of pixels per CFA site on which the tree is trained
     tree_rows: Annotated[int, msgspec.Meta(ge=1000, le=1_000_000)] = 40000
-    level_step: Count = 1  # number of first-layer levels that form one level of this layer
-    # boundaries between strengths of structure: trace of the structure tensor, relative to the trace that noise causes
+    level_step: Count = 1  # number of first-layer levels merged into one level of this layer
+    # boundaries between structure strengths: trace of the structure tensor, relative to its trace from noise alone
     strengths: tuple[Positive, ...] = (1.7, 8.0)
-    coherence: Share = 0.48  # smallest fraction of the trace along one direction for a directed edge
+    coherence: Share = 0.48  # smallest fraction of the trace along one direction at which an edge has a direction
     # number of training mosaics over all frames
     mosaics: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 5400
-    achromatic: Share = 0.2  # fraction of the mosaics that show their scene in greys
+    achromatic: Share = 0.2  # fraction of the mosaics whose colours are replaced by greys
     rows: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 900  # approximate number of training samples per mosaic
-    # fraction of the pixels of a mosaic that become samples; smaller values make mosaics larger for the same `rows`
+    # fraction of a mosaic's pixels that become samples; with a smaller fraction, mosaics are larger for the same `rows`
     density: Annotated[float, msgspec.Meta(gt=0, le=1)] = 1.0
-    ridge: Positive = 1e-5  # regularisation of the least squares, relative to the mean power of a tap
+    ridge: Positive = 1e-5  # ridge (Tikhonov) regularisation, relative to the mean power of a tap
     luminance_noise: NotNegative = 1.5  # weight of the noise covariance for Y, or for spectral outputs
     chroma_noise: NotNegative = 2.0  # weight of the noise covariance for the two chroma planes
-    # training samples have the weight (Y / level)^-power; without this key, the power in [learning] is used
+    # training samples have the weight (Y / level)^-power; if omitted, the power in [learning] applies
     brightness_power: Share | None = None
-    # training samples have the weight (e² + ¼)^-power, where e is the error of the previous layers; without this key, the
-    # power in [learning] is used
+    # training samples have the weight (e² + ¼)^-power, where e is the error of the previous layers; if omitted, the power
+    # in [learning] applies
     error_power: ErrorPower | None = None
-    # last layer only: whether the transforms also read the chroma that a pixel would have if only the shading varied
+    # last layer only: whether the transforms also use the chroma that a pixel would have if only the shading varied
     # (docs/method.md#colour-ratios)
     colour_ratios: bool = False
-    # with colour_ratios only: whether the transforms also read the mean chroma of similar pixels
+    # with colour_ratios only: whether the transforms also use the mean chroma of similar pixels
     # (docs/method.md#colour-ratios)
     bilateral_chroma: bool = False
     # last layer only: whether chroma is averaged over a wide area of similar pixels (docs/method.md#coarse-chroma)
     coarse_chroma: bool = False
-    level_pool: tuple[NotNegative, ...] = (0.5, 0.25)  # weights of samples one level away, two levels away, and so on
-    # weight of samples from the class with the same direction and the next strength, excluding the lowest strength
+    level_pool: tuple[NotNegative, ...] = (0.5, 0.25)  # weights of samples one level away, two levels away and so on
+    # weight of samples with the same direction and an adjacent strength; the lowest strength is excluded
     strength_pool: NotNegative = 0.0
-    # number of pseudo-samples of the parent that every class gets; the parent is the mean of all structures of a level
+    # number of pseudo-samples that every class receives from its parent, the mean over all structures of a level
     parent_patches: CountOrNone = 200
 
     @property
     def ratio_taps(self) -> int:
-        """Number of ratio taps, which follow the taps of the windows."""
+        """Number of additional taps for colour ratios and bilateral chroma, which follow the window taps."""
         return RATIO_TAPS[self.colour_ratios + self.bilateral_chroma]
 
 
 class TrainingRecipe(Recipe):
     """A class recipe: the classes of the first layer, their training, and up to three refinement layers.
 
-    Omitted keys have the defaults below, which describe a single layer.
+    The defaults describe a table without refinement layers.
     """
 
     title: ClassVar[str] = "a class recipe"
@@ -165,11 +163,11 @@ class TrainingRecipe(Recipe):
 
 
 def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
-    """Return a copy of the recipe in which the levels that depend on the camera are set.
+    """Adapt the range of training levels in a class recipe to a camera.
 
-    A `darkest` of 0 is replaced by the level at which the signal equals its noise, or by the lowest level of the classes,
-    whichever is higher (docs/method.md#level-rescaling). If the channels have different exposures or gains, `brightest` is
-    raised so that the least sensitive channel also clips (docs/method.md#exposures).
+    If `darkest` is 0, it becomes the level at which the signal equals its noise, or the lowest level of the classes if that
+    is higher (docs/method.md#level-rescaling). If the channels differ in exposure or gain, `brightest` is raised until the
+    least sensitive channel also clips (docs/method.md#exposures).
 
     Parameters
     ----------
@@ -185,7 +183,7 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
     Raises
     ------
     RecipeError
-        If the sensitivities of the channels differ by a larger factor than a table with this number of layers allows.
+        If the channels differ more in sensitivity than a table with this number of layers allows.
     """
     learning, sensitivity = recipe.learning, camera.sensitivity
     mean = float(sensitivity.mean())
@@ -195,9 +193,8 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
     ):
         if len(recipe.layer) > further and sensitivity.min() < least:
             raise RecipeError(
-                f"the exposure and gain of the channels of {camera.name} differ by a factor of {1 / sensitivity.min():.3g}, "
-                f"but a table with {1 + len(recipe.layer)} layers allows at most {1 / least:g}; use a class recipe with "
-                f"{layers}"
+                f"the channels of {camera.name} differ in exposure and gain by a factor of {1 / sensitivity.min():.3g}, but "
+                f"a table with {1 + len(recipe.layer)} layers allows at most {1 / least:g}; use a class recipe with {layers}"
             )
     if camera.readout is not None:
         learning = msgspec.structs.replace(learning, brightest=learning.brightest * mean / float(sensitivity.min()))
@@ -213,15 +210,15 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
 
 
 def for_noise(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
-    """Apply `for_camera` to the camera without temporal noise filtering."""
+    """Adapt a recipe to a camera as `for_camera` does, but for frames without temporal noise reduction."""
     return for_camera(recipe, replace(camera, noise_left=1.0))
 
 
 def draft_of(recipe: TrainingRecipe) -> TrainingRecipe:
-    """Return the recipe for ``l3 train --draft``.
+    """Simplify a class recipe for ``l3 train --draft``.
 
-    A draft uses three tenths of the patches and a third of the draws. The table has a single layer, which uses the noise
-    weights of the last layer in `recipe`. The table has no transforms for single illuminants or other noise levels.
+    A draft uses three tenths of the patches and a third of the random levels. Its table has a single layer with the noise
+    weights of the recipe's last layer, and no transforms for single illuminants or other noise levels.
     """
     learning = recipe.learning
     last = recipe.layer[-1] if recipe.layer else learning
@@ -234,7 +231,7 @@ def draft_of(recipe: TrainingRecipe) -> TrainingRecipe:
 
 
 def require_one_go(learning: LearningRecipe) -> None:
-    """Raise a RecipeError if the recipe sets `lights`. Transforms for single illuminants cannot be trained in shards."""
+    """Raise RecipeError if the recipe asks for transforms for single illuminants, which cannot be trained in shards."""
     if learning.lights:
         raise RecipeError(
             "transforms for single illuminants (learning.lights) cannot be trained in shards; train without ‹shard›, or "
@@ -258,9 +255,7 @@ def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
         message = f'learning.noise_left is {recipe.noise_left:g}, but learning.noise is "none"; remove one of the two keys'
         yield fault(message, "learning.noise_left")
     if recipe.lights and len(set(recipe.lights)) < max(2, len(recipe.lights)):
-        yield fault(
-            "learning.lights must contain at least two illuminants, and each illuminant only once", "learning.lights"
-        )
+        yield fault("learning.lights must list at least two illuminants, and each illuminant only once", "learning.lights")
     if recipe.spectral_window not in (0, *WINDOWS):
         message = (
             f"learning.spectral_window is {recipe.spectral_window}; use 0 for no smoothing, or one of "
@@ -283,7 +278,7 @@ def layer_faults(layers: tuple[LayerRecipe, ...]) -> Iterator[Fault]:
         if recipe.side % 2 == 0:
             yield fault(f"{name}.side is {recipe.side}; use an odd number", f"{key}.side")
         if not recipe.strengths or any(high - low < LEAST_STEP for low, high in itertools.pairwise(recipe.strengths)):
-            message = f"{name}.strengths must contain one or more numbers that increase by at least {LEAST_STEP:g} each"
+            message = f"{name}.strengths must be one or more increasing numbers, at least {LEAST_STEP:g} apart"
             yield fault(message, f"{key}.strengths")
         elif recipe.strengths[-1] > MOST_STRENGTH:
             message = f"{name}.strengths contains {recipe.strengths[-1]:g}; use values of at most {MOST_STRENGTH:g}"

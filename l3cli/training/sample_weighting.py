@@ -1,7 +1,7 @@
 """Weights of the training samples in the second pass (docs/method.md#second-pass).
 
-The larger the error of a sample in the first pass, the lower its weight in the second pass. Without these weights, least
-squares would favour the few samples with the largest errors.
+The larger a sample's error in the first pass, the lower its weight in the second pass. Without these weights, least squares
+would mainly reduce the few largest errors.
 """
 
 from dataclasses import dataclass
@@ -14,21 +14,21 @@ from l3cli.physics.display import XYZ
 from l3cli.training.lines import SharedNoise
 
 Floats = NDArray[np.float32]
-MIN_TARGET = 0.02  # smallest target used to compute relative errors, as a fraction of the level
-TARGET_FLOOR = 0.05  # fraction of the level that is added to the brightness of a target (docs/method.md#sample-weights)
+MIN_TARGET = 0.02  # lower limit of the target in relative errors, as a fraction of the level
+TARGET_FLOOR = 0.05  # fraction of the level added to a target's brightness (docs/method.md#sample-weights)
 ERROR_FLOOR = 0.25  # squared error, in ΔE² or degrees², below which all samples have about the same weight
-# Factors that convert errors of the cube roots of X, Y and Z to errors of L*, a* and b*. CIELAB has the factors 116, 500 and
-# 200. The factors of a* and b* are lower here, because errors of chroma are less visible.
+# Factors that convert errors of the cube roots of X, Y and Z to errors of L*, a* and b*. CIELAB uses 116, 500 and 200. The
+# factors for a* and b* are lower here, because chroma errors are less visible.
 LIGHTNESS, RED_GREEN, YELLOW_BLUE = 116.0, 250.0, 150.0
-PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2))  # pairs of outputs whose covariances the colour error needs
+PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2))  # output pairs whose noise covariances contribute to the colour error
 
 
 @dataclass(frozen=True)
 class ColourWeighting:
-    """Weights the samples of one canonical site by their colour errors in the first pass."""
+    """Weights one canonical site's samples by their colour errors in the first pass."""
 
     weights: Floats  # (class, tap, output) transforms of the first pass
-    products: Floats  # (class, tap, product) products XX, YY, ZZ, XY and YZ of the weights, to propagate the noise
+    products: Floats  # (class, tap, product) products XX, YY, ZZ, XY and YZ of the weights, for noise propagation
     intercept: Floats  # (class, output) intercepts of the first pass
     white: Floats  # (output) perfect white
     power: float  # the recipe key error_power
@@ -37,14 +37,14 @@ class ColourWeighting:
         self, clean: Floats, variance: Floats, target: Floats, level: Floats, runs: list[tuple[int, int, int]],
         shared: SharedNoise | None = None,
     ) -> Floats:  # fmt: skip
-        """Return the weight (e² + ¼)^(−power) of each patch.
+        """Compute the weight (e² + ¼)^(−power) of each patch.
 
-        e² is the expected squared error of the first pass in CIELAB units: the squared bias plus the noise variance.
+        e² is the expected squared error of the first pass in CIELAB units: squared bias plus noise variance.
 
         Parameters
         ----------
         clean, variance : ndarray, (patch, tap)
-            Noise-free signals, as fractions of full scale, and their noise variance.
+            Noise-free signals as fractions of full scale, and the variance of their noise in full scale².
         target : ndarray, (patch, 3)
             Ideal X, Y and Z.
         level : ndarray, (patch)
@@ -52,7 +52,7 @@ class ColourWeighting:
         runs : list of (class, first patch, end patch)
             Range of patches of each class, from `sums.runs_of`.
         shared : SharedNoise, optional
-            Noise that the taps of a line share, which is part of `variance`. [default: the noise of taps is independent]
+            Row and column noise, which is also included in `variance`. [default: the noise of all taps is independent]
 
         Returns
         -------
@@ -79,10 +79,10 @@ class ColourWeighting:
 
 @dataclass(frozen=True)
 class SpectralWeighting:
-    """Weights the samples of one canonical site by the errors of their spectra in the first pass."""
+    """Weights one canonical site's samples by their spectral angles in the first pass."""
 
     weights: Floats  # (class, tap, output) transforms of the first pass
-    squares: Floats  # (class, tap) squared weights, summed over the outputs, to propagate the noise variance
+    squares: Floats  # (class, tap) squared weights, summed over the outputs, for noise propagation
     intercept: Floats  # (class, output) intercepts of the first pass
     power: float  # the recipe key error_power
 
@@ -90,11 +90,10 @@ class SpectralWeighting:
         self, clean: Floats, variance: Floats, target: Floats, level: Floats, runs: list[tuple[int, int, int]],
         shared: SharedNoise | None = None,
     ) -> Floats:  # fmt: skip
-        """Return the weight (e² + ¼)^(−power) of each patch.
+        """Compute the weight (e² + ¼)^(−power) of each patch.
 
-        e² is the expected squared spectral angle between the result of the first pass and the target, in degrees², including
-        bias and noise. The parameters are the same as for `ColourWeighting.weight`, except that `target` has the shape
-        (patch, output).
+        e² is the expected squared spectral angle, in degrees², between the noisy result of the first pass and the target.
+        The parameters are the same as for `ColourWeighting.weight`, except that `target` has the shape (patch, output).
         """
         bias, noise = np.empty_like(target), np.empty_like(level)
         for index, first, last in runs:
@@ -115,7 +114,7 @@ SampleWeighting = ColourWeighting | SpectralWeighting
 
 
 def sample_weighting(table: TransformTable, site: int, power: float) -> SampleWeighting:
-    """Return the sample weighting of a canonical site.
+    """Prepare the weighting of a canonical site's samples from the result of the first pass.
 
     Parameters
     ----------
@@ -129,6 +128,7 @@ def sample_weighting(table: TransformTable, site: int, power: float) -> SampleWe
     Returns
     -------
     ColourWeighting or SpectralWeighting
+        ColourWeighting if the outputs are X, Y, Z.
     """
     classes = table.first.rule.of_site(site)
     weights = np.ascontiguousarray(np.swapaxes(table.first.weights[classes], 1, 2))
@@ -141,7 +141,7 @@ def sample_weighting(table: TransformTable, site: int, power: float) -> SampleWe
 
 
 def lab_error(error: Floats, target: Floats, level: Floats, white: NDArray[np.floating]) -> Floats:
-    """Convert errors of X, Y and Z to squared errors in CIELAB units. Errors of chroma have less weight than in CIELAB.
+    """Convert errors of X, Y and Z to squared errors in CIELAB units, with less weight for chroma than in CIELAB.
 
     Parameters
     ----------

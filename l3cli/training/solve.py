@@ -1,14 +1,14 @@
-"""Solve the transforms of the first layer from the sums (docs/method.md#solution).
+"""Solve the first layer's transforms from the accumulated sums (docs/method.md#solution).
 
-The transform of a class is a Wiener solution. Classes with few patches are supported in three ways
+The transform of each class is a Wiener filter. Classes with few patches borrow statistics in three ways
 (docs/method.md#classes-with-few-patches):
 
-* **Neighbouring levels.** The sums of the neighbouring levels are added with weights below 1. Samples are relative to their
-  level and transforms change slowly with the level, so these sums are a good substitute.
+* **Neighbouring levels.** The sums of the neighbouring levels are added with weights below 1. Samples are normalised by
+  their level and transforms change slowly with level, so these sums are a good substitute.
 * **Pseudo-patches.** A class with fewer patches than taps has no unique solution, and a class with slightly more patches
-  would fit the noise of its patches. Therefore the mean sums of the *parent* are added, with the weight of `parent_patches`
-  patches. The parent joins all chromas of the same level, contrast and saturation case. The pseudo-patches have little
-  effect on a class with many patches. A class without any patches gets the transform of its parent.
+  overfits their noise. Therefore the mean sums of the class's *parent* are added, with the weight of `parent_patches`
+  patches. The parent pools all chromas with the same level, contrast and saturation case. The pseudo-patches hardly affect
+  a class with many patches. A class without patches gets its parent's transform.
 * **Nearest class.** If the parent has no patches either, the class uses the transform of the nearest solved class.
 """
 
@@ -33,8 +33,9 @@ from l3cli.training.sums import moment_matrix, turned_places, width_of
 from l3cli.training.symmetry import Turn
 
 Array = NDArray[np.float64]
-# A parent is a weighted mean of its own level and of all levels of its saturation case. The weight of all levels is 1 if
-# the own level has no patches, 0.55 if it has THIN_PARENT patches, and approaches CASE_SHARE if it has many patches.
+# A parent blends the mean over its own level with the mean over all levels of its saturation case. The weight of the mean
+# over all levels is 1 if the parent's level has no patches, 0.55 for THIN_PARENT patches, and CASE_SHARE in the limit of
+# many patches.
 CASE_SHARE = 0.1
 THIN_PARENT = 100.0
 
@@ -42,10 +43,10 @@ THIN_PARENT = 100.0
 def shrunk(
     sums: ClassSums, parents: ClassSums, classes: NDArray[np.intp], rule: ClassRule, recipe: LearningRecipe
 ) -> tuple[Array, Array]:
-    """Return the sums of classes, supported by neighbouring levels and by parents (docs/method.md#classes-with-few-patches).
+    """Add pseudo-patches and the sums of neighbouring levels to the sums of classes.
 
-    For an unsaturated class, the sums of the neighbouring levels are added with weights below 1. For every class,
-    pseudo-patches of its parent are added.
+    Every class receives `parent_patches` pseudo-patches of its parent. Unsaturated classes also receive the sums of the
+    neighbouring levels, with the weights `level_pool` (docs/method.md#classes-with-few-patches).
 
     Parameters
     ----------
@@ -54,7 +55,7 @@ def shrunk(
     parents : ClassSums
         Result of `parents_of`.
     classes : ndarray, (class)
-        Numbers of the classes. Either all or none of them are saturated.
+        Class numbers, either all saturated or all unsaturated.
     rule : ClassRule
         Class rule of the first layer.
     recipe : LearningRecipe
@@ -76,7 +77,7 @@ def shrunk(
             neighbour = rule.join(other, contrast, kind, combination=combination)[helped]
             moments[helped] += weight * sums.moments[neighbour]
             count[helped] += weight * sums.count[neighbour]
-    noise *= (count / own)[:, None]  # noise of the class itself, scaled to the new number of patches
+    noise *= (count / own)[:, None]  # the class's own noise sums, scaled to the pooled number of patches
     parent = parent_of(classes, rule)
     moments += recipe.parent_patches * parents.moments[parent]
     noise += recipe.parent_patches * parents.noise[parent]
@@ -84,11 +85,11 @@ def shrunk(
 
 
 def parents_of(sums: ClassSums, rule: ClassRule) -> ClassSums:
-    """Return the mean sums per patch of each parent (docs/method.md#classes-with-few-patches).
+    """Compute each parent's mean sums per patch (docs/method.md#classes-with-few-patches).
 
-    A parent represents all classes with the same level, contrast and saturation case. If none of these classes has patches,
-    the mean over all contrasts is used. A mean over all levels of the saturation case is mixed in, with a larger weight if
-    the level has few patches. The `count` of a parent is the number of patches of its level and saturation case.
+    A parent pools all classes with the same level, contrast and saturation case. If these classes have no patches, the mean
+    over all contrasts of the level is used. A mean over all levels of the saturation case is blended in. It has more weight
+    if the level has few patches. The returned `count` is the number of patches with the parent's level and saturation case.
     """
     first = np.unique(rule.case(np.arange(rule.kinds)), return_index=True)[1]  # first kind of each saturation case
 
@@ -111,55 +112,54 @@ def parents_of(sums: ClassSums, rule: ClassRule) -> ClassSums:
 
 
 def parent_of(index: Any, rule: ClassRule) -> Any:
-    """Return the index of the parent of each class in `index`."""
+    """Return the parent's index for each class index."""
     place = rule.split(index)
     return rule.join_cases(place.level, place.contrast, rule.case(place.kind))
 
 
-# Weight of differences between sites in textured classes. Each patch counts as 0.2 uniform patches.
+# Weight of a textured patch, in uniform patches, in the penalty on different responses at different sites.
 UNIFORM_WEIGHT = 0.2
-# Uniform surfaces have the weight 1 / (1 + 1000 μ + (2000 χ μ)²) at the ratio μ of noise power to signal power. χ is the
-# nearness of the chroma to white (docs/method.md#uniform-surfaces).
+# If noise has μ times the power of the signal, uniform surfaces have the weight 1 / (1 + 1000 μ + (2000 χ μ)²). χ is 1 for
+# the chroma of white and falls to 0 away from white (docs/method.md#uniform-surfaces).
 NOISE_FADES = 1000.0
 WHITE_FADES = 2000.0
-CLASSES_AT_ONCE = 64  # number of classes that are solved together
+CLASSES_AT_ONCE = 64  # number of classes in a batch of linear systems
 
 
 class OutputKind(NamedTuple):
-    """Settings of the least-squares equations of an output."""
+    """Settings of an output's least-squares problem."""
 
     noise_weight: float  # weight of noise relative to bias (docs/method.md#noise-weights)
-    # Whether the output is also trained on uniform greys, surfaces and single bands (docs/method.md#clipped-areas).
-    # Luminance is trained on these patches only if uniform areas have classes of their own, because the mean luminance of
-    # clipped textures differs from the mean luminance of clipped uniform areas.
-    taught: bool
+    # Whether to train the output on uniform greys, surfaces and single bands as well (docs/method.md#clipped-areas).
+    # Luminance is trained on these patches only if uniform areas have separate classes, because clipped textures and clipped
+    # uniform areas differ in mean luminance.
+    uniform_patches: bool
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Wiener solutions of the classes of one canonical site, in the opponent basis (docs/method.md#equal-response).
+    """Wiener solutions for all classes of one canonical site, in the opponent basis (docs/method.md#equal-response).
 
-    The *response* of a transform consists of the sum of its taps for each channel, and of its intercept. The response
-    describes how the transform renders uniform areas. The *compliance* describes how the optimal taps change if the response
-    is constrained to another value.
+    A transform's *response* is the sum of its taps per channel, together with its intercept. It determines how uniform areas
+    are rendered. The *compliance* determines how the optimal taps change if the response is constrained to another value.
     """
 
     taps: Array  # (class, tap + 1, output); the last tap is the intercept
     response: Array  # (class, channel + 1, output); the last row is the intercept
-    compliance: Array  # (class, equations, tap + 1, channel + 1)
-    compliance_response: Array  # (class, equations, channel + 1, channel + 1) response of the compliance
+    compliance: Array  # (class, distinct OutputKind, tap + 1, channel + 1)
+    compliance_response: Array  # (class, distinct OutputKind, channel + 1, channel + 1) compliance, summed per channel
     solved: NDArray[np.bool_]  # (class) whether the class has a solution
     samples: Array  # (class) number of the class's own patches, averaged over the orientations
     condition: Array  # (class) largest condition number over the outputs, or 0 if the class has no solution
     colours: Array  # (channel, channel) second moments of the channel means over uniform patches, scaled to a trace of 1
-    white: Array | None  # (channel) signals of white, or None if they are unknown
-    power: Array  # (class) squared channel means, summed over all patches of the class, its neighbours and its parent
-    outputs: Array  # (output, output) second moments of the targets of unsaturated classes
+    white: Array | None  # (channel) signals of white, or None if unknown
+    power: Array  # (class) squared channel means, summed over the patches of the class, its neighbours and its parent
+    outputs: Array  # (output, output) second moments of the targets, summed over unsaturated classes
 
 
 @dataclass(frozen=True)
 class Transforms:
-    """Transforms of the classes of one site, for taps given as fractions of full scale."""
+    """Transforms for all classes of one site. They apply to taps in fractions of full scale."""
 
     weights: Array  # (class, output, tap)
     intercept: Array  # (class, output)
@@ -167,14 +167,14 @@ class Transforms:
     condition: Array  # (class) condition number
 
 
-# This function is long: the values that all classes share are computed first, and one loop solves the classes.
 def solve(
     sums: ClassSums, rule: ClassRule, window: NDArray[np.int64], turns: list[Turn], recipe: LearningRecipe, goal: Goal
 ) -> Solution:
-    """Solve the classes of one canonical site by least squares.
+    """Solve the transforms of one canonical site, class by class, by least squares.
 
-    The solution is T = Y Xᵀ (X Xᵀ + Λ)⁻¹. Classes with few patches are supported by neighbouring levels and by their
-    parents. A class cannot be solved if neither the class nor its parent has patches.
+    The solution is T = Y Xᵀ (X Xᵀ + Λ)⁻¹. Each column of X contains the taps of a training patch, the same column of Y
+    contains the patch's target, and Λ is the weighted noise covariance. Classes with few patches borrow statistics from
+    neighbouring levels and parents. A class has no solution if neither the class nor its parent has patches.
 
     Parameters
     ----------
@@ -230,20 +230,20 @@ def solve(
         for first in range(0, every.size, CLASSES_AT_ONCE):
             batch = every[first : first + CLASSES_AT_ONCE]
             moments, noise, shared = _averaged(sums, parents, batch, turns, rule, recipe)
-            taught = moments.copy()
+            supplemented = moments.copy()
             for place, index in enumerate(batch.tolist()):
                 count = samples[index] + recipe.parent_patches
                 if index in greys:
-                    taught[place] += count * greys[index]
+                    supplemented[place] += count * greys[index]
                 elif gains is not None and has_single_bands(rule, index):
-                    taught[place] += single_bands(moments[place], window, gains)
+                    supplemented[place] += single_bands(moments[place], window, gains)
                 elif (plain := surfaces.get(index)) is not None:
                     noisy = noise[place].sum() / moments[place].diagonal()[: window.size].sum()
                     fades = 1.0 + NOISE_FADES * noisy + (near_white[index] * noisy) ** 2
-                    taught[place] += recipe.plain_surfaces * (count / fades) * plain
-            power[batch] = (means @ taught[:, : window.size, : window.size] * means).sum(axis=(1, 2))
-            for number, ((noise_weight, is_taught), wanted) in enumerate(columns.items()):
-                of = taught if is_taught else moments
+                    supplemented[place] += recipe.plain_surfaces * (count / fades) * plain
+            power[batch] = (means @ supplemented[:, : window.size, : window.size] * means).sum(axis=(1, 2))
+            for number, ((noise_weight, uniform_patches), wanted) in enumerate(columns.items()):
+                of = supplemented if uniform_patches else moments
                 flat = np.broadcast_to(member.T[:used], (batch.size, used, len(member)))
                 right = np.concatenate([of[:, :used, groups.size :] @ basis[:, wanted], flat], axis=2)
                 system = systems.Equations(of[:, :used, :used], noise, noise_weight, right, shared)
@@ -259,14 +259,12 @@ def solve(
 def _averaged(
     sums: ClassSums, parents: ClassSums, batch: NDArray[np.intp], turns: list[Turn], rule: ClassRule, recipe: LearningRecipe
 ) -> tuple[Array, Array, Array | None]:
-    """Return the supported sums of a batch of classes, averaged over the orientations `turns`.
-
-    The sums are supported by neighbouring levels and parents, as in `shrunk`.
+    """Average the results of `shrunk` for a batch of classes over the orientations `turns`.
 
     Returns
     -------
     moments : ndarray, (class, column, column)
-        Moments of each class.
+        Moment matrices.
     noise : ndarray, (class, tap)
         Noise variances.
     shared : ndarray, (class, tap, tap), or None
@@ -286,19 +284,18 @@ def _averaged(
 
 
 def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Array | None) -> dict[int, Array]:
-    """Return the moments of additional training patches for each unsaturated class of the lowest contrast.
+    """Return moments of extra training patches, for unsaturated classes of the lowest contrast.
 
     Classes without a direction are trained on uniform surfaces. If the rule has only one chroma, classes with a direction
-    are also trained on uniform surfaces, because textured surfaces must not change their colour. With several chromas, this
-    would make charts worse. Classes whose chroma occurs only in stripes are trained on stripes, regardless of their
-    direction. The result is empty if the goal contains no surfaces. It is also empty unless `white`, from
-    `white_channels`, equals the signals of white that are computed from the camera model.
+    are too, because textured surfaces must keep their colour. With several chromas, this would degrade test charts. Classes
+    of chromas that occur only in stripes are trained on stripes, whatever their direction. The dict is empty if the goal
+    contains no surfaces, or if `white` (from `white_channels`) was not computed from the camera model.
     """
     if goal.surfaces is None or white is None or goal.white_signal is None or not np.array_equal(white, goal.white_signal):
         return {}
     plain = {chroma: each for chroma, each in enumerate(goal.surfaces.moments(rule, window)) if each is not None}
     levels = np.arange(rule.levels)
-    every = np.arange(rule.combinations)[:, None]  # pixels near uniform areas may have a direction
+    every = np.arange(rule.combinations)[:, None]  # a pixel near a uniform area's border may have a direction
     trained: dict[int, Array] = {}
     for chroma, each in plain.items():
         combinations = every if rule.chromas == 1 else 0
@@ -309,11 +306,10 @@ def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Arr
 
 
 def _near_white(rule: ClassRule, goal: Goal) -> Array:
-    """Return the factor 2000 χ of each class, which determines how fast noise reduces the weight of uniform surfaces.
+    """Return the factor 2000 χ of each class (see WHITE_FADES).
 
-    χ describes how near the chroma of the class is to white (see WHITE_FADES). Because of noise, some greys fall into
-    classes whose chroma is only near white. These greys must stay grey, so noisy classes near white are trained less on
-    uniform surfaces.
+    Noise moves some greys into classes of chromas that are only near white. These greys must stay grey. Therefore uniform
+    surfaces have less weight in noisy classes near white.
     """
     kind = rule.split(np.arange(rule.classes_per_site)).kind
     if goal.surfaces is None:
@@ -326,9 +322,9 @@ def equal_responses(
 ) -> list[Transforms]:
     """Constrain the transforms of all sites to a common response (docs/method.md#equal-response).
 
-    All sites then produce the same outputs for a uniform patch, and white is rendered exactly as white. For spectral
-    outputs, the responses of textured classes may differ if this reduces the error. If a class has no solution at some site,
-    all sites use the transform of the nearest class that is solved at all sites.
+    All sites then render a uniform patch identically, and white is rendered exactly as white. For spectral outputs, the
+    responses of textured classes may differ between sites if this reduces the error. If a class has no solution at some
+    site, it uses the transforms of the nearest class that is solved at every site.
 
     Parameters
     ----------
@@ -378,10 +374,10 @@ def _constrained(
     goal: Goal,
     equations: list[OutputKind],
 ) -> list[Array]:
-    """Constrain the transforms of all sites to the common response with the least error. Return the taps of each site.
+    """Find the common response with the least error, and return each site's taps constrained to it.
 
-    If `_exact_white` returns the signals of white, white is rendered exactly as white. The luminance of a grey must not fall
-    at the exposure at which the last channel clips (see `steps_back`).
+    White is rendered exactly if `_exact_white` returns its signals. As a grey gets brighter, its luminance must not drop
+    where the last channel clips (see `steps_back`).
     """
     constrained = [solution.taps.copy() for solution in solutions]
     saturated = rule.case(rule.split(np.arange(solved.size)).kind) > 0
@@ -389,8 +385,8 @@ def _constrained(
     rising = solutions[0].white if goal.outputs[:3] == XYZ else None
     of_white = (_opponent_basis(goal).T @ goal.white).tolist()
     colour_compliance = np.pad(_colour_compliance(solutions, copies), (0, 1))
-    # With many bands, each band has few pixels, and textures become more accurate if the responses of the sites may differ.
-    # With colour outputs, even small differences between sites would be visible.
+    # With many bands, each band has few pixels, and textures are more accurate if sites may have different responses. In
+    # colour pictures, even small differences between sites would be visible.
     free = (rule.split(np.arange(solved.size)).contrast > 0) & (goal.outputs[:3] not in (XYZ, STOKES))
     for kind in (False, True):
         used = slice(None) if kind else slice(0, -1)  # unsaturated classes have no intercept
@@ -422,39 +418,39 @@ def _constrained(
 
 
 def _exact_white(solutions: list[Solution], goal: Goal) -> Array | None:
-    """Return the signals of white according to the camera model, or None if classes need not render white exactly.
+    """Return the camera model's signals of white, or None if white need not be rendered exactly.
 
-    The result is None if the signals are unknown, if the signals were instead estimated from the patches at any site, or if
-    the outputs are neither colours nor Stokes parameters.
+    White is rendered exactly if the camera model predicts its signals, the patches of every site agree with them, and the
+    outputs are colours or Stokes parameters.
     """
-    known, borne = goal.white_signal, [solution.white for solution in solutions]
+    known, estimates = goal.white_signal, [solution.white for solution in solutions]
     if (
         known is None
         or goal.outputs[:3] not in (XYZ, STOKES)
-        or not all(each is not None and np.array_equal(each, known) for each in borne)
+        or not all(each is not None and np.array_equal(each, known) for each in estimates)
     ):
         return None
     return known
 
 
 def _colour_compliance(solutions: list[Solution], copies: list[int]) -> Array:
-    """Return the matrix (channel, channel) that determines how far the responses of different sites may differ.
+    """Return the matrix (channel, channel) that limits the differences between the responses of different sites.
 
-    The smallest differences are allowed for colours that are frequent in uniform patches of the scenes. No difference is
-    allowed for greys.
+    The more frequent a colour is in uniform patches, the less the responses to it may differ. Greys allow no difference.
     """
     colour_compliance = np.linalg.inv(np.average([solution.colours for solution in solutions], axis=0, weights=copies))
     white = solutions[0].white
     if white is not None:
         colour_compliance -= np.outer(colour_compliance @ white, colour_compliance @ white) / (
             white @ colour_compliance @ white
-        )  # no difference is allowed for greys
+        )
     return np.asarray(colour_compliance)
 
 
 def _equations(recipe: LearningRecipe, goal: Goal, rule: ClassRule) -> list[OutputKind]:
     """Return the settings of each output in the opponent basis."""
-    # For outputs that are not displayed, noise counts at most as much as bias, which minimises the squared error.
+    # The squared error is smallest if noise and bias have equal weights. Outputs that are not displayed gain nothing from a
+    # larger noise weight.
     unseen = OutputKind(min(recipe.luminance_noise, 1.0), True)
     if goal.outputs[:3] != XYZ:
         return [unseen] * len(goal.outputs)
@@ -474,11 +470,11 @@ def _opponent_basis(goal: Goal) -> Array:
 
 
 def _nearest(filled: NDArray[np.bool_], rule: ClassRule) -> NDArray[np.int64]:
-    """Return, for each class, the number of the solved class whose transform the class uses.
+    """Map each class to the solved class that provides its transform.
 
-    A solved class uses its own transform. An unsolved class uses the transform of the solved class of the same kind at the
-    nearest level and contrast, preferably with the same direction. If no class of the same kind is solved, the nearest class
-    of any kind is used.
+    A solved class uses its own transform. An unsolved class uses the solved class of the same kind with the nearest level
+    and contrast, preferably with the same direction. If no class of this kind is solved, it uses the nearest class of any
+    kind.
     """
     _, level, contrast, combination, kind = rule.split(np.arange(filled.size))
     known = np.flatnonzero(filled)

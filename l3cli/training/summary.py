@@ -1,4 +1,4 @@
-"""Summaries of tables and of class recipes, as numbers for JSON and as lines of text."""
+"""Summaries of tables and class recipes, as dicts for JSON and as lines of text."""
 
 from typing import Any
 
@@ -21,7 +21,7 @@ from l3cli.physics.correlated_lights import temperature
 from l3cli.system.text import counted, size_text
 from l3cli.training.recipe import LayerRecipe, TrainingRecipe
 
-LISTED_CLASSES = 8  # number of noisiest classes in a summary
+LISTED_CLASSES = 8  # number of classes that a summary lists as the noisiest
 
 
 def insight(table: TransformTable) -> dict[str, Any]:
@@ -35,26 +35,25 @@ def insight(table: TransformTable) -> dict[str, Any]:
     Returns
     -------
     dict
-        Unless stated otherwise, the entries describe the common transforms of the first layer:
+        Unless stated otherwise, the entries describe the first layer's transforms for all illuminants:
 
         * ``target``: description of the outputs
-        * ``classes``: numbers of all classes, of trained classes, of trained classes with fewer patches than taps
-          (``thin``), and of classes without patches (``filled``)
+        * ``classes``: number of all classes (``all``), of trained classes (``trained``), of trained classes with fewer
+          patches than taps (``thin``), and of classes without patches (``filled``)
         * ``kinds``: name and number of patches of each chroma and saturation case
-        * ``features``: for each additional feature, such as direction, name and number of patches of each value
-        * ``noise_gain``: for each output, median and maximum of √Σw² over the trained classes
-        * ``dc_gain``: for each output and channel, the output for a uniform signal of 1 in this channel and 0 in the
-          others, as a median over the trained unsaturated classes
+        * ``features``: name and number of patches of each value of each additional feature, such as direction
+        * ``noise_gain``: median and maximum of √Σw² over the trained classes, for each output
+        * ``dc_gain``: each output for a uniform signal of 1 in one channel and 0 in all others, as a median over the
+          trained unsaturated classes
         * ``condition``: median and maximum of the condition number over the trained classes
-        * ``worst``: the trained classes with the largest noise gain of Y, or of all outputs if there is no Y
+        * ``worst``: the trained classes with the largest noise gain in Y, or in any output if there is no Y
         * ``later``: result of `refinement_layer` for each refinement layer
-        * ``lights``: name and colour temperature, in K, of each illuminant that has separate transforms
-        * ``noises``: analog gain and remaining fraction of the noise, for each additional set of transforms
-        * ``spectra``: window, in pixels, and brightness reach of the smoothing of spectra
-        * ``chroma_smoothing``: luminance reach and chroma likeness of the smoothing of chroma
+        * ``lights``: name and colour temperature, in K, of each illuminant with separate transforms
+        * ``noises``: name, analog gain and remaining noise fraction of each additional set of transforms
+        * ``spectra``: settings for smoothing spectra: window in pixels, and largest relative difference in brightness
+        * ``chroma_smoothing``: settings for smoothing chroma: largest differences in luminance and chroma
 
-        The entries ``features``, ``lights``, ``noises``, ``spectra`` and ``chroma_smoothing`` are missing
-        if they do not apply to the table.
+        ``features``, ``lights``, ``noises``, ``spectra`` and ``chroma_smoothing`` are omitted if they do not apply.
     """
     trained, rule = table.first.samples > 0, table.first.rule
     taps = rule.patch**2
@@ -63,7 +62,7 @@ def insight(table: TransformTable) -> dict[str, Any]:
     kind = place.kind
     judged = noise_gain[:, table.outputs.index("Y")] if "Y" in table.outputs else noise_gain.max(axis=1)
     order = np.argsort(np.where(trained, -judged, np.inf), kind="stable")[: int(trained.sum())]
-    # Symmetric sites have the same transforms, so only the class of the first of these sites is listed.
+    # Symmetric sites have the same transforms. List each class only for the first of these sites.
     _, first = np.unique(np.stack([judged[order], table.first.samples[order]]), axis=1, return_index=True)
     worst = order[np.sort(first)[:LISTED_CLASSES]]
     per_kind = np.bincount(kind, weights=table.first.samples, minlength=rule.kinds)
@@ -114,13 +113,14 @@ def refinement_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, A
     Returns
     -------
     dict
-        * ``classes``: numbers of all classes, of trained classes, and of classes without samples (``filled``)
+        * ``classes``: number of all classes (``all``), of trained classes (``trained``), and of classes without samples
+          (``filled``)
         * ``side``: width of the windows in pixels
-        * ``planes``, ``levels``, ``structures``: numbers of planes, of levels, and of structures
+        * ``planes``, ``levels``, ``structures``: number of planes, levels and structures
         * ``noise_gain``: as in `insight`
-
-        If the classes depend on structure, the dict also contains the numbers of strengths and directions. If the classes
-        are the leaves of a tree, the dict contains the number of leaves, the depth and the number of nodes per test.
+        * ``strengths``, ``directions``: number of structure strengths and directions, if structure determines the classes
+        * ``leaves``, ``depth``, ``tests``: number of leaves, depth, and number of nodes per test, if a tree determines the
+          classes
     """
     trained, rule = layer.samples > 0, layer.rule
     gain = np.sqrt((layer.weights.astype(np.float64) ** 2).sum(axis=2))
@@ -136,7 +136,7 @@ def refinement_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, A
 
 
 def _features(rule: PlaneRule) -> dict[str, Any]:
-    """Return the entries of `refinement_layer` that depend on whether the class rule uses structure or a tree."""
+    """Return the entries of `refinement_layer` that depend on the type of the class rule."""
     if isinstance(rule, StructureRule):
         return {"strengths": rule.strengths, "directions": DIRECTIONS}
     nodes = np.bincount(rule.test[rule.branch > 0], minlength=len(EVERY)).tolist()
@@ -146,7 +146,7 @@ def _features(rule: PlaneRule) -> dict[str, Any]:
 
 
 def _values_of_features(table: TransformTable, combination: NDArray[np.int64]) -> dict[str, list[dict[str, Any]]]:
-    """For each additional feature, such as direction, return the name and the number of patches of each value."""
+    """Return the name and the number of patches of each value of each additional feature, such as direction."""
     every = {}
     for (module, feature), value in zip(
         features_of(table.first.rule), table.first.rule.split_features(combination), strict=True
@@ -167,7 +167,7 @@ def _spread(values: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, di
 
 
 def _dc_gain(table: TransformTable, chosen: NDArray[np.bool_]) -> dict[str, dict[str, float]]:
-    """Return {output: {channel: gain}}. A gain is the sum of the weights of a channel, as a median over chosen classes."""
+    """Return {output: {channel: gain}}: each channel's sum of weights, as a median over the chosen classes."""
     windows = window_channels(table.cfa, table.first.rule.patch)
     site = table.first.rule.split(np.arange(len(chosen))).site
     gain = np.full((len(chosen), len(table.outputs), len(table.channels)), np.nan)
@@ -183,12 +183,12 @@ def _dc_gain(table: TransformTable, chosen: NDArray[np.bool_]) -> dict[str, dict
 
 
 OUTPUTS = 3  # number of outputs of a table for pictures
-WEIGHT = 4  # bytes per weight and per intercept in a file
-OTHERS = 12  # bytes per class in a file for the sample count (8) and the condition number (4)
+WEIGHT = 4  # bytes per weight or intercept in a file
+OTHERS = 12  # bytes per class in a file: sample count (8) and condition number (4)
 
 
 def learned(insight: dict[str, Any]) -> list[str]:
-    """Convert the result of `insight` to lines of text."""
+    """Format the result of `insight` as lines of text."""
     classes = insight["classes"]
     figures = " · ".join(
         f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in insight["noise_gain"].items()
@@ -233,7 +233,7 @@ def learned(insight: dict[str, Any]) -> list[str]:
 
 
 def _refine(number: int, layer: dict[str, Any]) -> list[str]:
-    """Convert the result of `refinement_layer` for layer `number` to lines of text."""
+    """Format the result of `refinement_layer` for layer `number` as lines of text."""
     classes, side = layer["classes"], layer["side"]
     gains = " · ".join(f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in layer["noise_gain"].items())
     return [
@@ -245,7 +245,7 @@ def _refine(number: int, layer: dict[str, Any]) -> list[str]:
 
 
 def _kinds(layer: dict[str, Any]) -> str:
-    """Describe the classes of unsaturated pixels in a refinement layer."""
+    """Describe a refinement layer's classes for unsaturated pixels."""
     if "leaves" in layer:
         tests = ", ".join(f"{name} {count}" for name, count in layer["tests"].items())
         by_test = f"; nodes by test: {tests}" if tests else ""
@@ -257,10 +257,7 @@ def _kinds(layer: dict[str, Any]) -> str:
 
 
 def class_meaning(recipe: TrainingRecipe, source: RecipeSource) -> Meaning:
-    """Return the summary of a class recipe for ``l3 check``.
-
-    The second element of the result is an empty list of faults, because this function does not check the recipe.
-    """
+    """Summarise a class recipe for ``l3 check``. The second result, the list of faults, is always empty."""
     return class_figures(recipe, source.camera), []
 
 
@@ -277,8 +274,8 @@ def class_figures(recipe: TrainingRecipe, camera: CameraModel | None) -> dict[st
     Returns
     -------
     dict
-        Number of values of each feature, number of classes per site of each layer, and training settings. The number of
-        saturation cases is the largest possible number. With a camera, ``table_bytes`` is the size of the table in bytes.
+        Number of values of each feature, classes per site of each layer, and training settings. ``saturation_cases`` is an
+        upper limit. With a camera, ``table_bytes`` is the size of a table with three outputs, in bytes.
     """
     classes = recipe.classes
     levels, contrasts = level.edge_shares(classes).size + 1, len(classes.contrasts) + 1
@@ -315,7 +312,7 @@ def _refinement_classes(layer: LayerRecipe, levels: int, cases: int) -> int:
 
 
 def class_lines(classes: dict[str, Any], width: int | None) -> list[str]:
-    """Convert the result of `class_figures` to lines of text."""
+    """Format the result of `class_figures` as lines of text."""
     features = "".join(f" × {size} values of {name}" for name, size in classes["features"].items())
     kinds = (
         f"({counted(classes['chromas'], 'chroma')} + at most {counted(classes['saturation_cases'] - 1, 'saturation case')})"

@@ -1,13 +1,13 @@
 """Symmetry of a colour filter array.
 
 If the neighbourhoods of two sites are rotations or reflections of each other, the sites are trained together. The eight
-rotations and reflections of a square are called *orientations*. An orientation is numbered by its position in the result of
-`orientations`. The parameter `allowed` of the functions in this module lists the orientations that training may use.
+rotations and reflections of a square are called *orientations*, and are numbered in the order of the function
+`orientations`. The parameter `allowed` lists the orientations that training may use.
 
-A patch that is read in an allowed orientation must be as likely as the original patch, and must have the same noise. All
-eight orientations are allowed if scenes, optics and noise are isotropic. Row noise and column noise allow fewer
-orientations, because rows must remain rows. Polarisers allow only a half turn, because other orientations change the signs
-of S1 or S2. The allowed orientations must form a group: if two sites match a third site, they must match each other.
+A patch that is read in an allowed orientation must be as likely as the original patch, and must have the same noise. If
+scenes, optics and noise are isotropic, all eight orientations are allowed. If row noise and column noise differ, rows must
+remain rows. Polarisers allow only a half turn, because other orientations change the sign of S1 or S2. The allowed
+orientations must form a group, so that two sites that match a third site also match each other.
 """
 
 import functools
@@ -26,25 +26,25 @@ from l3cli.classes.features import features_of
 Indices = NDArray[np.int64]
 Allowed = tuple[int, ...]  # numbers of the orientations that training may use, in increasing order, beginning with 0
 EVERY_ORIENTATION: Allowed = tuple(range(8))  # for isotropic noise
-IDENTITY_ONLY: Allowed = (0,)  # trains every site separately
+IDENTITY_ONLY: Allowed = (0,)  # every site is trained separately
 HALF_TURN: Allowed = (0, 2)  # for polarisers, because all other orientations change the signs of S1 or S2
 LINES_KEPT: Allowed = (0, 2, 5, 7)  # rows stay rows and columns stay columns: identity, half turn and two reflections
 
 
 def orientations_of_scenes(camera: CameraModel) -> Allowed:
-    """Return the orientations in which simulated scenes may be turned for training.
+    """Return the orientations to which simulated scenes may be rotated or mirrored for training.
 
-    All orientations are equally likely in a scene. A camera with polarisers allows only a half turn, which does not change
-    the angle of polarisation.
+    All orientations of a scene are equally likely. With polarisers, only a half turn is allowed, because it preserves the
+    angle of polarisation.
     """
     return EVERY_ORIENTATION if camera.polarisers is None else HALF_TURN
 
 
 def orientations_of_frames(camera: CameraModel) -> Allowed:
-    """Return the orientations in which windows of frames may be read for training.
+    """Return the orientations in which windows of noisy frames may be read for training.
 
-    A turned frame must be as likely as the original frame, including its noise. If rows and columns have different line
-    noise, rows must remain rows.
+    A rotated or mirrored frame must be as likely as the original, including its noise. If row noise and column noise differ,
+    rows must remain rows.
     """
     noise = camera.corrected_noise()
     rows = np.hypot(noise.row_temporal_noise, noise.row_noise)
@@ -54,9 +54,9 @@ def orientations_of_frames(camera: CameraModel) -> Allowed:
 
 @dataclass(frozen=True)
 class SiteMap:
-    """The canonical site whose transforms a site uses, and the orientation that converts between the two sites.
+    """Canonical site from which a site takes its transforms, and the orientation that relates the two sites.
 
-    ``patch[permutation]`` has the CFA layout of the canonical site if ``patch`` is a patch of this site.
+    If ``patch`` is a patch at the site, ``patch[permutation]`` has the CFA layout of the canonical site.
     """
 
     canonical: int  # number of the canonical site
@@ -66,15 +66,15 @@ class SiteMap:
 
 @functools.cache
 def orientations(patch: int) -> tuple[Indices, ...]:
-    """Return the permutations of the taps for the eight orientations of a square patch, beginning with the identity."""
+    """Return the tap permutations for the eight orientations of a square patch, beginning with the identity."""
     taps = np.arange(patch * patch).reshape(patch, patch)
     return tuple(np.rot90(side, turns).ravel() for side in (taps, taps.T) for turns in range(4))
 
 
 def site_maps(channel: Indices, patch: int, allowed: Allowed = EVERY_ORIENTATION) -> list[SiteMap]:
-    """Find the canonical site and the orientation of each site (docs/method.md#symmetry).
+    """Find each site's canonical site and orientation (docs/method.md#symmetry).
 
-    The canonical site is the first site whose window has the same CFA layout in one of the allowed orientations.
+    The canonical site is the first site that has the same CFA layout in one of the allowed orientations.
 
     Parameters
     ----------
@@ -110,18 +110,15 @@ def site_maps(channel: Indices, patch: int, allowed: Allowed = EVERY_ORIENTATION
 
 
 def stabilisers(window: Indices, patch: int, allowed: Allowed = EVERY_ORIENTATION) -> list[int]:
-    """Return the numbers of the allowed orientations that leave the CFA layout of `window` unchanged.
-
-    `window` contains the channel of each tap.
-    """
+    """Return the allowed orientations that leave `window`, the channel of each tap, unchanged."""
     return [number for number in allowed if (window[orientations(patch)[number]] == window).all()]
 
 
 def turned_classes(rule: ClassRule, number: int) -> Indices:
-    """Map each class to the class that its patches have if they are read in orientation `number`.
+    """Map each class to the class to which its patches belong if they are read in orientation `number`.
 
-    Level, contrast, chroma and saturation case are the same in every orientation, because they depend only on sums over all
-    taps. Features such as direction can change.
+    Level, contrast, chroma and saturation case are the same in every orientation, because they are independent of the order
+    of the taps. Features such as direction can change.
 
     Parameters
     ----------
@@ -133,7 +130,7 @@ def turned_classes(rule: ClassRule, number: int) -> Indices:
     Returns
     -------
     ndarray, (class)
-        Class numbers within a site.
+        Class within the site.
     """
     transposed, turns = divmod(number, 4)
     place = rule.split(np.arange(rule.classes_per_site))
@@ -148,14 +145,11 @@ class Turn(NamedTuple):
     """An orientation that leaves the CFA layout of a window unchanged."""
 
     taps: Indices  # (tap) permutation of the taps
-    classes: Indices  # (class) a patch of class classes[c] has the class c if the patch is read in this orientation
+    classes: Indices  # (class) patches of class classes[c] have the class c if they are read in this orientation
 
 
 def turns_of(rule: ClassRule, window: Indices, allowed: Allowed = EVERY_ORIENTATION) -> list[Turn]:
-    """Return the allowed orientations that leave the CFA layout of `window` unchanged, beginning with the identity.
-
-    `window` contains the channel of each tap.
-    """
+    """Return the results of `stabilisers` as permutations of taps and classes, beginning with the identity."""
     return [
         Turn(orientations(rule.patch)[number], np.argsort(turned_classes(rule, number)))
         for number in stabilisers(window, rule.patch, allowed)
@@ -163,9 +157,9 @@ def turns_of(rule: ClassRule, window: Indices, allowed: Allowed = EVERY_ORIENTAT
 
 
 def turned_structures(rule: StructureRule, number: int) -> Indices:
-    """Map each structure class to the class that its windows have if they are read in orientation `number`.
+    """Map each structure class to the class to which its windows belong if they are read in orientation `number`.
 
-    Only the direction of an edge changes.
+    Only the direction of edges changes.
     """
     across, down = structure.turn_signs(orientations(3)[number])
     place = rule.split(np.arange(rule.classes_per_site))

@@ -1,6 +1,6 @@
-"""Solve the normal equations of the classes.
+"""Solve the normal equations of each class.
 
-If a transform is too large for the integer formats of the planes, its class is solved again with a larger ridge
+If a transform is too large for the planes' integer formats, its class is solved again with a larger ridge
 (docs/method.md#transforms-that-are-too-large).
 """
 
@@ -14,13 +14,13 @@ from l3cli.artifacts.layers import PLANES
 from l3cli.classes.planes import opponent_basis, room_between, room_for
 
 Array = NDArray[np.float64]
-MAX_RIDGE_STEPS = 5  # largest number of times that a ridge is multiplied by 10
-EQUAL_RESPONSE_MARGIN = 4.0  # safety factor, because the equal-response constraint changes the transforms later
-ROUNDING_MARGIN = 1.001  # safety factor, because transforms are rounded to float32 later
+MAX_RIDGE_STEPS = 5  # a ridge is multiplied by 10 at most this often
+EQUAL_RESPONSE_MARGIN = 4.0  # safety factor for the correction that the equal-response constraint adds later
+ROUNDING_MARGIN = 1.001  # safety factor for the later rounding of transforms to float32
 
 
 class Integers(NamedTuple):
-    """Bit depth and levels of the camera, which determine the integer formats of the planes."""
+    """Camera properties that determine the planes' integer formats."""
 
     bits: int
     black_level: float  # DN
@@ -28,32 +28,31 @@ class Integers(NamedTuple):
 
 
 class Equations(NamedTuple):
-    """Normal equations of several classes, for all outputs with the same noise weight (docs/method.md#solution)."""
+    """Normal equations of several classes, for outputs with the same noise weight (docs/method.md#solution)."""
 
     power: Array  # (class, tap, tap) X Xᵀ; in saturated classes the last tap is the intercept
     noise: Array  # (class, tap) diagonal of the noise matrix Λ, without the intercept
     noise_weight: float
-    right: Array  # (class, tap, column) right-hand sides: first Y Xᵀ of each output, then the taps of each channel
-    shared: Array | None = None  # (class, tap, tap) rest of Λ: covariances of taps in one line; None if noise is independent
+    right: Array  # (class, tap, column) right-hand sides: first X Yᵀ for each output, then 1 for the taps of each channel
+    shared: Array | None = None  # (class, tap, tap) off-diagonal part of Λ from row and column noise, or None
 
 
 def solve_within(equations: Equations, ridge: float, member: Array, integers: Integers | None) -> tuple[Array, Array]:
-    """Solve the equations of all classes so that the transforms fit the integer formats of the planes.
+    """Solve the normal equations of all classes, with transforms that fit the planes' integer formats.
 
-    If the transform of a class is too large, the class is solved again with a ten times larger ridge, at most
-    `MAX_RIDGE_STEPS` times. The equal-response constraint later adds a correction to each transform. A class whose
-    correction would be too large is also solved again.
+    If a transform is too large, its class is solved again with a ten times larger ridge, up to `MAX_RIDGE_STEPS` times. The
+    same applies if the correction that the equal-response constraint adds later could be too large.
 
     Parameters
     ----------
     equations : Equations
-        Equations of the classes.
+        Normal equations of the classes.
     ridge : float
-        Smallest ridge, relative to the mean power of a tap.
+        Initial ridge, relative to the mean power of a tap.
     member : ndarray, (channel, tap)
         1 if a tap belongs to a channel, otherwise 0.
     integers : Integers or None
-        Parameters of the integer formats, or None if transforms may have any size.
+        Camera properties that determine the integer formats, or None if transforms may have any size.
 
     Returns
     -------
@@ -75,10 +74,10 @@ def solve_within(equations: Equations, ridge: float, member: Array, integers: In
 
 
 def fits(transforms: Array, white: Array, integers: Integers) -> NDArray[np.bool_]:
-    """Return, for each class, whether its planes fit the integer formats.
+    """Whether each class's transform fits the planes' integer formats.
 
-    Transforms to three outputs are first converted to transforms to planes. Transforms to more than three outputs are tested
-    without conversion, which is stricter, because outputs are larger than their leading components.
+    Transforms to three outputs are first converted to transforms to planes. Transforms to more outputs are tested directly.
+    This test is stricter, because outputs are larger than their leading components.
 
     Parameters
     ----------
@@ -87,7 +86,7 @@ def fits(transforms: Array, white: Array, integers: Integers) -> NDArray[np.bool
     white : ndarray, (output)
         Outputs of a perfect white.
     integers : Integers
-        Parameters of the integer formats.
+        Camera properties that determine the integer formats.
 
     Returns
     -------
@@ -98,19 +97,16 @@ def fits(transforms: Array, white: Array, integers: Integers) -> NDArray[np.bool
 
 
 def fits_between(transforms: Array) -> NDArray[np.bool_]:
-    """Return, for each class of a refinement layer, whether the transform can be represented in the integer formats.
-
-    The transforms (class, tap + 1, plane) compute planes from the planes of the previous layer.
-    """
+    """Whether each transform of a refinement layer (class, tap + 1, plane) fits the planes' integer formats."""
     planes = np.swapaxes(transforms, 1, 2)
     return room_between(planes[..., :-1], planes[..., -1]) > ROUNDING_MARGIN
 
 
 def _moderate(solutions: Array, member: Array, taps: int, integers: Integers) -> NDArray[np.bool_]:
-    """Return, for each class, whether the transform is small enough for a later correction.
+    """Whether each class's transform leaves enough headroom in the integer formats for the equal-response constraint.
 
-    The equal-response constraint corrects each transform later. `EQUAL_RESPONSE_MARGIN` times the transform must therefore
-    fit into the integer formats. The same condition applies to the correction that changes the response to one channel by 1.
+    `EQUAL_RESPONSE_MARGIN` times the transform must fit. The same condition applies to the correction that changes the
+    response to one channel by 1.
     """
     outputs, used = solutions.shape[2] - len(member), member.any(axis=1)
     compliance = solutions[..., outputs:][..., used]
@@ -120,10 +116,10 @@ def _moderate(solutions: Array, member: Array, taps: int, integers: Integers) ->
 
 
 def _systems(equations: Equations, chosen: NDArray[np.intp], ridge: float) -> Array:
-    """Return the matrices X Xᵀ + noise_weight · Λ + ridge (class, tap, tap) of the chosen classes."""
+    """Return the matrices X Xᵀ + noise_weight · Λ + ridge (class, tap, tap) for the chosen classes."""
     taps = equations.noise.shape[1]
     systems = equations.power[chosen]
-    diagonal = np.einsum("cii->ci", systems)  # a view, so changing the diagonal changes `systems`
+    diagonal = np.einsum("cii->ci", systems)  # a view: changes to the diagonal also change `systems`
     diagonal[:, taps:] += 1e-9
     mean = diagonal[:, :taps].mean(axis=1, keepdims=True)
     diagonal[:, :taps] += equations.noise_weight * equations.noise[chosen] + ridge * mean + 1e-12
@@ -150,7 +146,7 @@ def solve_positive(system: Array, right: Array) -> tuple[Array, float]:
         Estimated condition number in the 1-norm.
     """
     factor, failed = lapack.dpotrf(system.T, lower=False)
-    if failed:  # rounding errors have made a nearly singular matrix indefinite
+    if failed:  # rounding errors made a nearly singular matrix indefinite
         return np.asarray(np.linalg.solve(system, right), np.float64), float(np.linalg.cond(system, 1))
     solution, _ = lapack.dpotrs(factor, right, lower=False)
     reciprocal, _ = lapack.dpocon(factor, np.abs(system).sum(axis=0).max(), uplo="U")

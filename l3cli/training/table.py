@@ -1,13 +1,13 @@
-"""The interface of the training package: the functions that `l3 train` calls, in the order of the calls.
+"""The public functions of the training package, in the order in which `l3 train` calls them.
 
 Training has these steps (docs/method.md#training):
 
-1. **Pilot.** `take_pilot` takes a small sample of patches from each frame. From the sample, `survey` determines the class
-   rule. The rule must be known before patches can be added to the sums of their classes.
-2. **First pass.** All patches are added to the sums of their classes, and the classes are solved by least squares.
-3. **Second pass.** The patches are summed again. The weight of each sample now depends on how visible its error was with the
-   transforms of the first pass (docs/method.md#second-pass). Without these weights, least squares would favour the few
-   patches with the largest errors, which are not the most visible errors.
+1. **Pilot.** `take_pilot` samples a few patches from each frame. From these samples, `survey` determines the class rule,
+   which is needed to assign patches to classes.
+2. **First pass.** Every patch is added to the sums of its class. Each class is then solved by least squares.
+3. **Second pass.** The patches are summed again. Each sample now has a weight that depends on how visible its error was in
+   the first pass (docs/method.md#second-pass). Without these weights, least squares would mainly reduce the few largest
+   errors, although they are not the most visible ones.
 4. **Refinement layers.** The layers are trained one after another, because each layer is trained on the output of the
    previous layers.
 """
@@ -50,26 +50,26 @@ from l3cli.training.sums import add, empty_sums, grid_steps, require_exact
 from l3cli.training.symmetry import site_maps, turned_classes, turns_of
 from l3cli.training.training_pass import TrainingPass, at_noise, brightness_of
 
-PILOT_PATCHES = 4000  # number of patches per site in the pilot sample, over all frames
+PILOT_PATCHES = 4000  # number of pilot patches per site, over all frames
 
 
 @dataclass(frozen=True)
 class Pilot:
-    """Measurements on a small sample of training patches, from which the class rule is determined."""
+    """Statistics of a small sample of training patches. They determine the class rule."""
 
-    occurrences: NDArray[np.int64]  # (code) number of patches for each set of clipped channels (saturation code)
+    occurrences: NDArray[np.int64]  # (code) number of patches per saturation code, which is the set of clipped channels
     shares: NDArray[np.float64]  # (patch, channel) channel fractions
-    whites: NDArray[np.float64]  # (frame, output) outputs of a perfect white under the illuminant of the frame, with Y = 1
+    whites: NDArray[np.float64]  # (frame, output) outputs of a perfect white under the frame's illuminant, with Y = 1
     # (frame, wavelength) radiance of a white of 1 cd/m² on spectra.light_grid, or NaN if the illuminant is unknown
     lights: NDArray[np.float64]
-    exposures: NDArray[np.float64]  # (frame) in s; 0 for real pairs, whose dark signal has already been subtracted
-    observed: dict[str, NDArray[np.float64]]  # name of a class feature → (patch, …) measurements for this feature
+    exposures: NDArray[np.float64]  # (frame) in s; 0 for real pairs, because their dark signal is already subtracted
+    observed: dict[str, NDArray[np.float64]]  # name of a class feature → (patch, …) measured values of this feature
 
 
 def take_pilot(
     frames: Iterable[TrainingPair], first: int, patches: Sequence[int], head: TrainingSet, recipe: TrainingRecipe, seed: int
 ) -> Pilot:
-    """Take a pilot sample from training frames.
+    """Measure a small random sample of patches from training frames.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def take_pilot(
     patches : sequence of int
         Number of patches per site from each frame.
     head : TrainingSet
-        Properties that all frames of the training share, such as the camera and the outputs.
+        Properties common to all training frames, such as the camera and the outputs.
     recipe : TrainingRecipe
         Class recipe.
     seed : int
@@ -122,7 +122,7 @@ def take_pilot(
 
 
 def pilot_patches(patches: Sequence[int]) -> list[int]:
-    """Return the number of pilot patches per site for each frame, in proportion to the training patches from the frame."""
+    """Divide the pilot patches per site among the frames, in proportion to each frame's number of training patches."""
     total = sum(patches)
     return [-(-PILOT_PATCHES * share // total) for share in patches]
 
@@ -130,16 +130,16 @@ def pilot_patches(patches: Sequence[int]) -> list[int]:
 def survey(
     pilots: Iterable[Pilot], patches: Sequence[int], head: TrainingSet, recipe: TrainingRecipe, seed: int
 ) -> tuple[ClassRule, NDArray[np.float64], float, LightSpectrum | None]:
-    """Determine the class rule from the pilot samples.
+    """Determine the class rule, the white and the illuminant from the pilot samples.
 
     Parameters
     ----------
     pilots : iterable of Pilot
         Samples of all frames, in the order of the frames.
     patches : sequence of int
-        Number of training patches from each frame, which is the weight of the frame.
+        Number of training patches from each frame. Means over frames are weighted by this number.
     head : TrainingSet
-        Properties that all frames of the training share, such as the camera and the outputs.
+        Properties common to all training frames, such as the camera and the outputs.
     recipe : TrainingRecipe
         Class recipe.
     seed : int
@@ -154,7 +154,7 @@ def survey(
     exposure : float
         Mean exposure time of the simulated frames, in s.
     light : LightSpectrum or None
-        Mean illuminant of the frames, or None if the illuminant of any frame is unknown.
+        Mean illuminant of the frames, or None if any frame's illuminant is unknown.
     """
     every = list(pilots)
     filters = range(len(head.camera.channels)) if head.camera.readout is None else head.camera.readout.same_filter.tolist()
@@ -190,17 +190,14 @@ def _joined(observed: list[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray
 
 
 def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) -> list[int]:
-    """Return the canonical sites, for which transforms are trained.
-
-    All other sites use rotated or mirrored copies of these transforms.
-    """
+    """Return the sites to train. All other sites use rotated or mirrored copies of these sites' transforms."""
     neighbours = neighbourhoods(head.camera.cfa, rule.patch, len(head.camera.channels))
     maps = site_maps(neighbours.channel, rule.patch, recipe.orientations(head.camera))
     return sorted({site_map.canonical for site_map in maps})
 
 
 def add_up(pass_: TrainingPass, parts: Iterable[ClassSums]) -> ClassSums:
-    """Add up the partial sums `parts` of a pass. Raises L3Error if a class has too many patches for exact addition."""
+    """Add up a pass's partial sums. Raises L3Error if a class has too many patches for exact addition."""
     outputs = len(pass_.head.outputs)
     sums = empty_sums(pass_.rule, outputs, pass_.head.camera)
     for part in parts:
@@ -210,14 +207,14 @@ def add_up(pass_: TrainingPass, parts: Iterable[ClassSums]) -> ClassSums:
 
 
 def learn_site(pass_: TrainingPass, parts: Iterable[ClassSums], site: int) -> Solution:
-    """Solve the classes of one canonical site.
+    """Add up one canonical site's partial sums, and solve its transforms.
 
     Parameters
     ----------
     pass_ : TrainingPass
         Settings of the pass.
     parts : iterable of ClassSums
-        Sums of the site over all parts of the pass, in any order.
+        Partial sums of the site, in any order.
     site : int
         The canonical site.
 
@@ -238,7 +235,7 @@ def learn_site(pass_: TrainingPass, parts: Iterable[ClassSums], site: int) -> So
 
 
 def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple[Stage, ...]) -> TransformTable:
-    """Make a table with one layer from the solutions of the canonical sites.
+    """Build a single-layer table from the solutions of the canonical sites.
 
     Parameters
     ----------
@@ -247,7 +244,7 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
     solutions : dict of int to Solution
         Solution of each canonical site.
     history : tuple of Stage
-        History to store in the table.
+        Processing history to store in the table.
 
     Returns
     -------
@@ -300,20 +297,14 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
 
 
 def _spectra(head: TrainingSet, recipe: LearningRecipe) -> SpectralSmoothing | None:
-    """Return the settings for smoothing spectra, or None if spectra are not smoothed.
-
-    Spectra are smoothed if the outputs are a spectrum and the recipe sets `spectral_window`.
-    """
+    """Return the settings for smoothing spectra, or None without spectral outputs or `spectral_window`."""
     if not recipe.spectral_window or len(head.outputs) == 1 or not spectra.is_spectrum(head.outputs, head.camera.channels):
         return None
     return SpectralSmoothing(recipe.spectral_window, recipe.spectral_reach)
 
 
 def _chroma_smoothing(head: TrainingSet, recipe: LearningRecipe) -> ChromaSmoothing | None:
-    """Return the settings for smoothing chroma, or None if chroma is not smoothed.
-
-    Chroma is smoothed if the outputs are X, Y and Z and the recipe sets `chroma_likeness`.
-    """
+    """Return the settings for smoothing chroma, or None without the outputs X, Y, Z or `chroma_likeness`."""
     if not recipe.chroma_likeness or head.outputs != XYZ:
         return None
     return ChromaSmoothing(recipe.chroma_reach, recipe.chroma_likeness)
@@ -322,11 +313,10 @@ def _chroma_smoothing(head: TrainingSet, recipe: LearningRecipe) -> ChromaSmooth
 def _components(
     head: TrainingSet, solutions: dict[int, Solution], copies: list[int], white: NDArray[np.float64]
 ) -> LeadingComponents | None:
-    """Return the leading components of a spectrum, or None if the outputs are not a spectrum of more than three values.
+    """Compute the three leading components of a spectrum, or return None unless `has_components` applies.
 
-    The second component is the mean of the outputs, relative to white. The first and the third component are the two
-    directions in which the targets vary most after their mean is removed. The components are rounded, because eigenvectors
-    differ slightly between machines.
+    The second component is the mean of all outputs, relative to white. The first and third are the principal components of
+    the targets without this mean. They are rounded, because eigenvectors differ slightly between machines.
     """
     if not has_components(head):
         return None
@@ -348,26 +338,26 @@ def _light_of(frame: TrainingPair, camera: CameraModel) -> NDArray[np.float64]:
 
 
 def _dark_signal(frame: TrainingPair, camera: CameraModel) -> float:
-    """Return the dark signal of a frame in DN. Raises an InputFileError if dark current alone saturates the pixels."""
+    """Return a frame's dark signal in DN. Raises InputFileError if dark current alone saturates the pixels."""
     dark = camera.dark_signal(frame.dark_time)
     if not dark < camera.white_level - camera.black_level:
         raise InputFileError(
-            f"the frame of scene {frame.scene} is exposed for {frame.dark_time:.4g} s, in which dark current alone "
-            "saturates a pixel; use a shorter exposure"
+            f"dark current alone saturates the pixels of scene {frame.scene} within its exposure time of "
+            f"{frame.dark_time:.4g} s; use a shorter exposure"
         )
     return dark
 
 
 def _unit_white(frame: TrainingPair, outputs: tuple[str, ...]) -> NDArray[np.float64]:
-    """Return the outputs of white for a frame, scaled so that Y or S0 is 1. Without Y and S0, the mean of the outputs is 1.
+    """Return a frame's outputs of white, scaled to Y = 1 or S0 = 1. Without Y and S0, their mean is 1.
 
-    Raises InputFileError if the white is dark, or does not have one value per output.
+    Raises InputFileError if the white is black or does not have one value per output.
     """
     size = float(brightness_of(frame.white, outputs))
     if frame.white.size != len(outputs) or size <= 0:
         raise InputFileError(
-            f"the white of scene {frame.scene} must be bright and have one value for each output ({', '.join(outputs)}); "
-            "simulate the training set again"
+            f"the white of scene {frame.scene} must have a positive luminance and one value per output "
+            f"({', '.join(outputs)}); simulate the training set again"
         )
     return frame.white / size
 
@@ -421,17 +411,17 @@ def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int
 def finished_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums], table: TransformTable) -> PlaneLayer:
     """Solve the next refinement layer of a table.
 
-    If the recipe uses coarse chroma, the noise for the coarse chroma filter and the correction of clipped areas are added to
-    the layer.
+    If the recipe sets `coarse_chroma`, the layer also receives the noise level for the coarse chroma filter and, for X, Y,
+    Z, the correction of clipped areas.
 
     Parameters
     ----------
     layer : LayerPass
-        Settings for the training of the refinement layer, and results of the earlier layers.
+        Settings for training the refinement layer, and the previous layers.
     rule : PlaneRule
         Class rule of the layer.
     sums : dict of int to LayerSums
-        Sums of each canonical site, over all frames.
+        Sums over all frames, by canonical site.
     table : TransformTable
         Table with all previous layers.
 
@@ -447,19 +437,19 @@ def finished_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]
 
 
 def passes_of(usual: TrainingPass, recipe: TrainingRecipe) -> list[TrainingPass]:
-    """Return the pass `usual`, followed by one pass for each additional noise level of the recipe."""
+    """Return the pass `usual`, followed by one pass per additional noise level of the recipe."""
     return [usual, *(at_noise(usual, noise, recipe.classes) for noise in recipe.learning.noises)]
 
 
 def with_noises(usual: TransformTable, tables: Sequence[TransformTable], noises: Sequence[NoiseScale]) -> TransformTable:
-    """Add the transforms of `tables` to the table `usual`. Each table was trained for one of the noise levels `noises`."""
+    """Add the transforms of `tables`, which were trained for the noise levels `noises`, to the table `usual`."""
     conditions = (Condition.of(each.first, each.later, None, noise) for each, noise in zip(tables, noises, strict=True))
     return replace(usual, conditions=tuple(conditions))
 
 
 def by_noise(table: TransformTable) -> list[TransformTable]:
-    """Divide a table into one table per noise level. The first table is for the noise of the camera model.
+    """Split a table into one table per noise level, starting with the camera model's noise.
 
-    The table must not have transforms for single illuminants.
+    The table must not contain transforms for single illuminants.
     """
     return [replace(table, conditions=()), *map(table.under, table.conditions)]

@@ -1,8 +1,8 @@
 """One pass over the training frames, and its division among processes.
 
-Training usually has two passes. The first pass shows how visible the error of each sample is, and the second pass weights
-the samples accordingly. The work of a pass is divided into blocks of frames, and the blocks are divided among processes. The
-sums do not depend on the number of processes.
+Training usually has two passes. The second pass weights each sample by the visibility of its error in the first pass. Each
+pass is divided into blocks of frames, which are distributed over processes. The sums do not depend on the number of
+processes.
 """
 
 import functools
@@ -29,12 +29,12 @@ from l3cli.training.recipe import LearningRecipe
 from l3cli.training.sums import empty_sums
 from l3cli.training.symmetry import site_maps, stabilisers
 
-FIRST, LAST = 1, 2  # numbers of the two passes (docs/method.md#second-pass)
+FIRST, LAST = 1, 2  # pass numbers (docs/method.md#second-pass)
 
 
 @dataclass(frozen=True)
 class TrainingPass:
-    """Settings of one pass, which are the same for all its frames, sites and processes."""
+    """Settings of one pass, common to all frames, sites and processes."""
 
     head: TrainingSet
     patches: tuple[int, ...]  # (frame) number of patches per canonical site, before division by `divisors`
@@ -44,27 +44,24 @@ class TrainingPass:
     seed: int
     number: int  # FIRST or LAST
     exposure: float = 0.0  # mean exposure time of the simulated frames, in s
-    light: LightSpectrum | None = None  # mean illuminant of the frames, or None if the illuminant of any frame is unknown
+    light: LightSpectrum | None = None  # mean illuminant of the frames, or None if any frame's illuminant is unknown
 
     @property
     def dark(self) -> float:
-        """Dark signal at the mean exposure time of the training frames, in DN above black."""
+        """Dark signal at the mean exposure time of the training frames, in DN above the black level."""
         return self.head.camera.dark_signal(self.exposure)
 
     @functools.cached_property
     def goal(self) -> Goal:
-        """The training goal, derived from the properties that all frames share.
-
-        The goal is cached, because its computation can take as long as solving the equations of one site.
-        """
+        """The training goal. It is cached, because computing it can take as long as solving one site's equations."""
         return goal_of(self.head, self.white_point, self.light)
 
     @functools.cached_property
     def divisors(self) -> dict[int, int]:
-        """For each canonical site, the divisor of its number of patches (docs/method.md#symmetry).
+        """Divisor of the number of patches, by canonical site (docs/method.md#symmetry).
 
-        Some rotations and reflections leave the CFA around a site unchanged. Each such symmetry turns a patch into an
-        additional patch. Sites with more symmetries therefore need fewer patches.
+        Each rotation or reflection that leaves the CFA around a site unchanged turns a patch into an additional patch. Sites
+        with more symmetries therefore need fewer patches.
         """
         camera, allowed = self.head.camera, self.recipe.orientations(self.head.camera)
         channel = neighbourhoods(camera.cfa, self.rule.patch, len(camera.channels)).channel
@@ -74,34 +71,30 @@ class TrainingPass:
 
     @property
     def draws(self) -> int:
-        """Number of levels to which each patch is rescaled."""
+        """Number of random levels per patch."""
         return self.recipe.first_draws if self.number == FIRST else self.recipe.draws
 
     def brightness(self, target: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the brightness of each target. Training errors are relative to the brightness.
-
-        The brightness is the output Y or S0, or the mean of the outputs if there is neither Y nor S0. Negative values are
-        replaced by 0.
-        """
+        """Return the brightness of each target as `brightness_of` does, with negative values replaced by 0."""
         return np.maximum(brightness_of(target, self.head.outputs), np.float32(0.0))
 
 
 def at_noise(pass_: TrainingPass, noise: NoiseScale, classes: ClassRecipe) -> TrainingPass:
-    """Adapt a pass to frames with different temporal noise (docs/method.md#noise-sets).
+    """Adapt a pass to frames with another amount of noise (docs/method.md#noise-sets).
 
     Parameters
     ----------
     pass_ : TrainingPass
-        The pass for the noise of the camera model.
+        Pass for the camera model's noise.
     noise : NoiseScale
         Noise of the frames, relative to the camera model.
     classes : ClassRecipe
-        Class recipe of the table. The class edges that depend on noise are computed again.
+        Class recipe of the table, from which all class edges that depend on noise are computed again.
 
     Returns
     -------
     TrainingPass
-        A copy of the pass with the changed camera noise and class rule.
+        Copy of the pass with another camera noise and class rule.
     """
     camera = pass_.head.camera.under(noise)
     made = make_rule(classes, camera, pass_.rule.case_of_code, dark=camera.dark_signal(pass_.exposure))
@@ -115,11 +108,11 @@ def spread_patches(patches: int, frames: Sequence[int], shares: Sequence[Fractio
     Parameters
     ----------
     patches : int
-        Total number of patches. The number per frame is rounded up.
+        Total number of patches. Numbers per frame are rounded up.
     frames : sequence of int
         Number of frames in each set.
     shares : sequence of Fraction, or None
-        Relative number of patches for each set. If None, all frames get the same number of patches.
+        Relative number of patches for each set, or None for the same number of patches for every frame.
 
     Returns
     -------
@@ -132,7 +125,7 @@ def spread_patches(patches: int, frames: Sequence[int], shares: Sequence[Fractio
 
 
 def brightness_of(target: NDArray, outputs: tuple[str, ...]) -> NDArray:
-    """Return the brightness of each target: Y, S0, or the mean of the outputs if there is neither Y nor S0.
+    """Return each target's brightness: Y, S0, or the mean of all outputs if there is neither Y nor S0.
 
     The last axis of `target` contains the outputs.
     """
@@ -141,26 +134,26 @@ def brightness_of(target: NDArray, outputs: tuple[str, ...]) -> NDArray:
 
 
 def has_two_passes(head: TrainingSet, recipe: LearningRecipe) -> bool:
-    """Return whether training has two passes.
+    """Whether training has two passes.
 
-    The weights of the second pass depend on CIELAB errors or spectral angles, so the outputs must be X, Y, Z or a spectrum.
+    The second pass needs CIELAB errors or spectral angles, so the outputs must be X, Y, Z or a spectrum.
     """
     return recipe.first_draws > 0 and (head.outputs == XYZ or is_spectrum(head.outputs, head.camera.channels))
 
 
-# Number of patches per batch. Each batch is sorted by class before the matrix products. Larger batches need more memory, and
-# smaller batches make the matrix products slower.
+# Number of patches that are sorted by class and multiplied together. More patches need more memory, and fewer patches make
+# the matrix products slower.
 BATCH_PATCHES = 50_000
-LAYER_SAMPLES = 300_000  # number of samples per batch for refinement layers; each batch is sorted by class
-SUM_BYTES = 200 << 20  # memory limit in bytes for the sums of one process, which always has at least two sites
+LAYER_SAMPLES = 300_000  # like BATCH_PATCHES, for the samples of refinement layers
+SUM_BYTES = 200 << 20  # memory limit in bytes for one process's sums, but at least two sites are always allowed
 
 
 @dataclass(frozen=True)
 class WorkShare:
-    """Part of a pass that one process computes: blocks of frames, and the sites whose patches are summed."""
+    """Work of one process in a pass: blocks of frames, and the sites to sum in each block."""
 
     blocks: tuple[tuple[range, tuple[int, ...]], ...]  # frames of each block, and the canonical sites to sum
-    whole: tuple[int, ...]  # sites whose sums this share computes over all blocks
+    whole: tuple[int, ...]  # sites whose sums are complete after this share, because it contains all their blocks
 
     @property
     def sites(self) -> tuple[int, ...]:
@@ -168,10 +161,10 @@ class WorkShare:
 
 
 def frame_blocks(patches: Sequence[int], most: int | None = None) -> list[range]:
-    """Divide the frames into blocks of about the same number of patches.
+    """Divide the frames into blocks with about equal numbers of patches.
 
-    All patches of a block are sorted by class in one step. Each shard or process receives whole blocks. The blocks are
-    nearly equal, so that no process has to wait for a large block of another process.
+    All patches of a block are sorted by class at once. Shards and processes receive whole blocks, whose similar sizes keep
+    processes from waiting for each other.
 
     Parameters
     ----------
@@ -203,7 +196,7 @@ def work_shares(pass_: TrainingPass, divisors: Mapping[int, int], blocks: list[r
     pass_ : TrainingPass
         Settings of the pass.
     divisors : mapping of int to int
-        Canonical sites to process. For each site, the number by which its number of patches is divided.
+        Canonical sites to process, and the divisor of each site's number of patches.
     blocks : list of range
         Blocks of frames, from `frame_blocks`.
     jobs : int
@@ -212,7 +205,7 @@ def work_shares(pass_: TrainingPass, divisors: Mapping[int, int], blocks: list[r
     Returns
     -------
     list of WorkShare
-        The number of shares is a multiple of `jobs`. Each share contains few sites, so that the sums fit into memory.
+        A multiple of `jobs` shares, each with few enough sites for their sums to fit into memory. Empty shares are omitted.
     """
     one = empty_sums(pass_.rule, len(pass_.head.outputs), pass_.head.camera)
     most = max(2, SUM_BYTES // one.moments.nbytes)  # largest number of sites per share

@@ -420,7 +420,7 @@ def test_bands_get_a_layer_that_corrects_them(tmp_path: Path, l3: L3) -> None:
     [
         ("side = 4", "layer[1].side is 4; use an odd number"),
         ("[[layer]]\n[[layer]]\n[[layer]]", "layer has 4 values; use at most 3"),
-        ("strengths = [3, 2]", "layer[1].strengths must contain one or more numbers"),
+        ("strengths = [3, 2]", "layer[1].strengths must be one or more increasing numbers"),
         ("strengths = [-1, 2]", "layer[1].strengths[1] is -1; use more than 0"),
         ("colour_ratios = true\n[[layer]]", "layer[1].colour_ratios is allowed only in the last layer"),
         ("bilateral_chroma = true\n", "layer[1].bilateral_chroma needs colour_ratios"),

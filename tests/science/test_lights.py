@@ -114,7 +114,7 @@ def test_wrong_calls_are_one_line(learned: dict[str, Path], tmp_path: Path, refu
     assert "learning.lights" in refused(3, *train("warm", learned["several.classes.toml"]))
     path, text = tmp_path / "classes.toml", learned["several.classes.toml"].read_text()
     for key, words in (
-        ('lights = ["A"]', "learning.lights must contain at least two illuminants"),
+        ('lights = ["A"]', "learning.lights must list at least two illuminants"),
         ('lights = ["A", "A"]', "only once"),
     ):
         path.write_text(text.replace('lights = ["A", "D65"]', key))

@@ -16,16 +16,16 @@ from l3cli.training.lines import LineNoise
 from l3cli.training.patches import expose_patches
 
 LUMINANCES = np.geomspace(0.0008, 0.8, 16)  # luminances of the greys, relative to a white with Y = 1
-GREY_SIDE_PIXELS = 128  # side of the area of each simulated grey, in pixels
-CUT = 3  # number of blocks that are ignored at each edge, because they have fewer neighbours
+GREY_SIDE_PIXELS = 128  # side of each simulated grey, in pixels
+CUT = 3  # number of blocks ignored at each edge, because they have fewer neighbours
 
 Array = NDArray[np.float64]
 
 
 def measured_noise(layer: LayerPass) -> CoarseChroma:
-    """Measure the noise of block means, for the coarse chroma filter of a layer.
+    """Measure the noise level for a layer's coarse chroma filter.
 
-    The noise is the variance of the block means of simulated greys before each step of the filter.
+    Before each step of the filter, the noise is the variance of the block means of simulated greys.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def measured_noise(layer: LayerPass) -> CoarseChroma:
 
 
 def _planes_of_greys(layer: LayerPass) -> list[NDArray[np.int32]]:
-    """Render simulated greys with the previous layers, and return their planes, from the darkest to the brightest grey."""
+    """Render simulated greys with the previous layers, and return their planes, from dark to bright."""
     camera, period = layer.camera, layer.camera.cfa.shape
     margin = layer.exposed.margin - layer.margin
     rows, cols = (-(-(GREY_SIDE_PIXELS + 2 * margin) // each) * each for each in period)
@@ -65,16 +65,16 @@ def _planes_of_greys(layer: LayerPass) -> list[NDArray[np.int32]]:
 
 
 def _variances(planes: list[Array]) -> Array:
-    """Return the variance of each plane (columns) for each grey (rows). `CUT` blocks at each edge are excluded."""
+    """Return the variances (grey, plane), without `CUT` blocks at each edge."""
     return np.array([each[:, CUT:-CUT, CUT:-CUT].var(axis=(1, 2)) for each in planes])
 
 
 def rising_terms(luminance: Array, variances: Array) -> Array:
-    """Fit the variance of each plane by a polynomial of the luminance with non-negative coefficients.
+    """Fit each plane's variance with a polynomial in luminance that has non-negative coefficients.
 
-    The fit minimises the squared errors of the logarithm of the variance. Some layers reduce chroma in dark areas, and the
-    polynomial cannot fit such a low variance there. A fit of relative errors would then underestimate the variance in
-    brighter areas, and blotches would remain visible.
+    The fit minimises the squared error of the logarithm of the variance. Some layers reduce chroma in dark areas so strongly
+    that the polynomial cannot follow the low variance there. Minimising relative errors would then underestimate the
+    variance in brighter areas and leave visible blotches.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def rising_terms(luminance: Array, variances: Array) -> Array:
     Returns
     -------
     ndarray, (plane, power)
-        Coefficients of the powers of luminance.
+        Polynomial coefficients, in output units squared.
     """
     powers = np.maximum(luminance, 0.0)[:, None] ** np.arange(COMPARED[2])
     start, terms = 1 / np.maximum(powers.max(axis=0), PLANE_STEP), np.empty((variances.shape[1], COMPARED[2]))

@@ -1,9 +1,9 @@
-"""Train a refinement layer: sum over the samples and solve the transforms (docs/method.md#learning-on-mosaics).
+"""Train a refinement layer: accumulate the sums and solve the transforms (docs/method.md#learning-on-mosaics).
 
-As in the first layer, classes with few samples are supported by other classes. An unsaturated class also uses samples of
-classes with neighbouring levels and strengths. Every class uses pseudo-samples of a *parent*, which is a weighted mean of
-many classes. The parent of an unsaturated class is mainly the mean over all unsaturated classes of the same level. The
-parent of a saturated class is a mean over all classes of the same saturation case, with larger weights for nearby levels.
+As in the first layer, classes with few samples borrow statistics from other classes. An unsaturated class also uses samples
+from classes with neighbouring levels and strengths. Every class uses pseudo-samples from its *parent*, a weighted mean of
+many classes. An unsaturated class's parent is mainly the mean over all unsaturated classes with the same level. A saturated
+class's parent is a mean over all classes with the same saturation case, with larger weights for nearby levels.
 """
 
 import functools
@@ -33,24 +33,24 @@ from l3cli.training.systems import fits_between, solve_positive
 from l3cli.training.training_pass import LAYER_SAMPLES, frame_blocks
 
 Array = NDArray[np.float64]
-FADED_RESPONSE = 0.97  # a transform fades a chroma plane if the plane's gain in uniform areas is below this value
-OWN_LEVEL_FRACTION = 0.9  # fraction of the pseudo-samples that come from the level of the class; others come from all levels
+FADED_RESPONSE = 0.97  # transforms with a lower chroma gain in uniform areas would visibly desaturate them
+OWN_LEVEL_FRACTION = 0.9  # fraction of the pseudo-samples from the class's own level; the others come from all levels
 
 
 @dataclass(frozen=True)
 class LayerGoal:
     """Parameters for solving the transforms of a refinement layer."""
 
-    pool: tuple[float, ...]  # weights of the samples of classes whose level differs by 1, by 2, and so on
+    pool: tuple[float, ...]  # weights of samples from classes one level away, two levels away and so on
     parent: float  # number of pseudo-samples from the parent
     ridge: float  # ridge of the least-squares fit, relative to the mean power of a tap
     noise_weights: tuple[float, ...]  # (output) weight of the noise covariance in the fit
-    white: Array  # (plane) planes of a white with Y = 1; the layer must preserve this white
-    windows: int  # number of window taps; the remaining taps are 0 in uniform areas
-    # (output) chroma plane that the output preserves in uniform areas of unsaturated classes, or -1; () if no plane is kept
+    white: Array  # (plane) planes of a white with Y = 1, which the layer must preserve
+    windows: int  # number of window taps; all other taps are 0 in uniform areas
+    # (output) chroma plane that unsaturated uniform areas must pass on to this output unattenuated, or -1; () for no outputs
     keeps: tuple[int, ...] = ()
-    strength_pool: float = 0.0  # weight of samples from the classes with the next lower and the next higher strength
-    corrects: bool = False  # whether the layer corrects the outputs of the first layer; corrections are 0 for white
+    strength_pool: float = 0.0  # weight of samples from classes with the next lower and the next higher strength
+    corrects: bool = False  # whether the layer's results are added to the first layer's outputs; they are 0 for white
 
 
 def solve_layer(
@@ -58,9 +58,8 @@ def solve_layer(
 ) -> list[Array]:
     """Solve the transforms of a refinement layer, class by class.
 
-    Uniform areas must have equal outputs at all CFA sites, and grey areas, even if clipped, must not gain a colour cast.
-    The solutions of all sites are therefore constrained to a common response to uniform areas
-    (docs/method.md#equal-response).
+    Uniform areas must look the same at all CFA sites, and greys must not gain a colour cast, even if they clip. The
+    solutions of all sites are therefore constrained to a common response to uniform areas (docs/method.md#equal-response).
 
     Parameters
     ----------
@@ -114,9 +113,9 @@ def solve_layer(
 
 
 def _solution(moments: Array, noise: Array, noise_weight: float, ridge: float, of: list[int], member: Array) -> Array:
-    """Return the Wiener solutions for some outputs, and the compliance of these solutions.
+    """Compute the Wiener solutions for some outputs, and their compliance.
 
-    The compliance describes how the optimal taps change if the response to uniform areas is constrained. The solutions have
+    The compliance determines how the optimal taps change if the response to uniform areas is constrained. The solutions have
     no intercept, because black must stay black.
 
     Parameters
@@ -137,7 +136,7 @@ def _solution(moments: Array, noise: Array, noise_weight: float, ridge: float, o
     Returns
     -------
     ndarray, (tap, output + plane)
-        One column per output with the solution, then one column per plane with the compliance.
+        The solution for each output, followed by the compliance for each plane.
     """
     taps, outputs = len(member), np.array(of)
     system = moments[:taps, :taps] + noise_weight * noise[:taps, :taps]
@@ -151,9 +150,7 @@ def _solution(moments: Array, noise: Array, noise_weight: float, ridge: float, o
 def _constrained(
     estimates: list[Array], member: Array, copies: list[int], goal: LayerGoal, of: list[int], keeps: bool
 ) -> list[Array]:
-    """Constrain the taps of all sites so that every site has the same response to uniform areas.
-
-    The common response minimises the squared error and preserves white.
+    """Constrain all sites to the response to uniform areas that minimises the squared error and preserves white.
 
     Parameters
     ----------
@@ -168,8 +165,7 @@ def _constrained(
     of : list of int
         Indices of the solved outputs.
     keeps : bool
-        Whether the chroma planes in `goal.keeps` are preserved in uniform areas if the common response would fade these
-        planes.
+        Whether to preserve the chroma planes in `goal.keeps` if the common response would attenuate them.
 
     Returns
     -------
@@ -195,9 +191,10 @@ def _constrained(
 
 
 class _Parents:
-    """The parents of all classes, as mean sums per sample.
+    """Mean sums per sample of each parent.
 
-    Unsaturated classes have one parent per level. Saturated classes have one parent per level and saturation case.
+    All unsaturated classes with the same level have a common parent. Saturated classes have one parent per level and
+    saturation case.
     """
 
     def __init__(self, sums: LayerSums, rule: PlaneRule) -> None:
@@ -222,10 +219,10 @@ class _Parents:
 
 
 def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goal: LayerGoal) -> tuple[Array, Array] | None:
-    """Return the moments and the noise of a class with support from other classes, or None if the parent has no samples.
+    """Add support from other classes to a class's moments and noise. Return None if its parent has no samples.
 
-    Pseudo-samples of the parent are always added. If the class is unsaturated and has samples, samples of classes with
-    neighbouring levels or strengths are also added.
+    Pseudo-samples of the parent are always added. An unsaturated class that has samples also receives samples from classes
+    with neighbouring levels or strengths.
     """
     _, level, kind = rule.split(index)
     case = int(rule.case(kind))
@@ -256,10 +253,10 @@ def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goa
 
 
 def _nearest(filled: NDArray[np.bool_], rule: PlaneRule) -> NDArray[np.int64]:
-    """Return, for each class, the index of the solved class whose transform the class uses.
+    """Map each class to the solved class that provides its transform.
 
-    A solved class uses its own transform. An unsolved class uses the transform of a solved class with the same structure or
-    saturation case, at the nearest level. If there is no such class, solved classes without structure are preferred.
+    A solved class uses its own transform. An unsolved class uses the solved class with the same structure or saturation case
+    at the nearest level. Without such a class, it uses the nearest solved class, preferably one without structure.
     """
     _, level, kind = rule.split(np.arange(filled.size))
     known = np.flatnonzero(filled)
@@ -272,28 +269,28 @@ def _nearest(filled: NDArray[np.bool_], rule: PlaneRule) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class LayerPass:
-    """Settings for the training of one refinement layer, and results of the earlier layers."""
+    """Settings for training one refinement layer, and the previous layers."""
 
     camera: CameraModel
     rule: ClassRule  # class rule of the first layer
-    fixed: FixedPoint  # fixed-point transforms of the first layer, which compute the planes
+    fixed: FixedPoint  # fixed-point transforms with which the first layer computes planes
     before: tuple[PlaneLayer, ...]  # refinement layers that have already been trained
     basis: NDArray[np.float64]  # (output, plane) opponent basis, which converts outputs to planes
-    outputs: MosaicLayer | None  # first layer, if the new layer corrects the outputs of the first layer; otherwise None
+    outputs: MosaicLayer | None  # first layer if the new layer corrects the first layer's outputs, otherwise None
     white_point: NDArray[np.float64]  # (output) outputs of a perfect white under the training illuminant, with Y = 1
     grey: NDArray[np.float64]  # (channel) signals of this perfect white, as fractions of full scale
     recipe: LayerRecipe
     learning: LearningRecipe
     mosaics: tuple[int, ...]  # (frame) number of mosaics to draw from each frame
-    chroma: tuple[int, ...]  # indices of the outputs that belong to the chroma planes
+    chroma: tuple[int, ...]  # indices of the outputs that correspond to the chroma planes
     pictures: bool  # whether the outputs are X, Y, Z
-    stokes: bool  # whether the outputs contain Stokes parameters, whose noise is as visible as noise of luminance and chroma
+    stokes: bool  # whether the outputs contain Stokes parameters; their noise is as visible as luminance and chroma noise
     exposure: float  # mean exposure time of the training frames, in s
     seed: int
 
     @property
     def exposed(self) -> Exposed:
-        """Settings for the simulation of the mosaics."""
+        """Settings for simulating mosaics."""
         dark = self.camera.dark_signal(self.exposure)
         inner = math.isqrt(math.ceil(self.recipe.rows / self.recipe.density) - 1) + 1
         margin = self.rule.radius + sum(margin_of(layer.side) for layer in self.before) + self.margin
@@ -303,25 +300,25 @@ class LayerPass:
 
     @property
     def margin(self) -> int:
-        """Largest distance, in pixels, between a pixel and the input pixels that the layer reads for this pixel."""
+        """Largest distance, in pixels, between a pixel and the input pixels on which its output depends."""
         return margin_of(self.recipe.side)
 
     @property
     def blocks(self) -> list[range]:
-        """Ranges of frames. All frames of a range are processed together."""
+        """Ranges of frames that are processed together."""
         return frame_blocks([count * self.recipe.rows for count in self.mosaics], LAYER_SAMPLES)
 
     @property
     def number(self) -> int:
-        """Number of the layer in the table. The first layer has the number 1."""
+        """Number of the layer in the table, counted from 1."""
         return 2 + len(self.before)
 
     def rng(self, frame: int, purpose: int) -> np.random.Generator:
-        """Return a random generator for a frame. Generators with different values of `purpose` are independent."""
+        """Return a random generator for a frame. Generators for different purposes are independent."""
         return np.random.default_rng([self.seed, self.number + 1, frame, purpose])
 
     def seer(self) -> Callable[[Mosaics], Seen]:
-        """Return a function that renders mosaics with all layers before the new layer."""
+        """Return a function that renders mosaics with the previous layers."""
         first = FirstLayer(self.camera, self.rule, self.fixed, self.outputs)
         stages = [PlaneStage(layer, self.rule, self.basis) for layer in self.before]
 
@@ -331,7 +328,7 @@ class LayerPass:
         return see
 
     def reading(self, side: int) -> Reading:
-        """Return the settings for reading windows of `side` × `side` pixels in the orientation of the canonical site."""
+        """Return the settings for reading windows of `side` × `side` pixels in the canonical site's orientation."""
         maps = self._site_maps()
         order = np.array([orientations(side)[one.orientation] for one in maps])
         ratios = self.recipe.ratio_taps
@@ -339,19 +336,16 @@ class LayerPass:
 
     @property
     def made(self) -> int:
-        """Number of outputs: one per plane or, if the layer corrects the first layer, one per output of the table."""
+        """Number of outputs: one per plane, or one per output of the table if the layer corrects the first layer."""
         return PLANES if self.outputs is None else len(self.basis)
 
     def grid_steps(self, rule: PlaneRule) -> NDArray[np.float64]:
-        """Return the grid steps to which the sums of the layer are rounded.
-
-        The result has the axes (level, pair of columns).
-        """
+        """Return the grid steps (level, pair) to which products of columns are rounded."""
         return grid_steps(rule, self.rule, self.camera, self.reading(self.recipe.side).taps, self.made)
 
     @property
     def turns(self) -> list[int]:
-        """For each CFA site, the number of the orientation in which the windows of the site are trained."""
+        """Number of the orientation in which each CFA site is trained."""
         return [one.orientation for one in self._site_maps()]
 
     def _site_maps(self) -> list[SiteMap]:
@@ -360,7 +354,7 @@ class LayerPass:
 
 
 def no_sums(layer: LayerPass, rule: PlaneRule) -> dict[int, LayerSums]:
-    """Return empty sums for every canonical site, to which samples can be added."""
+    """Return zero sums for every canonical site."""
     reading = layer.reading(layer.recipe.side)
     return {site: empty_sums(rule, reading) for site in np.unique(reading.canonical).tolist()}
 
@@ -368,21 +362,21 @@ def no_sums(layer: LayerPass, rule: PlaneRule) -> dict[int, LayerSums]:
 def sum_layer(
     layer: LayerPass, rule: PlaneRule, blocks: Iterable[tuple[int, Iterable[TrainingPair]]]
 ) -> dict[int, LayerSums]:
-    """Draw samples from training frames, and add up their products by site and class.
+    """Draw samples from training frames, and accumulate the sums of each class at each site.
 
     Parameters
     ----------
     layer : LayerPass
-        Settings for the training of the refinement layer, and results of the earlier layers.
+        Settings for training the refinement layer, and the previous layers.
     rule : PlaneRule
         Class rule of the layer to be trained.
     blocks : iterable of (int, iterable of TrainingPair)
-        Pairs (index of the first frame of a block, frames of the block).
+        For each block of frames, the index of its first frame, and its frames.
 
     Returns
     -------
     dict of int to LayerSums
-        Sums of each canonical site.
+        Sums by canonical site.
     """
     see, reading, sums = layer.seer(), layer.reading(layer.recipe.side), no_sums(layer, rule)
     noise = bool(layer.recipe.luminance_noise or layer.recipe.chroma_noise)
@@ -401,28 +395,28 @@ def sum_layer(
 
 
 def drawn_mosaics(layer: LayerPass, frames: Iterable[TrainingPair], first: int, purpose: int) -> Iterator[Mosaics]:
-    """Yield mosaics drawn from `frames`, beginning with frame number `first`. `purpose` is as in `LayerPass.rng`."""
+    """Yield random mosaics from frames. `first` is the index of the first frame, and `purpose` is as in `LayerPass.rng`."""
     for index, frame in enumerate(frames, first):
         yield from mosaics_of(frame, layer.mosaics[index], layer.exposed, layer.rng(index, purpose))
 
 
 def add_sums(sums: dict[int, LayerSums], more: dict[int, LayerSums]) -> None:
-    """Add `more` to `sums` in place. The additions are exact, so the result does not depend on the order of the calls."""
+    """Add `more` to `sums` in place. The addition is exact, so the order of calls does not matter."""
     for site, part in more.items():
         add(sums[site], part)
 
 
 def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -> PlaneLayer:
-    """Solve the transforms of a refinement layer from the sums of all canonical sites.
+    """Solve the transforms of a refinement layer.
 
     Parameters
     ----------
     layer : LayerPass
-        Settings for the training of the refinement layer, and results of the earlier layers.
+        Settings for training the refinement layer, and the previous layers.
     rule : PlaneRule
         Class rule of the layer.
     sums : dict of int to LayerSums
-        Sums of each canonical site, over all frames.
+        Sums over all frames, by canonical site.
 
     Returns
     -------
@@ -470,9 +464,9 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
 
 
 def _symmetric(layer: LayerPass, rule: PlaneRule, site: int, sums: LayerSums) -> LayerSums:
-    """Average the sums of a canonical site over the orientations that leave the CFA around the site unchanged.
+    """Average a canonical site's sums over the orientations that leave the CFA around the site unchanged.
 
-    Rotating or reflecting a window permutes the structure classes. The leaves of a tree are not permuted in this way, so
+    This requires that rotating or reflecting a window permutes the classes. The leaves of a tree are not simply permuted, so
     the sums for a tree are returned unchanged.
     """
     if not isinstance(rule, StructureRule):

@@ -1,7 +1,7 @@
-"""Training mosaics for refinement layers (docs/method.md#layers).
+"""Cut training mosaics from frames, and render them with the previous layers (docs/method.md#layers).
 
-A mosaic is a piece of a training frame, exposed to a random level. Mosaics are simulated with and without noise. The
-previous layers render the mosaics, and the next layer is trained on the result.
+A mosaic is a piece of a training frame, scaled to a random level and simulated with and without noise. The next layer is
+trained on the rendered mosaics.
 """
 
 from collections.abc import Iterable, Iterator
@@ -29,8 +29,8 @@ from l3cli.training.sums import runs_of
 from l3cli.training.symmetry import HALF_TURN, Allowed, orientations_of_scenes
 
 Floats = NDArray[np.float32]
-LARGEST_SIDE = 156  # largest side of a mosaic in pixels, and of the area whose mean signal is scaled to the drawn level
-SHEET = 1 << 17  # number of pixels that are rendered as one batch; larger batches take less time per pixel
+LARGEST_SIDE = 156  # largest side, in pixels, of a mosaic, and of the area over which its level is averaged
+SHEET = 1 << 17  # number of pixels per batch, large enough to make the overhead per batch negligible
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Mosaics:
 
     count: int  # number of mosaics
     values: NDArray[np.uint16]  # (row, col) raw values in DN, with noise
-    clean: Floats | None  # (row, col) DN without noise, clipped at the white level, or None if `values` have no noise
+    clean: Floats | None  # (row, col) noise-free values in DN, clipped at the white level; None if `values` are noise-free
     target: Floats  # (output, row, col) ideal outputs, in the output unit of the table
     usable: NDArray[np.bool_] | None = None  # (row, col) mask of the pixels to train on, or None for all pixels
 
@@ -62,15 +62,15 @@ class Exposed:
     camera: CameraModel
     recipe: LearningRecipe
     dark: float  # dark signal at the mean exposure time of the training frames, in DN
-    achromatic: float  # fraction of the mosaics that show the scene in greys
-    noisy: bool  # whether the noise of the camera is added
-    inner: int  # side of the square of pixels to train on, in pixels, if the frame is large enough
-    margin: int  # number of pixels that the layers read on each side of the square
+    achromatic: float  # fraction of the mosaics whose colours are replaced by greys
+    noisy: bool  # whether to add the camera's noise
+    inner: int  # side of the square of training pixels, if the frame is large enough
+    margin: int  # number of pixels that the layers read beyond each side of this square
 
     def shape(self, frame: tuple[int, int]) -> tuple[int, int]:
-        """Return the numbers of rows and columns of a mosaic from a frame of the shape `frame`.
+        """Return the shape (rows, cols) of mosaics from a frame of shape `frame`.
 
-        Both numbers are multiples of the CFA period, unless the frame is smaller than one period.
+        Both sides are multiples of the CFA period, unless the frame is smaller than one period.
         """
         most = min(*frame, LARGEST_SIDE)
         wanted = min(self.inner + 2 * self.margin, most)
@@ -79,10 +79,10 @@ class Exposed:
 
 
 def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random.Generator) -> Iterator[Mosaics]:
-    """Yield mosaics from a frame.
+    """Yield random mosaics from a frame.
 
-    Mosaics from a simulated frame have random levels, and are rotated and mirrored at random. The last mosaics show the
-    scene in greys. Mosaics from a real pair are unchanged pieces of the frame, because the noise of a real frame cannot be
+    Mosaics from a simulated frame have random levels, and are rotated and mirrored at random. The last mosaics have greys
+    instead of colours. Mosaics from a real pair are unchanged pieces of the frame, because a real frame's noise cannot be
     separated from its scene. A frame that is not larger than the margins yields no mosaics.
 
     Parameters
@@ -92,7 +92,7 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
     count : int
         Number of mosaics.
     exposed : Exposed
-        Settings for making mosaics from frames.
+        Settings for cutting and exposing mosaics.
     rng : numpy.random.Generator
         Source of the random numbers.
 
@@ -116,10 +116,7 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
 def _shown(
     frame: TrainingFrame, count: int, shape: tuple[int, int], exposed: Exposed, rng: np.random.Generator
 ) -> Iterator[Mosaics]:
-    """Yield `count` mosaics from a simulated frame.
-
-    Each mosaic is a random part of the frame in a random orientation, scaled to a random level, with or without noise.
-    """
+    """Yield `count` random parts of a simulated frame, in random orientations and scaled to random levels."""
     camera = exposed.camera
     channel = camera.channel_map(shape)
     gains = (camera.channel_gains / camera.full_scale).astype(np.float32)
@@ -141,18 +138,14 @@ def _shown(
             offsets = None if lines is None else lines.drawn(shape, rng)
             values = expose_patches(mosaic, camera, rng, None, exposed.dark, channel, offsets)
         target = _turned(frame.target, piece) * np.float32(scale * frame.exposure / camera.output_unit)
-        # Rounding to whole DN acts as noise at dark levels, but is negligible at the levels of the frames.
+        # Rounding to whole DN acts as noise at low levels, but is negligible at the frames' own levels.
         as_rounded = not (exposed.noisy or exposed.recipe.rescale)
         part_usable = None if usable is None else _turned(usable, piece)[0]
         yield Mosaics(1, values.astype(np.uint16), None if as_rounded else clean, target, part_usable)
 
 
 def _usable(frame: TrainingFrame, margin: int) -> NDArray[np.bool_] | None:
-    """Return a mask (1, row, col) of the pixels on which layers can be trained, or None if all pixels can be used.
-
-    A pixel can be used if there is no ignored pixel within `margin` pixels, because the layers read pixels up to this
-    distance.
-    """
+    """Return a mask (1, row, col) of the pixels with no ignored pixel within `margin`, or None if all pixels are usable."""
     if frame.ignored is None:
         return None
     return np.asarray(maximum_filter(frame.ignored.mask, 2 * margin + 1, mode="nearest") == 0)[None]
@@ -161,7 +154,7 @@ def _usable(frame: TrainingFrame, margin: int) -> NDArray[np.bool_] | None:
 def sheets_of(mosaics: Iterable[Mosaics], period: int) -> Iterator[Mosaics]:
     """Stack successive mosaics of equal size into sheets of up to `SHEET` pixels.
 
-    A mosaic whose height is not a multiple of `period`, the height of the CFA period, becomes a separate sheet.
+    Mosaics are not stacked if their height is not a multiple of `period`, the height of the CFA period.
     """
     parts: list[Mosaics] = []
     for each in mosaics:
@@ -188,18 +181,18 @@ def _piece_of_pair(pair: TrainingPair, shape: tuple[int, int], camera: CameraMod
     return Mosaics(1, values, np.minimum(values.astype(np.float32), np.float32(camera.white_level)), target)
 
 
-Turn = tuple[int, bool, slice, slice]  # number of quarter turns, whether mirrored, rows and columns of the turned frame
+Turn = tuple[int, bool, slice, slice]  # quarter turns, whether mirrored, and the rows and columns to cut out afterwards
 
 
 def _drawn_turn(
     frame: tuple[int, ...], shape: tuple[int, int], place: list[float], allowed: Allowed, rng: np.random.Generator
 ) -> tuple[Turn, Turn]:
-    """Draw a random orientation of a frame, and find a mosaic and its surroundings in the turned frame.
+    """Draw a random orientation of a frame, and locate a mosaic and its surroundings in the turned frame.
 
     Parameters
     ----------
     frame, shape : tuple of int
-        Numbers of rows and columns of the frame and of the mosaic.
+        Shapes (rows, cols) of the frame and the mosaic.
     place : list of float
         Position of the mosaic along each axis of the turned frame, from 0 to 1.
     allowed : tuple of int
@@ -210,7 +203,7 @@ def _drawn_turn(
     Returns
     -------
     part : Turn
-        A larger area around the mosaic, whose mean signal is scaled to the drawn level.
+        A larger area around the mosaic. Its mean signal is scaled to the drawn level.
     piece : Turn
         The mosaic.
     """
@@ -233,58 +226,50 @@ def _turned(planes: NDArray, turn: Turn) -> NDArray:
     return (turned[:, :, ::-1] if mirrored else turned)[:, rows, cols]
 
 
-AT_ONCE = 1 << 10  # number of pixels that are processed together, so that their windows fit into the processor cache
-DARKEST_LEVEL = 1e-4  # level, as a fraction of full scale, below which all pixels have the same weight
+AT_ONCE = 1 << 10  # number of pixels that are processed together, small enough for their windows to fit into the cache
+DARKEST_LEVEL = 1e-4  # lower limit of the level that determines a pixel's weight, as a fraction of full scale
 
 
 @dataclass(frozen=True)
 class Seen:
-    """Mosaics after one or more layers, without the margins in which windows would extend beyond the mosaic."""
+    """Mosaics rendered by one or more layers, without the margins in which windows would extend beyond the mosaic."""
 
     count: int  # number of stacked mosaics
     target: Floats  # (row, col, output) ideal outputs
     label: Integers  # (row, col) class in the first layer
     brightness: Floats  # (row, col) mean of the channel means, as a fraction of full scale, corrected for clipped channels
     noisy: NDArray[np.int32]  # (plane, row, col) planes with noise, in plane steps
-    clean: Floats | None  # (plane, row, col) planes without noise but with the classes of `noisy`, or None without noise
-    # (row, col, output) ideal outputs minus the noise-free outputs of the first layer, if later layers correct its outputs
+    clean: Floats | None  # (plane, row, col) noise-free planes, in plane steps, with the classes of the noisy pixels
+    # (row, col, output) ideal outputs minus the first layer's noise-free outputs, if later layers correct these outputs
     missing: Floats | None = None
-    spread: Floats | None = None  # (row, col, output) noise of the outputs of the first layer, or None
+    spread: Floats | None = None  # (row, col, output) noise of the first layer's outputs, if later layers correct them
     usable: NDArray[np.bool_] | None = None  # (row, col) mask of the pixels to train on, or None for all pixels
 
     @property
     def light(self) -> Floats:
-        """The planes without noise."""
+        """The noise-free planes."""
         return self.noisy.astype(np.float32) if self.clean is None else self.clean
 
     def inner_pixels(self, margin: int) -> Integers:
-        """Return the indices of the pixels to train on, at a distance of at least `margin` pixels from the mosaic edges."""
+        """Return the indices of the training pixels, which are at least `margin` pixels away from the mosaic edges."""
         inner = within(np.arange(self.label.size).reshape(self.label.shape), self.count, margin).ravel()
         return inner if self.usable is None else inner[self.usable.ravel()[inner]]
 
 
 def within(planes: NDArray, count: int, margin: int) -> NDArray:
-    """Remove `margin` pixels on each side of every mosaic.
-
-    The array `planes` contains `count` mosaics, stacked vertically.
-    """
+    """Crop `margin` pixels from each side of `count` vertically stacked mosaics (…, row, col)."""
     rows, cols = planes.shape[-2] // count, planes.shape[-1]
     mosaics = planes.reshape(*planes.shape[:-2], count, rows, cols)[..., margin : rows - margin, margin : cols - margin]
     return mosaics.reshape(*planes.shape[:-2], count * mosaics.shape[-2], mosaics.shape[-1])
 
 
 def margin_of(side: int) -> int:
-    """Return the margin, in pixels, that a layer with windows of `side` pixels needs around a pixel.
-
-    The margin includes the pixels that determine the class.
-    """
+    """Return how many pixels a layer with windows of `side` pixels needs around a pixel, including those for its class."""
     return max(BORDER_PIXELS, side // 2)
 
 
 class FirstLayer:
     """Renders mosaics with the first layer in fixed point.
-
-    If later layers correct the outputs of the first layer, the outputs are also computed in floating point.
 
     Parameters
     ----------
@@ -295,7 +280,7 @@ class FirstLayer:
     fixed : FixedPoint
         Fixed-point transforms of the first layer.
     outputs : MosaicLayer, optional
-        The first layer in floating point, if later layers correct its outputs.
+        The first layer, if later layers correct its outputs. The outputs are then also computed in floating point.
     """
 
     def __init__(self, camera: CameraModel, rule: ClassRule, fixed: FixedPoint, outputs: MosaicLayer | None = None) -> None:
@@ -308,7 +293,7 @@ class FirstLayer:
         self._apply = _Transforms(fixed, exact)
 
     def see(self, mosaics: Mosaics) -> Seen:
-        """Determine the classes and the brightness of mosaics, and render their planes with and without noise."""
+        """Classify the pixels of mosaics, and render planes with and without noise."""
         camera, rule, count, margin = self.camera, self.rule, mosaics.count, self.rule.radius
         statistics = mosaic_statistics(mosaics.values, rule, self._neighbours, camera.cfa, (0, 0))
         mean = (statistics.sums / self._neighbours.count[statistics.site]).mean(axis=-1) * 2**rule.shift
@@ -325,17 +310,14 @@ class FirstLayer:
 
 
 class PlaneStage:
-    """Renders mosaics with a refinement layer in fixed point. The layer must not be the last layer of the table."""
+    """Renders mosaics in fixed point with a refinement layer that is not the last layer of the table."""
 
     def __init__(self, layer: PlaneLayer, first: ClassRule, basis: NDArray[np.float64]) -> None:
         self.layer, self.first = layer, first
         self._apply = _Transforms(refined_fixed_point(layer, basis))
 
     def see(self, seen: Seen) -> Seen:
-        """Render planes with and without noise from the planes of the previous layers.
-
-        The margin that the windows need is cut off.
-        """
+        """Render planes with and without noise from the previous layer's planes, and crop the margin."""
         count, margin = seen.count, margin_of(self.layer.side)
         label = within(label_planes(seen.noisy, seen.label, self.layer.rule, self.first), count, margin)
         edge = margin - self.layer.radius
@@ -353,7 +335,7 @@ class PlaneStage:
 
 
 class _Transforms:
-    """Applies the fixed-point transforms of a layer, and optionally floating-point transforms, to windows."""
+    """Applies a layer's fixed-point transforms, and optionally floating-point transforms, to windows."""
 
     def __init__(self, fixed: FixedPoint, exact: tuple[NDArray, NDArray] | None = None) -> None:
         self.fixed, weights, self._intercept = fixed, fixed.weights, fixed.intercept
@@ -361,8 +343,8 @@ class _Transforms:
             weights, self._intercept = (
                 np.concatenate(each, axis=1) for each in ((weights, exact[0]), (self._intercept, exact[1]))
             )
-        # The strides of an array can affect how products are rounded, and pickling does not preserve all strides. Contiguous
-        # arrays have the same strides in every process.
+        # The strides of an array can affect how products are rounded, and pickling does not preserve all strides. Make the
+        # arrays contiguous, so that every process computes the same bytes.
         self._weights = list(np.ascontiguousarray(np.swapaxes(weights, 1, 2), np.float64))
 
     def __call__(
@@ -373,25 +355,25 @@ class _Transforms:
         Parameters
         ----------
         noisy : ndarray, (input, row, col)
-            Raw values or planes with noise. They are integers, and must be small enough for exact sums in float64.
+            Raw values or planes with noise: integers small enough for exact sums in float64.
         clean : ndarray or None, (input, row, col)
             Raw values or planes without noise.
         side : int
             Side of the windows, in pixels.
         count : int
-            Number of mosaics, which are stacked vertically.
+            Number of vertically stacked mosaics.
         label : ndarray, (row, col)
             Class of each pixel.
 
         Returns
         -------
         planes : ndarray, (plane, row, col)
-            Planes computed from `noisy` with the fixed-point transforms, as integers.
+            Integer planes computed from `noisy` with the fixed-point transforms.
         clean_planes : ndarray or None, (plane, row, col)
             Planes computed from `clean` with the same transforms, but without rounding. None if `clean` is None.
         outputs : ndarray, (source, row, col, output)
-            Outputs of the floating-point transforms. The first source is `noisy`. If `clean` is given, the second source is
-            `clean`. Without floating-point transforms, the array has no outputs.
+            Results of the floating-point transforms for the sources `noisy` and, if it is not None, `clean`. The last axis
+            has the length 0 without floating-point transforms.
         """
         _, rows, cols = noisy.shape
         reach = np.arange(side) - side // 2

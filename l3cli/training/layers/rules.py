@@ -1,12 +1,12 @@
-"""Training of the class rule of a refinement layer.
+"""Determine the class rule of a refinement layer.
 
 The rule classifies pixels by structure (docs/method.md#structure) or by a decision tree (docs/method.md#trees).
 
-A tree is grown from a random subset of the samples. Each step splits the leaf whose split reduces the squared error most. To
-evaluate a split, l3 fits one filter to the samples on each side of the threshold. Two filters always fit the samples better
-than one filter, because two filters have twice as many taps. l3 therefore subtracts the expected reduction for a random
-split, and makes the split only if the remaining reduction is too large to be a coincidence. All sites share one tree, but
-each site has its own filters.
+A tree is grown from a random subset of the samples. Each step splits the leaf where a split reduces the squared error most.
+To evaluate a split, l3 fits one filter to the samples on each side of the threshold. Two filters always fit the samples
+better than one, because they have twice as many taps. l3 therefore subtracts the error reduction to expect from a random
+split, and splits the leaf only if the remaining reduction is statistically significant. All sites share one tree, but each
+site has its own filters.
 """
 
 import heapq
@@ -30,17 +30,17 @@ from l3cli.training.layers.mosaics import Floats, mosaics_of, sheets_of
 from l3cli.training.layers.samples import sample_weights
 from l3cli.training.symmetry import orientations
 
-THRESHOLDS_PER_TEST = 5  # number of thresholds that are tried per test; the thresholds are quantiles of the test's quotient
+THRESHOLDS_PER_TEST = 5  # number of thresholds per test, at quantiles of the quotient that the test computes
 QUOTIENT_SAMPLES = 1 << 13  # approximate number of samples per site for these quantiles
 TREE_SIDE_PIXELS = 64  # largest side of the mosaics, in pixels; small, because a tree needs only a few samples per mosaic
-SPLIT_SIDE_PIXELS = 3  # largest window side, in pixels, used to evaluate splits when training on noise-free frames
+SPLIT_SIDE_PIXELS = 3  # largest side, in pixels, of the windows for evaluating splits, when training on noise-free frames
 SAMPLES_PER_TAP = 4  # smallest number of samples per tap in a leaf, at every site
-COLUMN_STEPS = 2.0**16  # grid steps up to the largest value; limits sums of products over a million samples to 2^53 steps
+COLUMN_STEPS = 2.0**16  # grid steps per column maximum, so that product sums over a million samples stay below 2^53 steps
 TAP_RIDGE = 1e-6  # ridge of the least-squares fit, relative to the mean power of the taps
-OUTPUT_RIDGE = 1e-10  # keeps the matrix positive definite; relative to the mean power of the outputs
+OUTPUT_RIDGE = 1e-10  # relative to the mean power of the outputs; keeps the matrix positive definite
 OUTPUTS = 3  # number of target values per sample
-# The gain of a split must exceed this many standard deviations of the gain of a random split. The limit is high, because the
-# best of many splits is chosen.
+# A split is significant if its gain exceeds this number of standard deviations of a random split's gain. The limit is high,
+# because the best of many splits is chosen.
 CHANCE_DEVIATIONS = 3.0
 
 Array = NDArray[np.float64]
@@ -49,9 +49,9 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class TreeSamples:
-    """Samples for growing a tree, from all sites that are equivalent to one canonical site."""
+    """Samples for growing a tree, from all sites that share a canonical site."""
 
-    # (sample, column) weighted taps of the noisy planes, then weighted targets after conversion with `_judged`
+    # (sample, column) weighted taps of the noisy planes, then weighted targets, converted by `_perceptual_basis`
     columns: Floats | Array
     numerators: Floats  # (test, sample) numerators of the quotients that the tests compare with thresholds
     denominators: Floats  # (denominator, sample) denominators of the quotients; several tests share a denominator
@@ -62,33 +62,30 @@ class TreeSamples:
         return cls(*(np.concatenate([getattr(part, name) for part in parts], axis) for name, axis in axes.items()))
 
     def on_grid(self) -> "TreeSamples":
-        """Round the values of each column to multiples of a power of two.
-
-        Sums of products of columns are then exact, so the sums do not depend on the order of the additions.
-        """
+        """Round each column to multiples of a power of two, so that sums of products are exact in any order."""
         _, power = np.frexp(np.abs(self.columns).max(axis=0, initial=SMALLEST))
         step = np.ldexp(1 / COLUMN_STEPS, power).astype(np.float32)
         return replace(self, columns=np.rint(self.columns / step) * step.astype(np.float64))
 
     def compared(self, test: int, chosen: Indices) -> tuple[Floats, Floats]:
-        """Return the numerator and the denominator of the quotient that a test computes for each chosen sample."""
+        """Return the numerators and denominators that a test uses for the chosen samples."""
         return self.numerators[test].take(chosen), self.denominators[EVERY[test].denominator].take(chosen)
 
     def passed(self, test: int, cuts: Floats, chosen: Indices) -> NDArray[np.int8]:
-        """Return, for each chosen sample, how many of the thresholds `cuts` the quotient of a test exceeds."""
+        """Count how many of the thresholds `cuts` a test's quotient exceeds, for each chosen sample."""
         numerator, denominator = self.compared(test, chosen)
         return np.asarray(np.add.reduce([(numerator > cut * denominator).view(np.int8) for cut in cuts]))
 
 
 def turned_evidence(seen: Evidence, turn: int, pixels: Indices) -> tuple[Floats, Floats]:
-    """Return the numerators and denominators of the quotients that the tests compare with thresholds.
+    """Return the numerators and denominators that the tests use for windows in another orientation.
 
     Parameters
     ----------
     seen : Evidence
-        Numerators and denominators at all pixels, for windows in the original orientation.
+        Numerators and denominators of all pixels, for windows in the original orientation.
     turn : int
-        Number of the orientation in which the windows are read.
+        Number of the orientation, as in `symmetry.orientations`.
     pixels : ndarray, (pixel)
         Indices of the pixels.
 
@@ -131,7 +128,7 @@ def grow(sites: Sequence[TreeSamples], leaves: int, mapped: Mapped = map) -> Tre
     leaves : int
         Largest number of leaves.
     mapped : callable
-        `map`, or a function like `map` that uses several threads.
+        `map`, or a multi-threaded function with the same interface.
 
     Returns
     -------
@@ -165,9 +162,9 @@ def grow(sites: Sequence[TreeSamples], leaves: int, mapped: Mapped = map) -> Tre
 
 
 def _best_split(sites: Sequence[TreeSamples], samples: list[Indices], mapped: Mapped) -> _Split | None:
-    """Find the split of a leaf that has the largest gain. Return None if the leaf should not be split.
+    """Find the split of a leaf with the largest gain.
 
-    A leaf should not be split if the gain could be a coincidence, or if the leaf has too few samples for two leaves.
+    Return None if no gain is statistically significant, or if the leaf has too few samples for two leaves.
     """
     taps = sites[0].columns.shape[1] - OUTPUTS
     if min(map(len, samples)) < 2 * SAMPLES_PER_TAP * taps:
@@ -198,10 +195,10 @@ def _best_split(sites: Sequence[TreeSamples], samples: list[Indices], mapped: Ma
 
 
 def _gains(site: TreeSamples, chosen: Indices, test: int, cuts: Floats, whole: Array, before: float) -> Array:
-    """Return the gain of splitting the samples of one site at each of the thresholds `cuts`.
+    """Return the gain from splitting one site's samples at each of the thresholds `cuts`.
 
-    The gain is the reduction of the squared error, minus the reduction that the additional taps would cause by chance. The
-    gain is −∞ if one side of the split would have too few samples.
+    The gain is the reduction of the squared error, minus the reduction to expect by chance from the additional taps. It is
+    −∞ if one side of the split has too few samples.
     """
     taps = site.columns.shape[1] - OUTPUTS
     passed = site.passed(test, cuts, chosen)  # number of thresholds that each sample exceeds
@@ -220,8 +217,8 @@ def _gains(site: TreeSamples, chosen: Indices, test: int, cuts: Floats, whole: A
 def _sums_below(site: TreeSamples, chosen: Indices, ends: list[int], whole: Array) -> Array:
     """Return sums of products (end, column, column) over the samples `chosen[:end]`, for each `end` in `ends`.
 
-    The indices in `ends` divide the samples into segments. To save time, the largest segment is not summed. Its sums are the
-    difference between the total `whole` and the sums of all other segments.
+    The indices `ends` divide the samples into segments. To save time, the largest segment is not summed but computed as the
+    difference between the total `whole` and all other segments.
     """
     parts = list(itertools.pairwise([0, *ends, chosen.size]))
     largest = max(range(len(parts)), key=lambda part: parts[part][1] - parts[part][0])
@@ -236,40 +233,36 @@ def _sums_below(site: TreeSamples, chosen: Indices, ends: list[int], whole: Arra
 
 
 def _sums(site: TreeSamples, chosen: Indices) -> Array:
-    """Return the exact sums of the products of each pair of columns, over the chosen samples."""
+    """Return the sums of products (column, column) over the chosen samples."""
     columns = site.columns.take(chosen, axis=0)
     return np.asarray(columns.T @ columns)
 
 
 def _error(sums: Array) -> Array:
-    """Return the squared error that remains after a least-squares fit.
-
-    The fit is computed from `sums` (…, column, column), the sums of products of the columns. The result has one value per
-    matrix.
-    """
+    """Return the squared residual (…) of a least-squares fit from the sums of products (…, column, column)."""
     taps = sums.shape[-1] - OUTPUTS
     systems = sums.copy()
-    diagonal = np.einsum("...ii->...i", systems)  # a view; changes to the diagonal also change `systems`
+    diagonal = np.einsum("...ii->...i", systems)  # a view: changes to the diagonal also change `systems`
     for columns, ridge in (diagonal[..., :taps], TAP_RIDGE), (diagonal[..., taps:], OUTPUT_RIDGE):
         columns += ridge * columns.mean(axis=-1, keepdims=True) + 1e-9
     left = np.linalg.cholesky(systems)[..., taps:, taps:]
     return np.asarray((left * left).sum(axis=(-2, -1)))
 
 
-PILOT_MOSAICS = 48  # total number of mosaics in which the luminance noise is measured
-PILOT_SIDE = 72  # side of the mosaics for the noise measurement, in pixels
-MAX_MEASURED_LEVEL = 0.8  # noise is not measured in pixels above this fraction of full scale
-MIN_LEVEL_PIXELS = 1000  # the noise is interpolated for levels with fewer pixels
-LAB_SLOPES = (500.0, 116.0, 200.0)  # convert small errors of the planes, relative to white, to errors of a*, L* and b*
+PILOT_MOSAICS = 48  # total number of mosaics for measuring luminance noise
+PILOT_SIDE = 72  # side of these mosaics, in pixels
+MAX_MEASURED_LEVEL = 0.8  # fraction of full scale above which noise is not measured
+MIN_LEVEL_PIXELS = 1000  # for levels with fewer pixels, the noise is interpolated
+LAB_SLOPES = (500.0, 116.0, 200.0)  # factors that convert small plane errors, relative to white, to errors of a*, L* and b*
 
 
 def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int, every: int) -> list[NDArray[np.float64]]:
-    """Measure the noise in the luminance plane that the new layer reads.
+    """Measure the noise in the luminance plane from which the new layer is computed.
 
     Parameters
     ----------
     layer : LayerPass
-        Settings for the training of the refinement layer, and results of the earlier layers.
+        Settings for training the refinement layer, and the previous layers.
     frames : iterable of TrainingPair
         Training frames.
     first : int
@@ -280,10 +273,9 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
     Returns
     -------
     list of ndarray, (2, level)
-        One array per measured frame. Row 0 contains, for each level, the sum of (dx² + dy²) / 2 over the pixels of the
-        level. For each pixel, dx is the noise of its right neighbour minus the noise of its left neighbour, and dy is the
-        noise of its lower neighbour minus the noise of its upper neighbour. Row 1 contains the number of pixels of each
-        level.
+        One array per measured frame. Row 0 contains the sum of (dx² + dy²) / 2 over the pixels of each level, where dx and
+        dy are the horizontal and vertical central differences of the noise (right minus left neighbour, lower minus upper
+        neighbour). Row 1 contains the number of pixels of each level.
     """
     see, noisy, measured = layer.seer(), replace(layer.exposed, noisy=True, inner=PILOT_SIDE), []
     brightest = MAX_MEASURED_LEVEL * layer.camera.sensitivity.mean() / layer.camera.sensitivity.min()
@@ -306,14 +298,14 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
 
 
 def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> GradientScale:
-    """Return the scale by which the gradients of each level are multiplied.
+    """Compute the factor that normalises gradients by the noise of each level.
 
-    In areas that contain only noise, scaled gradients have the standard deviation `structure.SIGMA`.
+    In areas that contain only noise, normalised gradients have the standard deviation `structure.SIGMA`.
 
     Parameters
     ----------
     layer : LayerPass
-        Settings for the training of the refinement layer, and results of the earlier layers.
+        Settings for training the refinement layer, and the previous layers.
     noise : iterable of ndarray, (2, level)
         Results of `luminance_noise` for all measured frames.
 
@@ -331,7 +323,7 @@ def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> Gr
 
 
 def structure_rule(layer: LayerPass, scale: GradientScale) -> StructureRule:
-    """Return the class rule that classifies pixels by level and structure (docs/method.md#structure)."""
+    """Build the class rule that classifies pixels by level and structure (docs/method.md#structure)."""
     return StructureRule(
         **vars(scale),
         level_step=layer.recipe.level_step,
@@ -345,12 +337,12 @@ def structure_rule(layer: LayerPass, scale: GradientScale) -> StructureRule:
 def sample_tree(
     layer: LayerPass, scale: GradientScale, frames: Iterable[TrainingPair], first: int
 ) -> list[dict[int, TreeSamples]]:
-    """Draw random samples from frames, for growing a tree.
+    """Draw random samples from frames for growing a tree.
 
     Parameters
     ----------
     layer : LayerPass
-        Settings for the training of the refinement layer, and results of the earlier layers.
+        Settings for training the refinement layer, and the previous layers.
     scale : GradientScale
         Result of `gradient_scale`.
     frames : iterable of TrainingPair
@@ -361,10 +353,10 @@ def sample_tree(
     Returns
     -------
     list of dict of int to TreeSamples
-        For each frame, the samples of each canonical site.
+        For each frame, the samples by canonical site.
     """
     see, reading, sampled = layer.seer(), layer.reading(_split_side(layer)), []
-    judged, turns = _judged(layer), layer.turns
+    perceptual_basis, turns = _perceptual_basis(layer), layer.turns
     per_mosaic = -(-layer.recipe.tree_rows // sum(layer.mosaics))
     exposed = replace(layer.exposed, inner=min(layer.exposed.inner, TREE_SIDE_PIXELS))
     for index, frame in enumerate(frames, first):
@@ -376,7 +368,7 @@ def sample_tree(
             place = layer.rule.split(seen.label)
             site = np.broadcast_to(place.site, seen.label.shape).ravel()
             weight = sample_weights(seen, layer.basis, layer.white_point, layer.learning, layer.pictures).ravel()
-            target = seen.target.reshape(-1, seen.target.shape[-1]) @ judged
+            target = seen.target.reshape(-1, seen.target.shape[-1]) @ perceptual_basis
             evidence = plane_evidence(seen.noisy, place.level, scale.gradient_factor, scale.gradient_shift)
             inner = seen.inner_pixels(layer.margin)
             free = inner[(layer.rule.lost(place.kind) == 0).ravel()[inner]]
@@ -397,12 +389,12 @@ def sample_tree(
 
 
 def _split_side(layer: LayerPass) -> int:
-    """Return the side, in pixels, of the windows that are used to evaluate the splits of a tree."""
+    """Return the side, in pixels, of the windows for evaluating splits."""
     return min(layer.recipe.side, SPLIT_SIDE_PIXELS) if layer.learning.noise == "none" else layer.recipe.side
 
 
 def are_samples(layer: LayerPass, samples: dict[int, TreeSamples]) -> bool:
-    """Return whether `samples` has the types and shapes that `sample_tree` returns for a frame."""
+    """Whether `samples` has the types and shapes that `sample_tree` returns for a frame."""
     width, sites = PLANES * _split_side(layer) ** 2 + OUTPUTS, layer.reading(1).canonical
     return all(
         site in sites
@@ -417,18 +409,18 @@ def are_samples(layer: LayerPass, samples: dict[int, TreeSamples]) -> bool:
 def tree_rule(
     layer: LayerPass, scale: GradientScale, samples: Sequence[dict[int, TreeSamples]], mapped: Mapped = map
 ) -> TreeRule:
-    """Grow a tree, and return the class rule that classifies pixels by the leaves of the tree.
+    """Grow a decision tree, and build the class rule that classifies pixels by its leaves.
 
     Parameters
     ----------
     layer : LayerPass
-        Settings for the training of the refinement layer, and results of the earlier layers.
+        Settings for training the refinement layer, and the previous layers.
     scale : GradientScale
         Result of `gradient_scale`.
     samples : sequence of dict of int to TreeSamples
         Results of `sample_tree` for all frames, in the order of the frames.
     mapped : callable
-        `map`, or a function like `map` that uses several threads.
+        `map`, or a multi-threaded function with the same interface.
 
     Returns
     -------
@@ -443,10 +435,10 @@ def tree_rule(
     return TreeRule(**vars(scale), **tree._asdict(), turns=np.array(layer.turns, np.uint8), cases=layer.rule.lost_cases)
 
 
-def _judged(layer: LayerPass) -> NDArray[np.float32]:
-    """Return a matrix (output, 3) that converts errors of X, Y, Z to approximate errors of a*, L* and b*.
+def _perceptual_basis(layer: LayerPass) -> NDArray[np.float32]:
+    """Return a matrix (output, 3) that converts errors of X, Y, Z to a*, L* and b* for colours near white.
 
-    The approximation holds for colours near white. If the outputs are not X, Y and Z, the result is the identity matrix.
+    If the outputs are not X, Y and Z, it is the identity matrix.
     """
     if not layer.pictures:
         return np.eye(3, dtype=np.float32)

@@ -1,6 +1,6 @@
-"""Training samples of a refinement layer, and sums over these samples (docs/method.md#learning-on-mosaics).
+"""Weight and sum the training samples of a refinement layer (docs/method.md#learning-on-mosaics).
 
-A sample consists of the taps of one window and of the ideal outputs for the pixel at the centre of the window.
+A sample consists of the taps of a window and the ideal outputs at its central pixel.
 """
 
 from collections.abc import Mapping
@@ -34,21 +34,21 @@ from l3cli.training.sums import (
     width_of,
 )
 
-MEAN_FLOOR = 1e-5  # added to the mean squared error of each mosaic, so that mosaics with tiny errors have similar weights
-# A mosaic with this mean squared error has the weight 1. All weights then stay below 10, and sums over 7 million samples are
-# exact.
+MEAN_FLOOR = 1e-5  # added to each mosaic's mean squared error, so that mosaics with tiny errors have similar weights
+# Mean squared error of a mosaic with the weight 1. With this value, all weights stay below 10, and sums over 7 million
+# samples are exact.
 MEAN_ERROR = 2.0**-10
 
 
 @dataclass(frozen=True)
 class Reading:
-    """Describes how the window at each site is read. All windows are turned to the orientation of their canonical site."""
+    """How to read the window at each site in the orientation of its canonical site."""
 
-    canonical: Integers  # (site) canonical site of each site
+    canonical: Integers  # (site) canonical site
     order: Integers  # (site, tap) position of each tap in the window
-    ratio_taps: int = 0  # number of ratio taps, which follow the taps of the windows and do not depend on the orientation
+    ratio_taps: int = 0  # number of ratio taps, which follow the window taps and do not depend on the orientation
     outputs: int = PLANES  # number of outputs
-    corrects: bool = False  # whether the outputs are corrections of the first layer; noise then changes the ideal outputs
+    corrects: bool = False  # whether the layer corrects the first layer's outputs; the ideal corrections then contain noise
 
     @property
     def side(self) -> int:
@@ -56,7 +56,7 @@ class Reading:
 
     @property
     def noisy(self) -> int:
-        """Number of columns that noise changes: all taps and, if the layer corrects outputs, the ideal outputs."""
+        """Number of columns that contain noise: all taps, and also the ideal outputs if the layer corrects outputs."""
         return self.taps + (self.outputs if self.corrects else 0)
 
     @property
@@ -67,9 +67,9 @@ class Reading:
     def offsets(self, cols: int) -> Integers:
         """Return the offset of each tap from the central pixel, in elements of a flattened plane.
 
-        At each tap, a sample has the values of three planes and a fourth value, which stores a ratio tap, the constant 1 or
-        an ideal output (see `columns`). If there are more of these columns than taps per plane, offsets of 0 are appended
-        until every column has a place.
+        At each tap, a sample has the values of three planes, and a fourth value that stores one other column (see
+        `columns`). If there are more other columns than taps per plane, offsets of 0 are appended, so that every column has
+        a place.
 
         Parameters
         ----------
@@ -86,35 +86,33 @@ class Reading:
 
     @property
     def columns(self) -> Integers:
-        """Position of each column in the array that `_weighted` returns for a sample.
+        """Position of each column of a sample in the rows of the array from `_weighted`.
 
-        The array contains four values per tap of the window: the values of the three planes, and a fourth value that is
-        free for another column. The fourth value of the first tap stores the first ratio tap, the fourth value of the next
-        tap stores the next ratio tap, and so on. The constant 1 and the ideal outputs follow in the same way.
+        A row has four values per tap of the window: the three planes, and a fourth value that stores one other column. The
+        fourth values of successive taps store the ratio taps, the constant 1 and the ideal outputs.
         """
         window, behind = np.arange(self.order.shape[1]), np.arange(self.ratio_taps + 1 + self.outputs)
         return np.concatenate([4 * window, 4 * window + 1, 4 * window + 2, 4 * behind + 3])
 
 
 def empty_sums(rule: PlaneRule, reading: Reading) -> LayerSums:
-    """Return sums without samples for one site."""
+    """Return zero sums for one site."""
     classes, width = rule.classes_per_site, reading.taps + 1 + reading.outputs
     moments, noise = (np.zeros((classes, each * (each + 1) // 2)) for each in (width, reading.noisy))
     return LayerSums(moments, noise, np.zeros(classes))
 
 
 def grid_steps(rule: PlaneRule, first: ClassRule, camera: CameraModel, taps: int, outputs: int) -> NDArray[np.float64]:
-    """Return the grid steps (level, pair) for the products of columns in a refinement layer.
+    """Return the grid steps (level, pair) for products of columns in a refinement layer.
 
-    If several levels of the first layer correspond to one level of the refinement layer, the darkest of the levels
-    determines the step.
+    If a level of the refinement layer comprises several levels of the first layer, the darkest of them determines the step.
     """
     darkest = np.searchsorted(rule.level_of(np.arange(first.levels)), np.arange(rule.levels))
     return steps_of_columns(intercept_scale(first, camera)[darkest], taps, outputs)
 
 
 def require_exact(sums: LayerSums, rule: PlaneRule, steps: NDArray[np.float64]) -> None:
-    """Raise an L3Error if a sum is too large for exact addition in float64."""
+    """Raise L3Error if a sum is too large for exact addition in float64."""
     (row, col), (tap, other) = pairs(width_of(sums.moments)), pairs(width_of(sums.noise))
     level = rule.split(np.arange(rule.classes_per_site)).level
     squares = sums.moments[:, row == col] / steps[level][:, row == col]
@@ -125,11 +123,11 @@ def require_exact(sums: LayerSums, rule: PlaneRule, steps: NDArray[np.float64]) 
 def sample_weights(
     seen: Seen, basis: NDArray[np.float64], white: NDArray[np.float64], recipe: LearningRecipe, pictures: bool
 ) -> Floats:
-    """Return the sample weight of every pixel (docs/method.md#sample-weights, docs/method.md#second-pass).
+    """Compute the sample weight of every pixel (docs/method.md#sample-weights, docs/method.md#second-pass).
 
-    The weight depends on the brightness. It is lower for pixels with a large squared error after the previous layers. If the
-    outputs are X, Y, Z, the error is the squared error without noise, plus the squared error from noise averaged over 5 × 5
-    pixels. For other outputs, the whole squared error is averaged over the mosaic.
+    The weight decreases with the brightness, and with the squared error after the previous layers. For X, Y, Z, the error is
+    the sum of the squared error without noise and the squared error from noise, averaged over 5 × 5 pixels. For other
+    outputs, the squared error is averaged over the mosaic.
 
     Parameters
     ----------
@@ -169,8 +167,7 @@ def sample_weights(
 def _of_mosaics(seen: Seen, basis: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return (mean squared error + `MEAN_FLOOR`) / `MEAN_ERROR` for each mosaic.
 
-    The error is averaged over the mosaic because outputs other than X, Y and Z are evaluated by the PSNR, which is computed
-    from the mean squared error of a whole picture.
+    Outputs other than X, Y and Z are evaluated by the PSNR, which depends on the mean squared error over a whole picture.
     """
     if seen.missing is not None:
         error = seen.missing if seen.spread is None else seen.missing - seen.spread
@@ -180,24 +177,23 @@ def _of_mosaics(seen: Seen, basis: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class _Samples(NamedTuple):
-    """Samples from one or more sheets of mosaics, and the planes that contain the windows of the samples."""
+    """Samples from one or more sheets of mosaics, and the planes from which their windows are read."""
 
-    clean: Floats  # (pixel, 4) three planes in output units, then a zero, because four numbers are read as fast as one
-    noise: Floats  # (pixel, 4) noise of the three planes, then a zero
+    clean: Floats  # (pixel, 4) three planes in output units, padded to four values, which are read as fast as one
+    noise: Floats  # (pixel, 4) noise of the three planes, padded with a zero
     pixel: Integers  # (sample) index of the central pixel
     site: Integers  # (sample) CFA site
     label: Integers  # (sample) class within the site
     weight: Floats  # (sample)
     behind: Floats  # (sample, column) noise-free ratio taps, the constant 1, and ideal outputs in the opponent basis
-    noise_behind: Floats  # (sample, column) noise of the ratio taps and, if the layer corrects outputs, of the ideal outputs
+    noise_behind: Floats  # (sample, column) noise of the ratio taps, then of the ideal outputs if the layer corrects outputs
 
 
 class GatheredSamples:
-    """Collects samples from several mosaics, and then adds the products of all these samples to the sums.
+    """Collects the samples of many mosaics, and multiplies them class by class.
 
-    A mosaic has few samples of each class, and a matrix product takes little more time for many samples than for a few.
-    Rounding errors depend on which samples are multiplied together. Samples must therefore be grouped in a way that depends
-    only on the frames of a block.
+    A mosaic has few samples per class, and large matrix products are more efficient than many small ones. Rounding errors
+    depend on which samples are multiplied together, so their grouping must depend only on the frames of a block.
     """
 
     def __init__(
@@ -209,7 +205,7 @@ class GatheredSamples:
         Parameters
         ----------
         sums : mapping of int to LayerSums
-            Sums of the canonical sites, which are changed in place.
+            Sums of the canonical sites, changed in place.
         rule : PlaneRule
             Class rule of the refinement layer.
         reading : Reading
@@ -219,18 +215,18 @@ class GatheredSamples:
         steps : ndarray, (level, pair)
             Grid steps of the moments.
         noise : bool
-            Whether to also sum the covariance of the noise.
+            Whether to accumulate the noise covariance as well.
         """
         self.sums, self.rule, self.reading, self.basis, self.steps = sums, rule, reading, basis.astype(np.float32), steps
         self._noise = noise
         self._sheets: list[_Samples] = []
-        self._cols = 0  # width, in pixels, of all sheets gathered so far
+        self._cols = 0  # width, in pixels, of the collected sheets
 
     def add(self, seen: Seen, label: Integers, pixels: Integers, weight: Floats) -> None:
         """Collect samples from mosaics.
 
-        Only mosaics of equal width can be collected together. If the width changes, the samples collected so far are first
-        added to the sums.
+        If the width of the mosaics changes, the samples collected so far are first added to the sums, because only mosaics
+        of equal width can be collected together.
 
         Parameters
         ----------
@@ -243,7 +239,7 @@ class GatheredSamples:
         weight : ndarray, (row, col)
             Sample weight of each pixel.
         """
-        if seen.label.shape[1] != self._cols:  # mosaics of different widths cannot be joined
+        if seen.label.shape[1] != self._cols:
             self.add_up()
             self._cols = seen.label.shape[1]
         planes = seen.light
@@ -263,7 +259,7 @@ class GatheredSamples:
         self._sheets.append(_Samples(clean, noise, *about, behind, spread))
 
     def _ratios(self, planes: NDArray, pixels: Integers) -> Floats:
-        """Return the ratio taps of the pixels with the given indices, one row per pixel."""
+        """Return the ratio taps (pixel, tap) of the pixels with the given indices."""
         taps = taps_behind(planes, self.reading.side, self.reading.ratio_taps)
         return (taps.reshape(len(taps), planes[0].size)[:, pixels].T * PLANE_STEP).astype(np.float32)
 
@@ -299,21 +295,21 @@ class GatheredSamples:
 
 
 def _in_fours(planes: NDArray) -> Floats:
-    """Return an array (pixel, 4) with the values of the three planes, in output units, and a zero for each pixel."""
+    """Return the three planes in output units, padded with a zero, as an array (pixel, 4)."""
     fours = np.zeros((planes[0].size, 4), np.float32)
     np.multiply(planes.reshape(3, -1).T, np.float32(PLANE_STEP), out=fours[:, :3])
     return fours
 
 
 def _weighted(windows: Floats, behind: Floats, weight: Floats) -> Floats:
-    """Return all columns of the samples, multiplied by the weights of the samples.
+    """Combine the window taps with the other columns of each sample, and multiply them by the sample's weight.
 
     Parameters
     ----------
     windows : ndarray, (sample · tap, 4)
-        Values of the three planes at each tap, and a fourth value, which is free. The array is overwritten.
+        Values of the three planes at each tap, and an unused fourth value. The array is overwritten.
     behind : ndarray, (sample, column)
-        Columns to store in the fourth values of the first taps, one column per tap.
+        Other columns, to be stored in the fourth values, one column per tap.
     weight : ndarray, (sample)
         Weight of each sample.
 
