@@ -1,15 +1,15 @@
-"""Chroma: the colour of a patch in which no pixel near the centre is saturated (docs/method.md#chroma).
+"""Chroma: the colour class of a patch whose central pixels are not saturated (docs/method.md#chroma).
 
     chroma = the first k that minimises Σ clamp((S · round(65536 / n) >> 12) − chroma_black_level, 0…65535) · weight[k]
 
-S is the sum of the values of a channel in the patch, and n is the number of these values. Σ is the sum over the channels.
+S and n are the sum and the number of a channel's values in the patch. Σ is the sum over the channels.
 
 Let f be the channel means above black, divided by their sum, and let q be a chroma centre. The distance |f − q|² is smallest
-for the centre with the smallest |q|² Σ f − 2 Σ f q. The weights are therefore |q|² − 2 q, and no division is needed.
+for the centre with the smallest |q|² Σ f − 2 Σ f q. With the weights |q|² − 2 q, no division is needed.
 
-A class rule may dither between chromas (docs/method.md#dither). If a colour lies midway between two chroma centres, half of
-the CFA sites use the second nearest centre instead of the nearest centre. The closer the colour is to the nearest centre,
-the fewer sites use the second nearest. Colours then change smoothly, because later layers average over the sites.
+A class rule may dither between chromas (docs/method.md#dither). For a colour midway between two chroma centres, half of the
+CFA sites use the second nearest centre. The closer the colour is to the nearest centre, the fewer sites do so. Colours then
+change smoothly, because later layers average over the sites.
 """
 
 import warnings
@@ -26,20 +26,19 @@ from l3cli.classes.windows import Integers, Neighbourhoods
 
 CHROMA_FRACTION = 4  # number of fractional bits of a channel mean in the chroma scores
 MAX_CHROMA_INPUT = 2**16 - 1  # channel means are clamped to this value, so that the scores fit into 32 bits
-# number of k-means runs, of which the best is used; one run in ten would increase the S-CIELAB error by 10 %
+# number of k-means runs, of which the best is used, because one run in ten increases the S-CIELAB error by 10 %
 STARTS = 4
 WIDTH_FRACTION = 8  # number of fractional bits of the dither widths
-# dither width divided by the squared distance to the nearest different centre; a ratio of 1 would tint the palest
-# paints
+# dither width divided by the squared distance to the nearest other centre; a ratio of 1 would tint the palest paints
 DITHERED = 0.6
-# no dither between two centres if their squared distance, times the squared number of channels, is below this value
+# smallest squared distance between two centres, times the squared number of channels, at which the rule dithers
 TWINS = 2e-3
-TURN = 159  # 256 × the golden ratio conjugate; the dither thresholds of consecutive sites are then evenly distributed
+TURN = 159  # 256 × the golden ratio conjugate, for evenly distributed dither thresholds at consecutive sites
 SNIPPET = "features/chroma.cl"
 
 
 def channel_shares(signal: NDArray[np.float32], neighbours: Neighbourhoods, site: int) -> NDArray[np.float64]:
-    """Return the channel means of each patch, divided by their sum.
+    """Compute the channel fractions of patches: the channel means, divided by their sum.
 
     Parameters
     ----------
@@ -53,7 +52,7 @@ def channel_shares(signal: NDArray[np.float32], neighbours: Neighbourhoods, site
     Returns
     -------
     ndarray, (patch, channel)
-        Fractions, which add up to 1 for each patch.
+        Channel fractions, which add up to 1.
     """
     member = (neighbours.channel[site][:, None] == np.arange(neighbours.count.shape[1])) / neighbours.count[site]
     means = signal.astype(np.float64) @ member
@@ -68,18 +67,18 @@ def choose_chromas(
     Parameters
     ----------
     shares : ndarray, (patch, channel)
-        Channel means of each patch, divided by their sum.
+        Channel fractions of each patch.
     count : int
         Number of centres.
     seed : int
         Seed of the random starts.
     white : ndarray, (channel,), optional
-        Channel values of a white. If all values are positive, the colour of this white is the last centre.
+        Signals of white. If all are positive, white becomes the last centre.
 
     Returns
     -------
     ndarray, (chroma, channel), or None
-        The centres, or None if `count` is 0 or 1. There are fewer than `count` centres if there are fewer distinct colours.
+        The centres, at most one per distinct colour. None if `count` is 0 or 1.
     """
     if count <= 1:
         return None
@@ -96,29 +95,26 @@ def _means(shares: NDArray[np.float64], count: int, seed: int) -> NDArray[np.flo
     if len(distinct) <= count:
         return distinct
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # k-means warns about empty clusters, which are removed below
+        warnings.simplefilter("ignore", UserWarning)  # about empty clusters, which are removed below
         rng = np.random.default_rng([seed, 2])
         tried = [kmeans2(shares, count, iter=30, minit="++", rng=rng) for _ in range(STARTS)]
     centres, member = min(tried, key=lambda each: float(((shares - each[0][each[1]]) ** 2).sum()))
-    return np.asarray(centres[np.unique(member)])  # removes centres that are nearest to no sample
+    return np.asarray(centres[np.unique(member)])  # without empty clusters
 
 
 def chroma_weights(centres: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Return the integer weights with which the nearest chroma centre has the lowest score.
-
-    `centres` and the result have the shape (chroma, channel).
-    """
+    """Convert chroma centres (chroma, channel) to integer weights with which the nearest centre has the lowest score."""
     weights = (centres**2).sum(axis=1, keepdims=True) - 2 * centres
     return np.rint(weights * CHROMA_SCALE).astype(np.int32)
 
 
 def chroma_centres(rule: ClassRule) -> NDArray[np.float64]:
-    """Return the chroma centres of a class rule, computed from its integer weights |q|² − 2 q.
+    """Recover the chroma centres q of a class rule from its integer weights |q|² − 2 q.
 
     Returns
     -------
     ndarray, (chroma, channel)
-        Channel means, divided by their sum. If the rule has only one chroma, all channels have the same value.
+        Channel fractions. If the rule has only one chroma, all channels have the same value.
     """
     weights = rule.chroma_weights / CHROMA_SCALE
     if rule.chromas == 1:
@@ -128,12 +124,11 @@ def chroma_centres(rule: ClassRule) -> NDArray[np.float64]:
 
 
 def chroma_widths(rule: ClassRule) -> NDArray[np.int32]:
-    """Return the dither width of each chroma.
+    """Return the dither width of each chroma, in 1/256 of a score for channel means that add up to 1.
 
-    A pixel uses its second nearest chroma centre only if the score of this centre exceeds the lowest score by less than the
-    dither width. The dither width of a chroma is DITHERED times the squared distance between its centre and the nearest
-    different centre. Its unit is 1/256 of a score for channel means that add up to 1. The width is 0 if the rule does not
-    dither, and also if the nearest different centre is so close that greys would flicker between the two centres.
+    A pixel can use the second nearest chroma centre only if the scores of the two nearest centres differ by less than the
+    dither width. The width is DITHERED times the squared distance between the nearest centre and the closest other centre.
+    It is 0 if the rule does not dither, or if these centres are so close that greys would flicker between them.
     """
     centres = chroma_centres(rule)
     distance = ((centres[:, None] - centres[None]) ** 2).sum(axis=2)
@@ -145,18 +140,14 @@ def chroma_widths(rule: ClassRule) -> NDArray[np.int32]:
 
 
 def stored_black_level(camera: CameraModel, shift: int) -> int:
-    """Return the black level that is subtracted from channel means, in units of (DN >> shift) / 2^CHROMA_FRACTION."""
+    """Return the black level to subtract from channel means, in units of (DN >> shift) / 2^CHROMA_FRACTION."""
     return int(np.rint((camera.black_level - truncation(shift)) / 2**shift * 2**CHROMA_FRACTION))
 
 
 def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
-    """Return the chroma of each pixel.
-
-    The chroma of saturated pixels is also computed, but does not affect their classes.
-    """
+    """Return the chroma of each pixel, including saturated pixels, where it does not affect the class."""
     above_black = np.clip((statistics.scaled >> (16 - CHROMA_FRACTION)) - rule.chroma_black_level, 0, MAX_CHROMA_INPUT)
-    # The scores are below 2⁵³ and therefore exact in float64. Matrix multiplication is faster with floats, for which numpy
-    # uses BLAS, than with integers.
+    # The scores are below 2⁵³ and therefore exact in float64. With floats, numpy uses the faster matrix products of BLAS.
     scores = above_black.astype(np.float64) @ rule.chroma_weights.T.astype(np.float64)
     nearest = np.argmin(scores, axis=-1)
     if not (widths := chroma_widths(rule)).any():
@@ -171,13 +162,13 @@ def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
 
 
 def entry(table: TransformTable, chroma: int) -> dict[str, Any]:
-    """Describe a chroma class for reports and JSON: its number and the channel values of its centre."""
+    """Describe a chroma for reports and JSON: its number, and the channel fractions of its centre."""
     shares = chroma_centres(table.first.rule)[chroma].tolist()
     return {"chroma": chroma, "shares": dict(zip(table.channels, shares, strict=True))}
 
 
 def heading(entry: dict[str, Any]) -> str:
-    """Return the label of a chroma class in the first column of a table, such as "1: r 0.30 g 0.45 b 0.25"."""
+    """Return a row label for a chroma, such as "1: r 0.30 g 0.45 b 0.25"."""
     return f"{entry['chroma']}: " + " ".join(f"{name} {share:.2f}" for name, share in entry["shares"].items())
 
 
@@ -198,10 +189,10 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.int32]:
-    """Return the array that chroma.cl reads: one row per chroma, and a last row in which all weights are 1.
+    """Return the constants for chroma.cl: one row per chroma, and a last row in which all weights are 1.
 
-    Each row contains the start value of the score, the dither width, and the weights of all channels. Two weights of 16 bits
-    are packed into one integer.
+    Each row contains the score's initial value, the dither width, and the weights of all channels. Pairs of 16-bit weights
+    are packed into 32-bit integers.
     """
     weights = np.concatenate([rule.chroma_weights, np.ones((1, rule.channels), np.int32)])
     pairs = np.zeros((len(weights), (rule.channels + 1) // 2, 2), np.int16)  # weights fit into 16 bits

@@ -1,15 +1,19 @@
-"""Rendering of areas in which channels clip: smooth outputs in uniform areas, and the hue of similar unclipped areas nearby.
+"""Correct areas with clipped channels: smooth outputs in uniform areas, and the hue of similar unclipped areas nearby.
 
 docs/method.md#uniform-clipped-areas and docs/method.md#hue-of-clipped-areas describe the two methods.
 
-The class of a pixel changes abruptly where a channel clips. In a uniform area, this would be visible as a contour. In
-uniform areas, the outputs are therefore replaced by a smooth function of the channel means.
+A pixel's class changes abruptly where a channel clips, which would be visible as a contour in a uniform area. In uniform
+areas, the outputs are therefore replaced by a smooth function of the channel means.
 
-The means are computed in blocks. A block consists of whole periods of the CFA, and its sides are at least 4 pixels long. For
-uniform areas, each block has four values: the fraction of the outputs that is replaced, and the values that are added to X,
-Y and Z instead. For the hue, each block has three more values. The first is the weight of the hue of unclipped blocks
-nearby that may show the same surface. The remaining two are X/Y and Z/Y of this hue, multiplied by the weight. All values
-are interpolated between the blocks. All pixels of a quad (2 × 2 pixels) have the same interpolated values.
+The means are computed in blocks. A block consists of whole CFA periods, and its sides are at least 4 pixels long. Each block
+has seven values, called *maps*:
+
+1. the fraction of the outputs that is replaced
+2. to 4. the values that are added to X, Y and Z instead
+5. the weight of a hue from nearby unclipped blocks that may show the same surface
+6. and 7. X/Y and Z/Y of this hue, multiplied by the weight
+
+The maps are interpolated between the blocks, with one value for all pixels of a *quad* (2 × 2 pixels).
 """
 
 from dataclasses import dataclass
@@ -17,63 +21,62 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-SMALLEST_BLOCK = 4  # pixels; shortest permitted side of a block
-QUAD = 2  # side of a quad in pixels; all pixels of a quad have the same interpolated values
+SMALLEST_BLOCK = 4  # smallest side of a block in pixels
+QUAD = 2  # side of a quad in pixels
 # The degree to which a channel clips increases from 0 at the channel mean BEGINS to 1 at CLIPS (fractions of full scale).
 BEGINS, CLIPS = 0.6, 0.985
-# The fraction of the outputs that is replaced depends on the mean of the brightest channel. The fraction increases from
-# 0 at KEPT to 1 at REPLACED (fractions of full scale).
+# The replaced fraction of the outputs increases from 0 to 1 as the brightest channel's mean increases from KEPT to REPLACED
+# (fractions of full scale).
 KEPT, REPLACED = 0.85, 0.975
-# A block is uniform if the values of each channel in 3 × 3 blocks differ by at most PLAIN. A block is textured if these
-# values differ by TEXTURED or more (fractions of full scale).
+# In 3 × 3 blocks around a uniform block, the values of each channel differ by at most PLAIN. Around a textured block, they
+# differ by TEXTURED or more (fractions of full scale).
 PLAIN, TEXTURED = 0.12, 0.3
-WHITE_FROM = 1.25  # pixels with at least this luminance, relative to the clipped white, are rendered white
-MIN_WEIGHT = 1e-6  # smallest weight of a channel in the grey level, so that the sum of weights is never zero
-# Number of values per block: four for the replacement of the outputs, and three for the hue.
+WHITE_FROM = 1.25  # luminance, relative to the clipped white, from which pixels are rendered white
+MIN_WEIGHT = 1e-6  # smallest weight of a channel, so that sums of weights are never zero
+# Number of maps, and number of the maps that replace the outputs.
 MAPS, REPLACEMENT_MAPS = 7, 4
-HUE_STEPS = 2  # a clipped block is compared with this number of blocks in each direction
-HUE_REACH = 24  # pixels; distance between a clipped block and the farthest block with which it is compared
-MAX_DIFFERENCE = 0.05  # two blocks show different surfaces if their squared relative difference reaches this value
-MIN_SIGNAL = 0.02  # fraction of full scale; signals that are used as divisors are at least this large
-# The weight of the surrounding hue is L / (L + D). L is the likeness of the surroundings, as a fraction of its maximum.
-# D is HUE_DOUBT plus GREY_DOUBT times the squared likeness of the clipped block to white.
+HUE_STEPS = 2  # number of blocks in each direction with which a clipped block is compared
+HUE_REACH = 24  # distance in pixels between a clipped block and the farthest block with which it is compared
+MAX_DIFFERENCE = 0.05  # squared relative difference from which two blocks certainly show different surfaces
+MIN_SIGNAL = 0.02  # smallest signal used as a divisor, as a fraction of full scale
+# The weight of the surrounding hue is L / (L + D). L is the similarity of the surroundings, as a fraction of its maximum.
+# D is HUE_DOUBT plus GREY_DOUBT times the squared similarity of the clipped block to white.
 HUE_DOUBT, GREY_DOUBT = 0.05, 3.0
 SPREADS = 4  # number of steps in which the estimates of clipped blocks spread over uniform areas
-SPREAD_REACH = 32  # pixels; distance over which one step spreads the estimates
-MAX_CHANGE = 0.6  # estimates do not spread if the mean squared relative difference of unclipped channels reaches this value
-WHITE_DOUBT = 0.002  # the larger this value, the less white is mixed with the colour of the surroundings
+SPREAD_REACH = 32  # distance in pixels over which one step spreads the estimates
+MAX_CHANGE = 0.6  # mean squared relative difference of the unclipped channels from which estimates do not spread
+WHITE_DOUBT = 0.002  # the larger this value, the less white is mixed with the surrounding colour
 MAX_HUE = 10.0  # largest X/Y and Z/Y of a hue
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Mosaic:
-    """A raw frame, rescaled to the black and white levels of the table, and its CFA."""
+    """A raw frame with its CFA, rescaled to the black and white levels of the table."""
 
     values: NDArray[np.uint16]  # (row, col): DN
-    cfa: NDArray[np.uint8]  # (cfa_row, cfa_col): channel of each site, beginning with the site of the first pixel
+    cfa: NDArray[np.uint8]  # (cfa_row, cfa_col): channel of each site, starting at the first pixel
     black_level: float  # DN
     white_level: float  # DN
 
 
 def block_sides(cfa: NDArray[np.uint8]) -> tuple[int, int]:
-    """Return the height and width of a block in pixels. Both are multiples of the height and width of the CFA."""
+    """Return the height and width of a block in pixels, which are multiples of the CFA's height and width."""
     rows, cols = (-(-SMALLEST_BLOCK // period) * period for period in cfa.shape)
     return rows, cols
 
 
 def first_bright(black_level: float, white_level: float) -> int:
-    """Return the lowest raw value, in DN, of a bright pixel. Blocks without a bright pixel are ignored."""
+    """Return the lowest raw value of a bright pixel, in DN. Blocks without bright pixels are ignored."""
     return int(np.ceil(black_level + BEGINS * (white_level - black_level)))
 
 
 def limited_to_white(outputs: Array, clipped_white: Array) -> Array:
     """Limit the luminance of the outputs to the luminance of the clipped white.
 
-    If all channels clip, the raw values do not contain the brightness of the pixel, and each class estimates a different
-    brightness. Without the limit, uniform white areas would look grey next to brighter pixels along edges. Above the
-    limit, the colour of a pixel fades to the colour of the white. A pixel has the colour of the white from WHITE_FROM times
-    the limit.
+    If all channels clip, the raw values do not determine the brightness of a pixel, and each class estimates a different
+    one. Without the limit, uniform white areas would look grey next to brighter pixels along their edges. Above the limit,
+    colours fade to white, and from WHITE_FROM times the limit all pixels are white.
 
     Parameters
     ----------
@@ -85,7 +88,7 @@ def limited_to_white(outputs: Array, clipped_white: Array) -> Array:
     Returns
     -------
     ndarray, (output, row, col)
-        The limited outputs. Pixels that are not brighter than the white, and outputs after X, Y and Z, are unchanged.
+        Limited X, Y and Z, followed by the unchanged other outputs.
     """
     limit = clipped_white[1]
     luminance = np.maximum(outputs[1], limit)
@@ -95,14 +98,14 @@ def limited_to_white(outputs: Array, clipped_white: Array) -> Array:
 
 
 def replaced(outputs: Array, mosaic: Mosaic, response: Array, white: Array) -> Array:
-    """Correct areas in which channels clip: first the outputs of uniform areas, then the hue of all clipped areas.
+    """Correct areas with clipped channels: first the outputs of uniform areas, then the hue of all clipped areas.
 
     Parameters
     ----------
     outputs : ndarray, (output, row, col)
         Rendered X, Y and Z.
     mosaic : Mosaic
-        The mosaic from which the outputs were rendered.
+        Mosaic from which the outputs were rendered.
     response : ndarray, (clipped, signal, output)
         `Clipping.response` of the table.
     white : ndarray, (channel,)
@@ -111,7 +114,7 @@ def replaced(outputs: Array, mosaic: Mosaic, response: Array, white: Array) -> A
     Returns
     -------
     ndarray, (output, row, col)
-        The new X, Y and Z.
+        Corrected X, Y and Z.
     """
     share, added, taken, hue = np.split(clipping_maps(mosaic, response, white), [1, 4, 5])
     x, y, z = (1 - share) * outputs + added
@@ -120,9 +123,9 @@ def replaced(outputs: Array, mosaic: Mosaic, response: Array, white: Array) -> A
 
 
 def clipping_maps(mosaic: Mosaic, response: Array, white: Array) -> Array:
-    """Compute the seven values of each block (see the module docstring), and interpolate them at every pixel.
+    """Compute the seven maps (see the module docstring) at every pixel: (map, row, col).
 
-    The parameters are the same as in `replaced`. The result has the shape (map, row, col).
+    The parameters are the same as for `replaced`.
     """
     (means, spread), sides = block_means(mosaic, len(response) - 1), block_sides(mosaic.cfa)
     maps = np.concatenate([block_maps(means, spread, response, white), hue_maps(means, spread, response, white, sides)])
@@ -136,23 +139,22 @@ def clipping_maps(mosaic: Mosaic, response: Array, white: Array) -> Array:
 
 
 def block_means(mosaic: Mosaic, channels: int) -> tuple[Array, Array]:
-    """Return the mean of each channel in every block of a mosaic, and the largest range of values within a channel.
+    """Compute each block's channel means, and the range of its values.
 
-    If the mosaic does not consist of whole blocks, the last blocks overlap the blocks before them, so that every block is
-    within the mosaic.
+    If the mosaic does not consist of whole blocks, the last blocks overlap their predecessors, so that every block is inside
+    the mosaic.
 
     Returns
     -------
     means : ndarray, (channel, block row, block col)
-        Channel means as fractions of full scale. If a block contains no bright pixel, or no pixel of some channel, all its
-        means are 0.
+        Channel means as fractions of full scale. All are 0 if the block has no bright pixel, or if it lacks a channel.
     spread : ndarray, (block row, block col)
-        Largest difference between two values of one channel, as a fraction of full scale.
+        Largest difference between two values of the same channel, as a fraction of full scale.
     """
     sides, shape = block_sides(mosaic.cfa), mosaic.values.shape
     values = mosaic.values
     for axis, (length, side) in enumerate(zip(shape, sides, strict=True)):
-        # Move the last block back so that it ends with the mosaic, and sort its pixels so that the CFA continues.
+        # Move the last block back to the end of the mosaic, and sort its pixels so that the CFA continues.
         if length > side and (begin := length - side) % side:
             index = np.append(np.arange(length // side * side), begin + (np.arange(side) - begin) % side)
             values = values.take(index, axis)
@@ -173,9 +175,9 @@ def block_means(mosaic: Mosaic, channels: int) -> tuple[Array, Array]:
 
 
 def plain_blocks(means: Array, spread: Array) -> tuple[NDArray[np.intp], Array, Array, Array]:
-    """Return the blocks that may be uniform: the blocks that contain a bright pixel and are not textured.
+    """Find the blocks that may be uniform. These blocks contain a bright pixel and are not textured.
 
-    A bright block next to a dark block is not uniform, because the means of a dark block are 0.
+    A bright block next to a dark block is not uniform, because a dark block's means are 0.
 
     Parameters
     ----------
@@ -187,13 +189,13 @@ def plain_blocks(means: Array, spread: Array) -> tuple[NDArray[np.intp], Array, 
     Returns
     -------
     numbers : ndarray, (block,)
-        Indices of these blocks, counted row by row.
+        Indices of these blocks, in row-major order.
     signal : ndarray, (channel, block)
         Channel means, smoothed over 3 × 3 blocks.
     plain : ndarray, (block,)
-        Uniformity of each block, from 1 for a uniform block to 0 for a textured block.
+        Uniformity of each block, from 0 (textured) to 1 (uniform).
     share : ndarray, (block,)
-        Fraction of the outputs that is replaced.
+        Replaced fraction of the outputs.
     """
     numbers = np.flatnonzero(means.any(axis=0) & (spread < TEXTURED))
     row, col = np.divmod(numbers, spread.shape[1])
@@ -210,9 +212,9 @@ def plain_blocks(means: Array, spread: Array) -> tuple[NDArray[np.intp], Array, 
 
 
 def block_maps(means: Array, spread: Array, response: Array, white: Array) -> Array:
-    """Return, for every block, the fraction of the outputs that is replaced, and the values that are added to X, Y and Z.
+    """Compute the four maps that replace the outputs of uniform areas: (map, block row, block col).
 
-    The parameters are the same as in `replaced` and `plain_blocks`. The result has the shape (map, block row, block col).
+    The parameters are the same as for `replaced` and `plain_blocks`.
     """
     numbers, signal, plain, share = plain_blocks(means, spread)
     level = grey_level(signal, white)
@@ -225,37 +227,34 @@ def block_maps(means: Array, spread: Array, response: Array, white: Array) -> Ar
 
 
 def hue_spacing(side: int) -> int:
-    """Return the spacing, in blocks, of the blocks with which a clipped block is compared.
-
-    `side` is the side of a block in pixels.
-    """
+    """Return the spacing, in blocks, of the blocks with which a clipped block is compared, for blocks of `side` pixels."""
     return max(HUE_REACH // (HUE_STEPS * side), 1)
 
 
 def spread_spacing(side: int) -> int:
-    """Return the distance, in blocks, over which one step spreads the estimates. `side` is the side of a block in pixels."""
+    """Return the distance, in blocks, over which one step spreads the estimates, for blocks of `side` pixels."""
     return max(SPREAD_REACH // side, 1)
 
 
 def reach(cfa: NDArray[np.uint8]) -> int:
-    """Return the number of rows above and below a pixel that may influence its values in `clipping_maps`."""
+    """Return how many rows above and below a pixel may influence its values in `clipping_maps`."""
     side = block_sides(cfa)[0]
     return (HUE_STEPS * hue_spacing(side) + SPREADS * spread_spacing(side) + 3) * side
 
 
 @dataclass(frozen=True)
 class ClippedBlocks:
-    """The blocks in which some channels clip, but not all. The methods compare these blocks with other signals."""
+    """Blocks in which some channels clip, but not all."""
 
-    numbers: NDArray[np.intp]  # (block,): indices of the blocks, counted row by row
+    numbers: NDArray[np.intp]  # (block,): indices of the blocks, in row-major order
     own: Array  # (channel, block): channel means, at least MIN_SIGNAL
     clipped: Array  # (channel, block): degree to which each channel clips
-    shape: tuple[int, int]  # number of block rows and block columns of the frame
+    shape: tuple[int, int]  # block rows and block columns of the frame
 
     def neighbour(self, down: int, right: int) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-        """Return the index of each block's neighbour at an offset, and whether the neighbour is inside the frame.
+        """Return the index of each block's neighbour at an offset in blocks, and whether it is inside the frame.
 
-        The offset is `down` rows and `right` columns of blocks. Outside the frame, the index is 0.
+        Outside the frame, the index is 0.
         """
         row, col = np.divmod(self.numbers, self.shape[1])
         row, col = row + down, col + right
@@ -263,15 +262,15 @@ class ClippedBlocks:
         return np.where(inside, row * self.shape[1] + col, 0), inside
 
     def scaled(self, signal: Array) -> tuple[Array, Array]:
-        """Scale the signals (channel, block) such that they fit the unclipped channels of the blocks.
+        """Scale signals (channel, block) to match the blocks in their unclipped channels.
 
         Returns
         -------
         signal : ndarray, (channel, block)
-            The scaled signals.
+            Scaled signals.
         likeness : ndarray, (block,)
-            Similarity between each block and its scaled signal, from 0 to 1. The similarity is 1 if both are equal in the
-            unclipped channels, and if the scaled signal is not below the block in any clipped channel.
+            Similarity of each block to its scaled signal, from 0 to 1. It is 1 if both agree in the unclipped channels and
+            the scaled signal is at least as large as the block in the clipped channels.
         """
         ratio, unclipped = signal / self.own, 1 - self.clipped
         scale = (unclipped * ratio).sum(axis=0) / ((unclipped * ratio**2).sum(axis=0) + MIN_WEIGHT)
@@ -280,15 +279,15 @@ class ClippedBlocks:
         return scale * signal, np.maximum(1 - difference / MAX_DIFFERENCE, 0.0)
 
     def change(self, signal: Array) -> Array:
-        """Return the mean squared relative difference between signals and the blocks in the unclipped channels: (block,)."""
+        """Return the mean squared relative difference from `signal` over the unclipped channels: (block,)."""
         unclipped = 1 - self.clipped
         return np.asarray((unclipped * (1 - signal / self.own) ** 2).sum(axis=0) / (unclipped.sum(axis=0) + MIN_WEIGHT))
 
     def estimated(self, colour: Array, white: Array) -> Array:
-        """Estimate the signals that the blocks would have if no channel clipped: (channel, block).
+        """Estimate the signals (channel, block) that the blocks would have without clipping.
 
-        The signals of the unclipped channels are known. The signals of the clipped channels are computed from the mixture of
-        `colour`, (channel, block), and white that fits the unclipped channels best.
+        Unclipped channels keep their signals. Clipped channels are computed from the mixture of `colour` (channel, block)
+        and white that best fits the unclipped channels.
         """
         unclipped, ratio, of_white = 1 - self.clipped, colour / self.own, white[:, None] / self.own
         squares = (unclipped * ratio**2).sum(axis=0) + MIN_WEIGHT
@@ -303,10 +302,9 @@ class ClippedBlocks:
 def hue_maps(means: Array, spread: Array, response: Array, white: Array, sides: tuple[int, int]) -> Array:
     """Estimate the hue of clipped blocks from unclipped blocks nearby.
 
-    A nearby block may show the same surface under more or less light. To test this, its signals are scaled to the brightness
-    of the clipped block. The scaled signals must then agree with the clipped block in the channels that do not clip, and
-    reach full scale in the channels that clip. Afterwards, the estimated signals of clipped blocks spread in several steps
-    over uniform areas, for example over a sky.
+    A nearby block may show the same surface under less light. To test this, its signals are scaled to the brightness of the
+    clipped block. The scaled signals must then agree with the unclipped channels, and reach full scale in the clipped
+    channels. The estimated signals of clipped blocks then spread over uniform areas, such as a sky, in several steps.
 
     Parameters
     ----------
@@ -343,7 +341,7 @@ def hue_maps(means: Array, spread: Array, response: Array, white: Array, sides: 
         likeness += weight
         total += weight * signal
     doubt = HUE_DOUBT + GREY_DOUBT * blocks.scaled(white[:, None])[1] ** 2
-    # `estimates` are the signals that each block would have if no channel clipped. `reliability` is between 0 and 1.
+    # `estimates` are the signals that each block would have without clipping. Their `reliability` is between 0 and 1.
     estimates, reliability = signals.copy(), trust.copy()
     found = blocks.estimated(total / np.where(likeness > 0, likeness, 1.0), white)
     estimates[:, numbers] = np.where(likeness > 0, found, own)
@@ -378,17 +376,17 @@ def hue_maps(means: Array, spread: Array, response: Array, white: Array, sides: 
 
 
 def grey_level(signal: Array, white: Array) -> Array:
-    """Estimate the brightness of each signal, assuming that the surface is grey.
+    """Estimate the brightness of a surface from its signals, assuming that it is grey.
 
-    The brightness is estimated from each channel, and the estimates are averaged. The more a channel clips, the lower is its
-    weight. If all channels clip, the result is the largest estimate.
+    The result is a weighted mean of one estimate per channel. The more a channel clips, the lower its weight. If all
+    channels clip, the result is the largest estimate.
 
     Parameters
     ----------
     signal : ndarray, (channel, …)
         Channel means as fractions of full scale.
     white : ndarray, (channel,)
-        Channel values of a white of brightness 1.
+        Signals of a white with a brightness of 1.
 
     Returns
     -------
@@ -405,8 +403,8 @@ def grey_level(signal: Array, white: Array) -> Array:
 def added_terms(signal: Array) -> Array:
     """Return the terms of the linear regression that corrects the outputs where channels clip.
 
-    Each channel has a group of terms: the means of all channels and the constant 1, each multiplied by the degree to which
-    the channel clips.
+    Each channel has a group of terms: all channel means and the constant 1, multiplied by the degree to which the channel
+    clips.
 
     Parameters
     ----------
@@ -423,6 +421,6 @@ def added_terms(signal: Array) -> Array:
 
 
 def smooth_step(values: Array, low: float, high: float) -> Array:
-    """Return a function of `values` that increases smoothly from 0 at `low` to 1 at `high`, and is constant elsewhere."""
+    """Apply the smoothstep function, which increases from 0 at `low` to 1 at `high`, to `values`."""
     part = np.clip((values - low) / (high - low), 0.0, 1.0)
     return np.asarray(part * part * (3 - 2 * part))

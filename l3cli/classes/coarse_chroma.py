@@ -1,8 +1,7 @@
 """Coarse chroma: the mean chroma of similar pixels in an area much larger than a window (docs/method.md#coarse-chroma).
 
 The opponent planes are averaged over blocks of 4 × 4 pixels. The blocks are then smoothed in four edge-avoiding steps, with
-spacings of 1, 2, 4 and 8 blocks. The resulting change of the chroma is interpolated between the blocks and added to each
-pixel.
+spacings of 1, 2, 4 and 8 blocks. The change in chroma is interpolated between the blocks and added to each pixel.
 """
 
 import numpy as np
@@ -11,9 +10,9 @@ from numpy.typing import NDArray
 from l3cli.artifacts.layers import PLANE_STEP, CoarseChroma
 from l3cli.classes.planes import CHROMA, LUMINANCE
 
-BLOCK = 4  # pixels; side of a block
+BLOCK = 4  # side of a block in pixels
 SPACINGS = (1, 2, 4, 8)  # spacing of each step, in blocks
-REACH = BLOCK * (sum(SPACINGS) + 2)  # distance in pixels; pixels farther away do not influence the result
+REACH = BLOCK * (sum(SPACINGS) + 2)  # largest distance, in pixels, at which a pixel influences the result
 ALIKE = np.array([3.0, 4.0, 5.0, 6.0])  # width of the similarity function in each step, in standard deviations of the noise
 POWER = 8  # exponent in (1 − u / POWER)^POWER, an approximation of exp(−u) that reaches zero
 STEP_WEIGHTS = np.array([1.0, 2.0, 1.0]) / 4
@@ -21,27 +20,26 @@ Array = NDArray[np.float64]
 
 
 def scales_of(chroma: CoarseChroma, noise_ratio: float = 1.0) -> Array:
-    """Return the scales by which the similarity function divides squared differences between blocks.
+    """Compute the scale of squared differences between blocks in the similarity function.
 
     Parameters
     ----------
     chroma : CoarseChroma
-        The coarse chroma of a table.
+        Coarse chroma settings of a table.
     noise_ratio : float
-        Noise variance of the frame, divided by the noise variance of the camera.
+        Noise variance of the frame, divided by the camera's noise variance.
 
     Returns
     -------
     ndarray, (step, plane, power of luminance)
-        Polynomial coefficients. The scale of each step and plane is a polynomial in the luminance. The unit of the planes is
-        PLANE_STEP.
+        Coefficients of a polynomial in the luminance, for planes and luminance in units of PLANE_STEP.
     """
     steps = chroma.variance * (noise_ratio / PLANE_STEP**2) * PLANE_STEP ** np.arange(chroma.variance.shape[-1])
     return steps * (4 * POWER * ALIKE**2)[:, None, None]
 
 
 def coarse_change(planes: NDArray[np.int32], scales: Array) -> Array:
-    """Return the change that coarse chroma adds to the two chroma planes, in units of PLANE_STEP.
+    """Compute the change that coarse chroma adds to the two chroma planes, in units of PLANE_STEP.
 
     Parameters
     ----------
@@ -53,7 +51,7 @@ def coarse_change(planes: NDArray[np.int32], scales: Array) -> Array:
     Returns
     -------
     ndarray, (chroma plane, row, col)
-        Change of each chroma plane.
+        Change in each chroma plane.
     """
     before = blocks = blocks_of(planes)
     for spacing, scale in zip(SPACINGS, scales, strict=True):
@@ -65,17 +63,14 @@ def coarse_change(planes: NDArray[np.int32], scales: Array) -> Array:
 
 
 def blocks_of(planes: NDArray) -> Array:
-    """Return the block means of opponent planes: (plane, block row, block col).
-
-    Incomplete blocks at the border are completed by repeating the last pixels.
-    """
+    """Return block means (plane, block row, block col). Incomplete blocks are filled by repeating the border pixels."""
     rows, cols = planes.shape[1:]
     whole = np.pad(planes, ((0, 0), (0, -rows % BLOCK), (0, -cols % BLOCK)), mode="edge")
     return np.asarray(whole.reshape(3, -(-rows // BLOCK), BLOCK, -(-cols // BLOCK), BLOCK).mean(axis=(2, 4)))
 
 
 def edge_avoiding(blocks: Array, spacing: int, scale: Array) -> Array:
-    """Average each block with the similar blocks among its eight neighbours at the given spacing.
+    """Average each block with similar blocks among its eight neighbours at a given spacing.
 
     Parameters
     ----------
@@ -102,19 +97,15 @@ def edge_avoiding(blocks: Array, spacing: int, scale: Array) -> Array:
 
 
 def _between(length: int) -> tuple[NDArray[np.intp], Array]:
-    """Return the index of the previous block and the weight of the next block, for each pixel along an axis.
+    """Return the previous block's index and the next block's weight, for interpolation at each pixel along an axis.
 
-    The blocks are padded by one block at each end, so index 0 is a block outside the frame.
+    Index 0 is the padding block before the frame.
     """
     low, place = np.divmod(np.arange(length) + BLOCK // 2, BLOCK)
     return low, (place + 0.5) / BLOCK
 
 
 def _at(scale: Array, luminance: Array) -> Array:
-    """Return the scale of each plane at every luminance: (plane, row, col).
-
-    Row p of `scale` contains the coefficients of a quadratic polynomial in the luminance. Negative luminances are replaced
-    by zero.
-    """
+    """Evaluate the polynomials `scale` (plane, power) at luminances (row, col), with negative luminances set to 0."""
     above = np.maximum(luminance, 0)
     return np.asarray(np.einsum("pn,nrc->prc", scale, np.stack([np.ones_like(above), above, above**2])))

@@ -1,8 +1,7 @@
-"""Contrast: how much the values in a patch vary, relative to the noise at the level of the patch (docs/method.md#contrast).
+"""Contrast: how much the values in a patch vary, relative to the noise at the patch's level (docs/method.md#contrast).
 
 For each channel, n is the number of its values in the patch, S is their sum, Q is the sum of their squares, and
-M = S · round(65536 / n) >> 16 is their mean. The product S · round(65536 / n) fits into uint32, because values have at most
-12 bits.
+M = S · round(65536 / n) >> 16 is their mean. Values have at most 12 bits, so S · round(65536 / n) fits into uint32.
 
     variance    V = min((Q − M (2 S − n M)) · round(512 / n), cap)   cap = (2³² − 1) // channels
     contrast    number of contrast edges of the pixel's level that are below the sum of V over all channels
@@ -21,7 +20,7 @@ from l3cli.classes.statistics import Statistics
 from l3cli.classes.windows import VARIANCE_FRACTION, Integers, window_channels
 from l3cli.errors import RecipeError
 
-# DN²; rounding M down increases V by this amount on average, which matters if the noise is below 1 DN
+# mean increase of V, in DN², from rounding M down; it matters if the noise is below 1 DN
 MEAN_TRUNCATED = 1 / 3
 SNIPPET = "features/contrast.cl"
 
@@ -35,25 +34,25 @@ def check_edges(recipe: BasicKeys) -> None:
 def stored_edges(
     recipe: BasicKeys, levels: NDArray[np.float64], camera: CameraModel, shift: int, dark: float
 ) -> NDArray[np.uint32]:
-    """Compute the contrast edges of a class rule from the noise of the camera.
+    """Compute the contrast edges of a class rule from the camera's noise.
 
     Parameters
     ----------
     recipe : BasicKeys
         Class recipe with the edges in standard deviations of the noise.
     levels : ndarray, (level,)
-        Signal at the centre of each level in the most sensitive channel, as a fraction of full scale.
+        Signal of the most sensitive channel at the centre of each level, as a fraction of full scale.
     camera : CameraModel
         The camera.
     shift : int
-        Number of bits by which raw values are shifted right, so that they have at most 12 bits.
+        Number of bits by which raw values are shifted right to leave at most 12 bits.
     dark : float
         Dark signal, in DN, that was subtracted from the frame.
 
     Returns
     -------
     ndarray, (contrast edge, level)
-        The edges, as values of the sum of V over all channels (see the module docstring).
+        Thresholds for the sum of V over all channels (see the module docstring).
     """
     channels = len(camera.channels)
     variance = noise_of_grey(levels, camera, dark) - noise_of_means(camera, recipe.patch, dark)
@@ -64,12 +63,12 @@ def stored_edges(
 
 
 def noise_of_grey(levels: NDArray[np.float64], camera: CameraModel, dark: float) -> NDArray[np.floating]:
-    """Return the noise variance, in DN², of grey patches, averaged over the channels. Clipped channels count as noise-free.
+    """Compute the noise variance of grey patches, in DN², averaged over the channels. Clipped channels have no noise.
 
     Parameters
     ----------
     levels : ndarray, (level,)
-        Signals of the greys in the most sensitive channel, as fractions of full scale.
+        Signals of the most sensitive channel, as fractions of full scale.
     camera : CameraModel
         The camera.
     dark : float
@@ -84,10 +83,10 @@ def noise_of_grey(levels: NDArray[np.float64], camera: CameraModel, dark: float)
 
 
 def noise_of_means(camera: CameraModel, patch: int, dark: float) -> float:
-    """Return the variance, in DN², that row noise and column noise cause in the mean of a channel over a patch.
+    """Compute the variance of a patch's channel means due to row and column noise, in DN², averaged over the channels.
 
-    The result is averaged over the channels. This variance does not contribute to the contrast, which is measured relative
-    to the mean of the channel. The variance that independent noise causes in the mean is neglected.
+    The contrast does not contain this variance, because it is measured relative to the channel means. Independent pixel
+    noise hardly affects these means and is neglected.
     """
     rows, columns = camera.line_variances(dark)
     channel = window_channels(camera.cfa, patch).reshape(-1, patch, patch)
@@ -98,7 +97,7 @@ def noise_of_means(camera: CameraModel, patch: int, dark: float) -> float:
 
 
 def contrasts(rule: ClassRule, statistics: Statistics, level: Integers) -> Integers:
-    """Return the contrast of each pixel. `level` contains the level of each pixel."""
+    """Return the contrast of each pixel, given its level."""
     if statistics.squares is None:
         return np.zeros(level.shape, np.int64)
     neighbours, site, sums = statistics.neighbours, statistics.site, statistics.sums
@@ -110,7 +109,7 @@ def contrasts(rule: ClassRule, statistics: Statistics, level: Integers) -> Integ
 
 
 def entry(table: TransformTable, contrast: int) -> dict[str, Any]:
-    """Describe a contrast for reports and JSON. The description contains only the number of the contrast."""
+    """Describe a contrast for reports and JSON: its number."""
     return {"contrast": contrast}
 
 
@@ -128,5 +127,5 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.uint32]:
-    """Return the contrast edges, which contrast.cl reads: (contrast edge, level)."""
+    """Return the constants for contrast.cl: the contrast edges (contrast edge, level)."""
     return rule.contrast_edges

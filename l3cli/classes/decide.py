@@ -1,7 +1,7 @@
-"""Computes the class of a pixel from the statistics of its patch, in integer arithmetic.
+"""Compute the class of a pixel from the statistics of its patch, in integer arithmetic.
 
-This module is the reference for all renderers. Every renderer must assign each pixel to the same class, which the tests
-verify.
+This module is the reference implementation. All renderers must assign every pixel to the same class as this module, and the
+tests verify this.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, neighbourh
 
 
 def labels(rule: ClassRule, statistics: Statistics) -> Integers:
-    """Return the class index of every pixel. Classes are numbered from 0 within each CFA site."""
+    """Return the class of every pixel. Classes are numbered from 0 within each CFA site."""
     levels = level.levels(rule, statistics)
     contrasts = contrast.contrasts(rule, statistics, levels)
     kinds = rule.kind(chroma.chromas(rule, statistics), saturation.cases(rule, statistics.code))
@@ -62,7 +62,7 @@ def label_patches(
     site: int,
     order: TapOrder | None = None,
 ) -> Integers:
-    """Return the class index of each patch. Classes are numbered from 0 within the CFA site.
+    """Return the class of each patch. Classes are numbered from 0 within the CFA site.
 
     Parameters
     ----------
@@ -75,21 +75,21 @@ def label_patches(
     site : int
         CFA site at the centre of the patches.
     order : TapOrder, optional
-        Result of `tap_order` for the site, if the caller has already computed it.
+        Result of `tap_order` for the site. [default: it is computed]
     """
     order = order or tap_order(rule, neighbours, site)
     return label_sums(patch_statistics(patches.T[order.taps].astype(np.uint32), rule, order), rule, neighbours, site)
 
 
 def label_sums(seen: PatchSums, rule: ClassRule, neighbours: Neighbourhoods, site: int) -> Integers:
-    """Compute the class index of each patch from the sums of the patch. Classes are numbered from 0 within the CFA site."""
+    """Return the class of each patch, given its sums. Classes are numbered from 0 within the CFA site."""
     return labels(rule, _statistics(seen, neighbours, site))
 
 
 def observe_patches(
     patches: NDArray[np.unsignedinteger], rule: ClassRule, neighbours: Neighbourhoods, site: int
 ) -> dict[str, NDArray[np.float64]]:
-    """Collect statistics of pilot patches, from which the additional features compute their constants.
+    """Collect the statistics of pilot patches from which additional features compute their constants.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def observe_patches(
     Returns
     -------
     dict of str to ndarray, (patch, …)
-        Statistics of each additional feature, by name. Empty if the class rule has no additional features.
+        Statistics by name of the additional feature. Empty if the class rule has no additional features.
     """
     if not rule.feature_list:
         return {}

@@ -1,14 +1,14 @@
-"""Direction: the axis along which the values of a patch change most, and the strength and coherence of this change.
+"""Direction: the axis along which a patch changes most, and the strength and coherence of this change.
 
 docs/method.md#direction contains the formulas. A change is coherent if the values hardly change across the axis. Coherence
-is used only if the class recipe sets it. An increase and a decrease of brightness along an axis are the same direction,
-because transforms are linear.
+is used only if the class recipe sets it. Because transforms are linear, increasing and decreasing brightness along an axis
+count as the same direction.
 
-If a patch is mirrored or rotated, its direction changes as `turned` describes. A rotation by 90° exchanges axis 0 with axis
-2, and axis 1 with axis 3. Transposition exchanges axis 0 with axis 2. Strength and coherence stay unchanged. Because the
-boxes are placed symmetrically, these rules are exact, unless the values change equally along two axes. CFA sites that are
-mirror images of each other are trained together, and their classes are exchanged according to these rules
-(training/symmetry). Sums are averaged only over orientations that do not change any direction.
+Differences are computed along four axes: horizontal (0), diagonal (1), vertical (2) and the other diagonal (3). A rotation
+by 90° exchanges axes 0 and 2 as well as axes 1 and 3. Transposition exchanges axes 0 and 2. Strength and coherence do not
+change. Because the boxes are placed symmetrically, these rules are exact, unless the values change equally along two axes.
+CFA sites that are mirror images of each other are trained together, with their classes exchanged accordingly (`turned`,
+training/symmetry).
 """
 
 import math
@@ -26,10 +26,10 @@ from l3cli.errors import RecipeError
 from l3cli.recipes.toml import Recipe, Share
 
 SNIPPET = "features/direction.cl"
-SCALE = 64  # the larger of the two multipliers, which make differences along straight and diagonal axes comparable
+SCALE = 64  # the larger of the two multipliers that make differences along straight and diagonal axes comparable
 SHARES = 16  # coherence is stored in units of 1/SHARES
-# Number of constants before the strength edges. These constants are the multiplier of axes 0 and 2, the multiplier of axes 1
-# and 3, the number of orientations, the number of strengths, and the coherence.
+# Number of constants before the strength edges: the multiplier of axes 0 and 2, the multiplier of axes 1 and 3, the number
+# of orientations, the number of strengths, and the coherence.
 HEAD = 5
 
 
@@ -38,23 +38,23 @@ class DirectionKeys(Recipe):
 
     orientations: Literal[4, 8] = 4  # number of distinguished orientations
     strengths: tuple[float, ...] = (4.0,)  # edges between strengths, in standard deviations of the noise of a difference
-    # A change is coherent if the difference across the axis is at most this fraction of the difference along the axis.
-    # Default: coherence is not used
+    # A change is coherent if the difference across the axis is at most this fraction of the difference along it. Without
+    # this key, coherence is not used.
     coherence: Share | None = None
 
 
 def fits(camera: CameraModel, patch: int) -> bool:
-    """Return whether a patch is larger than one CFA period, so that it contains boxes of one period at several positions."""
+    """Whether a patch is larger than one CFA period, so that boxes of one period fit at several positions."""
     return math.lcm(*camera.cfa.shape) < patch
 
 
 def make_feature(
     keys: DirectionKeys, camera: CameraModel, rule: ClassRule, dark: float, observed: NDArray[np.float64] | None
 ) -> Feature:
-    """Compute the windows, the multipliers and the strength edges for a camera.
+    """Compute the boxes, the multipliers and the strength edges for a camera.
 
-    The parameters are the same as in `features.FeatureModule.make_feature`. `observed` is not used. Raises RecipeError if
-    the strengths are not positive or do not increase.
+    The parameters are the same as for `features.FeatureModule.make_feature`. `observed` is not used. Raises RecipeError
+    unless the strengths are positive and increase.
     """
     if not keys.strengths or tuple(sorted(set(keys.strengths))) != keys.strengths or keys.strengths[0] <= 0:
         raise RecipeError(
@@ -74,19 +74,18 @@ def make_feature(
 
 
 def inner_span(span: int) -> int:
-    """Return the distance between the two boxes of a diagonal axis, in rows and in columns.
+    """Return the offset, in rows and columns, between the two boxes of a diagonal axis.
 
-    With this distance, the boxes are about as far from each other as the boxes of a straight axis, whose distance is `span`.
-    Both boxes are also equally far from the centre of the patch.
+    With this offset, the boxes are about as far apart as the boxes of a straight axis (`span` pixels), and both are equally
+    far from the centre of the patch.
     """
     return max(2 - span % 2, span - 2 * round((span - span / math.sqrt(2)) / 2))
 
 
 def boxes(patch: int, period: int, inner: int) -> tuple[Window, ...]:
-    """Return the boxes from which the differences along the four axes are computed.
+    """Return the boxes whose differences are taken along the four axes.
 
-    If the centre of a box would be between two pixels, two boxes with centres at the two neighbouring positions replace the
-    box.
+    If the centre of a box would lie between two pixels, two boxes at the two neighbouring positions replace it.
     """
     span = patch - period
     inner_edge, outer_edge = (span - inner) // 2, (span + inner) // 2
@@ -108,11 +107,11 @@ def _strength_edges(
     rule: ClassRule,
     dark: float,
 ) -> Integers:
-    """Return the edges between strengths as integers: (strength edge, level).
+    """Return the integer edges between strengths: (strength edge, level).
 
-    The edges are multiples of the RMS difference that noise alone causes at each level. Row noise and column noise affect
-    some of the four differences more than others. For a camera with such noise, the edges are multiples of the noisiest
-    difference, so that noise is not mistaken for structure.
+    The edges are multiples of the RMS difference from noise alone at each level. Row noise and column noise affect some of
+    the four differences more than others. For cameras with such noise, the edges are multiples of the noisiest difference,
+    so that noise is not mistaken for structure.
     """
     counts = np.zeros((4, rule.patch, rule.patch))
     for window in windows:
@@ -132,10 +131,10 @@ def _strength_edges(
 
 
 def check(feature: Feature, rule: ClassRule) -> None:
-    """Raise ValueError if the stored constants do not fit the formula of the feature."""
+    """Raise ValueError if the number or the range of the stored constants is wrong."""
     if len(feature.constants) < HEAD or feature.sums != 4:
         raise ValueError(
-            f"the direction has {len(feature.constants)} constants and {feature.sums} window sums, but must have at least "
+            f"the direction has {len(feature.constants)} constants and {feature.sums} window sums, but needs at least "
             f"{HEAD} constants and 4 window sums"
         )
     straight, diagonal, orientations, strengths, coherence = feature.constants[:HEAD].tolist()
@@ -150,7 +149,7 @@ def check(feature: Feature, rule: ClassRule) -> None:
 
 
 def observe(feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:
-    """Return an array without columns, because the constants depend only on the noise of the camera."""
+    """Return no statistics (0 columns), because the constants depend only on the camera's noise."""
     return np.empty((*level.shape, 0))
 
 
@@ -164,7 +163,7 @@ def values(feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -
     rule : ClassRule
         The class rule.
     sums : ndarray, (…, axis)
-        The four differences between boxes.
+        Difference between the boxes of each axis.
     level : ndarray, (…)
         Level of each pixel.
     """
@@ -185,7 +184,7 @@ def values(feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -
 
 
 def with_less_noise(feature: Feature, noise_fraction: float | NDArray[np.float64]) -> Feature:
-    """Scale the strength edges for frames in which only the fraction `noise_fraction` of the noise variance remains."""
+    """Scale the strength edges for frames in which a fraction `noise_fraction` of the noise variance remains."""
     constants = feature.constants.copy()
     edges = constants[HEAD:] * np.sqrt(np.resize(noise_fraction, constants.size - HEAD))
     constants[HEAD:] = np.minimum(np.rint(edges), 2**31 - 1)
@@ -193,7 +192,7 @@ def with_less_noise(feature: Feature, noise_fraction: float | NDArray[np.float64
 
 
 def turned(feature: Feature, transposed: bool, turns: int) -> Integers:
-    """Map each direction of a patch to the direction of the turned patch, rot90(patch.T if transposed else patch, turns)."""
+    """Map each direction to the direction in the turned patch, rot90(patch.T if transposed else patch, turns)."""
     orientations = int(feature.constants[2])
     quarter = orientations // 2
     orientation = np.arange(orientations)
@@ -224,13 +223,13 @@ def _feature_of(table: TransformTable) -> Feature:
 def entry(table: TransformTable, index: int) -> dict[str, Any]:
     """Describe a direction for reports and JSON: its number, and a text such as "along 90°".
 
-    The angle of the axis along which the values change is measured clockwise from the horizontal.
+    The values change along this axis. Its angle is measured clockwise from the horizontal.
     """
     return {"direction": index, "varies": _described(_feature_of(table), index)}
 
 
 def heading(entry: dict[str, Any]) -> str:
-    """Return the label of a direction in the first column of a table, such as "3: along 90°"."""
+    """Return a row label for a direction, such as "3: along 90°"."""
     return f"{entry['direction']}: {entry['varies']}"
 
 

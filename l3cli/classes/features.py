@@ -1,12 +1,12 @@
 """The features of a class rule, and the interface of the modules that implement them.
 
 Every class rule has the basic features level, contrast, saturation and chroma. Training and the kernels contain special code
-for these four. For example, a level with few patches also uses the patches of neighbouring levels, and classes with clipped
+for these four. For example, a level with few patches borrows patches from neighbouring levels, and classes with clipped
 channels are trained on greys.
 
-A class recipe enables an additional feature with a table that has the name of the feature (`ClassRecipe`). The module of the
-feature contains the functions of `FeatureModule`. The windows and constants of the feature are stored as a
-`class_rule.Feature`, which these functions receive as the parameter `feature`.
+A class recipe enables an additional feature with a table of the same name (`ClassRecipe`). The feature's module contains the
+functions of `FeatureModule`. Its windows and constants are stored as a `class_rule.Feature`, which these functions receive
+as the parameter `feature`.
 """
 
 from collections.abc import Mapping
@@ -26,36 +26,36 @@ from l3cli.errors import InputFileError
 
 
 class DescribedFeature(Protocol):
-    """The functions that the module of every feature contains."""
+    """Functions in the module of every feature."""
 
-    SNIPPET: str  # OpenCL file with the formula of the feature, relative to opencl/
+    SNIPPET: str  # OpenCL file with the feature's formula, relative to opencl/
 
     def entry(self, table: TransformTable, index: int) -> dict[str, Any]:
-        """Describe the value `index` of the feature for reports and JSON."""
+        """Describe the feature value `index` for reports and JSON."""
 
     def heading(self, entry: dict[str, Any]) -> str:
-        """Return the label of a value for the first column of a report. `entry` is the result of the function `entry`."""
+        """Return a row label for a feature value, given the result of the function `entry`."""
 
     def name(self, table: TransformTable, index: int) -> str:
-        """Return the name of the value `index` of the feature."""
+        """Return the name of the feature value `index`."""
 
 
 class BasicFeatureModule(DescribedFeature, Protocol):
-    """Additional functions of the modules level, contrast, saturation and chroma."""
+    """Further functions in the modules of the basic features."""
 
     def macros(self, rule: ClassRule) -> dict[str, int]:
-        """Return the compiler macros for the OpenCL snippet of the feature."""
+        """Return the compiler macros for the feature's OpenCL snippet."""
 
     def kernel_array(self, rule: ClassRule) -> NDArray[Any]:
-        """Return the constants that the OpenCL snippet of the feature reads."""
+        """Return the constants for the feature's OpenCL snippet."""
 
 
 class FeatureModule(DescribedFeature, Protocol):
-    """The functions in the module of an additional feature, which a class recipe can enable.
+    """Functions in the module of an additional feature, which a class recipe can enable.
 
-    The value of the feature is computed from three inputs: integer sums over windows of the patch, the level of the pixel,
-    and constants. The constants are computed together with the class rule. Window sums are sums of DN >> shift, and their
-    absolute values are below 2²⁰. The OpenCL snippet defines the function
+    A feature value is computed from integer sums over windows of the patch, the level of the pixel, and constants. The
+    constants are computed together with the class rule. Window sums are sums of DN >> shift with absolute values below 2²⁰.
+    The OpenCL snippet defines the function
 
         INLINE uints NAME_of(const ints *sum, uints level, __global const int *constants)
 
@@ -63,20 +63,20 @@ class FeatureModule(DescribedFeature, Protocol):
     """
 
     def fits(self, camera: CameraModel, patch: int) -> bool:
-        """Return whether patches of `patch` × `patch` pixels are large enough for the feature on the camera's CFA.
+        """Whether patches of `patch` × `patch` pixels are large enough for the feature on the camera's CFA.
 
-        If the patches are too small, the class rule does not contain the feature, although the recipe enables it.
+        If they are too small, the class rule omits the feature, although the recipe enables it.
         """
 
     def make_feature(
         self, keys: Any, camera: CameraModel, rule: ClassRule, dark: float, observed: NDArray[np.float64] | None
     ) -> Feature:
-        """Compute the windows and constants of the feature for a camera.
+        """Compute the feature's windows and constants for a camera.
 
         Parameters
         ----------
         keys
-            Keys of the feature in the class recipe.
+            The feature's table in the class recipe.
         camera : CameraModel
             The camera.
         rule : ClassRule
@@ -96,9 +96,9 @@ class FeatureModule(DescribedFeature, Protocol):
         """Raise ValueError if the number of stored constants is wrong, or if a constant is out of range."""
 
     def observe(self, feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:
-        """Return statistics of pilot patches, one row per patch, from which `make_feature` computes the constants.
+        """Return the statistics (patch, …) of pilot patches from which `make_feature` computes the constants.
 
-        The parameters are the same as in `values`. If the feature needs no statistics, the result has no columns.
+        The parameters are the same as for `values`. If the feature needs no statistics, the result has no columns.
         """
 
     def values(self, feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> Integers:
@@ -117,22 +117,21 @@ class FeatureModule(DescribedFeature, Protocol):
         """
 
     def with_less_noise(self, feature: Feature, noise_fraction: float | NDArray[np.float64]) -> Feature:
-        """Return the feature for frames with less noise than single frames of the camera.
+        """Adapt the feature's constants to frames with less noise than single frames of the camera.
 
-        `noise_fraction` is the fraction of the noise variance that remains: one number, or one number per level.
+        `noise_fraction` is the remaining fraction of the noise variance: one number, or one number per level.
         """
 
     def turned(self, feature: Feature, transposed: bool, turns: int) -> Integers:
-        """Map each feature value of a patch to the value of the turned patch, rot90(patch.T if transposed else patch,
-        turns)."""
+        """Map each value to the value in the turned patch, rot90(patch.T if transposed else patch, turns)."""
 
     def macros(self, feature: Feature, rule: ClassRule) -> dict[str, int]:
-        """Return the compiler macros for the OpenCL snippet of the feature."""
+        """Return the compiler macros for the feature's OpenCL snippet."""
 
 
-# Kernels include the snippets in this order, and receive the arrays in this order.
+# Kernels include the snippets, and receive the arrays, in this order.
 BASIC: tuple[BasicFeatureModule, ...] = (level, contrast, saturation, chroma)
-# module of each additional feature, by the name of the recipe table that enables the feature
+# modules of additional features, by the name of the recipe table that enables the feature
 FEATURES: Mapping[str, FeatureModule] = {
     "direction": direction,
 }
@@ -150,7 +149,7 @@ def module_of(feature: Feature, rule: ClassRule) -> FeatureModule:
     Raises
     ------
     InputFileError
-        If this version of l3 does not support the feature, or if the stored constants do not fit its formula.
+        If this version of l3 does not support the feature, or if its stored constants are invalid.
     """
     module = FEATURES.get(feature.name)
     if module is None:

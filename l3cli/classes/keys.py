@@ -1,7 +1,4 @@
-"""Keys in the section [classes] of a class recipe for the patch and the four basic features.
-
-The modules level, contrast, saturation and chroma describe these features.
-"""
+"""Keys in the section [classes] of a class recipe: the patch, and the features level, contrast, saturation and chroma."""
 
 from typing import Annotated, Literal
 
@@ -25,14 +22,14 @@ class BasicKeys(Recipe):
 
     contrasts: tuple[float, ...] = (1.4,)  # edges between contrasts, as √(variance of the values / noise variance)
 
-    saturation: float = 0.985  # pixels at or above this fraction of full scale are saturated
-    # distance in pixels; a channel clips if it has a saturated pixel within this distance
+    saturation: float = 0.985  # fraction of full scale from which a pixel is saturated
+    # a channel clips if one of its pixels within this distance, in pixels, is saturated
     saturation_radius: CountOrNone = 2
-    max_cases: Count = 12  # largest number of saturation cases, including the case in which no channel clips
+    max_cases: Count = 12  # largest number of saturation cases, including the case without clipped channels
 
-    # number of chromas, including white, to which patches are assigned if no channel clips; with 0 or 1, all colours
-    # share a class (docs/method.md#chroma)
+    # number of chromas, including white, that are distinguished if no channel clips; with 0 or 1, all colours share a class
+    # (docs/method.md#chroma)
     chromas: Annotated[int, msgspec.Meta(ge=0, le=MAX_CHROMAS)] = 9
-    # whether neighbouring sites use different chromas where a colour lies between two chromas; this avoids seams in
-    # tables with several layers
+    # whether neighbouring sites may assign a colour between two chromas to different chromas, which avoids seams in tables
+    # with several layers (docs/method.md#dither)
     chroma_dither: bool = False

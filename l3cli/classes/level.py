@@ -2,7 +2,7 @@
 
     level = number of level edges ≤ Σ (S · round(65536 / n) >> 8)
 
-S is the sum of the values of a channel in the patch, and n is the number of these values. Σ is the sum over the channels.
+S and n are the sum and the number of a channel's values in the patch. Σ is the sum over the channels.
 """
 
 from typing import Any
@@ -23,20 +23,19 @@ SNIPPET = "features/level.cl"
 
 
 def edge_shares(recipe: BasicKeys, reach: float = 1.0) -> NDArray[np.float64]:
-    """Return the level edges that a class recipe defines.
+    """Compute the level edges from a class recipe.
 
     Parameters
     ----------
     recipe : BasicKeys
         The class recipe.
     reach : float
-        Signal of the most sensitive channel before clipping, as a fraction of full scale, at which a grey clips all
-        channels.
+        Exposure at which a grey clips all channels, relative to the exposure at which it clips the most sensitive channel.
 
     Returns
     -------
     ndarray, (level edge,)
-        Signals of greys, in increasing order, as fractions of the full scale of the most sensitive channel.
+        Signals of greys before clipping, in increasing order, as fractions of the most sensitive channel's full scale.
 
     Raises
     ------
@@ -58,7 +57,7 @@ def edge_shares(recipe: BasicKeys, reach: float = 1.0) -> NDArray[np.float64]:
 
 
 def centres(shares: NDArray[np.float64], reach: float = 1.0) -> NDArray[np.float64]:
-    """Return the signal in the middle of each level, as a fraction of the full scale of the most sensitive channel.
+    """Return the signal at the centre of each level, as a fraction of the most sensitive channel's full scale.
 
     `shares` is the result of `edge_shares` for the same `reach`.
     """
@@ -66,7 +65,7 @@ def centres(shares: NDArray[np.float64], reach: float = 1.0) -> NDArray[np.float
 
 
 def clipped_mean(share: NDArray[np.floating], sensitivity: NDArray[np.float64]) -> NDArray[np.floating]:
-    """Return the signal of a grey surface, averaged over all channels after clipping at 1 (docs/method.md#exposures).
+    """Return a grey's mean signal over all channels, each clipped at 1 (docs/method.md#exposures).
 
     Parameters
     ----------
@@ -81,28 +80,28 @@ def clipped_mean(share: NDArray[np.floating], sensitivity: NDArray[np.float64]) 
 
 
 def unclipped_level(mean: NDArray[np.floating], sensitivity: NDArray[np.float64]) -> NDArray[np.floating]:
-    """Return the mean signal that a grey would have over all channels if no channel clipped.
+    """Return the mean signal over all channels that a grey would have without clipping.
 
-    This is the inverse of `clipped_mean`, multiplied by the mean sensitivity. If all channels are equally sensitive, the
-    result equals `mean`.
+    This is the inverse of `clipped_mean`, times the mean sensitivity. If all channels are equally sensitive, the result
+    equals `mean`.
 
     Parameters
     ----------
     mean : ndarray, (…)
-        Mean over the channels, each clipped at 1.
+        Mean signal over the channels, each clipped at 1.
     sensitivity : ndarray, (channel,)
         Sensitivities relative to the most sensitive channel.
     """
     if (sensitivity == 1).all():
         return mean
-    # signals at which a channel begins to clip; between them, the mean is linear
+    # signals at which a channel starts to clip; the mean is linear in between
     knots = np.append(0.0, np.unique(1 / sensitivity))
     shares = np.interp(mean, clipped_mean(knots, sensitivity), knots)
     return np.where(mean < 0, mean, shares * sensitivity.mean())
 
 
 def stored_edges(shares: NDArray[np.float64], camera: CameraModel, shift: int) -> NDArray[np.uint32]:
-    """Convert level edges to the integers that a class rule stores. `shares` is the result of `edge_shares`."""
+    """Convert level edges from `edge_shares` to the integers that a class rule stores."""
     span = camera.white_level - camera.black_level
     means = clipped_mean(shares, camera.sensitivity)
     in_values = (camera.black_level + means * span - truncation(shift)) / 2**shift
@@ -116,24 +115,18 @@ def levels(rule: ClassRule, statistics: Statistics) -> Integers:
 
 
 def level_of_mean(rule: ClassRule, total: float) -> int:
-    """Return the level of a uniform area. `total` is the sum of its channel means in DN."""
+    """Return the level of a uniform area, given the sum of its channel means in DN."""
     return int(np.searchsorted(rule.level_edges, total * 2**LEVEL_FRACTION / 2**rule.shift))
 
 
 def inner_bounds(rule: ClassRule, black_level: float, white_level: float) -> NDArray[np.float64]:
-    """Return the lower bound of every level except the darkest, as a fraction of full scale.
-
-    `black_level` and `white_level` are in DN.
-    """
+    """Return the lower bound of each level except the darkest, as a fraction of full scale. The parameters are in DN."""
     in_dn = rule.level_edges * 2.0**rule.shift / (2**LEVEL_FRACTION * rule.channels)
     return (in_dn - black_level) / (white_level - black_level)
 
 
 def bounds(table: TransformTable) -> NDArray[np.float64]:
-    """Return the bounds of all levels in increasing order, as fractions of full scale: (level + 1,).
-
-    The first bound is 0, and the last bound is 1.
-    """
+    """Return the bounds of all levels, from 0 to 1, as fractions of full scale: (level + 1,)."""
     inner = inner_bounds(table.first.rule, table.black_level, table.white_level)
     return np.concatenate([[0.0], np.clip(inner, 0.0, 1.0), [1.0]])
 
@@ -145,7 +138,7 @@ def entry(table: TransformTable, level: int) -> dict[str, Any]:
 
 
 def heading(entry: dict[str, Any]) -> str:
-    """Return the label of a level in the first column of a table, such as "3: 0.0020–0.0031"."""
+    """Return a row label for a level, such as "3: 0.0020–0.0031"."""
     return f"{entry['level']}: {entry['from']:.4f}–{entry['to']:.4f}"
 
 
@@ -163,8 +156,8 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.int32]:
-    """Return the array that level.cl reads: the largest integer below each level edge.
+    """Return the constants for level.cl: the largest integer below each level edge.
 
-    The integers are limited to 2³¹ − 1, because no sum reaches 2³¹.
+    They are limited to 2³¹ − 1, because no sum reaches 2³¹.
     """
     return np.minimum(rule.level_edges.astype(np.int64) - 1, 2**31 - 1).astype(np.int32)

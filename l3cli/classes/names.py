@@ -8,7 +8,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes import chroma, contrast, level, saturation, structure
 from l3cli.classes.features import FEATURES, DescribedFeature, features_of
 
-# module of each feature, by the name of the feature in reports and JSON
+# modules of all features, by the feature's name in reports and JSON
 EVERY_FEATURE: dict[str, DescribedFeature] = {
     "level": level,
     "contrast": contrast,
@@ -19,24 +19,17 @@ EVERY_FEATURE: dict[str, DescribedFeature] = {
 
 
 def heading(feature: str, entry: dict[str, Any]) -> str:
-    """Return the label of a feature value for the first column of a report.
-
-    `feature` is the name of the feature. `entry` is the description of the value, from the function `entry` of the feature's
-    module.
-    """
+    """Return a row label for a value of the feature named `feature`, given the value's `entry` from the feature's module."""
     return EVERY_FEATURE[feature].heading(entry)
 
 
 def feature_headings(entry: dict[str, Any]) -> list[str]:
-    """Return a text such as "direction 3: along 90°" for each additional feature in `entry`, the description of a class."""
+    """Return texts such as "direction 3: along 90°" for the additional features in `entry`, the description of a class."""
     return [f"{name} {module.heading(entry)}" for name, module in FEATURES.items() if name in entry]
 
 
 def class_name(table: TransformTable, index: int) -> str:
-    """Return the name of a class of the first layer.
-
-    An example is "site (1, 2) g, level 3 (0.002–0.003 of full scale), contrast 0, chroma 5".
-    """
+    """Name a class of the first layer, as "site (1, 2) g, level 3 (0.002–0.003 of full scale), contrast 0, chroma 5"."""
     place = table.first.rule.split(index)
     row, col = divmod(place.site, table.cfa.shape[1])
     channel = table.channels[table.cfa[row, col]]
@@ -45,7 +38,7 @@ def class_name(table: TransformTable, index: int) -> str:
 
 
 def class_words(table: TransformTable, index: int) -> dict[str, str]:
-    """Describe a class of the first layer in words. The result maps the name of each feature to its value."""
+    """Describe a class of the first layer in words, as a dict from feature names to values."""
     rule = table.first.rule
     place = rule.split(index)
     case = int(rule.case(place.kind))
@@ -64,7 +57,7 @@ def class_words(table: TransformTable, index: int) -> dict[str, str]:
 
 
 def plane_class_words(table: TransformTable, layer: PlaneLayer, index: int) -> dict[str, str]:
-    """Describe a class of a refinement layer in words. The result maps the name of each feature to its value."""
+    """Describe a class of a refinement layer in words, as a dict from feature names to values."""
     rule, place = layer.rule, layer.rule.split(index)
     case = int(rule.case(place.kind))
     words = {}
@@ -84,7 +77,7 @@ def plane_class_words(table: TransformTable, layer: PlaneLayer, index: int) -> d
 
 
 def _of(index: int, count: int, ends: tuple[str, str]) -> str:
-    """Return a text such as "2 of 0…9". The two texts in `ends` are appended for the first and the last index."""
+    """Return a text such as "2 of 0…9", with one of the texts `ends` appended to the first and the last index."""
     if count == 1:
         return "not distinguished"
     words = {0: f", the {ends[0]}", count - 1: f", the {ends[1]}"}.get(index, "")
@@ -92,15 +85,12 @@ def _of(index: int, count: int, ends: tuple[str, str]) -> str:
 
 
 def feature_names(table: TransformTable, combination: int) -> list[str]:
-    """Return the name of the value that each additional feature has in a combination of values.
-
-    `combination` is the index of the combination.
-    """
+    """Return the names of the additional features' values, given the number of their combination."""
     values = table.first.rule.split_features(combination)
     return [module.name(table, value) for (module, _), value in zip(features_of(table.first.rule), values, strict=True)]
 
 
 def kind_name(table: TransformTable, kind: int) -> str:
-    """Return the name of the chroma or saturation case with the index `kind`, such as "chroma 5" or "saturated r+g"."""
+    """Return the name of a chroma or saturation case, such as "chroma 5" or "saturated r+g"."""
     case = int(table.first.rule.case(kind))
     return saturation.name(table, case) if case else chroma.name(table, kind)

@@ -1,4 +1,4 @@
-"""Converts class rules to the OpenCL source files, the macros and the arrays that the kernels need."""
+"""Convert class rules to the source files, macros and arrays for the OpenCL kernels."""
 
 import bisect
 
@@ -12,8 +12,8 @@ from l3cli.classes import contrast, tree
 from l3cli.classes.features import BASIC, features_of
 from l3cli.classes.structure import NOISE_TRACE
 
-PART_LEAVES = 16  # largest number of leaves in a part; a part is a subtree whose tests are all evaluated together
-UNREACHABLE_THRESHOLD = np.finfo(np.float32).max  # threshold of the leaves in the node array; no value exceeds it
+PART_LEAVES = 16  # largest number of leaves of a part, which is a subtree with all its tests evaluated together
+UNREACHABLE_THRESHOLD = np.finfo(np.float32).max  # threshold that no value exceeds, for leaves in the node array
 
 
 def rule_snippets(rule: PlaneRule) -> tuple[str, dict[str, str]]:
@@ -48,7 +48,7 @@ def rule_macros(rule: PlaneRule) -> dict[str, int]:
 
 
 def rule_constants(rule: PlaneRule, variant: str) -> tuple[NDArray[np.uint32], ...]:
-    """Return the arrays that the kernel `structures` of a variant reads, in the order of its arguments."""
+    """Return the constant arrays for the kernel `structures` of a variant, in the order of its arguments."""
     if isinstance(rule, StructureRule):
         return (rule.strength_edges,)
     return (_tests(rule),) if variant == "processor" else (_nodes(rule), rule.leaf.astype(np.uint32))
@@ -62,7 +62,7 @@ def _tests(rule: TreeRule) -> NDArray[np.uint32]:
     leaf, asked = rule.leaf.tolist(), _asked(rule, 8).tolist()
     for node in np.flatnonzero(rule.branch).tolist():
         part, next_leaf = bisect.bisect_right(first, leaf[node]) - 1, leaf[rule.branch[node] + 1]
-        if end[node] <= [*first, rule.structures][part + 1]:  # the node is in a part, and its test excludes leaves
+        if end[node] <= [*first, rule.structures][part + 1]:  # the node is inside a part, and its test excludes leaves
             chosen = {words + part: range(leaf[node] - first[part], next_leaf - first[part])}
         else:  # the node is above the parts, and its test excludes parts
             parts = range(part, bisect.bisect_left(first, next_leaf))
@@ -78,10 +78,7 @@ def _tests(rule: TreeRule) -> NDArray[np.uint32]:
 
 
 def _parts(rule: TreeRule) -> list[int]:
-    """Return the number of the first leaf of each part of a tree, in increasing order.
-
-    Parts are the largest subtrees with at most PART_LEAVES leaves.
-    """
+    """Divide a tree into its largest subtrees with at most PART_LEAVES leaves. Return the first leaf of each, in order."""
     leaf, end = rule.leaf, _leaf_ends(rule)
     first, above = [], [0]
     while above:
@@ -96,7 +93,7 @@ def _parts(rule: TreeRule) -> list[int]:
 def _leaf_ends(rule: TreeRule) -> NDArray[np.int64]:
     """Return the number of the last leaf below each node, plus 1."""
     end = rule.leaf + 1
-    for node in np.flatnonzero(rule.branch)[::-1].tolist():  # the branches of a node have higher numbers than the node
+    for node in np.flatnonzero(rule.branch)[::-1].tolist():  # children have higher numbers than their parent
         end[node] = end[rule.branch[node] + 1]
     return end
 
@@ -110,21 +107,18 @@ def _nodes(rule: TreeRule) -> NDArray[np.uint32]:
 
 
 def _asked(rule: TreeRule, place: int) -> NDArray[np.uint32]:
-    """Pack the test of each node into one integer.
-
-    The low bits contain the index of the numerator. The bits from `place` upwards contain the index of the denominator.
-    """
+    """Pack each node's test into one integer: the numerator in the low bits, the denominator from bit `place` upwards."""
     denominator = np.array([test.denominator for test in tree.EVERY], np.uint32)
     return np.asarray(rule.test | denominator[rule.test] << np.uint32(place), np.uint32)
 
 
 def snippets(rule: ClassRule) -> tuple[str, ...]:
-    """Return the OpenCL files with the formulas of the features of a class rule. The files are included before rule.cl."""
+    """Return the OpenCL files with the formulas of a class rule's features, which are included before rule.cl."""
     return tuple(module.SNIPPET for module in (*BASIC, *(module for module, _ in features_of(rule))))
 
 
 def joined(rule: ClassRule) -> str:
-    """Return OpenCL source that combines the values of the additional features. The source is included in rule.cl.
+    """Return the OpenCL source, included in rule.cl, that combines the values of the additional features.
 
     The source defines the macros COMBINATIONS (number of combinations) and WINDOW_SUMS (number of window sums, at least 1).
     If all windows have the same size, it also defines BOX_ROWS and BOX_COLUMNS. If there are additional features, it also
@@ -141,10 +135,9 @@ def joined(rule: ClassRule) -> str:
 
 
 def combination_function(rule: ClassRule) -> str:
-    """Return the source of the OpenCL function `combination_of`, which computes the index of a combination.
+    """Return the source of the OpenCL function `combination_of`, which numbers the combination of feature values.
 
-    `combination_of` calls the functions in the snippets of the features. A value that is too large is replaced by the last
-    value of the feature.
+    `combination_of` calls the functions in the features' snippets, and limits each result to the feature's last value.
     """
     lines = [
         "INLINE uints combination_of(const ints *sum, uints level, __global const int *constants) {",
@@ -162,17 +155,17 @@ def combination_function(rule: ClassRule) -> str:
 
 
 def kernel_macros(rule: ClassRule) -> dict[str, int]:
-    """Return the compiler macros for rule.cl and for the snippets of the features."""
+    """Return the compiler macros for rule.cl and the features' snippets."""
     basic = {key: value for module in BASIC for key, value in module.macros(rule).items()}
     added = {key: value for module, feature in features_of(rule) for key, value in module.macros(feature, rule).items()}
     return basic | added | {"KINDS": rule.kinds}
 
 
 def kernel_arrays(rule: ClassRule, *others: ClassRule) -> tuple[NDArray, ...]:
-    """Return the arrays with the constants of the features, in the order of the kernel arguments.
+    """Return the arrays of constants for the features, in the order of the kernel arguments.
 
-    `others` are the class rules of the noise sets (docs/method.md#noise-sets). These rules differ from `rule` only in the
-    contrast edges and in the constants of the additional features. These constants are appended to the constants of `rule`.
+    `others` are the class rules for other noise levels (docs/method.md#noise-sets). They differ from `rule` only in the
+    contrast edges and the constants of additional features, which are appended to the constants of `rule`.
     """
     basic = [
         np.concatenate([contrast.kernel_array(each) for each in (rule, *others)])

@@ -1,8 +1,8 @@
-"""Fixed-point layers, whose output planes are equal on every device (docs/method.md#planes).
+"""Convert layers to fixed-point arithmetic, so that their output planes are identical on every device.
 
-The weights of each channel are rounded up or down such that their sum is rounded to the nearest integer. If each weight were
-rounded to the nearest integer, uniform areas would have a different tint at every CFA site. Weights have 16 bits, because
-processors multiply 16-bit integers twice as fast as floats.
+See docs/method.md#planes. The weights of each channel are rounded so that their sum is also rounded correctly. If each
+weight were simply rounded to the nearest integer, uniform areas would have a different tint at every CFA site. Weights have
+16 bits, because processors multiply 16-bit integers twice as fast as floats.
 """
 
 import functools
@@ -22,25 +22,25 @@ MAX_FRACTION = 16
 MAX_WEIGHT, MAX_SUM = 2.0**15 - 2, 2.0**31 - 2**MAX_FRACTION  # limits before rounding, which adds less than 1 to a weight
 # The input planes of intermediate layers are shifted right by COARSE bits and clamped to ±COARSE_TOP.
 COARSE, COARSE_TOP = 5, 2**15 - 1
-CLASSES_AT_ONCE = 256  # number of classes that are converted together, so that their weights fit into the processor cache
+CLASSES_AT_ONCE = 256  # number of classes that are converted together, small enough for the processor cache
 LUMINANCE, CHROMA = 1, [0, 2]  # index of the luminance plane Y, and indices of the chroma planes
 
 
 @dataclass(frozen=True)
 class FixedPoint:
-    """The transforms of a layer as integers, which convert the input of the layer to output planes."""
+    """Integer transforms of a layer, which compute output planes from the layer's input."""
 
     weights: NDArray[np.int16]  # (class, plane, tap): W
     intercept: NDArray[np.int64]  # (class, plane): B
     fraction: NDArray[np.int32]  # (class,): number of fractional bits of W and B
 
     def planes(self, sums: Integers, label: Integers) -> NDArray[np.int32]:
-        """Convert weighted sums to output planes: remove the fractional bits with rounding, and clamp the result.
+        """Convert weighted sums to output planes by rounding the fractional bits off and clamping the result.
 
         Parameters
         ----------
         sums : ndarray, (plane, …)
-            Σ W · input + B. The input is raw values in the first layer, and coarse planes in refinement layers.
+            Σ W · input + B. The inputs are raw values in the first layer, and coarse planes in refinement layers.
         label : ndarray, (…)
             Class of each pixel.
 
@@ -57,7 +57,7 @@ class FixedPoint:
 def opponent_basis(white_point: NDArray[np.floating]) -> NDArray[np.float64]:
     """Return the matrix (output, plane) that converts X, Y, Z to opponent planes: planes = outputs @ matrix.
 
-    The opponent planes are X − aY, Y and Z − bY. For greys with the white point `white_point`, they are (0, Y, 0).
+    The opponent planes are X − aY, Y and Z − bY. With a = X/Y and b = Z/Y of the white point, they are (0, Y, 0) for greys.
     """
     basis = np.eye(3)
     basis[LUMINANCE, 0], basis[LUMINANCE, 2] = -white_point[0] / white_point[1], -white_point[2] / white_point[1]
@@ -70,7 +70,7 @@ def planes_basis(table: TransformTable) -> NDArray[np.float64]:
 
 
 def fixed_point(table: TransformTable) -> FixedPoint:
-    """Convert the first layer of a table to fixed-point numbers. Raises InputFileError if its transforms are too large."""
+    """Convert a table's first layer to fixed-point numbers. Raises InputFileError if its transforms are too large."""
     first, read = table.first, _raw(table.bits, table.black_level, table.white_level)
     channels, basis = window_channels(table.cfa, first.rule.patch), planes_basis(table)
     sites = [(first.rule.of_site(site), channel) for site, channel in enumerate(channels)]
@@ -78,7 +78,7 @@ def fixed_point(table: TransformTable) -> FixedPoint:
 
 
 def refined_fixed_point(layer: PlaneLayer, basis: NDArray[np.float64]) -> FixedPoint:
-    """Convert the transforms of an intermediate refinement layer to fixed-point numbers.
+    """Convert a refinement layer that is not the last one to fixed-point numbers.
 
     `basis` is the matrix (output, plane) that converts outputs to planes. Raises InputFileError if the transforms are too
     large.
@@ -88,7 +88,7 @@ def refined_fixed_point(layer: PlaneLayer, basis: NDArray[np.float64]) -> FixedP
 
 
 def coarse(planes: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Convert planes to coarse planes: remove the lowest COARSE bits with rounding, and clamp to ±COARSE_TOP.
+    """Convert planes to coarse planes by rounding off COARSE bits and clamping to ±COARSE_TOP.
 
     Coarse planes are the input of all layers between the first and the last layer.
     """
@@ -96,21 +96,21 @@ def coarse(planes: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def raw_middle(bits: int) -> int:
-    """Return the offset that kernels subtract from raw values, so that they fit into signed 16-bit integers."""
+    """Return the offset that kernels subtract from raw values to fit them into signed 16-bit integers."""
     return 2**15 if bits == 16 else 0
 
 
 @dataclass(frozen=True)
 class _Read:
-    """Number format of the input of a layer.
+    """Number format of a layer's input.
 
-    Kernels subtract `raw_middle` from raw values. Coarse planes are read without subtraction.
+    Kernels subtract `raw_middle` from raw values, but nothing from coarse planes.
     """
 
-    step: float  # input per unit of signal (full scale or output unit), multiplied by PLANE_STEP
-    zero: float  # input for a signal of 0
-    largest: float  # largest absolute value of the input after `raw_middle` has been subtracted
-    farthest: float  # absolute value of `zero` after `raw_middle` has been subtracted
+    step: float  # input value per unit of signal (full scale or output unit), times PLANE_STEP
+    zero: float  # input value for a signal of 0
+    largest: float  # largest absolute input value after subtraction of `raw_middle`
+    farthest: float  # absolute value of `zero` after subtraction of `raw_middle`
 
 
 BETWEEN = _Read(step=2.0**-COARSE, zero=0.0, largest=COARSE_TOP, farthest=0.0)  # coarse planes
@@ -129,7 +129,7 @@ def _raw(bits: int, black_level: float, white_level: float) -> _Read:
 def room_for(
     weights: NDArray[np.float64], intercept: NDArray[np.float64], bits: int, black_level: float, white_level: float
 ) -> NDArray[np.float64]:
-    """Return the largest factor by which the transforms of the first layer could be multiplied without integer overflow.
+    """Return the largest factors by which first-layer transforms can be multiplied without integer overflow.
 
     Parameters
     ----------
@@ -145,14 +145,14 @@ def room_for(
     Returns
     -------
     ndarray, (class,)
-        Largest factor for each class. If it is below 1, the transforms of the class are too large.
+        Largest factor. If it is below 1, the class's transforms are too large.
     """
     read = _raw(bits, black_level, white_level)
     return _room(weights.transpose(2, 1, 0) / read.step, intercept.T / PLANE_STEP, read)
 
 
 def room_between(weights: NDArray[np.float64], intercept: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the same factors as `room_for` for the transforms of an intermediate refinement layer."""
+    """Return the factors of `room_for` for a refinement layer that is not the last one."""
     return _room(weights.transpose(2, 1, 0) / BETWEEN.step, intercept.T / PLANE_STEP, BETWEEN)
 
 
@@ -162,9 +162,8 @@ def _fixed_point(
 ) -> FixedPoint:  # fmt: skip
     """Convert the transforms of all classes to fixed-point numbers.
 
-    The outputs of the transforms are first converted to planes with `basis`. Each class then uses the largest number of
-    fractional bits with which its weights and sums fit into the integer formats. `layouts` contains ranges of classes, and
-    the channel (or plane) of each tap of these classes.
+    The transforms are first converted from outputs to planes with `basis`. Each class then uses as many fractional bits as
+    its weights and sums allow. `layouts` contains ranges of classes, and the channel or plane of each tap in these classes.
     """
     offset = _to_planes(intercept.T, basis) / PLANE_STEP
     shape = len(weights), basis.shape[1]
@@ -177,7 +176,7 @@ def _fixed_point(
         distinct, like = _distinct(weights[classes], intercept[classes])
         for start in range(0, len(distinct), CLASSES_AT_ONCE):
             block = distinct[start : start + CLASSES_AT_ONCE] + classes.start
-            # Classes become the last axis, because numpy sums over the first axis several times faster than over the last.
+            # Make the classes the last axis, because numpy sums over the first axis several times faster.
             exact = np.moveaxis(_to_planes(weights[block].transpose(1, 2, 0)[:, order], basis), 0, 1) / read.step
             fraction = _fraction(_room(exact, offset[:, block], read))
             scale = 2.0**fraction
@@ -194,8 +193,7 @@ def _fixed_point(
 def _distinct(weights: NDArray[np.float32], intercept: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Group classes with equal transforms, so that each transform is converted only once.
 
-    Classes without training patches use the transform of a similar class. With many channels, this applies to half of all
-    classes.
+    Classes without training patches use a similar class's transform. With many channels, half of all classes do so.
 
     Returns
     -------
@@ -212,21 +210,21 @@ def _distinct(weights: NDArray[np.float32], intercept: NDArray[np.float32]) -> t
 
 
 def _room(weights: NDArray[np.float64], offset: NDArray[np.float64], read: _Read) -> NDArray[np.float64]:
-    """Return, for each class, the largest factor by which weights and offsets could be multiplied without overflow.
+    """Return the largest factors (class) by which transforms can be multiplied without integer overflow.
 
-    `weights` has the shape (tap, plane, class), and `offset` has the shape (plane, class).
+    The transforms consist of `weights` (tap, plane, class) and `offset` (plane, class).
     """
     size = np.abs(weights)
     offset = np.abs(offset) + read.farthest * np.abs(weights.sum(axis=0))
     sums = (size.sum(axis=0) * read.largest + offset).max(axis=0)
-    rounding = 2 * len(weights) * read.largest  # largest error of the sum and the offset because of rounding
+    rounding = 2 * len(weights) * read.largest  # largest rounding error of the sum and the offset
     return np.minimum(MAX_WEIGHT / (size.max(axis=(0, 1)) + 1e-30), (MAX_SUM - rounding) / (sums + 1e-30))
 
 
 def _fraction(room: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Return the number of fractional bits for each class. `room` is the result of `_room`.
+    """Choose the number of fractional bits of each class, given the result of `_room`.
 
-    Raises InputFileError if the transform of a class is too large even without fractional bits.
+    Raises InputFileError if a transform is too large even without fractional bits.
     """
     fraction = np.minimum(MAX_FRACTION, np.floor(np.log2(room)))
     if fraction.min() < 0:
@@ -235,10 +233,10 @@ def _fraction(room: NDArray[np.float64]) -> NDArray[np.int32]:
 
 
 def _rounded(weights: NDArray[np.float64], ends: list[int]) -> NDArray[np.float64]:
-    """Round weights up or down such that the sum over the taps of each channel is rounded to the nearest integer.
+    """Round weights up or down so that the sum over each channel's taps is rounded to the nearest integer.
 
-    The weights with the largest fractional parts are rounded up. Among equal fractional parts, the first weights are rounded
-    up. The taps are sorted by channel, and the taps of channel c have the indices ends[c] to ends[c + 1] − 1.
+    The weights with the largest fractional parts are rounded up. If fractional parts are equal, the first weights are
+    rounded up. The taps are sorted by channel. Channel c has the taps ends[c] to ends[c + 1] − 1.
     """
     whole = np.floor(weights)
     loss = whole - weights
@@ -261,7 +259,7 @@ def _rounded(weights: NDArray[np.float64], ends: list[int]) -> NDArray[np.float6
 def _to_planes(values: NDArray[np.float32], basis: NDArray[np.float64]) -> NDArray[np.float64]:
     """Convert outputs to planes along the first axis.
 
-    The products are added in a fixed order, so that the rounding errors are the same on every machine.
+    The products are added in a fixed order, for identical rounding errors on every machine.
     """
     exact = values.astype(np.float64)
 

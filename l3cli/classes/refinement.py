@@ -1,4 +1,4 @@
-"""Classes and additional taps of refinement layers, computed for whole frames (docs/method.md#structure)."""
+"""Classes and additional taps of refinement layers for whole frames (docs/method.md#structure)."""
 
 import functools
 from dataclasses import replace
@@ -16,14 +16,14 @@ from l3cli.classes.structure import BORDER_PIXELS, structures
 from l3cli.classes.windows import Integers
 from l3cli.frames.frame import mirrored_indices
 
-RATIO_DARKEST = 2**9  # smallest mean luminance by which chroma is divided, in units of PLANE_STEP
-ROWS_AT_ONCE = 64  # number of rows that are processed together, so that their values fit into the processor cache
+RATIO_DARKEST = 2**9  # lower limit of the mean luminance as a divisor, in units of PLANE_STEP
+ROWS_AT_ONCE = 64  # number of rows that are processed together, small enough for the processor cache
 
 
 def label_planes(
     planes: NDArray[np.int32], first: Integers, rule: PlaneRule, first_rule: ClassRule, *others: PlaneRule
 ) -> Integers:
-    """Return the class of every pixel in a refinement layer.
+    """Classify every pixel for a refinement layer.
 
     Parameters
     ----------
@@ -36,14 +36,13 @@ def label_planes(
     first_rule : ClassRule
         Class rule of the first layer.
     *others : PlaneRule
-        Class rules of the noise sets (docs/method.md#noise-sets). These rules differ from `rule` only in the scale of the
-        gradients. The classes are numbered consecutively: first the classes of `rule` at all sites, then the classes of each
-        noise set at all sites.
+        Class rules for other noise levels (docs/method.md#noise-sets), which differ from `rule` only in their gradient
+        scales.
 
     Returns
     -------
     ndarray, (row, col)
-        Class index of each pixel.
+        Class of each pixel. The classes of `rule` at all sites come first, followed by the classes of each rule in `others`.
     """
     place = first_rule.split(first)
     scale = place.level + first_rule.levels * (place.site // len(rule.turns)) if others else place.level
@@ -52,14 +51,14 @@ def label_planes(
 
 
 def _of_all_sets(rule: PlaneRule, others: tuple[PlaneRule, ...]) -> PlaneRule:
-    """Concatenate the site orientations and the gradient scales of `rule` and `others` in one class rule."""
+    """Combine class rules by concatenating their site orientations and gradient scales."""
     names = ("turns", "gradient_factor", "gradient_shift") if others else ()
     arrays: dict[str, Any] = {name: np.concatenate([getattr(each, name) for each in (rule, *others)]) for name in names}
     return replace(rule, **arrays)
 
 
 def _structure(planes: NDArray[np.int32], level: Integers, site: Integers, rule: PlaneRule) -> Integers:
-    """Return the structure of each pixel, or the leaf of each pixel if the rule is a tree. Saturation is ignored."""
+    """Return the structure of each pixel, or its leaf if the rule is a tree, without regard to saturation."""
     if isinstance(rule, StructureRule):
         luminance = mirrored(planes[LUMINANCE].astype(np.int32), BORDER_PIXELS)
         return structures(luminance, mirrored(level, BORDER_PIXELS - 1), site, rule)
@@ -69,7 +68,7 @@ def _structure(planes: NDArray[np.int32], level: Integers, site: Integers, rule:
 def plane_evidence(
     planes: NDArray[np.int32], level: Integers, factor: NDArray[np.uint8], shift: NDArray[np.uint8]
 ) -> tree.Evidence:
-    """Return the numerators and denominators of all tests of a tree at every pixel.
+    """Compute the numerators and denominators for all tests of a tree at every pixel.
 
     Parameters
     ----------
@@ -78,7 +77,7 @@ def plane_evidence(
     level : ndarray, (row, col)
         Level of each pixel in the first layer.
     factor, shift : ndarray, (level,)
-        Gradients are multiplied by `factor` and then shifted right by `shift` bits.
+        Gradients are multiplied by `factor` and shifted right by `shift` bits.
     """
     place = mirrored(level, tree.BORDER_PIXELS - 1)
     return tree.evidence(
@@ -87,7 +86,7 @@ def plane_evidence(
 
 
 def mirrored(planes: NDArray, margin: int) -> NDArray:
-    """Add a margin of mirrored pixels to the last two axes of an array. The outermost rows and columns are not repeated."""
+    """Pad the last two axes by reflection, without repeating the outermost rows and columns."""
     rows, cols = (mirrored_indices(length, margin, 1) for length in planes.shape[-2:])
     return planes[..., rows[:, None], cols]
 
@@ -95,8 +94,8 @@ def mirrored(planes: NDArray, margin: int) -> NDArray:
 def window_means(planes: NDArray, side: int) -> NDArray:
     """Return the means of planes over side × side windows. The planes must have a margin of side // 2 pixels.
 
-    Shifted copies of the planes are added, first along rows and then along columns. This is ten times as fast as a sum over
-    a strided view.
+    Adding shifted copies of the planes, first along rows and then along columns, is ten times as fast as summing over a
+    strided view.
     """
     rows, cols = (length - side + 1 for length in planes.shape[-2:])
     across = functools.reduce(np.add, [planes[..., first : first + cols] for first in range(side)])
@@ -106,10 +105,10 @@ def window_means(planes: NDArray, side: int) -> NDArray:
 def first_label_words(rule: PlaneRule, first: ClassRule, *others: PlaneRule) -> NDArray[np.uint64]:
     """Return a 64-bit word for each class of the first layer, in the layout of opencl/common/gradient.cl.
 
-    The lower half contains the factor of the gradients, their shift (from bit 8) and the orientation of the site (from bit
-    14). The upper half contains the first class of the site and level in the refinement layer. If all channels of a colour
-    filter clip, the upper half instead contains the class of the saturation case, and its highest bit is set. The parameters
-    are the same as in `label_planes`.
+    The lower half contains the gradient factor, the gradient shift (from bit 8) and the site's orientation (from bit 14).
+    The upper half contains the first class of the site and level in the refinement layer. If all channels of a colour filter
+    clip, it contains the class of the saturation case instead, and its highest bit is set. The parameters are the same as
+    for `label_planes`.
     """
     every = _of_all_sets(rule, others)
     place = first.split(np.arange(len(every.turns) * first.classes_per_site))
@@ -128,10 +127,10 @@ def first_label_words(rule: PlaneRule, first: ClassRule, *others: PlaneRule) -> 
 
 
 def shaded_chroma(planes: NDArray, side: int) -> NDArray[np.float64]:
-    """Estimate how far shading alone would move the chroma of each pixel away from the mean chroma of its window.
+    """Estimate how much shading alone would change the chroma of each pixel, relative to the mean chroma of its window.
 
-    If a side × side window contains a surface of one colour, the chroma planes are proportional to the luminance Y. A chroma
-    plane C of the central pixel then differs from its mean in the window by
+    On a surface of one colour, the chroma planes are proportional to the luminance Y. At the centre of a side × side window,
+    a chroma plane C then differs from its mean in the window by
 
         C̄ · ρ        ρ = clamp((Y − Ȳ) / max(Ȳ, RATIO_DARKEST), ±1)
 
@@ -153,7 +152,7 @@ def bilateral_change(planes: NDArray, side: int) -> NDArray[np.floating]:
 
     where d̄ is the mean of d_q over the window. The result has the shape (chroma plane, row, col) and the unit of `planes`.
     """
-    # float32 planes, which training uses, stay float32; integers become float64
+    # keep float32 planes from training; convert integers to float64
     planes = planes.astype(np.result_type(planes, np.float32))
     padded, (_, rows, cols) = mirrored(planes, side // 2), planes.shape
     change = np.empty((2, rows, cols), planes.dtype)
@@ -169,7 +168,7 @@ def bilateral_change(planes: NDArray, side: int) -> NDArray[np.floating]:
 
 
 def taps_behind(planes: NDArray, side: int, count: int) -> NDArray[np.floating]:
-    """Return the additional taps of the last layer: the results of `shaded_chroma` and `bilateral_change`.
+    """Compute the additional taps of the last layer with `shaded_chroma` and `bilateral_change`.
 
     Parameters
     ----------
@@ -178,7 +177,7 @@ def taps_behind(planes: NDArray, side: int, count: int) -> NDArray[np.floating]:
     side : int
         Side of the windows in pixels.
     count : int
-        Number of additional taps, one of RATIO_TAPS.
+        Number of additional taps: a value in RATIO_TAPS.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Computes the class rule of a camera from a class recipe. Each combination of feature values is a class."""
+"""Compute a camera's class rule from a class recipe. Each combination of feature values is a class."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -16,12 +16,12 @@ from l3cli.errors import RecipeError
 
 
 def switched_on(recipe: ClassRecipe) -> dict[str, Any]:
-    """Return the name of each additional feature that a class recipe enables, with its keys in the recipe."""
+    """Return the recipe tables of the additional features that a class recipe enables, by feature name."""
     return {name: keys for name in FEATURES if (keys := getattr(recipe, name)) is not None}
 
 
 def left_out(recipe: ClassRecipe, camera: CameraModel) -> list[str]:
-    """Return the names of enabled features that this camera cannot use, because its CFA would require larger patches."""
+    """Return the names of enabled features for which the patches are too small on this camera's CFA."""
     return [name for name in switched_on(recipe) if not FEATURES[name].fits(camera, recipe.patch)]
 
 
@@ -34,7 +34,7 @@ def make_rule(
     observed: Mapping[str, NDArray[np.float64]] | None = None,
     spared_cases: int = 0,
 ) -> ClassRule:
-    """Compute the class rule of a camera from a class recipe (docs/method.md#classes).
+    """Compute a camera's class rule from a class recipe (docs/method.md#classes).
 
     Parameters
     ----------
@@ -45,13 +45,13 @@ def make_rule(
     case_of_code : ndarray, (code,)
         Saturation case of each saturation code. Bit c of a code is set if channel c clips.
     chroma_centres : ndarray, (chroma, channel), optional
-        Channel means of each chroma centre, divided by their sum. Without this argument, the rule has only one chroma.
+        Channel fractions of each chroma centre. [default: the rule has only one chroma]
     dark : float
         Dark signal, in DN, that was subtracted from the frames.
     observed : mapping of str to ndarray, optional
-        Statistics of the pilot patches, as returned by `decide.observe_patches`. None if there are no pilot patches yet.
+        Statistics of the pilot patches from `decide.observe_patches`. None if there are no pilot patches yet.
     spared_cases : int
-        Number of saturation cases, except case 0, in which each colour filter has a channel that does not clip.
+        Number of saturation cases from `saturation.spared_cases`.
 
     Raises
     ------
@@ -95,10 +95,10 @@ def make_rule(
 
 
 def _saturation_radius(recipe: ClassRecipe, camera: CameraModel) -> int:
-    """Return the saturation radius of the recipe, increased until the neighbourhood of every site contains every channel.
+    """Increase the recipe's saturation radius until the neighbourhood of every site contains every channel.
 
     With a smaller radius, the sites of a clipped area would have different saturation cases, and most of these cases would
-    never be trained on clipped greys (docs/method.md#saturation-cases). The result never exceeds the radius of the patch. A
+    never be trained on clipped greys (docs/method.md#saturation-cases). The result is at most the radius of the patch. A
     radius of 0 stays 0.
     """
     most, least = recipe.patch // 2, min(recipe.saturation_radius, recipe.patch // 2)

@@ -2,8 +2,9 @@
 
     case = case_of_code[code]
 
-The code is a bit pattern. Bit c is set if a pixel of channel c within the saturation radius has a raw value of at least
-`saturation` DN. Several codes can share a case, because most combinations of clipped channels are too rare for training.
+The *saturation code* is a bit pattern. Bit c is set if a pixel of channel c within the saturation radius has a raw value of
+at least `saturation` DN. Several codes can share a *case*, because most combinations of clipped channels are too rare for
+training.
 """
 
 from collections.abc import Sequence
@@ -18,18 +19,18 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes.keys import BasicKeys
 from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, tap_order
 
-MIN_FRACTION = 2e-4  # saturation codes that occur in a smaller fraction of the training patches do not become cases
+MIN_FRACTION = 2e-4  # smallest fraction of the training patches for which a saturation code becomes a case
 SNIPPET = "features/saturation.cl"
 
 
 def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[int] | None = None) -> NDArray[np.uint16]:
     """Choose the saturation cases of a class rule, and assign each saturation code to a case.
 
-    Code 0, in which no channel clips, is case 0. The most frequent of the remaining codes become cases. All other codes
-    are assigned to the nearest case. The nearest case is determined by these criteria, in this order:
+    Code 0, in which no channel clips, is case 0. The most frequent other codes become further cases. Every remaining code is
+    assigned to the nearest case, which is determined by these criteria in order of priority:
 
-    1. All channels of some colour filter clip both in the case and in the code, or in neither of them.
-    2. The case differs from the code in as few channels as possible.
+    1. The code and the case agree on whether all channels of some colour filter clip.
+    2. The code and the case differ in as few channels as possible.
     3. The case contains all clipped channels of the code.
 
     If only code 0 is frequent, all codes are assigned to case 0.
@@ -65,19 +66,16 @@ def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[in
 
 
 def spared_cases(case_of_code: NDArray[np.uint16], filters: Sequence[int]) -> int:
-    """Count the saturation cases, except case 0, in which each colour filter has at least one channel that does not clip.
+    """Count the saturation cases in which some channels clip, but not all channels of any colour filter.
 
-    `choose_cases` numbers these cases from 1. `filters` contains the index of the colour filter of each channel.
+    `choose_cases` numbers these cases from 1. `filters` contains the colour filter of each channel.
     """
     lost = lost_filters(np.arange(len(case_of_code)), filters) > 0
     return int(case_of_code[lost].min(initial=case_of_code.max() + 1)) - 1 if case_of_code.any() else 0
 
 
 def lost_filters(codes: Integers, filters: Sequence[int]) -> Integers:
-    """Count, for each saturation code, the colour filters whose channels all clip.
-
-    `filters` contains the index of the colour filter of each channel.
-    """
+    """Count the completely clipped colour filters in each saturation code. `filters` contains the filter of each channel."""
     of_filter = [sum(1 << bit for bit, each in enumerate(filters) if each == one) for one in sorted(set(filters))]
     return np.sum([codes & mask == mask for mask in of_filter], axis=0)
 
@@ -108,10 +106,7 @@ def saturation_codes(
 
 
 def codes(values: NDArray[np.unsignedinteger], rule: ClassRule, order: TapOrder) -> Integers:
-    """Return the saturation code of each patch.
-
-    `values`, (tap, patch), contains raw values in DN. The taps are sorted as in `order`.
-    """
+    """Return the saturation code of each patch, given raw values (tap, patch) in DN with the taps in the given order."""
     code = np.zeros(values.shape[1], np.int64)
     for bit, taps in enumerate(order.inner):
         if taps.stop > taps.start:
@@ -120,10 +115,7 @@ def codes(values: NDArray[np.unsignedinteger], rule: ClassRule, order: TapOrder)
 
 
 def code_of(saturated: NDArray[np.bool_]) -> Integers:
-    """Convert the saturation flags of channels to saturation codes.
-
-    The last axis of `saturated` is the channel. The result has the remaining axes.
-    """
+    """Convert saturation flags (…, channel) to saturation codes (…)."""
     return (saturated.astype(np.int64) << np.arange(saturated.shape[-1])).sum(axis=-1)
 
 
@@ -133,25 +125,22 @@ def cases(rule: ClassRule, code: Integers) -> Integers:
 
 
 def entry(table: TransformTable, case: int) -> dict[str, Any]:
-    """Describe a saturation case for reports and JSON: its number and the channels that clip in all its codes.
-
-    The codes of a case are the saturation codes that `cases` maps to it.
-    """
+    """Describe a saturation case for reports and JSON: its number, and the channels that clip in all codes of the case."""
     codes = np.flatnonzero(table.first.rule.case_of_code == case)
     common = int(np.bitwise_and.reduce(codes)) if codes.size else 0
     return {"case": case, "saturated": _channels(table, common)}
 
 
 def heading(entry: dict[str, Any]) -> str:
-    """Return the label of a saturation case in the first column of a table, such as "2: r g"."""
+    """Return a row label for a saturation case, such as "2: r g"."""
     return f"{entry['case']}: " + (" ".join(entry["saturated"]) or ("mixed" if entry["case"] else "none"))
 
 
 def name(table: TransformTable, case: int) -> str:
     """Return the name of a saturation case, such as "saturated r+g".
 
-    If several codes share the case, the name lists the clipped channels of the code that differs least from the remaining
-    codes of the case. If no code has this case, the name is "no pattern".
+    If several codes share the case, the name lists the clipped channels of the most typical code, which differs least from
+    the others. If no code has this case, the name is "no pattern".
     """
     codes = np.flatnonzero(table.first.rule.case_of_code == case)
     if not codes.size:
@@ -165,11 +154,10 @@ def _channels(table: TransformTable, code: int) -> list[str]:
 
 
 def _distances(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
-    """Return the sum of the distances from each saturation code in `codes` to all codes in `codes`.
+    """Sum the distances from each saturation code to all codes.
 
-    As in `choose_cases`, the distance is the number of channels that differ. If the second code contains a clipped channel
-    that the first code does not contain, the distance is larger by one half. The sums are computed without comparing pairs,
-    because there may be 2¹⁶ codes.
+    As in `choose_cases`, the distance is the number of channels that differ, plus one half if the second code contains a
+    clipped channel that is missing in the first. Pairs are not compared one by one, because there may be 2¹⁶ codes.
     """
     clips = codes[:, None] >> np.arange(channels) & 1
     frequency = clips.sum(axis=0)
@@ -187,5 +175,5 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.uint16]:
-    """Return the saturation case of each saturation code: (code,). The snippet saturation.cl reads this array."""
+    """Return the constants for saturation.cl: the saturation case of each code."""
     return rule.case_of_code

@@ -1,4 +1,4 @@
-"""The statistics from which features are computed: sums of values and squares, saturation codes and window sums."""
+"""Patch statistics from which features are computed: sums of values and squares, saturation codes and window sums."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,10 +16,10 @@ from l3cli.physics.mosaic import shifted_cfa, tiled
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics of the patches around pixels. In the shapes below, … stands for the axes of the array of pixels."""
+    """Statistics of the patches around pixels. In the shapes below, … represents the axes of the pixel array."""
 
     neighbours: Neighbourhoods
-    site: Integers  # (…), or (1,) if all pixels have one site: index of the CFA site
+    site: Integers  # (…), or (1,) if all pixels have the same site: CFA site
     sums: Integers  # (…, channel): sums of v = DN >> shift
     squares: Integers | None  # (…, channel): sums of v²; None if the rule has only one contrast
     code: Integers  # (…): saturation code; bit c is set if a pixel of channel c near the centre is saturated
@@ -27,15 +27,12 @@ class Statistics:
 
     @cached_property
     def scaled(self) -> Integers:
-        """Channel means, multiplied by 65536: (…, channel).
-
-        A mean is computed as S · round(65536 / n), which is below 2³².
-        """
+        """Channel means times 65536, computed as S · round(65536 / n) < 2³²: (…, channel)."""
         return self.sums * self.neighbours.mean_reciprocal[self.site]
 
 
 class PatchSums(NamedTuple):
-    """Sums over the pixels of each training patch. All patches are centred on the same CFA site."""
+    """Sums over each training patch, for patches centred on the same CFA site."""
 
     sums: NDArray[np.uint32]  # (channel, patch): sums of v = DN >> shift
     squares: NDArray[np.uint32] | None  # (channel, patch): sums of v²; None if the rule has only one contrast
@@ -53,7 +50,7 @@ def window_sums(rule: ClassRule, statistics: Statistics) -> tuple[Integers, ...]
 
 
 def truncation(shift: int) -> float:
-    """Return the mean loss, in DN, that is caused by shifting integers right by `shift` bits."""
+    """Return the mean truncation error, in DN, of shifting integers right by `shift` bits."""
     return (2**shift - 1) / 2
 
 
@@ -63,7 +60,7 @@ def patch_statistics(values: NDArray[np.uint32], rule: ClassRule, order: TapOrde
     Parameters
     ----------
     values : ndarray, (tap, patch)
-        Raw values in DN. The taps are sorted as in `order`.
+        Raw values in DN, with the taps in the given order.
     rule : ClassRule
         The class rule.
     order : TapOrder
@@ -125,7 +122,7 @@ def mosaic_statistics(
 
 
 def _mosaic_windows(padded: Integers, rule: ClassRule, rows: int, cols: int) -> Integers:
-    """Return the window sums of every pixel: (row, col, sum)."""
+    """Compute the window sums of every pixel from an integral image: (row, col, sum)."""
     total = np.pad(padded.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     sums = np.zeros((rule.window_sums, rows, cols), np.int64)
     for window in rule.windows:
@@ -136,7 +133,7 @@ def _mosaic_windows(padded: Integers, rule: ClassRule, rows: int, cols: int) -> 
 
 
 def _inner(padded: NDArray, rule: ClassRule) -> NDArray:
-    """Reduce the margin of a padded array from the patch radius to the saturation radius."""
+    """Crop the margin of a padded array from the patch radius to the saturation radius."""
     cut = rule.radius - rule.saturation_radius
     return padded[cut : padded.shape[0] - cut, cut : padded.shape[1] - cut]
 

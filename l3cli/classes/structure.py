@@ -1,8 +1,8 @@
-"""Structure: strength and direction of the edge at a pixel, computed from the luminance of the previous layer's output.
+"""Structure: strength and direction of the edge at a pixel, from the luminance of the previous layer's output.
 
-docs/method.md#structure contains the formulas. For the structure tensor with the elements xx, yy and xy, let a = xx − yy
-and b = 2 xy. The angle of the vector (a, b) is twice the angle of the gradient. All integers are below 2³¹, so the results
-are the same on every device.
+docs/method.md#structure contains the formulas. Let xx, yy and xy be the elements of the structure tensor, a = xx − yy and
+b = 2 xy. The angle of the vector (a, b) is twice the angle of the gradient. All integers are below 2³¹, so the results are
+the same on every device.
 """
 
 import functools
@@ -14,9 +14,9 @@ from l3cli.artifacts.plane_rules import DIRECTIONS, GRADIENT, StructureRule
 from l3cli.classes.windows import Integers
 
 WIDE, NEAR = 3, 2  # lengths for `triangle_sums`, with the weights 1 2 3 2 1 and 1 2 1
-SIGMA = 16  # standard deviation of the noise of a scaled gradient
+SIGMA = 16  # standard deviation of noise in scaled gradients
 NOISE_TRACE = 2 * 81 * SIGMA**2  # mean trace of the structure tensor of pure noise
-BORDER_PIXELS = 3  # margin in pixels that the outermost pixels of a frame need
+BORDER_PIXELS = 3  # width of the mirrored margin, in pixels
 
 
 def structures(luminance: Integers, level: Integers, site: Integers, rule: StructureRule) -> Integers:
@@ -29,7 +29,7 @@ def structures(luminance: Integers, level: Integers, site: Integers, rule: Struc
     level : ndarray, (row + 4, col + 4)
         Level of each pixel in the first layer, with a margin of 2 mirrored pixels.
     site : ndarray, (row, col)
-        CFA sites.
+        CFA site of each pixel.
     rule : StructureRule
         Class rule of the layer.
     """
@@ -45,11 +45,10 @@ def structures(luminance: Integers, level: Integers, site: Integers, rule: Struc
 def tensor(
     luminance: NDArray[np.integer], factor: NDArray[np.int32], shift: NDArray[np.int32]
 ) -> tuple[Integers, Integers, Integers]:
-    """Compute the elements xx, yy and xy of the structure tensor, which are weighted sums of products of gradients.
+    """Compute the elements xx, yy and xy of the structure tensor: weighted sums of products of gradients.
 
-    Before the products are computed, gradients are multiplied by `factor`, shifted right by `shift` bits, and clipped. The
-    gradients, `factor` and `shift` have two rows and two columns fewer than `luminance`. The tensor has four rows and four
-    columns fewer than the gradients.
+    The gradients are first multiplied by `factor`, shifted right by `shift` bits, and clipped. They have two rows and
+    columns fewer than `luminance`, like `factor` and `shift`. The tensor has four rows and columns fewer than the gradients.
     """
     across = np.clip((luminance[1:-1, 2:] - luminance[1:-1, :-2]) * factor >> shift, -GRADIENT, GRADIENT)
     down = np.clip((luminance[2:, 1:-1] - luminance[:-2, 1:-1]) * factor >> shift, -GRADIENT, GRADIENT)
@@ -58,10 +57,10 @@ def tensor(
 
 
 def triangle_sums(values: NDArray[np.integer], length: int) -> NDArray[np.integer]:
-    """Return weighted sums of values over square windows with the side 2 `length` − 1.
+    """Return triangle-weighted sums over square windows with the side 2 `length` − 1.
 
-    Along each axis, the weights increase from 1 to `length` and then decrease to 1. The sums are computed by adding `length`
-    neighbouring values twice along each axis. With 32-bit integers, this is three times as fast as weighted sums with 64-bit
+    Along each axis, the weights increase from 1 to `length` and then decrease to 1. To compute them, `length` neighbouring
+    values are added twice along each axis. With 32-bit integers, this is three times as fast as weighted sums with 64-bit
     integers.
     """
     for _ in range(2):
@@ -93,10 +92,10 @@ def directions(a: Integers, b: Integers) -> tuple[Integers, Integers]:
 
 
 def turn_signs(turn: NDArray[np.int64]) -> tuple[int, int]:
-    """Return how turning a 3 × 3 window changes the signs of a = xx − yy and b = 2 xy of the structure tensor.
+    """Return the factors, ±1, by which turning a window changes a = xx − yy and b = 2 xy of the structure tensor.
 
-    For each tap of the turned window, `turn` contains the index of the tap before turning. A rotation by 90° changes both
-    signs. Mirroring changes the sign of b, and transposition changes the sign of a.
+    `turn` contains the original index of each tap in the turned 3 × 3 window. A rotation by 90° changes both signs.
+    Mirroring changes the sign of b, and transposition changes the sign of a.
     """
     row, col = np.divmod(turn.reshape(3, 3), 3)
     down, right = (row[2, 1] - row[1, 1], col[2, 1] - col[1, 1]), (row[1, 2] - row[1, 1], col[1, 2] - col[1, 1])
@@ -108,8 +107,7 @@ def turn_signs(turn: NDArray[np.int64]) -> tuple[int, int]:
 def name(rule: StructureRule, number: int, site: int) -> str:
     """Return the name of a structure, such as "flat" or "strength 1 of 2, edge at 45°".
 
-    The angle of the edge is measured anticlockwise from the horizontal. The angle depends on the orientation of the CFA
-    site.
+    The edge's angle is measured anticlockwise from the horizontal. It depends on the orientation of the CFA site.
     """
     if number == 0:
         return "flat"

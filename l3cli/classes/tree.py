@@ -1,8 +1,8 @@
 """Decision trees that classify pixels in a refinement layer (docs/method.md#trees).
 
-Each test of a tree compares a numerator with the product of a threshold and a denominator. Numerator and denominator are
-computed from the planes around a pixel, and are integers below 2³¹. Both are converted to float32. The only floating-point
-operation is then one multiplication, which IEEE 754 defines exactly. The result is therefore the same on every device.
+Each test of a tree compares a numerator with a threshold times a denominator. Numerator and denominator are integers below
+2³¹, computed from the planes around a pixel, and are converted to float32. The only floating-point operation is one
+multiplication, which IEEE 754 defines exactly. The result is therefore the same on every device.
 """
 
 from dataclasses import dataclass
@@ -17,13 +17,12 @@ from l3cli.classes.structure import NEAR, NOISE_TRACE, WIDE
 from l3cli.classes.structure import triangle_sums as sums
 from l3cli.classes.windows import Integers
 
-# Gradients of luminance are clipped to ±TOP and gradients of chroma to ±CHROMA_TOP, so that sums of 81 squares fit into
-# 31 bits.
+# Luminance gradients are clipped to ±TOP and chroma gradients to ±CHROMA_TOP, so that sums of 81 squares fit into 31 bits.
 TOP, CHROMA_TOP = 2895, 2047
-# Smallest value of the denominator LUMA, which is a weighted sum of luminances. The sum of the weights is 16, and the
-# luminances are in units of PLANE_STEP.
+# Smallest value of the denominator LUMA: a weighted sum of luminances in units of PLANE_STEP, with weights that add up to
+# 16.
 DARK = 512
-BORDER_PIXELS = 3  # margin in pixels that the outermost pixels of a frame need
+BORDER_PIXELS = 3  # width of the mirrored margin, in pixels
 
 ONE, TRACE, CHROMA, LUMA = range(4)  # indices of the denominators
 
@@ -65,9 +64,9 @@ assert len(EVERY) == TESTS
 
 @dataclass(frozen=True)
 class Evidence:
-    """The numerators and denominators of all tests of a decision tree at every pixel.
+    """Numerators and denominators for all tests of a decision tree at every pixel.
 
-    In the shapes, … stands for the axes of the array of pixels.
+    In the shapes, … represents the axes of the pixel array.
     """
 
     numerators: NDArray[np.float32]  # (test, …)
@@ -75,14 +74,14 @@ class Evidence:
 
 
 def evidence(planes: Integers, factor: Integers, shift: Integers) -> Evidence:
-    """Compute the numerators and denominators of all tests of a decision tree at every pixel.
+    """Compute the numerators and denominators for all tests of a decision tree at every pixel.
 
     Parameters
     ----------
     planes : ndarray, (plane, row + 6, col + 6)
         Opponent planes of the previous layer's outputs, with a margin of 3 mirrored pixels.
     factor, shift : ndarray, (row + 4, col + 4)
-        Gradients are multiplied by `factor` and then shifted right by `shift` bits. Both arrays have a margin of 2 mirrored
+        Gradients are multiplied by `factor` and shifted right by `shift` bits. Both arrays have a margin of 2 mirrored
         pixels.
     """
     luminance = planes[LUMINANCE]
@@ -125,14 +124,13 @@ def evidence(planes: Integers, factor: Integers, shift: Integers) -> Evidence:
 def leaves(seen: Evidence, site: Integers, rule: TreeRule) -> Integers:
     """Return the leaf that each pixel reaches in the decision tree.
 
-    `site` contains the CFA site of each pixel. The CFA site determines the orientation to which the window of the pixel is
-    turned.
+    A pixel's CFA site (`site`) determines the orientation to which its window is turned.
     """
     turned, sign = (np.array(each) for each in zip(*(turned_tests(turn) for turn in range(8)), strict=True))
     turn = rule.turns.astype(np.int64)[np.broadcast_to(site, seen.numerators.shape[1:]).ravel()]
     numerators, denominators = seen.numerators.reshape(-1), seen.denominators.reshape(-1)
     test, nodes = rule.test.astype(np.int64), len(rule.test)
-    # Offsets of the numerators for each orientation and node, and offsets of the denominators for each node.
+    # Offsets of numerators by orientation and node, and offsets of denominators by node, in the flattened arrays.
     numerator, signs = turned[:, test].reshape(-1) * turn.size, sign[:, test].reshape(-1)
     denominator = np.array([each.denominator for each in EVERY])[test] * turn.size
     node, pixel = np.zeros(turn.size, np.int64), np.arange(turn.size)
@@ -149,10 +147,9 @@ def leaves(seen: Evidence, site: Integers, rule: TreeRule) -> Integers:
 
 
 def turned_tests(turn: int) -> tuple[list[int], list[np.float32]]:
-    """Map each test in a turned window to a numerator of the unturned window.
+    """Map each test in a turned window to a numerator, and its sign, in the original window.
 
-    If a window is turned to the orientation `turn`, the numerators only exchange places and change signs. The result
-    contains the index of the numerator and the sign for each test.
+    Turning a window to the orientation `turn` only permutes the numerators and changes their signs.
     """
     transposed, across, down = turned_axes(turn)
     straight, diagonal = (-1 if transposed else 1), across * down
@@ -169,14 +166,14 @@ def turned_axes(turn: int) -> tuple[bool, int, int]:
     Parameters
     ----------
     turn : int
-        Orientation, from 0 to 7. From 4 on, the window is first transposed. It is then rotated by turn % 4 quarter turns.
+        Orientation from 0 to 7. The window is transposed if `turn` ≥ 4, and then rotated by `turn` % 4 quarter turns.
 
     Returns
     -------
     transposed : bool
         Whether rows and columns are exchanged.
     across, down : int
-        −1 if the order of the columns or of the rows is reversed, otherwise 1.
+        −1 if the order of the columns or rows, respectively, is reversed, otherwise 1.
     """
     taps = np.arange(9).reshape(3, 3)
     row, col = np.divmod(np.rot90(taps.T if turn >= 4 else taps, turn % 4), 3)
@@ -187,7 +184,7 @@ def turned_axes(turn: int) -> tuple[bool, int, int]:
 
 
 def _local(values: Integers) -> NDArray[np.integer]:
-    """Return the weighted sums over 3 × 3 values, without using the outermost rows and columns of `values`."""
+    """Return triangle-weighted sums over 3 × 3 windows, without the outermost rows and columns of `values`."""
     return sums(_inner(values, 1), NEAR)
 
 

@@ -14,7 +14,7 @@ VARIANCE_FRACTION = 9  # number of fractional bits of a channel variance
 
 @dataclass(frozen=True)
 class Neighbourhoods:
-    """The channels in the p × p window around each CFA site, and the reciprocals that the formulas of the features need."""
+    """Channels in the p × p window around each CFA site, and reciprocals for the features' integer formulas."""
 
     channel: Integers  # (site, tap): channel of each tap
     count: Integers  # (site, channel): number of taps of each channel
@@ -23,7 +23,7 @@ class Neighbourhoods:
 
 
 def neighbourhoods(cfa: NDArray[np.uint8], patch: int, channels: int) -> Neighbourhoods:
-    """Return the channels in the windows around all sites of a CFA, and reciprocals of the numbers of taps per channel.
+    """Determine the channels in the windows around all sites of a CFA, and reciprocals of their number of taps.
 
     Parameters
     ----------
@@ -71,26 +71,26 @@ def window_channels(cfa: NDArray[np.uint8], patch: int) -> Integers:
 
 
 def _divided(numerator: int, count: Integers) -> Integers:
-    """Return numerator / count, rounded to the nearest integer. Halves are rounded up."""
+    """Return numerator / count, rounded half up."""
     return (2 * numerator + count) // (2 * count)
 
 
 @dataclass(frozen=True)
 class TapOrder:
-    """An order of the taps in the window around a site.
+    """Order of the taps in the window around a site.
 
-    The taps are sorted by channel. Within a channel, the taps inside the saturation radius are first. The values of a
-    channel are then adjacent rows of an array (tap, patch), which numpy sums fastest.
+    The taps are sorted by channel, and within a channel, the taps inside the saturation radius come first. Each channel's
+    values are then adjacent rows of an array (tap, patch), which numpy sums fastest.
     """
 
     taps: Integers  # (tap,): position of each tap in the window
-    channels: tuple[slice, ...]  # the taps of each channel
-    inner: tuple[slice, ...]  # the taps of each channel within the saturation radius
+    channels: tuple[slice, ...]  # each channel's taps
+    inner: tuple[slice, ...]  # each channel's taps within the saturation radius
     windows: NDArray[np.float32]  # (sum, tap): weight of each tap in the window sums of all features
 
 
 def tap_order(rule: ClassRule, neighbours: Neighbourhoods, site: int) -> TapOrder:
-    """Return the order of the taps in the window around the CFA site with the index `site`."""
+    """Sort the taps in the window around a CFA site, as described in `TapOrder`."""
     channel, channels = neighbours.channel[site], neighbours.count.shape[1]
     reach = np.abs(np.arange(rule.patch) - rule.radius)
     outer = np.maximum(reach[:, None], reach[None]).ravel() > rule.saturation_radius
@@ -115,10 +115,7 @@ def _tap_counts(rule: ClassRule) -> NDArray[np.float32]:
 
 
 def sites(rows: int, cols: int, cfa_shape: tuple[int, ...], phase: tuple[int, int]) -> Integers:
-    """Return the index of the CFA site of every pixel of a frame: (row, col).
-
-    `phase` is the CFA row and CFA column of the first pixel.
-    """
+    """Return every pixel's CFA site (row, col), given the CFA row and column of the first pixel (`phase`)."""
     row = (np.arange(rows) + phase[0]) % cfa_shape[0]
     col = (np.arange(cols) + phase[1]) % cfa_shape[1]
     return row[:, None] * cfa_shape[1] + col

@@ -193,7 +193,7 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
     ):
         if len(recipe.layer) > further and sensitivity.min() < least:
             raise RecipeError(
-                f"the channels of {camera.name} differ in exposure and gain by a factor of {1 / sensitivity.min():.3g}, but "
+                f"the channels of {camera.name} differ by a factor of {1 / sensitivity.min():.3g} in exposure and gain, but "
                 f"a table with {1 + len(recipe.layer)} layers allows at most {1 / least:g}; use a class recipe with {layers}"
             )
     if camera.readout is not None:
