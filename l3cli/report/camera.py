@@ -1,9 +1,8 @@
 """The section of a report about a camera model.
 
 The section shows the colour filter array, the responsivities and the noise. If the model was fitted to charts, the section
-also shows how accurately the model predicts the signals of these charts. If the noise was measured, the section contains a
-data sheet with the operation point, the values of each channel and the plots of EMVA 1288, release 4.0
-(docs/measurement.md#data-sheet).
+also shows how accurately it predicts their signals. If the noise was measured, the section contains an EMVA 1288 data sheet,
+release 4.0, with the operation point, the values of each channel and the plots (docs/measurement.md#data-sheet).
 """
 
 from typing import Any
@@ -21,11 +20,10 @@ from l3cli.report.parts import Block, Data, Details, Figure, Figures, Section, S
 from l3cli.report.validation import BANDS, photo_lead, photo_subsections, table_of, validation_blocks
 from l3cli.system.text import counted, tidy, unit
 
-CELL_HEIGHT, MAX_CELL_WIDTH = 44, 104  # height and maximum width of a filter in the drawing of the array, in px
-HEADROOM = 1.06  # upper end of an axis, divided by the maximum of the curves; the margin is for labels
-MAX_LABEL_CHARACTERS = 24  # curves are labelled if the names of all channels together have at most this many characters
-# A point of the photon transfer curve is saturated if its variance is below this fraction of the variance on the fitted
-# line.
+CELL_HEIGHT, MAX_CELL_WIDTH = 44, 104  # height and maximum width of a site in the drawing of the CFA, in px
+HEADROOM = 1.06  # upper end of an axis, divided by the maximum of the curves, to leave room for labels
+MAX_LABEL_CHARACTERS = 24  # curves are labelled if all channel names together are not longer than this
+# Fraction of the fitted variance below which a point of the photon transfer curve counts as saturated.
 SATURATED_VARIANCE = 0.9
 Array = NDArray[np.floating]
 LINEAR_RANGE = (0.05, 0.95)  # range of the linear fit, as a fraction of the saturation capacity
@@ -59,16 +57,15 @@ def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> S
     camera : CameraModel
         The camera.
     figures : dict
-        Output of `l3 calibrate --json` for this camera, with the additional key "shortfall". Its value states why the model
-        is not reliable, or is an empty string.
+        Output of `l3 calibrate --json` for this camera, and the key "shortfall": why the model is unreliable, or "".
     name : str
-        Name of the file that contains the model.
+        File name of the camera model.
 
     Returns
     -------
     Section
-        Subsections about the sensor, the responsivities and the noise. If the model was measured, subsections with the data
-        sheet, the polarisers, the photos and the validation follow, provided that these measurements exist.
+        Subsections about the sensor, the responsivities and the noise, followed by the data sheet, the polarisers and the
+        validation if they were measured. Subsections about photos come before the noise.
     """
     parts = [
         Subsection("Sensor and colour filter array", (Figures((array_figure(camera),)), _facts(camera))),
@@ -88,7 +85,7 @@ def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> S
 
 
 def _lead(camera: CameraModel, figures: dict[str, Any]) -> str:
-    """Summarise the sensor and the quality of the calibration in a few sentences."""
+    """Summarise the sensor and the quality of its calibration in a few sentences."""
     rows, cols = camera.cfa.shape
     text = (
         f"{len(camera.channels)} channels in a {rows} × {cols} colour filter array on {camera.cols} × {camera.rows} pixels, "
@@ -110,7 +107,7 @@ def _lead(camera: CameraModel, figures: dict[str, Any]) -> str:
 
 
 def drift_note(camera: CameraModel) -> str:
-    """Return a sentence, with a leading space, about an unexpected lamp drift, or "" if no drift was detected."""
+    """Return a sentence about unexpected lamp drift, with a leading space, or "" if there was no drift."""
     if camera.fit is None or camera.fit.drift is None:
         return ""
     return (
@@ -120,15 +117,15 @@ def drift_note(camera: CameraModel) -> str:
 
 
 def polariser_figure(camera: CameraModel, fit: PolariserFit) -> Figure:
-    """Plot the signals behind a rotating polariser, and the fitted curves of Malus's law.
+    """Plot the signals behind a rotating polariser, with fitted curves of Malus's law.
 
-    The signals are divided by the brightness of the light in each capture, so that one curve per channel fits all captures.
+    Each capture is divided by the brightness of its light, so that one curve per channel fits all captures.
     """
     law = fit.gain, fit.angle, fit.leakage, fit.light_polarisation
     light = np.linspace(0.0, 180.0, 181)
     curves, bright = malus(light, *law), fit.brightness[:, None]
     largest = curves.max()
-    unit_signal = (fit.predicted / bright).sum() / malus(fit.light_angle, *law).sum()  # DN/s for a value of 1 in Malus's law
+    unit_signal = (fit.predicted / bright).sum() / malus(fit.light_angle, *law).sum()  # DN/s at 1 in Malus's law
     curves, signal = curves / largest, fit.measured / bright / unit_signal / largest
     plot = Plot(
         spanning("angle of the rotating polariser (°)", light),
@@ -155,10 +152,7 @@ def polariser_figure(camera: CameraModel, fit: PolariserFit) -> Figure:
 
 
 def array_figure(camera: CameraModel) -> Figure:
-    """Draw one period of the colour filter array.
-
-    Each site contains the name of its channel. Its background has the colour of daylight behind the filter.
-    """
+    """Draw one period of the colour filter array, with channel names on the colours of daylight behind the filters."""
     rows, cols = camera.cfa.shape
     light = colours.channel_light(camera)
     wide = float(np.clip(CHARACTER_WIDTH * max(map(len, camera.channels)) + 8, CELL_HEIGHT, MAX_CELL_WIDTH))
@@ -203,10 +197,7 @@ def _facts(camera: CameraModel) -> Table:
 
 
 def _declared_from(camera: CameraModel) -> str:
-    """State the origin of the values that were not measured.
-
-    The origin is the data sheet. In a model from photos without dark frames, the values are assumed to be 0.
-    """
+    """Return where values that were not measured come from: the data sheet, or assumptions if there were no dark frames."""
     return "not measured, assumed to be 0" if "dark current" in camera.declared else "from the data sheet"
 
 
@@ -214,10 +205,7 @@ def _declared_from(camera: CameraModel) -> str:
 
 
 def responsivity_figures(camera: CameraModel) -> tuple[Figure, ...]:
-    """Plot the responsivities of the channels.
-
-    If the camera has confidence bands, the plot includes the bands, and a second figure shows the half widths of the bands.
-    """
+    """Plot the channels' responsivities. If confidence bands are known, add them, and plot their half widths separately."""
     label = "quantum efficiency (e⁻/photon)" if camera.absolute else "relative responsivity (1)"
     upper, measured = camera.responsivity + camera.responsivity_band, bool(camera.responsivity_band.any())
     plot = Plot(
@@ -237,11 +225,7 @@ def responsivity_figures(camera: CameraModel) -> tuple[Figure, ...]:
 
 
 def _band_figure(camera: CameraModel) -> Figure:
-    """Plot the half widths of the confidence bands.
-
-    The bands are shown in a separate plot, because the bands of a good calibration are too narrow to be visible around the
-    curves.
-    """
+    """Plot the half widths of the confidence bands, which can be too narrow to be visible around the curves."""
     shares = 100 * camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     plot = Plot(spanning("wavelength (nm)", camera.wavelength), spanning("half width (% of peak)", shares, zero=True))
     keys = colours.channel_keys(camera)
@@ -295,7 +279,7 @@ def transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
     for channel, key in enumerate(keys):
         gain = float(noise.conversion_gain[channel])
         dark = (gain * float(noise.read_noise[channel])) ** 2 + QUANTISATION
-        end = float(mean[int(variance[:, channel].argmax()), channel])  # the channel saturates above this signal
+        end = float(mean[int(variance[:, channel].argmax()), channel])  # signal at which the channel starts to saturate
         plot.line(np.array([0.0, end]), np.array([dark, dark + gain * end]), key.colour, key.mark, 1.2)
         plot.dots(mean[:, channel], variance[:, channel], key.colour, colours.MARKS[key.mark], series=key.label)
     gains = ", ".join(
@@ -310,7 +294,7 @@ def transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
 
 
 def data_sheet(camera: CameraModel, noise: NoiseFit) -> Subsection:
-    """Build the EMVA 1288 data sheet of a camera: the operation point, the values of each channel, and the plots."""
+    """Build the EMVA 1288 data sheet: the operation point, the values of each channel, and the plots."""
     plots = (transfer_figure, linearity_figure, deviation_figure, snr_figure)
     figures = Figures(tuple(plot(camera, noise) for plot in plots))
     missing = Text(MISSING if camera.absolute else MISSING + MISSING_PHOTONS)
@@ -319,7 +303,7 @@ def data_sheet(camera: CameraModel, noise: NoiseFit) -> Subsection:
 
 
 def operation_point(camera: CameraModel, noise: NoiseFit) -> Table:
-    """List the settings of the camera and the exposure times of the white frames."""
+    """List the camera settings and the exposure times of the white frames."""
     first, last = float(noise.exposure.min()), float(noise.exposure.max())
     array = " / ".join(array_rows(camera.channels, camera.cfa))
     rows = (
@@ -340,7 +324,7 @@ def operation_point(camera: CameraModel, noise: NoiseFit) -> Table:
 
 
 def _blinking_rows(camera: CameraModel, noise: NoiseFit) -> list[tuple[str, str]]:
-    """Return a row with the number of blinking pixels, if it was measured."""
+    """Return a table row with the number of blinking pixels, if it was measured."""
     if not noise.blinking_frames:
         return []
     count = 0 if noise.blinking is None else len(noise.blinking)
@@ -351,7 +335,7 @@ def _blinking_rows(camera: CameraModel, noise: NoiseFit) -> list[tuple[str, str]
 
 
 def figures_table(camera: CameraModel, noise: NoiseFit) -> Table:
-    """Make a table of EMVA 1288 quantities, with one column per channel."""
+    """Tabulate the EMVA 1288 quantities, with one column per channel."""
     gain, capacity = noise.conversion_gain, noise.saturation_capacity
     least = sensitivity_threshold(noise.read_noise, gain)
     peak = camera.responsivity.argmax(axis=1)
@@ -385,7 +369,7 @@ def figures_table(camera: CameraModel, noise: NoiseFit) -> Table:
 
 
 def _line_noise_rows(noise: NoiseFit) -> list[tuple[str, Array]]:
-    """Return the table rows for significant row noise and column noise. The noise is the same for all channels."""
+    """Return table rows for significant temporal row and column noise, which is the same for all channels."""
     found = {
         "row": (noise.row_temporal_noise, noise.row_temporal_noise_error),
         "column": (noise.column_temporal_noise, noise.column_temporal_noise_error),
@@ -400,9 +384,9 @@ def _line_noise_rows(noise: NoiseFit) -> list[tuple[str, Array]]:
 
 
 def _nonuniformity_rows(noise: NoiseFit) -> list[tuple[str, Array]]:
-    """Return DSNU and PRNU, and their parts, with those standard errors that are known.
+    """Return table rows for the total DSNU and PRNU, and for their row, column and pixel parts, with known standard errors.
 
-    DSNU1288 and PRNU1288 are the totals. The parts of rows and columns are the same for all channels.
+    The row and column parts are the same for all channels.
     """
     every = np.ones_like(noise.dsnu)
     unknown = np.zeros_like(noise.dsnu)
@@ -432,19 +416,19 @@ def _nonuniformity_rows(noise: NoiseFit) -> list[tuple[str, Array]]:
 
 
 def with_lines(pixels: tuple[Array, Any], *lines: tuple[Array, Any]) -> tuple[Array, Array]:
-    """Add the variances of rows and columns to the variance of pixels.
+    """Add row and column variances to the pixel variance, and propagate the errors.
 
     Parameters
     ----------
     pixels : (ndarray, ndarray)
         Standard deviation of each channel, and its standard error.
     lines : (ndarray, float)
-        Standard deviation of the noise of rows or columns, and its standard error.
+        Standard deviation of row or column noise, and its standard error.
 
     Returns
     -------
     (ndarray, ndarray)
-        Standard deviation of each channel, and its standard error.
+        Resulting standard deviation of each channel, and its standard error.
     """
     variance, square = pixels[0] ** 2, (pixels[0] * pixels[1]) ** 2
     for deviation, error in lines:
@@ -454,7 +438,7 @@ def with_lines(pixels: tuple[Array, Any], *lines: tuple[Array, Any]) -> tuple[Ar
 
 
 def _lit(camera: CameraModel, noise: NoiseFit, channel: int) -> tuple[Array, Array, Array]:
-    """Fit a straight line to the signal of a channel against the exposure time.
+    """Fit a straight line to a channel's signal as a function of exposure time.
 
     Returns
     -------
@@ -463,8 +447,8 @@ def _lit(camera: CameraModel, noise: NoiseFit, channel: int) -> tuple[Array, Arr
     signal : ndarray, (exposure,)
         Mean signal above the dark signal, in DN.
     line : ndarray, (exposure,)
-        Values of the line in DN. The fit minimises the relative deviations of the signals within LINEAR_RANGE. If fewer than
-        two signals are within this range, all values are NaN.
+        Fitted line in DN. The fit minimises relative deviations within LINEAR_RANGE. NaN if fewer than two signals are
+        within this range.
     """
     gain = noise.conversion_gain[channel]
     order = np.argsort(noise.exposure, kind="stable")
@@ -522,8 +506,8 @@ def deviation_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
 def snr_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
     """Plot the temporal signal-to-noise ratio against the signal in electrons.
 
-    The points are measured. The solid lines are computed from the read noise and the gain of each channel. The dotted line
-    is an ideal sensor with photon noise only.
+    Points are measured, and each channel's line is computed from its read noise and gain. The dotted line is an ideal sensor
+    with photon noise only.
     """
     most = float(noise.saturation_capacity.max())
     electrons = np.geomspace(most * SNR_CURVE_START, most, 60)

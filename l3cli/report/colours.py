@@ -1,6 +1,6 @@
-"""Choose the colours and the marks of channels in drawings, and compute chromaticities.
+"""Choose colours and marks for channels in drawings, and compute chromaticities.
 
-The colour of a channel depends on its responsivity, not on its name.
+A channel's colour depends on its responsivity, not on its name.
 """
 
 from dataclasses import replace
@@ -16,20 +16,20 @@ from l3cli.report.parts import Key
 Array = NDArray[np.floating]
 
 
-# Luminance of all lines, as a fraction of white. The contrast ratio is above 4 on a white page and on a dark page.
+# Luminance of all lines, as a fraction of white. Their contrast ratio is above 4 both on a white and on a dark page.
 LINE_LUMINANCE = 0.18
-MARKS = {"line": "dot", "dashed": "plus", "dotted": "cross"}  # line style of a channel → mark of its points
-# Two colours are too similar if the sum of the absolute differences of their 8-bit sRGB values is below this limit.
+MARKS = {"line": "dot", "dashed": "plus", "dotted": "cross"}  # mark of a channel's points, by line style
+# Sum of absolute 8-bit sRGB differences below which two colours are too similar.
 CONFUSABLE_DIFFERENCE = 170
 
 
 def channel_light(camera: CameraModel) -> NDArray[np.float64]:
-    """Compute a display colour for each channel, from the spectrum of daylight (D65) multiplied by the responsivity.
+    """Compute each channel's display colour from its responsivity under daylight (D65).
 
     Returns
     -------
     ndarray, (channel, 3)
-        Linear sRGB, with a maximum of 1 in each row. A channel that does not respond to visible light is grey (0.5).
+        Linear sRGB with a maximum of 1 per channel. A channel that does not respond to visible light is grey (0.5).
     """
     seen = camera.responsivity * spectra.illuminant("D65", camera.wavelength)
     linear = np.maximum(seen @ spectra.xyz_weights(camera.wavelength).T @ SRGB_FROM_XYZ.T, 0.0)
@@ -38,10 +38,10 @@ def channel_light(camera: CameraModel) -> NDArray[np.float64]:
 
 
 def channel_keys(camera: CameraModel) -> tuple[Key, ...]:
-    """Return one legend entry per channel, with the colour and the style of its line.
+    """Return one legend entry per channel, with its colour and line style.
 
-    All colours have the same luminance, so that the lines are visible on a white page and on a dark page. Channels with
-    similar colours have different line styles. If more than three channels are similar, the styles repeat.
+    All colours have the same luminance, so that lines are visible on a white and on a dark page. Channels with similar
+    colours have different line styles, which repeat if more than three channels are similar.
     """
     keys: list[Key] = []
     for name, linear in zip(camera.channels, channel_light(camera), strict=True):
@@ -52,7 +52,7 @@ def channel_keys(camera: CameraModel) -> tuple[Key, ...]:
 
 
 def point_keys(camera: CameraModel) -> tuple[Key, ...]:
-    """Return one legend entry per channel, like `channel_keys`, but with the mark of its points instead of a line style."""
+    """Return one legend entry per channel, with its colour and the mark of its points."""
     return tuple(replace(key, mark=MARKS[key.mark]) for key in channel_keys(camera))
 
 
@@ -62,7 +62,7 @@ def _codes(colour: str) -> NDArray[np.int64]:
 
 
 def _at_luminance(linear: Array) -> Array:
-    """Darken a linear sRGB colour, or mix it with white, so that its luminance becomes LINE_LUMINANCE."""
+    """Change the luminance of a linear sRGB colour to LINE_LUMINANCE by darkening it or mixing it with white."""
     luminance = float(linear @ LUMA)
     if luminance >= LINE_LUMINANCE:
         return linear * (LINE_LUMINANCE / luminance)
@@ -76,7 +76,7 @@ def hex_colour(linear: Array) -> str:
 
 
 def ink_on(linear: Array) -> str:
-    """Return black or white, as #rrggbb, for text on the background colour `linear` (linear sRGB)."""
+    """Return black or white, as #rrggbb, for text on a linear sRGB background."""
     return "#000000" if float(linear @ LUMA) > LINE_LUMINANCE else "#ffffff"
 
 

@@ -1,7 +1,7 @@
-"""The section of a report about a design: the conclusion, the best arrays, their filters and the predicted errors.
+"""The section of a report about a CFA design: the conclusion, the best arrays, their filters and the predicted errors.
 
-The section shows the errors as a function of the exposure and for each group of patches. If tables were trained for some of
-the arrays, the section also contains the measured errors of these tables and crops of their pictures.
+The section shows the errors by exposure and by group of patches. If tables were trained for some of the arrays, the section
+also contains their measured errors and crops of their pictures.
 """
 
 import base64
@@ -27,14 +27,14 @@ def design_section(design: Design, name: str, jpeg: Jpeg) -> Section:
     design : Design
         The ranked arrays.
     name : str
-        Name of the file that contains the design.
+        File name of the design.
     jpeg : callable
         JPEG encoder, see `parts.Jpeg`.
 
     Returns
     -------
     Section
-        The section, whose introduction states which array is best.
+        Section with an introduction that names the best array.
     """
     drawn = tuple(_figure(design, place) for place in design.best(DRAWN_ARRAYS))
     library = design.camera(" ".join(design.filters), design.efficiency)
@@ -54,7 +54,7 @@ def design_section(design: Design, name: str, jpeg: Jpeg) -> Section:
 
 
 def _figure(design: Design, place: int) -> Figure:
-    """Draw a colour filter array. The title is the rank of the array, and the caption states its predicted errors."""
+    """Draw an array, with its rank as the title and its predicted errors as the caption."""
     drawn = array_figure(design.camera(design.patterns[place], design.efficiency))
     errors = ", ".join(f"{level} {error:.2f}" for level, error in zip(design.levels, design.predicted[place], strict=True))
     title = f"{place + 1}{' (Bayer)' if place == design.bayer else ''}"
@@ -62,7 +62,7 @@ def _figure(design: Design, place: int) -> Figure:
 
 
 def _sensitivity(design: Design) -> Table:
-    """Make a table of how much the error of the best array changes if each of its filters is shifted by 5 nm."""
+    """Tabulate how much the best array's error changes if one of its filters is shifted by 5 nm."""
     used = design.patterns[0].split()
     changes = zip(design.filters, design.sensitivity, strict=True)
     rows = tuple((name, f"{100 * change:+.2f}") for name, change in changes if name in used)
@@ -70,7 +70,7 @@ def _sensitivity(design: Design) -> Table:
 
 
 def _over_light(design: Design) -> Figure:
-    """Plot the predicted errors of the arrays against the exposure (luminance of white times exposure time)."""
+    """Plot the arrays' predicted errors against exposure, the luminance of white times the exposure time."""
     plot = Plot(
         spanning("luminance of white × exposure time (cd s/m²)", design.dose, log=True),
         spanning(f"predicted error ({design.unit})", design.map_error, log=True),
@@ -81,7 +81,7 @@ def _over_light(design: Design) -> Figure:
 
 
 def _groups(design: Design) -> Table:
-    """Make a table of the predicted errors of the best array and of the Bayer array, by contrast, brightness and hue."""
+    """Tabulate the predicted errors of the best array and the Bayer array by contrast, brightness and hue."""
     places, rows = design.best(1), []
     for kind in itertools.chain(*KINDS):
         shares = design.share * [kind in group.split() for group in design.groups]
@@ -93,13 +93,13 @@ def _groups(design: Design) -> Table:
 
 
 def _two_levels(truth: Truth) -> list[int]:
-    """Return the indices of the light levels with the smallest and the largest measured error, without duplicates."""
+    """Return the light levels with the smallest and the largest measured error, without duplicates."""
     errors = truth.measured[..., 0].mean(axis=0)
     return list(dict.fromkeys([int(errors.argmin()), int(errors.argmax())]))
 
 
 def _pictures(design: Design, truth: Truth, level: int, jpeg: Jpeg) -> Gallery:
-    """Show crops at one light level: the ideal picture, the arrays with the lowest measured errors, and the Bayer array."""
+    """Show crops at one light level: the ideal, the arrays with the lowest measured errors, and the Bayer array."""
     errors = truth.measured[:, level, 0]
     bayer = [truth.trained.index(design.patterns[design.bayer])] if design.bayer >= 0 else []
     crops = {"ideal": truth.ideals[level]}

@@ -1,7 +1,7 @@
 """Draw plots as inline SVG. Coordinates are in pixels, and a drawing is 440 px wide.
 
-l3 draws plots without a plotting library for two reasons. First, the plots use the colours and the font of the page, so that
-the same plot suits a light page, a dark page and print. Second, equal numbers always result in identical bytes.
+l3 draws plots without a plotting library for two reasons. First, the plots use the page's colours and font, so the same plot
+suits a light page, a dark page and print. Second, equal numbers always result in identical bytes.
 """
 
 import itertools
@@ -18,17 +18,17 @@ from l3cli.system.text import superscript
 Array = NDArray[np.floating]
 WIDTH, HEIGHT = 440, 300  # size of a plot in px
 LEFT, RIGHT, TOP, BOTTOM = 58, 10, 10, 44  # margins around the axes in px
-# SVG path of each mark, relative to the position of the point
+# SVG path of each mark, relative to the point
 MARKS = {"dot": "h0", "plus": "m-3,0h6m-3,-3v6", "cross": "m-2.3,-2.3l4.6,4.6m0,-4.6l-4.6,4.6"}
 DASHES = {"line": "", "dashed": ' stroke-dasharray="6 4"', "dotted": ' stroke-dasharray="2 3"'}
 SERIES = ("var(--one)", "var(--two)", "var(--three)", "var(--four)")  # CSS colours of the series in `Plot.curves`
 CHARACTER_WIDTH = 6.8  # mean width of a character in px, at a font size of 12 px
-WIDE_CHARACTER_WIDTH = 7.7  # mean width of a character, in px, in a wide font; labels must fit even in a wide font
-ASCENT, DESCENT = 10.0, 3.5  # extent of a text line above and below its baseline, in px
+WIDE_CHARACTER_WIDTH = 7.7  # mean width of a character in px in a wide font, for labels that must fit in any font
+ASCENT, DESCENT = 10.0, 3.5  # height of a text line above and below its baseline, in px
 LABEL_CLEARANCE = 2.5  # minimum distance between a label and lines, marks or other labels, in px
-SAMPLE_SPACING = 1.5  # spacing, in px, of the points that represent a line when overlaps with labels are detected
+SAMPLE_SPACING = 1.5  # spacing, in px, of the points with which lines are sampled to detect overlaps with labels
 LABEL_DISTANCES = (5.0, 7.0, 10.0, 16.0, 24.0)  # distances of a label from its point in px, in order of preference
-# Directions (right, down) of a label from its point, in order of preference
+# Directions (right, down) from a point to its label, in order of preference
 LABEL_DIRECTIONS = ((0, -1), (1, 0), (-1, 0), (0, 1), (1, -1), (-1, -1), (1, 1), (-1, 1))
 ANCHORS = {0: "middle", 1: "start", -1: "end"}  # SVG text-anchor for each horizontal direction
 Place = tuple[float, float, str]  # position of a text: x and y of its baseline, and its SVG text-anchor
@@ -44,9 +44,9 @@ class Axis:
     log: bool = False
 
     def place(self, values: Array | float) -> Array:
-        """Convert values to positions along the axis, where 0 is the lower end and 1 is the upper end.
+        """Convert values to positions along the axis, from 0 at the lower end to 1 at the upper end.
 
-        On a logarithmic axis, all values below a thousandth of the lower end, including 0, are raised to this limit.
+        On a logarithmic axis, smaller values than a thousandth of the lower end, such as 0, are raised to this limit.
         """
         values = np.asarray(values, dtype=np.float64)
         if not self.log:
@@ -55,7 +55,7 @@ class Axis:
         return np.log(least / self.low) / np.log(self.high / self.low)
 
     def ticks(self) -> list[float]:
-        """Return the values at the ticks, which are round numbers within the range of the axis."""
+        """Return the tick values: round numbers within the range of the axis."""
         if not self.log:
             return _round_steps(self.low, self.high)
         decades = range(int(np.floor(np.log10(self.low))), int(np.ceil(np.log10(self.high))) + 1)
@@ -74,10 +74,10 @@ def spanning(label: str, values: Iterable[float] | Array, zero: bool = False, lo
     label : str
         Label of the axis with its unit.
     values : iterable of float
-        Values that will be drawn. A logarithmic axis ignores values that are not positive. If no values remain, the range is
-        0…1, or 0.1…1 for a logarithmic axis.
+        Values to draw. A logarithmic axis ignores values that are not positive. Without values, the range is 0…1, or 0.1…1
+        for a logarithmic axis.
     zero : bool
-        Whether to include zero in the range. If no value is negative, the axis then starts at zero, without a margin.
+        Whether to include zero. If no value is negative, the axis then starts at zero without a margin.
     log : bool
         Whether the scale is logarithmic.
 
@@ -97,7 +97,7 @@ def spanning(label: str, values: Iterable[float] | Array, zero: bool = False, lo
 
 
 def _round_steps(low: float, high: float) -> list[float]:
-    """Return about five equally spaced numbers between two bounds. The spacing is 1, 2 or 5 times a power of ten."""
+    """Return about five equally spaced numbers in a range, with a spacing of 1, 2 or 5 times a power of ten."""
     raw = (high - low) / 5
     power = 10.0 ** np.floor(np.log10(raw))
     step = power * min((1, 2, 5, 10), key=lambda factor: abs(np.log(factor * power / raw)))
@@ -106,10 +106,7 @@ def _round_steps(low: float, high: float) -> list[float]:
 
 
 def tick_text(value: float) -> str:
-    """Format the number at a tick.
-
-    Nonzero numbers with a magnitude below 0.001, or of at least 100 000, are written with a power of ten.
-    """
+    """Format the number at a tick, with a power of ten if its magnitude is below 0.001 or at least 100 000."""
     if value and not 1e-3 <= abs(value) < 1e5:
         power = int(np.floor(np.log10(abs(value)) + 1e-9))
         factor = value / 10.0**power
@@ -118,11 +115,10 @@ def tick_text(value: float) -> str:
 
 
 class Plot:
-    """An SVG plot with an x axis and a y axis.
+    """An SVG plot with an x axis and a y axis, at which all lines and marks are clipped.
 
-    Lines and marks outside the range of the axes are clipped. Most drawing methods have an argument `series`. If `series` is
-    set, the coordinates are added to the data of the figure under this name. The reader of the report can save these data as
-    CSV.
+    Most drawing methods have an optional argument `series`. It is the name under which the coordinates are added to the
+    figure's data, which the reader of the report can save as CSV.
     """
 
     def __init__(self, x: Axis, y: Axis, height: int = HEIGHT, square: bool = False) -> None:
@@ -136,7 +132,7 @@ class Plot:
     def line(
         self, x: Array, y: Array, colour: str, mark: str = "line", width: float = 2, series: str | None = None
     ) -> "Plot":
-        """Draw a line through the points `x`, `y`. `mark` is a key of DASHES, and `width` is in pixels."""
+        """Draw a line through points. `mark` is a key of DASHES, and `width` is in pixels."""
         self._add_series(series, x, y)
         points = self._points(x, y)
         self._places.take(points, joined=True)
@@ -148,9 +144,9 @@ class Plot:
         return self
 
     def steps(self, edges: Array, heights: Array, colour: str, mark: str = "line", series: str | None = None) -> "Plot":
-        """Draw the outline of a histogram from the edges (bin + 1,) and the heights (bin,) of its bins.
+        """Draw the outline of a histogram with the given bin edges (bin + 1,) and heights (bin,).
 
-        The data of the series contain the lower edge of each bin.
+        The series' data contain the lower edge of each bin.
         """
         self._add_series(series, edges[:-1], heights)
         return self.line(np.repeat(edges, 2)[1:-1], np.repeat(heights, 2), colour, mark, 1.8)
@@ -167,7 +163,7 @@ class Plot:
         self, x: Array, y: Array, colour: str, mark: str = "dot", size: float = 5, opacity: float = 0.75,
         series: str | None = None,
     ) -> "Plot":  # fmt: skip
-        """Draw the points `x`, `y`. `mark` is a key of MARKS, and `size` is the diameter of dots in pixels."""
+        """Draw marks at points. `mark` is a key of MARKS, and `size` is the diameter of dots in pixels."""
         self._add_series(series, x, y)
         points = self._points(x, y)
         self._places.take([(a + c * size / 2, b) for a, b in points for c in (-1, 1)], joined=False)
@@ -180,7 +176,7 @@ class Plot:
         return self
 
     def cells(self, x: Array, y: Array, width: float, height: float, colour: str, opacity: float) -> "Plot":
-        """Draw boxes of equal size, with their lower left corners at `x`, `y`. Width and height are in units of the axes."""
+        """Draw boxes of equal size with the lower left corners `x`, `y`. Width and height are in units of the axes."""
         corners = list(zip(self._points(x, y), self._points(x + width, y + height), strict=True))
         self._places.take([corner for pair in corners for corner in pair], joined=False)
         path = "".join(f"M{a:.1f},{b:.1f}H{c:.1f}V{d:.1f}H{a:.1f}z" for (a, b), (c, d) in corners)
@@ -188,7 +184,7 @@ class Plot:
         return self
 
     def label(self, x: float, y: float, text: str) -> "Plot":
-        """Add a label near a point. The label is omitted if every position would cover a line, a mark or another label."""
+        """Add a label near a point, unless it would cover a line, a mark or another label in every position."""
         ((a, b),) = self._points(np.array([x]), np.array([y]))
         self._labels.append((a, b, text))
         return self
@@ -200,23 +196,23 @@ class Plot:
         size: float = 6,
         width: float = 2,
     ) -> tuple[Key, ...]:
-        """Draw several series as lines, with dots at their points, and add them to the data of the figure.
+        """Draw several series as lines with dots, and add them to the figure's data.
 
         Parameters
         ----------
         series : mapping of str to (ndarray, ndarray)
-            Name of each series → its coordinates x and y. Empty series are skipped.
+            Coordinates x and y of each series, by name. Empty series are skipped.
         marks : sequence of str
-            Line styles (keys of DASHES). If there are more series than styles, the styles repeat.
+            Line styles (keys of DASHES), which repeat if there are more series.
         size : float
-            Diameter of the dots in pixels. With 0, no dots are drawn.
+            Diameter of the dots in pixels, or 0 for no dots.
         width : float
             Width of the lines in pixels.
 
         Returns
         -------
         tuple of Key
-            One legend entry for each series that was drawn.
+            Legend entries of the drawn series.
         """
         keys = []
         styles = zip(itertools.cycle(SERIES), itertools.cycle(marks), series.items(), strict=False)
@@ -229,7 +225,7 @@ class Plot:
         return tuple(keys)
 
     def points(self, keys: Sequence[Key], x: Array, y: Array, used: NDArray[np.bool_]) -> None:
-        """Draw the points of all channels. The colour and the mark of a point indicate its channel.
+        """Draw points whose colours and marks indicate their channels.
 
         Parameters
         ----------
@@ -245,29 +241,28 @@ class Plot:
             self.dots(x[..., channel][of_channel], y[..., channel][of_channel], key.colour, key.mark, series=key.label)
 
     def figure(self, title: str, finding: str, keys: tuple[Key, ...] = ()) -> Figure:
-        """Return the plot as a figure, with the data of all series.
+        """Convert the plot to a figure with the data of all series.
 
         Parameters
         ----------
         title : str
             Title of the figure.
         finding : str
-            Caption, which is also the text for screen readers.
+            Caption, also used as the text for screen readers.
         keys : tuple of Key
-            Entries of the legend.
+            Legend entries.
         """
         data = Data(("series", self._x.label, self._y.label), tuple(self._rows))
         return Figure(title, self._svg(finding), finding, keys, data=data)
 
     def _svg(self, finding: str) -> Markup:
-        """Return the drawing as SVG. `finding` is the text for screen readers."""
         width, height = self._inner
         drawn = "".join([*self._items, *self._placed_labels()])
         inner = f'<svg x="{LEFT}" y="{TOP}" width="{width}" height="{height}">{drawn}</svg>'
         return sheet(WIDTH, height + TOP + BOTTOM, self._frame() + inner, finding)
 
     def _placed_labels(self) -> list[str]:
-        """Draw the labels. This is the last step, because labels must not cover other parts of the drawing."""
+        """Draw the labels. This must be the last step, because labels must not cover other parts of the drawing."""
         placed = ((self._places.place(x, y, text), text) for x, y, text in self._labels)
         return [
             f'<text class="mark" x="{place[0]:.1f}" y="{place[1]:.1f}" text-anchor="{place[2]}">{escape(text)}</text>'
@@ -280,10 +275,7 @@ class Plot:
             self._rows += zip(itertools.repeat(series), x.ravel().tolist(), y.ravel().tolist(), strict=False)
 
     def _points(self, x: Array, y: Array) -> list[tuple[float, float]]:
-        """Convert values to pixel coordinates.
-
-        Points more than two axis lengths outside the plot are moved to this limit.
-        """
+        """Convert values to pixel coordinates, clipped to two axis lengths outside the plot."""
         width, height = self._inner
         across = np.clip(self._x.place(x), -2, 3) * width
         down = (1 - np.clip(self._y.place(y), -2, 3)) * height
@@ -308,7 +300,7 @@ class Plot:
 
 
 def _axis_labels(x_label: str, y_label: str, centre: float, below: str, middle: float) -> str:
-    """Draw the x label at the position (`centre`, `below`), and the rotated y label at the height `middle`."""
+    """Draw the x label at (`centre`, `below`), and the rotated y label at the height `middle`."""
     turned = f'transform="rotate(-90 13 {middle:.0f})"'
     return (
         f'<text x="{centre:.0f}" y="{below}" text-anchor="middle">{escape(x_label)}</text>'
@@ -324,11 +316,11 @@ def sheet(width: float, height: float, inside: str, finding: str, fixed_size: bo
     width, height : float
         Size in pixels.
     inside : str
-        SVG markup, with escaped text.
+        SVG markup with escaped text.
     finding : str
         Text for screen readers.
     fixed_size : bool
-        Whether to show the drawing at its size in pixels. Otherwise, the page scales the drawing to the width of a column.
+        Whether to show the drawing at its size in pixels instead of scaling it to the column width.
     """
     label = escape(finding)
     size = f' width="{width:g}" height="{height:g}"' if fixed_size else ""
@@ -336,7 +328,7 @@ def sheet(width: float, height: float, inside: str, finding: str, fixed_size: bo
 
 
 def box(x: float, y: float, width: float, height: float, colour: str, opacity: float = 1.0, extra: str = "") -> str:
-    """Draw a filled rectangle. `extra` contains additional SVG attributes, with a leading space."""
+    """Draw a filled rectangle. `extra` is for additional SVG attributes, with a leading space."""
     return (
         f'<rect x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" fill="{escape(colour)}"'
         f' fill-opacity="{opacity:g}"{extra}/>'
@@ -344,14 +336,14 @@ def box(x: float, y: float, width: float, height: float, colour: str, opacity: f
 
 
 def heat(shares: Array, rows: Sequence[str], columns: Sequence[str], x_label: str, y_label: str, finding: str) -> Markup:
-    """Draw a matrix as a heat map. The opacity of a cell represents its value.
+    """Draw a matrix as a heat map, with opacities that represent the values.
 
     Parameters
     ----------
     shares : ndarray, (row, column)
         Opacity of each cell, from 0 (empty) to 1.
     rows, columns : sequence of str
-        Names of the rows and columns. If the column names are too wide, only every n-th name is shown.
+        Names of the rows and columns. Only every n-th column name is shown if the names are too wide.
     x_label, y_label : str
         Labels of the axes.
     finding : str
@@ -387,21 +379,21 @@ def heat(shares: Array, rows: Sequence[str], columns: Sequence[str], x_label: st
 
 
 class Places:
-    """Records the positions in a plot that are covered by lines, marks and labels, and finds free positions for labels."""
+    """Finds free positions for labels, given the positions covered by lines, marks and other labels."""
 
     def __init__(self, width: float, height: float) -> None:
         self._width, self._height = width, height
         self._taken: list[Array] = []  # covered points (point, 2) in px
 
     def take(self, points: list[tuple[float, float]], joined: bool) -> None:
-        """Mark points as covered. If `joined` is true, also mark the straight lines between consecutive points."""
+        """Mark points as covered, together with the straight lines between them if `joined` is true."""
         array = np.asarray(points, np.float64).reshape(-1, 2)
         if joined and len(array) > 1:
             array = np.concatenate([_between(start, end) for start, end in itertools.pairwise(array)])
         self._taken.append(array)
 
     def place(self, x: float, y: float, text: str) -> Place | None:
-        """Find a free position for a label near a point, and mark the position as covered.
+        """Find a free position for a label near a point, and mark it as covered.
 
         Parameters
         ----------
@@ -413,7 +405,7 @@ class Places:
         Returns
         -------
         tuple or None
-            x and y of the baseline of the text, and its text-anchor. None if no position near the point is free.
+            x and y of the text's baseline, and its text-anchor. None if no position near the point is free.
         """
         for reach in LABEL_DISTANCES:
             for across, down in LABEL_DIRECTIONS:
@@ -426,14 +418,14 @@ class Places:
         return None
 
     def _corner(self, x: float, y: float, text: str, across: float, down: float) -> tuple[float, float]:
-        """Return the upper left corner of a label whose nearest edge is at the offset (across, down) from (x, y)."""
+        """Return the upper left corner of a label at the offset (across, down) from the point (x, y)."""
         width, height = WIDE_CHARACTER_WIDTH * len(text), ASCENT + DESCENT
         left = x - width / 2 if across == 0 else x + across - (width if across < 0 else 0)
         top = y - height / 2 if down == 0 else y + down - (height if down < 0 else 0)
         return left, top
 
     def _free(self, box: tuple[float, float, float, float]) -> bool:
-        """Return whether a box (left, top, right, bottom) is inside the plot and far enough from all covered points."""
+        """Whether a box (left, top, right, bottom) is inside the plot and far enough from all covered points."""
         left, top, right, bottom = box
         if min(left, top) < 0 or right > self._width or bottom > self._height - 1:
             return False
@@ -458,6 +450,6 @@ class Places:
 
 
 def _between(start: Array, end: Array) -> Array:
-    """Return points (point, 2) on the line from `start` to `end`, with a spacing of at most SAMPLE_SPACING."""
+    """Sample the line from `start` to `end` at points (point, 2) with a spacing of at most SAMPLE_SPACING."""
     count = int(np.ceil(np.hypot(*(end - start)) / SAMPLE_SPACING)) + 1
     return start + np.linspace(0.0, 1.0, count)[:, None] * (end - start)

@@ -1,7 +1,7 @@
 """Two sections of a report about an evaluation: the section at the top of the page, and the section with all metrics.
 
-The top section shows pictures of a few frames, a summary and the mean metrics. The other section lists the metrics for each
-illuminant, level, gain and class. In both sections, "ours" means the evaluated table.
+The top section shows pictures of a few frames, a summary and the mean metrics. The other section lists the metrics by
+illuminant, level, gain and class. In both sections, the pipeline "ours" is the evaluated table.
 """
 
 from typing import Any
@@ -35,14 +35,14 @@ NYQUIST = 0.5  # cycles/pixel
 
 
 def standard_blocks(standards: dict[str, Any], height: int) -> tuple[Block, ...]:
-    """Show the metrics that standards define for test charts, with plots of MTF and SNR, a table and an explanation.
+    """Build the blocks with test-chart metrics from standards: plots of MTF and SNR, a table and an explanation.
 
     Parameters
     ----------
     standards : dict
         Value of the key "standards" in the output of `l3 evaluate --json`.
     height : int
-        Number of rows of the camera's pictures. It is used to convert MTF50 to line widths per picture height.
+        Picture height in pixels, to convert MTF50 to line widths per picture height.
     """
     edges, grey = standards["edge"], standards["grey"]
     figures = [_edge_figure(edges[across], DIRECTIONS[across]) for across in edges]
@@ -65,7 +65,7 @@ def standard_blocks(standards: dict[str, Any], height: int) -> tuple[Block, ...]
 
 
 def _meaning(standards: dict[str, Any], height: int) -> str:
-    """Explain the metrics that standards define, and state the conditions of the measurement."""
+    """Explain the metrics from standards and the measurement conditions."""
     grey, chart = standards["grey"], standards["chart"]
     text = (
         "MTF50 is the lowest frequency at which the MTF of a noise-free slanted edge with a contrast of 4:1 is 0.5 (ISO "
@@ -162,15 +162,15 @@ GAIN_MEANING = (
     "simulated again with this noise. The exposure time is shortened in proportion to the gain."
 )
 
-ERROR_KEY = (  # legend of the error maps that l3cli.evaluation.pictures creates
+ERROR_KEY = (  # legend of the error maps from l3cli.evaluation.pictures
     Key("ΔE00 in the error map: 0", "#000000", "box"),
     Key("2.5", "#460a6e", "box"),
     Key("5", "#be285a", "box"),
     Key("7.5", "#f58c1e", "box"),
     Key("10 or more", "#ffffff", "box"),
 )
-SAME_LUMINANCE = 0.01  # relative difference below which luminances count as equal, because users round values in lux
-FRAMES_SHOWN = 3  # number of frames in the top section: the median frame, the worst frame and the best frame
+SAME_LUMINANCE = 0.01  # relative tolerance when luminances are compared, because users round values in lux
+FRAMES_SHOWN = 3  # number of frames in the top section: the median, worst and best frame
 Pictures = dict[int, dict[str, Pixels]]  # index of a frame → name → picture (a pipeline, "ideal", or the error map "error")
 
 
@@ -184,13 +184,13 @@ def evaluation_section(document: dict[str, Any], names: tuple[str, str], height:
     names : tuple of str
         File names of the table and of the training set.
     height : int
-        Number of rows of the camera's pictures.
+        Picture height in pixels.
 
     Returns
     -------
     Section
-        Metrics over all frames, by level, by class, and from standards. Metrics by gain are included if the camera model
-        contains the noise at several analog gains.
+        Metrics over all frames, by level, by class, and from standards. If the camera model contains the noise at several
+        analog gains, also metrics by gain.
     """
     parts = [
         Subsection("Quality", _quality_blocks(document)),
@@ -206,19 +206,19 @@ def evaluation_section(document: dict[str, Any], names: tuple[str, str], height:
 def luminance_section(
     curves: dict[str, list[tuple[str, tuple[float, ...], tuple[float, ...]]]], sentences: dict[str, list[str]]
 ) -> Section:
-    """Build a section that compares cameras as a function of the luminance of the scene.
+    """Build the section that compares cameras as a function of scene luminance.
 
     Parameters
     ----------
     curves : dict of str to list of (name, luminances, values)
-        Metric → one tuple per camera: its name, luminances in cd/m², and the values of the metric.
+        By metric: for each camera, its name, luminances in cd/m², and the metric at these luminances.
     sentences : dict of str to list of str
-        Metric → sentences that state which camera is better in which range of luminance.
+        By metric: which camera is better in which luminance range.
 
     Returns
     -------
     Section
-        A subsection with a plot and a table for each metric.
+        One subsection per metric, with a plot and a table.
     """
     parts = []
     for figure, cameras in curves.items():
@@ -240,12 +240,12 @@ def luminance_section(
 
 
 def main_of(document: dict[str, Any]) -> str:
-    """Return the name of the main metric of an evaluation, such as "mean_delta_e": the first metric of the first frame."""
+    """Return the main metric of an evaluation, such as "mean_delta_e", which is the first metric of the first frame."""
     return str(next(iter(document["frames"][0][OURS])))
 
 
 def summary(document: dict[str, Any]) -> str:
-    """Return a sentence with the mean of the main metric over all frames, for each pipeline."""
+    """Return a sentence with each pipeline's main metric, averaged over all frames."""
     figure = main_of(document)
     means = ", ".join(f"{name} {main_figure(document['mean'][name], figure)}" for name in document["pipelines"])
     name = FIGURES[figure].heading
@@ -253,7 +253,7 @@ def summary(document: dict[str, Any]) -> str:
 
 
 def main_figure(figures: dict[str, float], figure: str) -> str:
-    """Format the value of the main metric, followed by the PSNR in parentheses if `figures` contains the PSNR."""
+    """Format the main metric, followed by the PSNR in parentheses if it is known."""
     return figure_text(figure, figures[figure]) + (f" ({number(figures['psnr'], '.1f')} dB)" if "psnr" in figures else "")
 
 
@@ -305,16 +305,16 @@ def _texts(values: dict[str, float], figures: tuple[str, ...]) -> tuple[str, ...
 def _grouped(
     document: dict[str, Any], caption: str, heading: str, counts: str, entries: list[tuple[str, dict[str, Any]]]
 ) -> Table:
-    """Make a table of the main metric, with one row per group of frames or pixels and one column per pipeline.
+    """Tabulate the main metric, with one row per group of frames or pixels and one column per pipeline.
 
     Parameters
     ----------
     document : dict
         Output of `l3 evaluate --json`.
     caption, heading : str
-        Caption of the table, and heading of the column with the names of the groups.
+        Caption of the table, and heading of the column with the group names.
     counts : str
-        Key of the size of a group in its metrics, "frames" or "pixels".
+        Key of the group size in the metrics, "frames" or "pixels".
     entries : list of (str, dict)
         Name and metrics of each group.
     """
@@ -340,10 +340,9 @@ def _level_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
 
 
 def _gain_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
-    """Plot the main metric against the analog gain.
+    """Plot the main metric against the analog gain, with a table and an explanation.
 
-    If the evaluation has several illuminants, each curve is the metric of the table under one illuminant. Otherwise, each
-    curve is the metric of one pipeline.
+    With several illuminants, the plot has one curve per illuminant for the table. Otherwise, it has one curve per pipeline.
     """
     groups, figure = document["by_gain"], main_of(document)
     lights = tuple(dict.fromkeys(group["illuminant"] for group in groups))
@@ -371,16 +370,15 @@ def _gain_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
 
 
 def level_middles(entries: list[dict[str, Any]]) -> np.ndarray:
-    """Return a positive level between the bounds "from" and "to" of each entry, for a logarithmic axis.
+    """Return the geometric mean of each entry's bounds "from" and "to", for a logarithmic axis.
 
-    The level is the geometric mean of the two bounds. A lower bound below half of the upper bound is first raised to this
-    half.
+    Lower bounds, which can be 0, are first raised to at least half of the upper bound.
     """
     return np.array([np.sqrt(max(entry["from"], entry["to"] / 2) * entry["to"]) for entry in entries])
 
 
 def _curves(document: dict[str, Any], entries: list[dict[str, Any]], at: np.ndarray, title: str, label: str) -> Figure:
-    """Plot the main metric of each pipeline against the levels `at`, which belong to the entries."""
+    """Plot each pipeline's main metric in the given entries against their levels `at`."""
     figure = main_of(document)
     values = {name: np.array([entry[name][figure] for entry in entries]) for name in document["pipelines"]}
     everything = np.concatenate(list(values.values()))
@@ -414,18 +412,12 @@ def _class_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
 
 
 def lit_as(luminance: float, at: float | None) -> bool:
-    """Return whether the luminance of a frame in cd/m² equals `at`, with a relative tolerance of SAME_LUMINANCE.
-
-    If `at` is None, the result is True for every frame.
-    """
+    """Whether a frame's luminance in cd/m² equals `at`, with a tolerance of SAME_LUMINANCE, or `at` is None."""
     return at is None or abs(luminance / at - 1) < SAME_LUMINANCE
 
 
 def brightness(frame: dict[str, Any]) -> str:
-    """Format the luminance of a frame for a caption, with a leading comma.
-
-    The text is empty if the frame has no scene fingerprint.
-    """
+    """Format a frame's luminance for a caption, with a leading comma, or return "" without a scene fingerprint."""
     if frame["shown"] is None:
         return ""
     return f", {tidy(frame['luminance'])} cd/m² ({tidy(np.pi * frame['luminance'])} lux)"
@@ -439,14 +431,14 @@ def shown_frames(document: dict[str, Any], at: float | None = None) -> list[int]
     document : dict
         Output of `l3 evaluate --json`.
     at : float, optional
-        Luminance in cd/m². Only frames with this luminance are chosen. At least one frame must have this luminance.
+        Luminance in cd/m², to which the choice is restricted. At least one frame must have this luminance.
         [default: choose from all frames]
 
     Returns
     -------
     list of int
-        Indices of the frames. The first frame has the median of the table's main metric. If fewer than FRAMES_SHOWN frames
-        remain, all of them follow, from the worst to the best. Otherwise, only the worst and the best frame follow.
+        Indices of the frame with the median of the table's main metric, of the worst frame, and of the best frame. If fewer
+        frames are available, all are returned, starting with the median frame.
     """
     figure = main_of(document)
     among = [number for number, frame in enumerate(document["frames"]) if lit_as(frame["luminance"], at)]
@@ -459,16 +451,14 @@ def front_section(
     document: dict[str, Any], pictures: Pictures, title: str, anchor: str, limit: int, jpeg: Jpeg,
     below: tuple[Subsection, ...], at: float | None = None,
 ) -> Section:  # fmt: skip
-    """Build the section at the top of a page.
-
-    The section shows the first frame together with the mean metrics, then the subsections `below`, then the other frames.
+    """Build the section at the top of a page: the first frame with the mean metrics, `below`, and the other frames.
 
     Parameters
     ----------
     document : dict
         Output of `l3 evaluate --json`.
     pictures : dict
-        Pictures of the frames that `shown_frames` chose, in the same order.
+        Pictures of the frames from `shown_frames`, in the same order.
     title : str
         Title of the section.
     anchor : str
@@ -480,7 +470,7 @@ def front_section(
     below : tuple of Subsection
         Subsections that follow the first frame.
     at : float, optional
-        Luminance in cd/m² that was passed to `shown_frames`.
+        Luminance in cd/m², as in `shown_frames`.
     """
     count, figure = len(document["frames"]), main_of(document)
     among = sum(lit_as(frame["luminance"], at) for frame in document["frames"])
@@ -505,7 +495,7 @@ def front_section(
 
 
 def verdict(document: dict[str, Any]) -> str:
-    """Return one sentence per baseline. It states the metrics and frames in which the table is closer to the ideal."""
+    """Return one sentence per baseline, on the metrics and frames in which the table is closer to the ideal."""
     count, figure = len(document["frames"]), main_of(document)
     sentences = []
     for baseline, wins in document["better"].items():
@@ -530,7 +520,7 @@ def _in_frames(figure: str, won: int, count: int) -> str:
 def _comparison(
     document: dict[str, Any], index: int, pictures: dict[str, Pixels], anchor: str, limit: int, jpeg: Jpeg
 ) -> Comparison:
-    """Build the comparison of one frame: the picture of the table, the ideal, the baselines, and the error map."""
+    """Build the comparison of one frame: the table's picture, the ideal, the baselines, and the error map."""
     frame = document["frames"][index]
     light = f"{frame['illuminant']}{brightness(frame)}"
     title = f"Frame {index + 1}: {frame['scene']}, {light}, level {frame['level']:.3f}"
@@ -541,7 +531,7 @@ def _comparison(
 
 
 def _picture(frame: dict[str, Any], name: str, pixels: Pixels, figure: str, limit: int, jpeg: Jpeg) -> Picture:
-    """Encode one picture of a frame, and compose its caption. `limit` is the maximum size of the picture in bytes."""
+    """Encode one picture of a frame in at most `limit` bytes, and write its caption."""
     uri, (rows, cols) = fitted(pixels, limit, jpeg)
     scale = pixels.shape[0] // rows
     reduced = f", shown at 1/{scale} of its size" if scale > 1 else ""

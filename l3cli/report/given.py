@@ -1,4 +1,4 @@
-"""The input files of a report, and the selection of the training sets on which each table is evaluated."""
+"""The input files of a report, and which training sets each table is evaluated on."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,10 +26,7 @@ class Entry:
 
     @property
     def array(self) -> tuple[Any, ...]:
-        """Key that identifies the channels and the colour filter array of the artifact.
-
-        The key is empty for a design, which contains many arrays.
-        """
+        """Key that identifies the artifact's channels and CFA. It is empty for a design, which contains many arrays."""
         if isinstance(self.artifact, Design):
             return ()
         of: Any = self.artifact.camera if isinstance(self.artifact, TrainingSet) else self.artifact
@@ -37,10 +34,7 @@ class Entry:
 
 
 class Pair(NamedTuple):
-    """A table and a training set on which the report evaluates the table.
-
-    The table and the training set have the same CFA, and the table was not trained on the set.
-    """
+    """A table and a training set with the same CFA on which it is evaluated, but was not trained."""
 
     table: Entry
     transforms: TransformTable  # the artifact of `table`
@@ -57,12 +51,12 @@ class Given:
     sequence_sums: dict[str, str]  # file name in `sequences` → SHA-256 of the file
 
     def of(self, kind: type[A]) -> list[tuple[Entry, A]]:
-        """Return each entry whose artifact is an instance of `kind`, together with the artifact."""
+        """Return the entries with artifacts of type `kind`, together with these artifacts."""
         return [(entry, entry.artifact) for entry in self.entries if isinstance(entry.artifact, kind)]
 
     @property
     def pairs(self) -> list[Pair]:
-        """All pairs of a table and a training set with the same CFA. Sets on which the table was trained are excluded."""
+        """All pairs of a table and a training set on which the table can be evaluated."""
         return [
             Pair(table, transforms, frames, head)
             for table, transforms in self.of(TransformTable)
@@ -78,12 +72,12 @@ class Given:
 
 
 def trained_on(table: TransformTable, frames: Entry) -> bool:
-    """Return whether a table was trained on a training set, that is, whether its history contains the SHA-256 of the set."""
+    """Whether a table was trained on a training set, according to the SHA-256 digests in its history."""
     return any(frames.sha256 in digests for stage in table.history for digests in stage.inputs.values())
 
 
 def role_of(given: Given, frames: Entry) -> str:
-    """Return sentences that list the tables trained on a training set, and the tables evaluated on this set."""
+    """Return sentences that list the tables trained on a training set, and the tables evaluated on it."""
     roles = []
     for text, wanted in (("Tables trained on this set", True), ("Tables evaluated on this set", False)):
         names = [entry.name for entry, table in given.of(TransformTable) if trained_on(table, frames) is wanted]
@@ -92,7 +86,7 @@ def role_of(given: Given, frames: Entry) -> str:
 
 
 def cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
-    """Return each distinct camera in the training sets, with the name of the first file that contains the camera."""
+    """Return each distinct camera in the training sets, with the name of the first file that contains it."""
     cameras: list[tuple[str, CameraModel]] = []
     for entry, head in given.of(TrainingSet):
         if not any(equal(head.camera, camera) for _, camera in cameras):
@@ -101,7 +95,7 @@ def cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
 
 
 def lead_without_evaluation(given: Given) -> str:
-    """Return the first paragraph of a report without evaluated tables. The paragraph states which file the user can add."""
+    """Return the introduction of a report without evaluated tables, which explains what files to add."""
     if given.sequences:
         return sequence_summary(given.sequences)
     if not given.of(TransformTable):

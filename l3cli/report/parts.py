@@ -1,8 +1,7 @@
-"""The parts of a report as data classes, and the conversion of a report to an HTML page.
+"""The parts of a report as data classes, and their conversion to an HTML page.
 
-A report is a list of sections, and a section contains tables, figures and pictures. The template page.html converts the
-sections to a self-contained HTML page. Pictures are embedded as data URIs of limited size. With the script downloads.js, the
-reader can save a drawing as an SVG file.
+A report is a list of sections with tables, figures and pictures. The template page.html converts them to a self-contained
+page. Pictures are embedded as data URIs of limited size. The script downloads.js lets the reader save drawings as SVG files.
 """
 
 import base64
@@ -21,13 +20,13 @@ from numpy.typing import NDArray
 from l3cli.artifacts.schema import Stage
 from l3cli.physics.display import displayed, srgb_codes, white_luminance
 
-# Matches cells that contain a number or a range of numbers. A column is right-aligned if all its cells match.
+# Matches a number or a range of numbers.
 NUMBER = re.compile(r"^(?=.*[0-9])[−+]?[0-9.,–×⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+$")
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table of text cells with column headings. The first cell of each row is the heading of the row."""
+    """A table of text cells with column headings. The first cell of each row is its heading."""
 
     kind: ClassVar[str] = "table"
     caption: str
@@ -36,17 +35,14 @@ class Table:
 
     @property
     def numeric(self) -> tuple[bool, ...]:
-        """Whether each column is right-aligned.
-
-        A column is right-aligned if all its cells contain numbers or ranges of numbers, and if it is not the first column.
-        """
+        """Whether each column, except the first, contains only numbers, and is therefore right-aligned."""
         columns = range(1, len(self.headings))
         return (False, *(all(NUMBER.match(row[column]) for row in self.rows) for column in columns))
 
 
 @dataclass(frozen=True)
 class Key:
-    """One entry of the legend of a figure."""
+    """An entry in the legend of a figure."""
 
     label: str
     colour: str  # CSS colour
@@ -56,7 +52,7 @@ class Key:
 
 @dataclass(frozen=True)
 class Data:
-    """The numbers that a drawing shows, as a table."""
+    """The numbers in a drawing, as a table."""
 
     headings: tuple[str, ...]
     rows: tuple[tuple[str | float, ...], ...]
@@ -68,15 +64,15 @@ class Figure:
 
     title: str
     svg: Markup
-    finding: str  # caption, also used as the text for screen readers; states the main result with numbers
+    finding: str  # caption with the main result in numbers, also used as the text for screen readers
     legend: tuple[Key, ...] = ()
-    narrow: bool = False  # whether the page must not enlarge the drawing
+    narrow: bool = False  # whether the drawing must not be enlarged
     data: Data | None = None  # numbers in the drawing, which the reader can save as a CSV file
 
 
 @dataclass(frozen=True)
 class Figures:
-    """Figures in rows. Each row contains as many figures as fit into the width of the page."""
+    """Figures in rows, with as many figures per row as the page width allows."""
 
     kind: ClassVar[str] = "figures"
     figures: tuple[Figure, ...]
@@ -99,14 +95,14 @@ class Gallery:
 
     kind: ClassVar[str] = "gallery"
     pictures: tuple[Picture, ...]
-    wide: bool = False  # whether the pictures are shown as large as the page permits
+    wide: bool = False  # whether to show the pictures as large as the page allows
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Pictures of one frame. The reader selects two of the pictures and compares them with a slider.
+    """Pictures of one frame, two of which the reader can select and compare with a slider.
 
-    If scripts are disabled, the page shows all pictures side by side.
+    Without scripts, the page shows all pictures side by side.
     """
 
     kind: ClassVar[str] = "comparison"
@@ -114,11 +110,11 @@ class Comparison:
     title: str
     pictures: tuple[Picture, ...]
     key: tuple[Key, ...] = ()  # legend of the error map
-    size: tuple[int, int] = (0, 0)  # rows and columns of the frame, before the pictures were reduced
+    size: tuple[int, int] = (0, 0)  # rows and columns of the original frame
 
     @property
     def width(self) -> int:
-        """Maximum width on the screen in pixels. Without a limit, small frames would be enlarged until they look blurred."""
+        """Maximum width on the screen in pixels, so that small frames are not enlarged until they look blurred."""
         return max(3 * self.pictures[0].cols, 480)
 
 
@@ -128,7 +124,7 @@ class Front:
 
     kind: ClassVar[str] = "front"
     comparison: Comparison
-    score: str  # value of the main metric of the transform table, as text
+    score: str  # main metric of the transform table, as text
     meaning: str  # explanation of the score
     verdict: str  # sentences that state whether the transform table is better than the other pipelines
     table: Table  # metrics of all pipelines
@@ -136,13 +132,13 @@ class Front:
 
 @dataclass(frozen=True)
 class PixelPicker:
-    """A crop of a frame. If the reader selects a pixel, the page shows the classes and the transforms of the pixel."""
+    """A crop of a frame in which the reader can select a pixel to see its classes and transforms."""
 
     kind: ClassVar[str] = "pixels"
-    anchor: str  # HTML anchor of the comparison that shows the whole frame
+    anchor: str  # HTML anchor of the comparison with the whole frame
     text: str
     pictures: tuple[Picture, ...]
-    packed: str  # classes and transforms, in the encoding of the function pixels.packed
+    packed: str  # classes and transforms, encoded with `pixels.packed`
 
 
 @dataclass(frozen=True)
@@ -155,7 +151,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Details:
-    """A long text, for example a recipe, which is hidden until the reader expands it."""
+    """A long text, such as a recipe, which is hidden until the reader expands it."""
 
     kind: ClassVar[str] = "details"
     title: str
@@ -184,9 +180,9 @@ class Section:
 
 Array = NDArray[np.floating]
 Pixels = NDArray[np.uint8]
-# A JPEG encoder. It converts an 8-bit sRGB picture (row, col, 3) and a quality from 1 to 100 to the bytes of a JPEG file.
+# A JPEG encoder: a function of an 8-bit sRGB picture (row, col, 3) and a quality from 1 to 100 that returns a JPEG file.
 Jpeg = Callable[[Pixels, int], bytes]
-# (reduction factor, JPEG quality), from the best to the worst.
+# (reduction factor, JPEG quality), from best to worst.
 JPEG_ATTEMPTS = (
     (1, 92),
     (1, 85),
@@ -201,7 +197,7 @@ THUMBNAIL = 160  # maximum length of the longer side of a thumbnail in px
 
 
 def thumbnail(target: Array, white: Array) -> Pixels:
-    """Make a small sRGB picture of a target.
+    """Convert a target to a small sRGB picture.
 
     Parameters
     ----------
@@ -213,7 +209,7 @@ def thumbnail(target: Array, white: Array) -> Pixels:
     Returns
     -------
     ndarray of uint8, (row, col, 3)
-        sRGB picture. Its longer side usually has at most THUMBNAIL pixels. The 99th percentile of Y becomes white.
+        sRGB picture with at most about THUMBNAIL pixels on its longer side. The 99th percentile of Y is rendered white.
     """
     step = max(1, -(-max(target.shape[1:]) // THUMBNAIL))
     small = reduced(np.moveaxis(target, 0, -1), step)
@@ -221,7 +217,7 @@ def thumbnail(target: Array, white: Array) -> Pixels:
 
 
 def reduced(pixels: Array | Pixels, step: int) -> Array | Pixels:
-    """Reduce a picture by averaging squares of pixels.
+    """Downsample a picture by averaging squares of pixels.
 
     Parameters
     ----------
@@ -233,7 +229,7 @@ def reduced(pixels: Array | Pixels, step: int) -> Array | Pixels:
     Returns
     -------
     ndarray, (row, col, channel)
-        Mean of each square. If `step` is 1, or if the picture is smaller than one square, the picture is returned unchanged.
+        Mean of each square. If `step` is 1 or the picture is smaller than a square, the picture itself.
     """
     rows, cols = (max(1, length // step) for length in pixels.shape[:2])
     if step == 1 or min(pixels.shape[:2]) < step:
@@ -244,8 +240,7 @@ def reduced(pixels: Array | Pixels, step: int) -> Array | Pixels:
 def fitted(pixels: Pixels, limit: int, jpeg: Jpeg) -> tuple[str, tuple[int, int]]:
     """Encode a picture as a JPEG data URI of limited size.
 
-    The function uses the first reduction factor and quality in JPEG_ATTEMPTS with which the picture does not exceed the
-    limit. If the picture always exceeds the limit, the last reduction factor and quality are used.
+    The first reduction factor and quality in JPEG_ATTEMPTS that meet the limit are used, or the last ones if none does.
 
     Parameters
     ----------
@@ -273,11 +268,11 @@ def fitted(pixels: Pixels, limit: int, jpeg: Jpeg) -> tuple[str, tuple[int, int]
 
 MAX_PAGE_BYTES = 10_000_000  # approximate maximum size of a page in bytes
 FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")  # first characters of cells that spreadsheets interpret as formulas
-MAX_FILE_NAME = 60  # maximum length of the name of a saved file in characters
+MAX_FILE_NAME = 60  # maximum length of a saved file's name in characters
 
 
 def render_page(title: str, lead: str, sections: list[Section]) -> str:
-    """Convert a report to a self-contained HTML page, with embedded drawings, pictures and scripts. All text is escaped.
+    """Convert a report to a self-contained HTML page with embedded drawings, pictures and scripts. All text is escaped.
 
     Parameters
     ----------
@@ -305,14 +300,14 @@ def render_page(title: str, lead: str, sections: list[Section]) -> str:
 
 
 def file_stem(title: str) -> str:
-    """Convert a title to a file name without suffix. The name is valid on all operating systems."""
+    """Convert a title to a file name without suffix that is valid on all operating systems."""
     return re.sub("[^a-z0-9]+", "-", title.lower())[:MAX_FILE_NAME].strip("-") or "figure"
 
 
 def csv_uri(data: Data) -> str:
-    """Encode the numbers of a drawing as a CSV file in a data URI.
+    """Encode the numbers in a drawing as a CSV file in a data URI.
 
-    A space is prepended to text that a spreadsheet would otherwise interpret as a formula.
+    Text that a spreadsheet would interpret as a formula is prefixed with a space.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -326,13 +321,12 @@ def _harmless(text: str) -> str:
 
 
 def history_section(files: list[tuple[str, str, str, tuple[Stage, ...]]]) -> Section:
-    """Build the section that lists the input files of a report and the commands that wrote these files.
+    """Build the section with the input files of a report and the commands that created them.
 
     Parameters
     ----------
     files : list of (name, type, SHA-256, stages)
-        Name, type, checksum and history of each file. The history lists the stages in the order in which they ran, and may
-        be empty.
+        Name, type, digest and history of each file. The history lists the processing stages in order, and may be empty.
     """
     given = tuple((name, kind, digest) for name, kind, digest, _ in files)
     parts = [Subsection("Files", (Table("Files of this report", ("file", "type", "SHA-256"), given),))]
@@ -355,6 +349,6 @@ def _stages(name: str, stages: tuple[Stage, ...]) -> Subsection:
 
 
 def _digests(role: str, digests: list[str]) -> str:
-    """List at most four input files of a role, such as "camera". A file is represented by 12 digits of its SHA-256."""
+    """List a role, such as "camera", and at most four of its input files by the first 12 digits of their SHA-256."""
     more = f" … ({len(digests)} files)" if len(digests) > 4 else ""
     return " ".join((role, *(digest[:12] for digest in digests[:4]))) + more

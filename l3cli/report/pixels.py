@@ -1,17 +1,17 @@
-"""Encode a crop of a frame, in which the reader of a report can inspect the class and the transform of each pixel.
+"""Encode a crop of a frame in which the reader of a report can inspect each pixel's class and transform.
 
-The data of the crop are embedded in the page. The script pixels.js shows the class and the transform of a pixel, and
-classes.js lists all classes in the data.
+The data are embedded in the page. The script pixels.js shows a pixel's class and transform, and classes.js lists all
+classes.
 
 The data are compressed with deflate and encoded as base64. Before compression, they consist of:
 
 * the length of the header in bytes (uint32),
 * the header as JSON, padded with spaces to a multiple of four bytes,
-* three arrays for each layer, each of which is padded with zeros to a multiple of four bytes:
+* three arrays per layer, padded with zeros to multiples of four bytes:
 
   1. the largest absolute weight of each class and output (float32),
-  2. the class of each pixel, as an index into the list of classes in the header (uint16),
-  3. the weights (int8): sign(w) · 127 · √(|w| / largest), where w is a weight and `largest` is from the first array.
+  2. the class of each pixel, as an index into the header's list of classes (uint16),
+  3. the weights w as sign(w) · 127 · √(|w| / largest) (int8), where `largest` is from the first array.
 
 Only the first `with_weights` classes of the header have weights. All numbers are little-endian.
 """
@@ -36,7 +36,7 @@ from l3cli.report.colours import channel_light, hex_colour
 from l3cli.report.parts import Jpeg, Picture, PixelPicker, Pixels
 
 Array = NDArray[np.floating]
-# Rows and columns of the crop, from the preferred size to the smallest size.
+# Rows and columns of the crop, in order of preference.
 CROP_SIZES = (
     (192, 256),
     (144, 192),
@@ -46,7 +46,7 @@ CROP_SIZES = (
     (24, 32),
 )
 JPEG_QUALITY = 95  # JPEG quality of the pictures of the crop
-CROP_STEPS = 8  # number of equal steps in which the crop is moved along each axis of the frame to find its best position
+CROP_STEPS = 8  # number of steps along each axis of the frame in the search for the best crop
 WEIGHT_SCALE = 127  # integer that represents the largest weight
 PLANES = ("X − aY", "Y", "Z − bY")  # input planes of refinement layers in tables with three outputs
 COMPONENTS = ("first component", "mean", "second component")  # input planes of the refinement layer in spectral tables
@@ -54,18 +54,18 @@ COMPONENTS = ("first component", "mean", "second component")  # input planes of 
 
 @dataclass(frozen=True)
 class Layer:
-    """Classes and weights of one layer, for the pixels of a crop.
+    """Classes and weights of one layer for the pixels of a crop.
 
-    In arrays with a class axis, the classes that occur in the crop come first.
+    On class axes, the classes that occur in the crop come first.
     """
 
     side: int  # side of the window in pixels
     planes: tuple[str, ...]  # names of the input planes, in the order of the taps; ("mosaic",) in the first layer
     labels: NDArray[np.integer]  # (row, col) class of each pixel, as an index along the class axis
-    words: tuple[dict[str, str], ...]  # (class,) description of each feature of the class
-    patches: Array  # (class,) number of training patches; 0 if the class was filled from a neighbour
-    pixels: NDArray[np.integer]  # (class,) number of pixels of the class in the whole frame
-    weights: Array  # (class, output, tap) weights of the first classes; the last classes may have no weights
+    words: tuple[dict[str, str], ...]  # (class,) description of each feature
+    patches: Array  # (class,) number of training patches, or 0 if the transform was filled from another class
+    pixels: NDArray[np.integer]  # (class,) number of pixels in the whole frame
+    weights: Array  # (class, output, tap) weights, possibly omitted for the last classes
 
     @property
     def cropped(self) -> int:
@@ -78,7 +78,7 @@ class Crop:
     """A crop of a frame, with the classes and weights of all layers."""
 
     corner: tuple[int, int]  # first row and first column of the crop
-    frame: tuple[int, int]  # numbers of rows and columns of the whole frame
+    frame: tuple[int, int]  # rows and columns of the whole frame
     layers: tuple[Layer, ...]
 
 
@@ -94,32 +94,30 @@ class Sites:
 def crop_of(
     table: TransformTable, camera: CameraModel, labels: list[NDArray[np.integer]], limit: int, more: int = 0
 ) -> tuple[Crop, str]:
-    """Choose the crop of a frame that contains the most classes, and encode the crop for the page.
+    """Choose the crop of a frame that contains the most classes, and encode it for the page.
 
-    The crop has the largest size in CROP_SIZES with which the encoded crop fits `limit`. Up to `more` characters are used
-    for additional classes, which do not occur in the crop. If all other classes of the table fit, they are added. Otherwise,
-    the other classes of the frame are added if they fit. The additional classes are sorted by their frequency in the frame.
-    The remaining characters of `more` are used for weights of the additional classes.
+    The crop has the first size in CROP_SIZES that fits `limit` after encoding. Up to `more` characters are used for classes
+    outside the crop: all other classes of the table if they fit, otherwise the other classes of the frame if they fit. They
+    are sorted by frequency in the frame. The remaining characters are used for weights of these classes.
 
     Parameters
     ----------
     table : TransformTable
         The table.
     camera : CameraModel
-        Camera, for the display colours of the channels.
+        Camera, for the channels' display colours.
     labels : list of ndarray, (row, col)
         Class of every pixel of the frame, one array per layer.
     limit : int
-        Maximum length, in characters, of the encoded crop without additional classes.
+        Maximum length, in characters, of the encoded crop without classes outside the crop.
     more : int
-        Maximum number of characters for the additional classes.
+        Maximum number of characters for classes outside the crop.
 
     Returns
     -------
     crop : Crop
-        The crop.
     text : str
-        The crop, encoded with `packed`.
+        Result of `packed` for the crop.
     """
     sites = Sites(table.cfa, table.channels, tuple(hex_colour(each) for each in channel_light(camera)))
     words = [_words(table, layer) for layer in table.layers]
@@ -146,23 +144,22 @@ def _crop(
     others: str = "none",
     letters: int = 0,
 ) -> Crop:
-    """Cut a crop out of a frame, and add classes that do not occur in the crop.
+    """Cut a crop out of a frame, and add classes from outside the crop.
 
     Parameters
     ----------
     table : TransformTable
         The table.
     words : list of callable
-        For each layer, the function that `_words` returns.
+        Result of `_words` for each layer.
     labels : list of ndarray, (row, col)
         Class of every pixel of the frame, one array per layer.
     area : tuple of slice
         Rows and columns of the crop.
     others : {"none", "frame", "all"}
-        Additional classes: none, the other classes of the frame, or all other classes of the table. The additional classes
-        are sorted by their frequency in the frame.
+        Additional classes: none, the other classes of the frame, or all other classes of the table, sorted by frequency.
     letters : int
-        Maximum number of characters per layer for the weights of additional classes. Frequent classes have precedence.
+        Maximum number of characters per layer for weights of additional classes, which are used for the most frequent ones.
     """
     layers = []
     for layer, worded, of in zip(table.layers, words, labels, strict=True):
@@ -193,7 +190,7 @@ def _crop(
 
 
 def _words(table: TransformTable, layer: MosaicLayer | PlaneLayer) -> Callable[[int], dict[str, str]]:
-    """Return a function that converts the index of a class in the layer to a description of its features."""
+    """Return a function that describes the features of a class in a layer, given its index."""
     every = np.arange(len(layer.weights))
     sites = layer.rule.split(every).site.tolist()
     # In the first layer, classes that differ only in their site have the same description.
@@ -225,7 +222,7 @@ def richest(labels: NDArray[np.integer], size: tuple[int, int]) -> tuple[int, in
     Returns
     -------
     tuple of int
-        First row and first column of the crop. If several positions are equally good, the first position is returned.
+        First row and first column of the crop, at the first of several equally good positions.
     """
     best, most = (0, 0), -1
     room = [max(0, whole - part) for whole, part in zip(labels.shape, size, strict=True)]
@@ -239,7 +236,7 @@ def richest(labels: NDArray[np.integer], size: tuple[int, int]) -> tuple[int, in
 
 
 def packed(crop: Crop, sites: Sites, outputs: tuple[str, ...]) -> str:
-    """Encode a crop as base64 text. The docstring of this module describes the format."""
+    """Encode a crop as base64 text in the format that the module docstring describes."""
     head: dict[str, Any] = {
         "corner": crop.corner,
         "size": crop.layers[0].labels.shape,
@@ -283,13 +280,13 @@ def picker(anchor: str, crop: Crop, text: str, pictures: dict[str, Pixels], scen
     Parameters
     ----------
     anchor : str
-        HTML anchor of the comparison that shows the whole frame.
+        HTML anchor of the comparison with the whole frame.
     crop : Crop
         The crop.
     text : str
-        The crop, encoded with `packed`.
+        Result of `packed` for the crop.
     pictures : dict of str to ndarray, (row, col, 3)
-        Name → picture of the whole frame.
+        Pictures of the whole frame, by name.
     scene : str
         Name of the scene, for the alternative texts.
     jpeg : callable

@@ -1,4 +1,4 @@
-"""The section of a report with maps of the degree and the angle of polarisation."""
+"""The section of a report with maps of the degree and angle of polarisation."""
 
 from collections.abc import Callable
 from typing import Any
@@ -16,16 +16,16 @@ from l3cli.system.text import counted, tidy
 
 Array = NDArray[np.floating]
 
-FIGURE_OF = {"DoLP": "mean_dolp_error", "AoLP": "aolp_rmse", "S0": "psnr_s0"}  # map → metric in its captions
+FIGURE_OF = {"DoLP": "mean_dolp_error", "AoLP": "aolp_rmse", "S0": "psnr_s0"}  # metric in the captions of each map
 TITLES = {"DoLP": "Degree of linear polarisation", "AoLP": "Angle of linear polarisation", "S0": "Intensity"}
 SCALES = (0.1, 0.2, 0.5, 1.0)  # possible upper ends of the DoLP scale
-BRIGHT_QUANTILE = 0.99  # fraction of the pixels of the ideal picture whose DoLP is within the scale
+BRIGHT_QUANTILE = 0.99  # quantile of the ideal picture that fits within the scale
 KEY_STEPS = 4  # number of intervals in a colour key
-Maps = dict[str, dict[str, Pixels]]  # map → pipeline or "ideal" → picture
+Maps = dict[str, dict[str, Pixels]]  # pictures by map, then by pipeline or "ideal"
 
 
 def polarisation_maps(target: Array, planes: dict[str, Array], outputs: tuple[str, ...]) -> tuple[Maps, float]:
-    """Make maps of DoLP, AoLP and S0 from the results of all pipelines.
+    """Render maps of DoLP, AoLP and S0 for all pipelines.
 
     Parameters
     ----------
@@ -39,9 +39,9 @@ def polarisation_maps(target: Array, planes: dict[str, Array], outputs: tuple[st
     Returns
     -------
     dict
-        For each map, the 8-bit sRGB picture (row, col, 3) of each pipeline and of the ideal.
+        8-bit sRGB pictures (row, col, 3) by map, then by pipeline or "ideal".
     float
-        Upper end of the DoLP scale. At this DoLP, the colours of the AoLP map are brightest.
+        Upper end of the DoLP scale, at which the colours of the AoLP map are brightest.
     """
     stokes = {name: stokes_of(of, outputs).astype(np.float64) for name, of in {**planes, "ideal": target}.items()}
     ideal = stokes["ideal"]
@@ -62,14 +62,14 @@ def polarisation_section(
 ) -> Section:  # fmt: skip
     """Build the section at the top of a page about a table with Stokes parameters.
 
-    The section shows the maps of the median frame with the mean metrics, and the maps of DoLP of the other frames.
+    The section shows all maps of the median frame with the mean metrics, and the DoLP maps of the other frames.
 
     Parameters
     ----------
     document : dict
         Output of `l3 evaluate --json`.
     maps : dict
-        Index of a frame → result of `polarisation_maps`, for the frames that `shown_frames` chose, in their order.
+        Results of `polarisation_maps` by frame index, for the frames from `shown_frames`, in the same order.
     title : str
         Title of the section.
     anchor : str
@@ -119,10 +119,7 @@ def _comparison(
 
 
 def _key(kind: str, scale: float) -> tuple[Key, ...]:
-    """Return the colour key of a map.
-
-    The AoLP colours in the key are computed for the DoLP at the upper end of the DoLP scale.
-    """
+    """Return the colour key of a map. AoLP colours are shown for the DoLP at the upper end of the scale."""
     if kind == "S0":
         return ()
     steps = np.arange(KEY_STEPS + (kind == "DoLP")) / KEY_STEPS

@@ -1,4 +1,4 @@
-"""The section of a report about evaluated sequences: noise, flicker and errors of rendered frames over time."""
+"""The section of a report about evaluated sequences: noise, flicker and errors over time."""
 
 from typing import Any
 
@@ -9,8 +9,8 @@ from l3cli.report.parts import Figure, Figures, Section, Subsection, Table, Text
 from l3cli.system.text import figure as number
 from l3cli.system.text import tidy
 
-Documents = dict[str, dict[str, Any]]  # file name → output of `l3 evaluate --sequence --json`
-SEQUENCE_METRICS = {  # metric of a whole sequence → heading of its column
+Documents = dict[str, dict[str, Any]]  # outputs of `l3 evaluate --sequence --json`, by file name
+SEQUENCE_METRICS = {  # column headings of the metrics of a whole sequence
     "temporal_sigma": "temporal σ of L*",
     "patch_sigma": "temporal σ of patch means of L*",
     "still_share": "fraction of still patches",
@@ -20,7 +20,7 @@ SEQUENCE_METRICS = {  # metric of a whole sequence → heading of its column
     "psnr": "PSNR (dB)",
     "mean_delta_e": "mean ΔE00",
 }
-FRAME_METRICS = {  # metric of a frame → title of its plot, label of the y axis, and whether the y axis starts at 0
+FRAME_METRICS = {  # metrics of a frame: title of the plot, label of the y axis, and whether the y axis starts at 0
     "step_sigma": ("Noise over time", "temporal σ of L* in still patches", True),
     "jump": ("Flicker over time", "jump of mean L* since the previous frame", False),
     "warped_error": ("Error along the motion", "warped error (L*)", True),
@@ -38,10 +38,10 @@ MEANINGS = (
 
 
 def sequence_section(documents: Documents) -> Section:
-    """Build the section that compares several evaluated sequences.
+    """Build the section that compares evaluated sequences.
 
-    The section contains a table with the metrics of each sequence, and plots of the metrics of each frame with one line per
-    sequence. A plot is omitted if no sequence has the metric.
+    A table lists the metrics of each sequence. Plots show the metrics of each frame, with one line per sequence. A plot is
+    omitted if no sequence has the metric.
     """
     rows = tuple(
         (name, str(len(document["frames"])), *(_cell(figure, document[figure]) for figure in SEQUENCE_METRICS))
@@ -55,7 +55,7 @@ def sequence_section(documents: Documents) -> Section:
 
 
 def summary(documents: Documents) -> str:
-    """Return one sentence per sequence with its temporal noise and its largest jump of the lightness."""
+    """Return one sentence per sequence, with its temporal noise and its largest jump in lightness."""
     return " ".join(_sentence(name, document) for name, document in documents.items())
 
 
@@ -74,12 +74,12 @@ def _cell(figure: str, value: float | None) -> str:
 
 
 def _known(documents: Documents, figure: str) -> bool:
-    """Return whether any frame in any sequence has a value for the metric `figure`."""
+    """Whether any frame in any sequence has a value for the metric `figure`."""
     return any(frame[figure] is not None for document in documents.values() for frame in document["frames"])
 
 
 def _curves(documents: Documents, figure: str) -> Figure:
-    """Plot a metric against the frame number, with one line for each sequence that has the metric."""
+    """Plot a metric against the frame number, with one line per sequence that has the metric."""
     title, label, zero = FRAME_METRICS[figure]
     series = {name: _series(document, figure) for name, document in documents.items()}
     longest = max(float(at.max(initial=1.0)) for at, _ in series.values())
@@ -95,7 +95,7 @@ def _curves(documents: Documents, figure: str) -> Figure:
 
 
 def _series(document: dict[str, Any], figure: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the frame numbers and the values of a metric, for all frames that have the metric."""
+    """Return the frame numbers and the values of a metric, without frames that lack it."""
     known = [(frame["frame"], frame[figure]) for frame in document["frames"] if frame[figure] is not None]
     at, values = np.array(known, np.float64).reshape(-1, 2).T
     return at, values

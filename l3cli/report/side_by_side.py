@@ -1,6 +1,6 @@
-"""The section of a report that compares several tables, which may be for different colour filter arrays.
+"""The section of a report that compares several tables, possibly for different colour filter arrays.
 
-The section shows one frame rendered with each table, the mean metrics, and the error as a function of the level.
+The section shows one frame rendered with each table, the mean metrics, and the error by level.
 """
 
 from dataclasses import dataclass, replace
@@ -40,7 +40,7 @@ UNKNOWN_SCENES = (
 DIFFERENT_SCENES = (
     "frames with equal names show different scenes or illuminants; simulate all training sets with the same recipe and seed"
 )
-# (scene name, illuminant name, luminance). These three values identify a frame in several training sets.
+# Scene name, illuminant name and luminance, which identify a frame across training sets.
 Place = tuple[str, str, str]
 
 
@@ -55,7 +55,7 @@ class Side:
 
     @property
     def places(self) -> dict[Place, int]:
-        """Index of the first frame for each combination of scene, illuminant and luminance."""
+        """Index of the first frame with each combination of scene, illuminant and luminance."""
         places: dict[Place, int] = {}
         for index, frame in enumerate(self.document["frames"]):
             places.setdefault((frame["scene"], frame["illuminant"], f"{frame['luminance']:.6g}"), index)
@@ -63,10 +63,10 @@ class Side:
 
 
 def shared_places(sides: list[Side]) -> list[Place]:
-    """Find the frames that all tables have in common.
+    """Find the frames on which all tables were evaluated.
 
     Frames match if they have the same scene name, illuminant name and luminance, and if their fingerprints belong to the
-    same scene and illuminant. A frame without a fingerprint matches any frame with the same names and luminance.
+    same scene and illuminant. A missing fingerprint matches any fingerprint.
 
     Parameters
     ----------
@@ -76,46 +76,43 @@ def shared_places(sides: list[Side]) -> list[Place]:
     Returns
     -------
     list of Place
-        Scene name, illuminant name and luminance of each common frame, in the order of the frames of the first table.
+        The common frames, in the order of the first table's frames.
     """
     return [place for place in _alike(sides) if _one_scene(_shown(sides, place))]
 
 
 def _alike(sides: list[Side]) -> list[Place]:
-    """Return the combinations of scene name, illuminant name and luminance for which every table has a frame."""
+    """Find frames with a common scene name, illuminant name and luminance, whatever their fingerprints."""
     others = [side.places for side in sides[1:]]
     return [place for place in sides[0].places if all(place in other for other in others)]
 
 
 def _shown(sides: list[Side], place: Place) -> list[Any]:
-    """Return, for each table, the fingerprint of the frame with the given scene, illuminant and luminance.
-
-    The fingerprint is None if it is unknown.
-    """
+    """Return each table's fingerprint of a frame, or None if it is unknown."""
     return [side.document["frames"][side.places[place]]["shown"] for side in sides]
 
 
 def _one_scene(shown: list[Any]) -> bool:
-    """Return whether all known fingerprints (not None) belong to the same scene and illuminant."""
+    """Whether all known fingerprints belong to the same scene and illuminant."""
     known = [each for each in shown if each]
     return all(shown_alike(known[0], each) for each in known[1:])
 
 
 def shared_frame(sides: list[Side], at: float | None = None) -> list[int]:
-    """Choose the frame that the report shows for all tables: the frame with the median ΔE00 of the first table.
+    """Choose the frame to show for all tables: the common frame with the first table's median ΔE00.
 
     Parameters
     ----------
     sides : list of Side
         The evaluated tables.
     at : float, optional
-        Luminance in cd/m². Only frames with this luminance are considered. [default: all frames]
+        Luminance in cd/m², to which the choice is restricted. [default: all frames]
 
     Returns
     -------
     list of int
-        Index of the frame in the evaluation of each table. Empty if the tables have no frame in common, or if ΔE00 is not
-        the main metric of every table. Tables whose outputs are not colours have other main metrics.
+        Index of the frame in each table's evaluation. Empty if the tables have no common frame, or if the main metric of any
+        table is not ΔE00, because its outputs are not colours.
     """
     figures, first = {main_of(side.document) for side in sides}, sides[0]
     places = [
@@ -138,9 +135,9 @@ def side_by_side_section(
     sides : list of Side
         The evaluated tables.
     index : list of int
-        Index of the frame to show, for each table, from `shared_frame`.
+        Result of `shared_frame`.
     pictures : list of dict
-        For each table, the pictures of this frame by name. Empty if `index` is empty.
+        Each table's pictures of this frame, by name. Empty if `index` is empty.
     limit : int
         Maximum total size of all pictures in bytes.
     jpeg : callable
@@ -162,21 +159,18 @@ def side_by_side_section(
 
 
 def _frames(side: Side, places: list[Place]) -> list[dict[str, Any]]:
-    """Return the metrics of the frames that `places` identifies, or of all frames if `places` is empty."""
+    """Return the metrics of the frames at `places`, or of all frames if `places` is empty."""
     frames = side.document["frames"]
     return [frames[side.places[place]] for place in places] if places else list(frames)
 
 
 def _mean(side: Side, places: list[Place], pipeline: str, figure: str) -> float | None:
-    """Return the mean of a metric over the frames that `places` identifies, or over all frames if `places` is empty.
-
-    The result is None if no frame has the metric.
-    """
+    """Return the mean of a metric over the frames from `_frames`, or None if no frame has the metric."""
     return known_mean([frame[pipeline][figure] for frame in _frames(side, places)])
 
 
 def _verdict(sides: list[Side], shared: list[Place]) -> str:
-    """Rank the tables by their mean error over the shared frames, or state why the tables cannot be compared.
+    """Rank the tables by their mean error over the shared frames, or explain why they cannot be compared.
 
     The text also states whether the cameras photographed the same scenes, and how many frames were not compared.
     """
@@ -204,16 +198,13 @@ def _verdict(sides: list[Side], shared: list[Place]) -> str:
 
 
 def _title(side: Side, sides: list[Side]) -> str:
-    """Return the name of a table. If the table was evaluated on several training sets, append the name of the set."""
+    """Return a table's name, followed by its training set if it was evaluated on several."""
     alone = [each.name for each in sides].count(side.name) == 1
     return side.name if alone else f"{side.name} on {side.frames}"
 
 
 def _frame_block(sides: list[Side], index: list[int], pictures: list[dict[str, Pixels]], limit: int, jpeg: Jpeg) -> Block:
-    """Show one frame as rendered with each table, and the ideal picture.
-
-    If all pictures have the same size, the reader can compare them with a slider.
-    """
+    """Show one frame rendered with each table, and the ideal picture, with a slider if all pictures have the same size."""
     frames = [side.document["frames"][at] for side, at in zip(sides, index, strict=True)]
     shown = [
         (_title(side, sides), of[OURS], f"mean ΔE00 {frame[OURS]['mean_delta_e']:.2f}")
@@ -253,10 +244,7 @@ def _figure_blocks(sides: list[Side], shared: list[Place]) -> tuple[Block, ...]:
 
 
 def _level_figure(sides: list[Side]) -> Figure | None:
-    """Plot the main metric against the level of the class, with one line per table.
-
-    The result is None if a table has fewer than two levels.
-    """
+    """Plot the main metric against the class level, with one line per table. None if a table has fewer than two levels."""
     classes = [side.document["by_class"].get("level", []) for side in sides]
     if min(map(len, classes)) < 2:
         return None

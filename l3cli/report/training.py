@@ -30,12 +30,12 @@ from l3cli.report.parts import (
 from l3cli.system.text import counted, tidy
 
 Array = NDArray[np.floating]
-MAX_PICTURES = 24  # maximum number of frames whose targets are shown as pictures
-LEVEL_EDGES = np.geomspace(1e-3, 1.0, 37)  # edges of the bins of the raw signal, as fractions of full scale
-SATURATED = 0.985  # raw values of at least this fraction of full scale are saturated (docs/method.md#saturation-cases)
+MAX_PICTURES = 24  # maximum number of targets shown as pictures
+LEVEL_EDGES = np.geomspace(1e-3, 1.0, 37)  # bin edges of the raw signal, as fractions of full scale
+SATURATED = 0.985  # fraction of full scale from which raw values are saturated (docs/method.md#saturation-cases)
 CELL_SIZE = 0.01  # width and height of a cell in the chromaticity diagram, in units of x and y
 CELLS_PER_SIDE = 100  # number of cells along x and along y
-MIN_RELATIVE_LUMINANCE = 1e-4  # pixels with less than this fraction of the luminance of white are not in the diagram
+MIN_RELATIVE_LUMINANCE = 1e-4  # luminance, relative to white, below which pixels are omitted from the diagram
 
 
 @dataclass
@@ -48,10 +48,10 @@ class Survey:
     below: int = 0  # number of pixels below the first bin
     saturated: int = 0  # number of saturated pixels
     pixels: int = 0  # total number of pixels
-    sizes: Counter = field(default_factory=Counter)  # size of a frame → number of frames
-    lights: dict = field(default_factory=dict)  # illuminant → (white, luminance in cd/m², exposure in s) of each frame
+    sizes: Counter = field(default_factory=Counter)  # number of frames by size
+    lights: dict = field(default_factory=dict)  # by illuminant: (white, luminance in cd/m², exposure in s) of each frame
     chromaticity: Array = field(default_factory=lambda: np.zeros((CELLS_PER_SIDE, CELLS_PER_SIDE)))  # (x, y) pixel counts
-    pairs: int = 0  # number of real frames, each of which is paired with a target
+    pairs: int = 0  # number of real frames, which are paired with targets
 
 
 def training_section(reader: TrainingSetReader, name: str, role: str, limit: int, jpeg: Jpeg) -> Section:
@@ -64,7 +64,7 @@ def training_section(reader: TrainingSetReader, name: str, role: str, limit: int
     name : str
         Name of the file.
     role : str
-        Sentences about the tables that were trained or evaluated on the training set, or an empty string.
+        Result of `given.role_of`: sentences about the tables that were trained or evaluated on the set, or "".
     limit : int
         Maximum total size of all pictures in bytes.
     jpeg : callable
@@ -73,8 +73,7 @@ def training_section(reader: TrainingSetReader, name: str, role: str, limit: int
     Returns
     -------
     Section
-        The section, with pictures of the targets, the illuminants, the raw levels, and the chromaticities if the targets
-        are XYZ.
+        Illuminants and raw levels, and also pictures and chromaticities of the targets if the targets are XYZ.
     """
     head = reader.head
     survey = survey_of(reader)
@@ -87,7 +86,7 @@ def training_section(reader: TrainingSetReader, name: str, role: str, limit: int
 
 
 def survey_of(reader: TrainingSetReader) -> Survey:
-    """Collect the statistics of all frames, with only one frame in memory at a time."""
+    """Collect statistics of all frames, with only one frame in memory at a time."""
     head, survey = reader.head, Survey()
     chosen = set(np.unique(np.linspace(0, len(reader) - 1, min(MAX_PICTURES, len(reader))).round().astype(int)).tolist())
     survey.levels = [np.zeros(len(LEVEL_EDGES) - 1) for _ in head.camera.channels]
@@ -112,10 +111,7 @@ def survey_of(reader: TrainingSetReader) -> Survey:
 
 
 def _count_levels(survey: Survey, frame: TrainingPair, camera: CameraModel) -> None:
-    """Add the raw values of a frame to the histograms of the channels.
-
-    Values above the white level count in the last bin.
-    """
+    """Add a frame's raw values to the channels' histograms. Values above the white level count in the last bin."""
     signal = (frame.raw.astype(np.float64) - camera.black_level) / (camera.white_level - camera.black_level)
     rows, cols = camera.cfa.shape
     for (row, col), channel in np.ndenumerate(camera.cfa):
@@ -127,7 +123,7 @@ def _count_levels(survey: Survey, frame: TrainingPair, camera: CameraModel) -> N
 
 
 def _count_colours(survey: Survey, frame: TrainingPair) -> None:
-    """Add the chromaticities of a target to the histogram. Very dark pixels (MIN_RELATIVE_LUMINANCE) are ignored."""
+    """Add a target's chromaticities to the histogram, except for pixels below MIN_RELATIVE_LUMINANCE."""
     total = frame.target.sum(axis=0)
     bright = (frame.target[1] > MIN_RELATIVE_LUMINANCE * frame.white[1]) & (total > 0)
     x, y = (frame.target[part][bright] / total[bright] for part in (0, 1))
@@ -166,13 +162,13 @@ def _light_blocks(head: TrainingSet, survey: Survey) -> tuple[Block, ...]:
 
 
 def _range(values: list[float]) -> str:
-    """Format the smallest and the largest value as a range, or as a single number if both are equal after rounding."""
+    """Format the range of values, or a single number if both ends are equal after rounding."""
     low, high = tidy(min(values)), tidy(max(values))
     return low if low == high else f"{low}–{high}"
 
 
 def _level_figure(camera: CameraModel, survey: Survey) -> Figure:
-    """Plot a histogram of the raw signal of each channel."""
+    """Plot each channel's histogram of raw signals."""
     keys = colours.channel_keys(camera)
     shares = [100 * counts / max(counts.sum(), 1) for counts in survey.levels]
     plot = Plot(
@@ -194,9 +190,9 @@ def _level_figure(camera: CameraModel, survey: Survey) -> Figure:
 
 
 def _chromaticity_figure(survey: Survey) -> Figure:
-    """Plot the chromaticities of the targets in the CIE 1931 diagram.
+    """Plot the targets' chromaticities in the CIE 1931 diagram.
 
-    The opacity of a cell indicates the fraction of all pixels that are in the cell. One step of opacity is a factor of ten.
+    The opacity of a cell indicates its fraction of all pixels, in steps of a factor of ten.
     """
     plot = Plot(Axis("CIE 1931 x (1)", -0.04, 0.84), Axis("CIE 1931 y (1)", 0, 0.9), height=434)
     wavelength, locus = colours.spectral_locus()
@@ -239,7 +235,7 @@ def _chromaticity_figure(survey: Survey) -> Figure:
 
 
 def _cover(shares: Array, triangle: Array) -> tuple[float, float]:
-    """Compare the chromaticities with a triangle in the diagram, such as the sRGB gamut.
+    """Compare chromaticities with a triangle in the diagram, such as the sRGB gamut.
 
     Parameters
     ----------

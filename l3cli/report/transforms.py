@@ -16,8 +16,8 @@ from l3cli.system.text import tidy
 
 Array = NDArray[np.floating]
 DECADE_OPACITIES = (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # opacity of cells with 1–9, 10–99, … patches
-MAX_NAME_CHARACTERS = 22  # longer names do not fit next to a drawing and are replaced by numbers
-MAX_MAPS = 3  # maximum number of outputs whose weights are drawn
+MAX_NAME_CHARACTERS = 22  # maximum length of names beside a drawing; longer names are replaced by numbers
+MAX_MAPS = 3  # maximum number of outputs with drawn weights
 
 
 def transform_section(
@@ -30,12 +30,12 @@ def transform_section(
     table : TransformTable
         The table.
     light : ndarray, (channel, 3), optional
-        Display colours of the channels in linear sRGB. If the report contains no camera, `light` is None, and filters are
-        drawn without colour.
+        Display colours of the channels in linear sRGB. None if the report contains no camera. Filters are then drawn without
+        colour.
     insight : dict
         Output of `l3 info --json` for the table.
     class_name : callable
-        Function that converts the index of a class to its description.
+        Function that describes a class, given its index.
     name : str
         Name of the file.
     """
@@ -58,7 +58,7 @@ def transform_section(
 
 
 def _refinement_table(insight: dict[str, Any]) -> Table:
-    """Make a table with one row per refinement layer."""
+    """Tabulate the refinement layers, one per row."""
     gains = tuple(f"median noise gain of {output}" for output in insight["noise_gain"])
     rows = tuple(
         (
@@ -76,7 +76,7 @@ def _refinement_table(insight: dict[str, Any]) -> Table:
 
 
 def _structures(layer: dict[str, Any]) -> str:
-    """Describe the classes of unsaturated pixels in a refinement layer: tree leaves, or edge strengths and directions."""
+    """Describe a refinement layer's classes for unsaturated pixels: tree leaves, or edge strengths and directions."""
     if "leaves" in layer:
         return f"{layer['leaves']} leaves of a tree of depth {layer['depth']}"
     return (
@@ -85,7 +85,7 @@ def _structures(layer: dict[str, Any]) -> str:
 
 
 def level_middles(table: TransformTable) -> Array:
-    """Return a positive value between the bounds of each level, as a fraction of full scale, for a logarithmic axis."""
+    """Return a positive value inside each level, as a fraction of full scale, for a logarithmic axis."""
     bounds = level.bounds(table)
     lower = np.maximum(bounds[:-1], bounds[1:] / 2)
     return np.sqrt(np.maximum(lower * bounds[1:], 1e-8))
@@ -95,7 +95,7 @@ def level_middles(table: TransformTable) -> Array:
 
 
 def _population_blocks(table: TransformTable, insight: dict[str, Any]) -> tuple[Block, ...]:
-    """Draw the number of training patches by level and kind (chroma or saturation case), and by level and CFA site."""
+    """Draw the number of training patches by level, and by chroma and saturation case or by CFA site."""
     samples = table.first.rule.by_feature(table.first.samples)
     levels = [tidy(value, 1) for value in level.bounds(table)[1:]]
     kinds, sites = (
@@ -119,9 +119,9 @@ def _population_blocks(table: TransformTable, insight: dict[str, Any]) -> tuple[
 
 
 def kind_names(insight: dict[str, Any]) -> list[str]:
-    """Return the names of the kinds (chromas and saturation cases).
+    """Return the names of the chromas and saturation cases.
 
-    If a name is too long for a drawing, each name is preceded by its index, as in "2: clipped".
+    If a name is too long for a drawing, all names are preceded by their numbers, as in "2: chroma 2".
     """
     names = [kind["name"] for kind in insight["kinds"]]
     return (
@@ -130,20 +130,14 @@ def kind_names(insight: dict[str, Any]) -> list[str]:
 
 
 def _contrast(table: TransformTable, contrast: int) -> str:
-    """Return the part of a title that describes the lowest or the highest contrast, such as ", the flattest".
-
-    The result is empty for all other contrasts, and if the table has only one contrast.
-    """
+    """Return ", the flattest" or ", the most textured" for the lowest or highest of several contrasts, otherwise ""."""
     if table.first.rule.contrasts == 1:
         return ""
     return {0: ", the flattest", table.first.rule.contrasts - 1: ", the most textured"}.get(contrast, "")
 
 
 def _population(counts: Array, rows: list[str], levels: list[str], title: str, y_label: str) -> Figure:
-    """Draw a heat map of the number of patches `counts` (row, level).
-
-    The opacity increases by one step per factor of ten.
-    """
+    """Draw the numbers of patches `counts` (row, level) as a heat map, with one step of opacity per factor of ten."""
     decade = np.clip(np.floor(np.log10(np.maximum(counts, 1))), 0, len(DECADE_OPACITIES) - 1).astype(int)
     shares = np.where(counts > 0, np.array(DECADE_OPACITIES)[decade], 0.0)
     filled = int((counts > 0).sum())
@@ -166,7 +160,7 @@ def _kinds_table(insight: dict[str, Any]) -> Table:
 
 
 def _feature_tables(insight: dict[str, Any]) -> tuple[Table, ...]:
-    """Make one table per additional class feature, with the number of patches for each value of the feature."""
+    """Tabulate the number of patches for each value of each additional class feature."""
     return tuple(
         Table(f"Patches by {name}", (name, "patches"), tuple((each["name"], f"{each['patches']:.0f}") for each in values))
         for name, values in insight.get("features", {}).items()
@@ -190,12 +184,15 @@ def _transform_blocks(table: TransformTable, light: Array | None, class_name: Ca
 
 
 def chosen_classes(table: TransformTable) -> list[int]:
-    """Choose the classes of the first layer whose transforms are drawn.
+    """Choose the classes of the first layer for which transforms are drawn.
 
-    For the most frequent channel, the function chooses a dark and a bright level, each with the lowest and the highest
-    contrast. For up to seven other channels, it chooses a medium level with the highest contrast. For each of these
-    combinations, it returns the unsaturated class with the most training patches at the first site of the channel.
-    Combinations without training patches are omitted.
+    They cover these combinations, at the first site of each channel:
+
+    * the most frequent channel at a dark and at a bright level, each with the lowest and the highest contrast
+    * up to seven other channels at a medium level with the highest contrast
+
+    Each combination is represented by its unsaturated class with the most training patches. Combinations without training
+    patches are omitted.
 
     Returns
     -------
@@ -222,7 +219,7 @@ def chosen_classes(table: TransformTable) -> list[int]:
 
 
 def _maps(table: TransformTable, light: Array | None, index: int, name: str) -> Figure:
-    """Draw the colour filters of a patch, and the weights of a class for the first MAX_MAPS outputs."""
+    """Draw the colour filters of a patch, and a class's weights for the first MAX_MAPS outputs."""
     patch, outputs = table.first.rule.patch, min(MAX_MAPS, len(table.outputs))
     gap, top = 8.0, 18.0
     side = (WIDTH - gap * outputs) / (outputs + 1)
@@ -253,7 +250,7 @@ def _maps(table: TransformTable, light: Array | None, index: int, name: str) -> 
 
 
 def _weights_data(table: TransformTable, index: int) -> Data:
-    """List all weights of a class, each with its output, its position in the patch and its channel."""
+    """Tabulate all weights of a class, with output, position in the patch and channel."""
     patch, channel = table.first.rule.patch, taps(table, index)
     rows = tuple(
         (table.outputs[output], str(tap // patch), str(tap % patch), table.channels[channel[tap]], float(weight))
@@ -263,7 +260,7 @@ def _weights_data(table: TransformTable, index: int) -> Data:
 
 
 def _weight_map(weights: Array, left: float, top: float, cell: float) -> list[str]:
-    """Draw the weights of one output as cells. Positive weights are orange, and negative weights are blue."""
+    """Draw the weights of one output as cells: positive weights in orange, negative weights in blue."""
     largest = float(np.abs(weights).max()) or 1.0
     items = []
     for (row, col), weight in np.ndenumerate(weights):
@@ -277,7 +274,7 @@ def _weight_map(weights: Array, left: float, top: float, cell: float) -> list[st
 
 
 def taps(table: TransformTable, index: int) -> Integers:
-    """Return the channel (tap,) of each tap in the window of a class in the first layer."""
+    """Return the channel of each tap (tap,) for a class of the first layer."""
     return window_channels(table.cfa, table.first.rule.patch)[table.first.rule.split(index).site]
 
 
@@ -285,10 +282,7 @@ def taps(table: TransformTable, index: int) -> Integers:
 
 
 def _noise_figures(table: TransformTable) -> Figures:
-    """Plot the median noise gain of trained unsaturated classes against the level.
-
-    There is no figure if the table has no such classes.
-    """
+    """Plot the median noise gain of trained unsaturated classes, if any, against the level."""
     rule, gains = table.first.rule, np.sqrt((table.first.weights.astype(np.float64) ** 2).sum(axis=2))
     gain = rule.by_feature(gains)[..., rule.kinds_of(0), :]
     trained = rule.by_feature(table.first.samples)[..., rule.kinds_of(0)] > 0
@@ -323,14 +317,14 @@ def _noise_figures(table: TransformTable) -> Figures:
 
 
 def _medians(values: Array, chosen: NDArray[np.bool_]) -> Array:
-    """Return the median of the `chosen` values (site, level, …) at each level, or NaN if no value is chosen at a level."""
+    """Return the median of the `chosen` values (site, level, …) at each level, or NaN if there are none."""
     return np.array(
         [np.median(values[:, at][chosen[:, at]]) if chosen[:, at].any() else np.nan for at in range(values.shape[1])]
     )
 
 
 def _gain_tables(table: TransformTable, insight: dict[str, Any]) -> tuple[Table, ...]:
-    """Make tables of the noise gain, of the gain in uniform areas, and of the classes with the highest noise gain."""
+    """Tabulate the noise gain, the gain in uniform areas, and the classes with the highest noise gain."""
     flat = tuple(
         (output, *(tidy(gains[channel]) for channel in table.channels)) for output, gains in insight["dc_gain"].items()
     )

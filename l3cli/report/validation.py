@@ -1,8 +1,8 @@
 """The validation of a camera model in a report: how accurately the model predicts the charts to which it was fitted.
 
-For lab measurements, the report also shows how the smoothing was chosen. For photos, the report shows the uncertainty of the
-responsivities and of the colours. In drawings of charts, each patch shows two colours, such as the predicted and the
-measured colour.
+For lab measurements, the report also shows how the smoothing was chosen. For photos, it shows the uncertainty of the
+responsivities and the colours. In drawings of charts, each patch shows two colours, such as the predicted and the measured
+colour.
 """
 
 from typing import Any
@@ -23,24 +23,24 @@ from l3cli.system.text import counted, tidy, unit
 
 Array = NDArray[np.floating]
 PATCHES_PER_ROW = 6
-MAX_CHARTS = 4  # maximum number of charts that are drawn for a calibration
+MAX_CHARTS = 4  # maximum number of drawn charts per calibration
 PATCH_GAP, TEXT_HEIGHT = 10.0, 18.0  # distance between patches, and height of the text below each patch, in px
 
 
 def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array], errors: dict[str, Array]) -> Figure:
-    """Draw the patches of a chart. Each patch shows two colours side by side, with their ΔE00 below.
+    """Draw the patches of a chart. Each patch shows the colours of two pictures side by side, with their ΔE00 below.
 
     Parameters
     ----------
     title : str
         Title of the figure.
     names : tuple of str
-        Names of the pictures in the left halves and in the right halves of the patches.
+        Names of the left and the right picture.
     pair : tuple of ndarray, (patch, 3)
-        Colours of the left halves and of the right halves, in linear sRGB.
+        Colours of the left and the right picture, in linear sRGB.
     errors : dict of str to ndarray, (patch,)
-        Name of a picture → ΔE00 of each patch between this picture and the picture in the left halves. The values for
-        `names[1]` are required and are drawn. The values for all other pictures appear only in the caption and in the data.
+        ΔE00 between each named picture and the left picture. The right picture, `names[1]`, is required, and its values are
+        drawn. All other values appear only in the caption and the data.
     """
     side = (WIDTH - 2 - PATCH_GAP * (PATCHES_PER_ROW - 1)) / PATCHES_PER_ROW
     main, items = errors[names[1]], []
@@ -74,17 +74,16 @@ def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array]
 
 
 def patches_table(errors: dict[str, Array]) -> Table:
-    """Make a table of the ΔE00 of each patch, with one column per picture. For `errors`, see `patches_figure`."""
+    """Tabulate the ΔE00 of each patch, with one column per picture. `errors` is as in `patches_figure`."""
     rows = tuple((name, *(f"{float(of[patch]):.2f}" for of in errors.values())) for patch, name in enumerate(PATCH_NAMES))
     return Table("ΔE00 of each patch", ("patch", *errors), rows)
 
 
 def calibration_figures(camera: CameraModel, fit: ChartFit) -> tuple[Figure, ...]:
-    """Draw the measured and the predicted colours of the first MAX_CHARTS charts of a calibration.
+    """Draw the measured and predicted colours of the first MAX_CHARTS charts of a calibration.
 
-    One matrix per chart converts channels to colours. The matrix can be fitted only if the ideal colours of the patches are
-    known. A chart is therefore omitted if its illuminant is not a named illuminant, or if it is not a ColorChecker with 24
-    patches.
+    One matrix per chart converts channels to colours. It is fitted to the ideal colours of the patches, which are known only
+    for a ColorChecker with 24 patches under a named illuminant. Other charts are omitted.
     """
     figures = []
     for light, measured, predicted in zip(fit.illuminants[:MAX_CHARTS], fit.measured, fit.predicted, strict=False):
@@ -107,15 +106,15 @@ def calibration_figures(camera: CameraModel, fit: ChartFit) -> tuple[Figure, ...
 def _matrix(predicted: Array, residual: Array, ideal: Array) -> Array:
     """Fit the matrix (channel, 3) that converts channels to XYZ, by least squares.
 
-    The differences between measurement and prediction (`residual`) are treated as noise of the channels. The matrix
-    therefore does not amplify the difference between two similar channels.
+    `residual`, the difference between measurement and prediction, is treated as channel noise, so that the matrix does not
+    amplify the difference between similar channels.
     """
     noise = np.diag((residual**2).sum(axis=0))
     matrix: Array = np.linalg.pinv(predicted.T @ predicted + noise) @ predicted.T @ ideal
     return matrix
 
 
-BANDS = {  # key in the output of `l3 calibrate --json` → heading in the report
+BANDS = {  # headings in the report, by key in the output of `l3 calibrate --json`
     "curve ± 95 % (% of peak)": "curve, 95 % band (± % of its peak)",
     "colours ± 95 % (% of most)": "colours, 95 % band (± % of the brightest patch)",
 }
@@ -136,8 +135,8 @@ def validation_blocks(camera: CameraModel, fit: Fit, figures: dict[str, Any]) ->
     Returns
     -------
     tuple of Block
-        Plots of predictions, residuals and smoothing, drawings of charts, and tables of the errors for each chart and for
-        each illumination band. Blocks without data are omitted, so the result may be empty.
+        Plots of predictions, residuals and smoothing, drawings of charts, and tables of the errors per chart and per
+        illumination band. Blocks without data are omitted, so there may be none.
     """
     graphs: list[Figure] = []
     if fit.validation is not None:
@@ -155,7 +154,7 @@ def validation_blocks(camera: CameraModel, fit: Fit, figures: dict[str, Any]) ->
 
 
 def table_of(caption: str, heading: str, rows: dict[str, dict[str, float]]) -> Table:
-    """Convert a part of the output of `l3 calibrate --json` to a table. `rows` maps row names to {column title: number}."""
+    """Tabulate a part of the output of `l3 calibrate --json`: `rows` maps row names to {column title: number}."""
     titles = tuple(next(iter(rows.values())))
     body = tuple(
         (name, *(f"{row[title]:.5f}" if title.startswith("R²") else tidy(row[title], 4) for title in titles))
@@ -165,10 +164,7 @@ def table_of(caption: str, heading: str, rows: dict[str, dict[str, float]]) -> T
 
 
 def _prediction_figures(camera: CameraModel, fit: Fit) -> list[Figure]:
-    """Plot the measured values, and their residuals, against the predicted values.
-
-    The list is empty if no values were used.
-    """
+    """Plot the measured values and their residuals against the predicted values, unless no values were used."""
     assert fit.validation is not None
     measured, predicted = fit.validation.measured, fit.validation.predicted
     used = np.ones(measured.shape, bool) if fit.chart is not None or fit.series is None else fit.series.used
@@ -195,10 +191,7 @@ def _prediction_figures(camera: CameraModel, fit: Fit) -> list[Figure]:
 
 
 def _smoothing_figure(sweep: SweepFit) -> list[Figure]:
-    """Plot the cross-validated error against the smoothing δ.
-
-    The list is empty if fewer than two values of δ were tested.
-    """
+    """Plot the cross-validated error against the smoothing δ, unless fewer than two values of δ were tried."""
     tried = sweep.smoothing > 0
     if tried.sum() < 2:
         return []
@@ -235,7 +228,7 @@ def photo_subsections(camera: CameraModel, fit: PhotoFit, figures: dict[str, Any
     Returns
     -------
     tuple of Subsection
-        Subsections about the photos, the uncertainty of the responsivities and the colours, and the patches of each photo.
+        Subsections about the photos, the uncertainty of responsivities and colours, and the patches of each photo.
     """
     keys = point_keys(camera)
     return (
@@ -246,7 +239,7 @@ def photo_subsections(camera: CameraModel, fit: PhotoFit, figures: dict[str, Any
 
 
 def photo_lead(fit: PhotoFit, figures: dict[str, Any]) -> str:
-    """Summarise the fit to photos, with the uncertainty of the responsivities and of the colours."""
+    """Summarise the fit to photos, with the uncertainty of responsivities and colours."""
     curve, colours = (max(row[title] for row in figures["channels"].values()) for title in BANDS)
     many = "one photo" if len(fit.names) == 1 else f"{len(fit.names)} photos"
     return (
@@ -273,7 +266,7 @@ def _photos(figures: dict[str, Any]) -> Table:
 
 
 def _lights(figures: dict[str, Any]) -> Text:
-    """State, for each photo, whether the illuminant that the user specified fits the patches."""
+    """Explain for each photo whether the illuminant that the user specified fits the patches."""
     words = []
     for name, photo in figures["photos"].items():
         if photo["guessed"]:
@@ -304,7 +297,7 @@ def _bands(camera: CameraModel, figures: dict[str, Any]) -> Table:
 
 
 def _reading(figures: dict[str, Any]) -> tuple[Text, Text]:
-    """Explain the confidence bands, and state which additional photo would reduce the uncertainty most."""
+    """Explain the confidence bands, and recommend the photo that would reduce the uncertainty most."""
     further = figures["next light"]
     source = "smoothness alone" if figures["prior"] == "smooth" else "the curves of measured cameras"
     return (
@@ -322,7 +315,7 @@ def _reading(figures: dict[str, Any]) -> tuple[Text, Text]:
 
 
 def _patches(fit: PhotoFit, index: int, keys: tuple[Key, ...]) -> tuple[Figure, Figure]:
-    """Plot measured against predicted signals of the patches in one photo, and the residual of each patch."""
+    """Plot the measured against the predicted patch signals of one photo, and the residual of each patch."""
     used = fit.used[index]
     brightest = np.where(used, fit.measured[index], 0.0).max(axis=0)
     brightest = np.where(brightest > 0, brightest, 1.0)
