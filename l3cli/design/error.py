@@ -1,10 +1,9 @@
-"""Prediction of the error of a colour filter array from moments of spectral patches (docs/method.md#designs).
+"""Predict the error of a colour filter array from moments of spectral patches (docs/method.md#designs).
 
 The moments are computed once for each lens, pixel and illuminant. The error of any array then follows in closed form,
-without training. Patches are divided into groups, and the error is predicted for each group. For errors in CIELAB, a patch
-with the luminance Y has the weight (Y + 0.02)^(-2/3), which is proportional to the slope of CIELAB at a grey. An error of 1
-is then about one ΔE00. For linear errors, all weights are 1. If the mean signal of a filter clips in a group of patches, the
-filter contributes no information in this group.
+without training, for each group of patches. For errors in CIELAB, a patch with the luminance Y has the weight
+(Y + 0.02)^(-2/3), which is proportional to the slope of CIELAB at a grey. An error of 1 is then about one ΔE00. For linear
+errors, all weights are 1. A filter contributes no information in a group of patches in which its mean signal clips.
 """
 
 from dataclasses import dataclass, replace
@@ -19,19 +18,19 @@ from l3cli.artifacts.design import GROUPS, KINDS, SHARP, SIDE, SOFT, WEIGHTINGS,
 Array = NDArray[np.floating]
 Sums = dict[str, NDArray[np.float64]]  # "patches", "weight", "mean" and "moment", as in LightMoments
 
-EDGE_CONTRAST = 0.25  # patches with a higher contrast belong to the groups of edges
+EDGE_CONTRAST = 0.25  # contrast above which patches count as edges
 LEVEL_LIMITS = (0.06, 0.25)  # limits between the dark, middle and bright groups, as fractions of white
-NEUTRAL = 5.0  # patches with a smaller ratio of chroma to luminance belong to the neutral groups
+NEUTRAL = 5.0  # ratio of chroma to luminance below which patches count as neutral
 CHROMA = np.array([[250, -250, 0], [0, 150, -150]]) / 3.0  # half of the derivative of (a*, b*) with respect to XYZ / white
-LUMINANCE_OFFSET = 0.02  # added to the luminance, as a fraction of white; it limits the weights of dark patches
+LUMINANCE_OFFSET = 0.02  # added to the luminance, as a fraction of white, to limit the weights of dark patches
 POWER = 2 / 3  # errors are weighted by luminance^(−POWER), because the slope of L* is proportional to Y^(−2/3)
 KEPT_POWER = 0.9999  # fraction of the spectral power that the principal spectra represent
-SOFTNESS = 2.0  # pixels; standard deviation of the blur of chroma, as in S-CIELAB at about 50 pixels per degree
-WINDOW = 2  # the square that determines the group of a patch extends from its centre by this number of pixels
+SOFTNESS = 2.0  # standard deviation of the chroma blur in pixels, as in S-CIELAB at about 50 pixels per degree
+WINDOW = 2  # radius, in pixels, of the square that determines the group of a patch
 
 
 def empty_sums(terms: int) -> Sums:
-    """Return sums of zeros, to which `gather` adds patches. `terms` is the number of principal spectra."""
+    """Return zero sums for `gather`. `terms` is the number of principal spectra."""
     kinds, taps = (len(WEIGHTINGS), len(GROUPS)), SIDE**2 * terms
     shapes = {"patches": kinds[1:], "weight": kinds, "mean": (*kinds, taps)}
     shapes["moment"] = (*kinds, taps + SOFT.stop + terms, taps + SOFT.stop + terms)
@@ -39,7 +38,7 @@ def empty_sums(terms: int) -> Sums:
 
 
 def spectral_power(reflectance: NDArray[np.floating], rate: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the second moment of the photon spectra of a scene, divided by the square of the mean reflectance.
+    """Compute the second moment of a scene's photon spectra, normalised by the squared mean reflectance.
 
     Parameters
     ----------
@@ -51,7 +50,6 @@ def spectral_power(reflectance: NDArray[np.floating], rate: NDArray[np.floating]
     Returns
     -------
     ndarray, (wavelength, wavelength)
-        Second moment.
     """
     pixels = reflectance.reshape(-1, reflectance.shape[-1]).astype(np.float64)
     bands = pixels.T @ pixels / max(float(np.square(pixels.mean())), 1e-12) / len(pixels)
@@ -59,16 +57,14 @@ def spectral_power(reflectance: NDArray[np.floating], rate: NDArray[np.floating]
 
 
 def principal_spectra(power: Array, white: Array) -> NDArray[np.float64]:
-    """Return the principal spectra of scenes, which represent the fraction KEPT_POWER of the spectral power.
-
-    At least three spectra are returned.
+    """Compute the principal spectra of scenes, at least three, that represent a fraction KEPT_POWER of the spectral power.
 
     Parameters
     ----------
     power : ndarray, (wavelength, wavelength)
         Second moment of the photon spectra.
     white : ndarray, (wavelength,)
-        Photon spectrum of a perfect white. The spectra are scaled by the mean of these values.
+        Photon spectrum of a perfect white, whose mean is the scale of the principal spectra.
 
     Returns
     -------
@@ -91,18 +87,18 @@ def gather(
     patches: int,
     rng: np.random.Generator,
 ) -> None:
-    """Add patches at random positions of a scene to the sums.
+    """Add patches at random positions in a scene to the sums.
 
     Parameters
     ----------
     sums : dict
-        Sums, which are changed in place.
+        Sums, changed in place.
     planes : ndarray, (term, row, col)
         Coefficients of the principal spectra in the image on the sensor.
     target : ndarray, (3, row, col)
         XYZ relative to white.
     sharp : ndarray, (term, row, col)
-        Coefficients of the principal spectra without the blur of the lens.
+        Coefficients of the principal spectra without lens blur.
     patches : int
         Number of patches.
     rng : numpy.random.Generator
@@ -126,15 +122,17 @@ def gather(
 
 
 def groups_of(around: NDArray[np.float32]) -> NDArray[np.intp]:
-    """Return the index of the group of each patch in GROUPS.
-
-    Groups are defined by the contrast, the luminance and the hue of the area around the centre. Patches with little chroma
-    are neutral.
+    """Classify patches into GROUPS by the contrast, luminance and hue around their centres.
 
     Parameters
     ----------
     around : ndarray, (3, patch, row, col)
         XYZ relative to white in a square around the centre of each patch.
+
+    Returns
+    -------
+    ndarray, (patch,)
+        Indices in GROUPS.
     """
     mean = around.mean(axis=(2, 3))
     contrast = around[1].std(axis=(1, 2)) / (mean[1] + 1e-4)
@@ -145,7 +143,7 @@ def groups_of(around: NDArray[np.float32]) -> NDArray[np.intp]:
 
 
 def in_all_orientations(sums: Sums, terms: int) -> Sums:
-    """Average the sums over the eight orientations of a patch, so that an array and its mirror image have equal errors."""
+    """Average the sums over the eight orientations of a patch, so that rotated and mirrored arrays have equal errors."""
     taps = np.arange(SIDE**2 * terms).reshape(SIDE, SIDE, terms)
     behind = np.arange(taps.size, taps.size + SOFT.stop + terms)
     moment, mean = np.zeros_like(sums["moment"]), np.zeros_like(sums["mean"])
@@ -159,28 +157,25 @@ def in_all_orientations(sums: Sums, terms: int) -> Sums:
 Cfa = NDArray[np.integer]  # (row, col): index of the filter at each site
 
 OPPONENT = np.vstack([[[0, 116 / 3, 0]], CHROMA])  # derivative of (L*, a* / 2, b* / 2) with respect to XYZ / white
-TAP_RIDGE = 1e-6  # regularisation of the equations, as a fraction of the mean power of the taps
-EMPTY_NOISE = 1.0  # noise variance that is added in groups without patches, so that the equations have a solution
-CLIPPED_NOISE = 1e6  # noise variance of a clipped tap, relative to its power; the tap then contributes no information
+TAP_RIDGE = 1e-6  # ridge, as a fraction of the mean power of the taps
+EMPTY_NOISE = 1.0  # noise variance added in groups without patches, so that their equations have a solution
+CLIPPED_NOISE = 1e6  # noise variance of clipped taps, relative to their power, with which they contribute no information
 
 
 @dataclass(frozen=True)
 class Noise:
     """Noise parameters and full scale of a pixel in electrons."""
 
-    floor: float  # (e-)²; variance of read noise, fixed offsets and quantisation
-    dark: float  # e-/s; dark current
-    full: float  # e-; full scale
+    floor: float  # variance of read noise, fixed offsets and quantisation, in (e-)²
+    dark: float  # dark current in e-/s
+    full: float  # full scale in e-
     uneven: float  # relative variance of the response between pixels, including rows and columns
-    rows: float = 0.0  # (e-)²; variance of the noise that all pixels of a row share, which is a part of `floor`
-    columns: float = 0.0  # (e-)²; variance of the noise that all pixels of a column share, which is a part of `floor`
+    rows: float = 0.0  # row noise variance in (e-)², included in `floor`
+    columns: float = 0.0  # column noise variance in (e-)², included in `floor`
 
 
 def noise_of(camera: CameraModel) -> Noise:
-    """Return the noise parameters of the pixels of a camera.
-
-    Differences in exposure or gain between channels are ignored.
-    """
+    """Return a camera's noise parameters, without regard to differences in exposure or gain between channels."""
     noise = camera.corrected_noise()
     floor = noise.temporal + noise.fixed + QUANTISATION / camera.gain**2
     rows, columns = (each / camera.gain**2 for each in camera.line_variances())
@@ -193,14 +188,15 @@ class Level:
 
     name: str
     light: int  # index of the illuminant in `Problem.seen`
-    # signal of white in the brightest filter with automatic exposure, as a fraction of full scale; None: fixed exposure
+    # signal of white in the brightest filter, as a fraction of full scale, to which automatic exposure is adjusted, or None
+    # for a fixed exposure
     share: float | None
-    luminance: float = 1.0  # cd/m²; luminance of a perfect white
-    seconds: float = 0.0  # s; exposure time if `share` is None
+    luminance: float = 1.0  # luminance of a perfect white in cd/m²
+    seconds: float = 0.0  # exposure time in s if `share` is None
 
 
 def exposure(level: Level, noise: Noise, white: float) -> tuple[float, float]:
-    """Return the exposure and the exposure time of an array at a light level.
+    """Compute an array's exposure and exposure time at a light level.
 
     Parameters
     ----------
@@ -209,7 +205,7 @@ def exposure(level: Level, noise: Noise, white: float) -> tuple[float, float]:
     noise : Noise
         Noise parameters and full scale of a pixel.
     white : float
-        Signal of the brightest filter in the array, in e-/s, for a white of 1 cd/m².
+        Signal of the array's brightest filter, in e-/s, for a white of 1 cd/m².
 
     Returns
     -------
@@ -228,9 +224,9 @@ def exposure(level: Level, noise: Noise, white: float) -> tuple[float, float]:
 class Seen:
     """Moments of filter signals and outputs under one illuminant, for each group of patches.
 
-    The moments contain the signals of all filters in a library at all taps. The moments for a given array are a selection of
-    these values. The class also represents the moments of the principal spectra, before any filter is applied. The
-    axis "filter" then contains the principal spectra, and `white` is empty.
+    They contain the signals of all filters at all taps, from which the moments for an array are selected. The class also
+    represents moments of the principal spectra, before any filter is applied. The axis "filter" then contains the principal
+    spectra, and `white` is empty.
     """
 
     signal: Array  # (filter, filter, group, tap, tap): second moments of the signals
@@ -248,7 +244,7 @@ class Seen:
 
 
 def spectra_of(moments: LightMoments, output: str, counts: str, curves: Array) -> Seen:
-    """Return the moments of the principal spectra and of the outputs that a design recipe requests.
+    """Compute the moments of the principal spectra and the outputs that a design recipe requests.
 
     Parameters
     ----------
@@ -257,8 +253,7 @@ def spectra_of(moments: LightMoments, output: str, counts: str, curves: Array) -
     output, counts : str
         Values of the keys `output` and `counts` in the design recipe.
     curves : ndarray, (filter, wavelength)
-        Quantum efficiencies of the filters. If `output` is "bands", these curves define the outputs. Otherwise they are not
-        used.
+        Quantum efficiencies of the filters, which define the outputs if `output` is "bands". Otherwise they are unused.
     """
     rows, weighting = wanted_outputs(moments, output, counts, curves)
     terms, number, place = moments.terms, np.maximum(moments.patches, 1.0), WEIGHTINGS.index(weighting)
@@ -276,17 +271,17 @@ def spectra_of(moments: LightMoments, output: str, counts: str, curves: Array) -
 
 
 def wanted_outputs(moments: LightMoments, output: str, counts: str, curves: Array) -> tuple[Array, str]:
-    """Return the matrix that converts the targets of a patch to outputs, and the weighting of the patches.
+    """Return the matrix that converts a patch's targets to outputs, and the weighting of the patches.
 
-    The parameters are the same as in `spectra_of`. If `output` is "XYZ" and `counts` is not "linear", errors of the outputs
-    are colour differences. Otherwise, the errors are in percent of white.
+    Output errors are colour differences if `output` is "XYZ" and `counts` is not "linear". Otherwise they are in percent of
+    white. The parameters are the same as for `spectra_of`.
 
     Returns
     -------
     ndarray, (output, target)
         The matrix.
     str
-        Name of the weighting, one of WEIGHTINGS.
+        The weighting, one of WEIGHTINGS.
     """
     count = SOFT.stop
     white = moments.basis.T @ moments.white_photons / np.square(moments.basis).sum(axis=0)
@@ -322,14 +317,14 @@ def seen_by(curves: Array, moments: LightMoments, spectra: Seen) -> Seen:
 
 
 def site_filters(cfa: Cfa) -> NDArray[np.intp]:
-    """Return the index of the filter at each tap of the patch around each site of an array: (site, tap)."""
+    """Return the filter at each tap of the patch around each site of an array: (site, tap)."""
     off = np.arange(SIDE) - SIDE // 2
     around = [np.ix_((row + off) % cfa.shape[0], (col + off) % cfa.shape[1]) for row, col in np.ndindex(*cfa.shape)]
     return np.array([cfa[each].ravel() for each in around])
 
 
 def array_errors(seen: Seen, cfa: Cfa, noise: Noise, level: Level) -> NDArray[np.float64]:
-    """Return the predicted error of an array in each group of patches, averaged over the sites of the array: (group,)."""
+    """Predict an array's error in each group of patches, averaged over the array's sites: (group,)."""
     filters, tap, weight = site_filters(cfa), np.arange(SIDE**2), seen.weight[:, None]
     matrix = seen.signal[filters[:, :, None], filters[:, None, :], :, tap[:, None], tap].transpose(0, 3, 1, 2)
     cross = seen.cross[:, :, tap, filters].transpose(2, 0, 3, 1)  # (site, group, tap, output)
@@ -350,9 +345,9 @@ def array_errors(seen: Seen, cfa: Cfa, noise: Noise, level: Level) -> NDArray[np
 
 
 def clips_everything(seen: Seen, level: Level, noise: Noise) -> bool:
-    """Return whether the mean signal of every filter clips in every group of patches at a light level.
+    """Whether every filter's mean signal clips in every group of patches at a light level.
 
-    If the exposure is automatic, it is computed for each filter as if the array consisted only of this filter.
+    Automatic exposure is computed for each filter as if the array consisted only of this filter.
     """
     doses, filled = np.array([exposure(level, noise, white)[0] for white in seen.white]), seen.patches > 0
     signals = seen.mean[filled].mean(axis=1) / seen.weight[filled, None] * doses  # (group, filter)

@@ -44,7 +44,7 @@ from l3cli.system.text import printable
 MAX_FILTERS = 16  # largest number of filters in a recipe
 MAX_SIDE = 8  # largest number of rows or columns of an array
 Side = Annotated[int, msgspec.Meta(ge=1, le=MAX_SIDE)]
-OPAQUE_EFFICIENCY = 1e-3  # filters with a lower peak quantum efficiency are not accepted
+OPAQUE_EFFICIENCY = 1e-3  # peak quantum efficiency below which filters are rejected
 Curves = NDArray[np.float64]  # (filter, wavelength) or (wavelength,)
 
 
@@ -52,11 +52,11 @@ class PixelRecipe(Recipe):
     """Section [pixel]: the pixel, which is the same under all filters."""
 
     camera: str = "bayer"  # camera model or camera recipe (file or name) with the sensor, the noise and the lens
-    # Quantum efficiency of the pixel with the lens but without a filter: a number, or the name of a CSV file. l3
-    # multiplies this efficiency by the transmittance of each filter.
+    # Quantum efficiency of the pixel with the lens but without a filter: a number, or the name of a CSV file. It is
+    # multiplied by the transmittance of each filter.
     bare: float | str = 0.6
-    pitch_um: Positive | None = None  # this key and the keys below replace values of the camera
-    well_e: Positive | None = None  # full-well capacity; l3 scales the gain so that a full well is at full scale
+    pitch_um: Positive | None = None  # this key and the keys below override values of the camera
+    well_e: Positive | None = None  # full-well capacity; the gain is scaled so that a full well is at full scale
     read_noise_e: NotNegative | None = None
     f_number: Positive | None = None
 
@@ -64,8 +64,8 @@ class PixelRecipe(Recipe):
 class FilterRecipe(Recipe):
     """Section [filters.NAME]: a colour filter.
 
-    A filter is one of: a Gaussian (`centre_nm`), a measured curve (`file`), two stacked filters (`stack`) or a channel of a
-    camera (`channel`). A filter without any of these keys is clear.
+    A filter is a Gaussian (`centre_nm`), a measured curve (`file`), a stack of two filters (`stack`) or a channel of a
+    camera (`channel`). A filter without these keys is clear.
     """
 
     centre_nm: Positive | None = None
@@ -83,14 +83,14 @@ class PatternRecipe(Recipe):
 
     shape: tuple[Side, Side] | None = None  # rows and columns
     filters: list[str] = msgspec.field(default_factory=list)  # filters that the arrays may contain; default: all filters
-    counts: dict[str, Count] | None = None  # number of sites of each filter; default: any number
-    arrays: list[list[str]] = msgspec.field(default_factory=list)  # each array is a list of rows, such as ["r g", "g b"]
+    counts: dict[str, Count] | None = None  # number of sites per filter; default: any number
+    arrays: list[list[str]] = msgspec.field(default_factory=list)  # arrays as lists of rows, such as ["r g", "g b"]
 
 
 class LevelRecipe(Recipe):
-    """Entry [[level]]: a light level, which consists of an illuminant and an exposure.
+    """Entry [[level]]: a light level, which is an illuminant and an exposure.
 
-    The exposure is automatic (`share`) or fixed (`exposure_s`, with `luminance_cd_m2` or `lux`).
+    The exposure is automatic (`share`) or fixed (`exposure_s` with `luminance_cd_m2` or `lux`).
     """
 
     name: str | None = None
@@ -102,14 +102,14 @@ class LevelRecipe(Recipe):
 
 
 class OptimiseRecipe(Recipe):
-    """Section [optimise]: an array whose Gaussian filters are optimised."""
+    """Section [optimise]: an array in which the Gaussian filters are optimised."""
 
     pattern: list[str]  # rows of filter names
-    peaks: bool = False  # whether the peaks are optimised too, not only the centres and the widths
+    peaks: bool = False  # whether to optimise the peaks in addition to the centres and widths
 
 
 class DesignRecipe(Recipe):
-    """A complete design recipe: a search for the best array with filters from a library, for a pixel and light levels."""
+    """A design recipe: the search for the best array of given filters, for a pixel and light levels."""
 
     title: ClassVar[str] = "a design recipe"
 
@@ -119,22 +119,22 @@ class DesignRecipe(Recipe):
     level: Annotated[list[LevelRecipe], msgspec.Meta(min_length=1)]
     pixel: PixelRecipe = msgspec.field(default_factory=PixelRecipe)
     output: Literal["XYZ", "bands", "reflectance"] = "XYZ"
-    # Error metric for XYZ. "lab" approximates ΔE00. "scielab" approximates ΔE00 after the chroma is blurred as in the
-    # eye. "luminance" ignores the chroma. "linear" is a difference in percent of white.
+    # Error metric for XYZ. "lab" approximates ΔE00. "scielab" approximates ΔE00 after blurring the chroma as the eye does.
+    # "luminance" ignores chroma. "linear" is a difference in percent of white.
     counts: Literal["lab", "scielab", "luminance", "linear"] = "lab"
     optimise: OptimiseRecipe | None = None
-    rivals: list[list[str]] = msgspec.field(default_factory=list)  # other arrays that --truth trains, as lists of rows
+    rivals: list[list[str]] = msgspec.field(default_factory=list)  # other arrays to train with --truth, as lists of rows
 
     @property
     def needed(self) -> int:
-        """Minimum number of independent outputs that the filters of an array must have."""
+        """Minimum number of independent outputs from the filters of an array."""
         if self.output != "XYZ":
             return min(2, len(self.filters))
         return 1 if self.counts == "luminance" else 3
 
     @property
     def tuned(self) -> list[str]:
-        """Names of the filters that are optimised: the Gaussian filters in the array of [optimise]."""
+        """Names of the filters to optimise: the Gaussian filters in the array of [optimise]."""
         used = {name for row in (self.optimise.pattern if self.optimise else []) for name in row.split()}
         return [name for name, one in self.filters.items() if name in used and one.centre_nm is not None]
 
@@ -143,7 +143,7 @@ class DesignRecipe(Recipe):
 
 
 def design_faults(recipe: DesignRecipe) -> Iterator[Fault]:
-    """Yield all faults of a design recipe. The files with its curves are not checked."""
+    """Yield all faults of a design recipe, except in the files with its curves."""
     for name, one in recipe.filters.items():
         yield from inside(_filter_faults(name, one, recipe.filters), "filters", name)
     arrays: list[tuple[str, KeyPath, list[str]]] = []
@@ -165,7 +165,7 @@ def design_faults(recipe: DesignRecipe) -> Iterator[Fault]:
         yield from inside(_array_faults(where, rows, recipe.filters), *key)
 
 
-WHOLE: KeyPath = ()  # path of the TOML table itself, for faults that do not concern one of its keys
+WHOLE: KeyPath = ()  # path of the TOML table itself, for faults that do not concern a single key
 
 
 def _filter_faults(name: str, one: FilterRecipe, known: Mapping[str, FilterRecipe]) -> Iterator[Fault]:
@@ -229,7 +229,7 @@ def _level_faults(where: str, level: LevelRecipe) -> Iterator[Fault]:
 
 
 def level_name(level: LevelRecipe) -> str:
-    """Return the name of a light level or, if it has no name, a description such as "white at 0.5 A"."""
+    """Return the name of a light level, or a description such as "white at 0.5 A" if it has none."""
     light = "" if level.illuminant == "D65" else f" {level.illuminant}"
     if level.name is not None:
         return level.name
@@ -243,24 +243,24 @@ def level_name(level: LevelRecipe) -> str:
 
 
 def curve_files(recipe: DesignRecipe, folder: Path) -> list[Path]:
-    """Return the paths of all files with curves in a recipe. File names in the recipe are relative to `folder`."""
+    """List the files with curves in a recipe in `folder`."""
     names = (*(one.file for one in recipe.filters.values()), recipe.pixel.bare)
     return [folder / name for name in names if isinstance(name, str)]
 
 
 def filter_curves(recipe: DesignRecipe, camera: CameraModel, wavelength: Curves, folder: Path) -> Curves:
-    """Return the quantum efficiency of the pixel behind each filter.
+    """Compute the quantum efficiency of the pixel behind each filter.
 
     Parameters
     ----------
     recipe : DesignRecipe
         Design recipe with the filters and the pixel.
     camera : CameraModel
-        The camera of the pixel. A filter may be a channel of this camera.
+        The pixel's camera. Its channels can be used as filters.
     wavelength : ndarray, (wavelength,)
         Wavelengths in nm.
     folder : Path
-        Folder of the recipe. File names in the recipe are relative to this folder.
+        Folder of the recipe, to which its file names are relative.
 
     Returns
     -------
@@ -270,14 +270,14 @@ def filter_curves(recipe: DesignRecipe, camera: CameraModel, wavelength: Curves,
     Raises
     ------
     RecipeError, InputFileError
-        If a filter is opaque, if a channel is unknown, or if a file with curves is unusable.
+        If a filter is opaque, a channel is unknown, or a file with curves is unusable.
     """
     bare, curves = bare_efficiency(recipe.pixel.bare, wavelength, folder), []
     for name, one in recipe.filters.items():
         if one.channel is not None:
             if one.channel not in camera.channels:
                 known = suggestion(one.channel, camera.channels)
-                raise RecipeError(f'filter {name}: the camera of the pixel has no channel "{one.channel}"; {known}')
+                raise RecipeError(f'filter {name}: channel "{one.channel}" does not exist in pixel.camera; {known}')
             channel = camera.responsivity[camera.channels.index(one.channel)]
             curves.append(np.interp(wavelength, camera.wavelength, channel, 0.0, 0.0))
         else:
@@ -285,16 +285,23 @@ def filter_curves(recipe: DesignRecipe, camera: CameraModel, wavelength: Curves,
             curves.append(np.prod([bare, *parts], axis=0))
         if (peak := curves[-1].max()) < OPAQUE_EFFICIENCY:
             raise RecipeError(
-                f"filter {name} is opaque, because its highest quantum efficiency between {wavelength[0]:g} and "
+                f"filter {name} is opaque: its highest quantum efficiency between {wavelength[0]:g} and "
                 f"{wavelength[-1]:g} nm is {peak:.2g}; change or remove the filter"
             )
     return np.array(curves)
 
 
 def bare_efficiency(bare: float | str, wavelength: Curves, folder: Path) -> Curves:
-    """Return the quantum efficiency of a pixel without a filter, at each wavelength in nm.
+    """Return the quantum efficiency (wavelength,) of a pixel without a filter.
 
-    `bare` is a number, or the name of a CSV file relative to `folder`.
+    Parameters
+    ----------
+    bare : float or str
+        The recipe key `bare`: a number, or the name of a CSV file in `folder`.
+    wavelength : ndarray, (wavelength,)
+        Wavelengths in nm.
+    folder : Path
+        Folder of the recipe.
 
     Raises
     ------
@@ -325,12 +332,12 @@ def _transmittance(one: FilterRecipe, wavelength: Curves, folder: Path) -> Curve
 
 
 def gaussian(wavelength: Curves, centre: float, sigma: float, peak: float, floor: float) -> Curves:
-    """Return the transmittance of a Gaussian filter at each wavelength. Wavelengths, `centre` and `sigma` are in nm."""
+    """Return the transmittance of a Gaussian filter. Wavelengths, `centre` and `sigma` are in nm."""
     return np.asarray(floor + (peak - floor) * np.exp(-0.5 * ((wavelength - centre) / sigma) ** 2))
 
 
 def is_design(path: Path) -> bool:
-    """Return whether a file is a design recipe: a TOML file with a top-level key that only design recipes contain."""
+    """Whether a file is a design recipe: a TOML file with a top-level key that only design recipes contain."""
     keys = KIND_KEYS[DesignRecipe.title]
     return path.suffix == ".toml" and any(key in parse_toml(read_text(path), str(path)) for key in keys)
 
@@ -341,7 +348,7 @@ def pixel_camera(path: Path) -> tuple[CameraModel, list[Path]]:
     Returns
     -------
     CameraModel
-        A camera with this lens and this pixel. If `path` is a design recipe, its CFA and its responsivities are meaningless.
+        Camera with this lens and pixel. If `path` is a design recipe, its CFA and responsivities are meaningless.
     list of Path
         The files that were read.
     """
@@ -352,13 +359,13 @@ def pixel_camera(path: Path) -> tuple[CameraModel, list[Path]]:
 
 
 def base_camera(pixel: PixelRecipe, folder: Path) -> Path:
-    """Return the path of `pixel.camera`: a file relative to `folder`, or a recipe that comes with l3."""
+    """Return the path of `pixel.camera`: a file relative to `folder`, or a built-in recipe."""
     own = folder / pixel.camera
     return own if own.is_file() else find_recipe(pixel.camera, "cameras")
 
 
 def pixel_of(pixel: PixelRecipe, folder: Path) -> CameraModel:
-    """Return a camera with the pixel of a design recipe. Its CFA and its responsivities are meaningless.
+    """Build a camera with the pixel of a design recipe. Its CFA and responsivities are meaningless.
 
     Raises
     ------
@@ -368,7 +375,7 @@ def pixel_of(pixel: PixelRecipe, folder: Path) -> CameraModel:
     base = load_camera(base_camera(pixel, folder))
     if not base.absolute:
         raise RecipeError(
-            f"pixel.camera is {base.name}, which has only relative responsivities; use a camera with known quantum "
+            f"the responsivities of pixel.camera ({base.name}) are only relative; use a camera with known quantum "
             "efficiencies"
         )
     noise, optics, gain = base.noise, base.optics, base.gain
@@ -385,19 +392,19 @@ def pixel_of(pixel: PixelRecipe, folder: Path) -> CameraModel:
 
 
 def camera_texts(camera: CameraModel, origin: str) -> dict[str, str]:
-    """Return the texts of a camera recipe and of a CSV file with the curves of the camera.
+    """Convert a camera model to a camera recipe and a CSV file with its curves.
 
     Parameters
     ----------
     camera : CameraModel
-        A camera whose channels all have the same exposure and gain.
+        A camera with equal exposure and gain in all channels.
     origin : str
         Comment for the first line of the recipe.
 
     Returns
     -------
     dict of str to str
-        Name of each file, and its text.
+        Text of each file, by file name.
     """
     pitch = round(camera.pixel_pitch * 1e6, 6)
     tables: dict[str, Recipe | dict[str, float]] = {

@@ -1,7 +1,7 @@
-"""Search for the best array of filters: enumeration of all distinct arrays or, if there are too many, simulated annealing.
+"""Search for the best filter array by evaluating all distinct arrays or, if there are too many, by simulated annealing.
 
-Two arrays are equivalent if they differ only by a shift, a rotation or a reflection. Only one of several equivalent arrays
-is evaluated.
+Arrays are equivalent if they differ only by a shift, a rotation or a reflection. Only one of several equivalent arrays is
+evaluated.
 """
 
 import functools
@@ -16,48 +16,48 @@ from numpy.typing import NDArray
 from l3cli.artifacts.design import overall
 from l3cli.design.error import Cfa, Level, Noise, Seen, array_errors
 
-MAX_ENUMERATED = 4_000_000  # largest number of arrays, including equivalent arrays, that are enumerated
-MAX_EVALUATED = 100_000  # largest number of distinct arrays that are evaluated
-INDEPENDENT = 1e-3  # singular values above this fraction of the largest singular value count as independent outputs
+MAX_ENUMERATED = 4_000_000  # largest number of arrays, including equivalent ones, to enumerate
+MAX_EVALUATED = 100_000  # largest number of distinct arrays to evaluate
+INDEPENDENT = 1e-3  # fraction of the largest singular value above which a singular value counts as an independent output
 START_TEMPERATURE, END_TEMPERATURE = 0.03, 0.0005  # temperatures of simulated annealing, relative to the error
-Arrays = NDArray[np.integer]  # (array, site): index of the filter at each site
-Allowed = Callable[[Sequence[int]], bool]  # returns whether an array may consist of a given set of filters
+Arrays = NDArray[np.integer]  # (array, site): filter at each site
+Allowed = Callable[[Sequence[int]], bool]  # tests whether an array may consist of a given set of filters
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Everything that determines the error of an array: the scenes, the light levels and the noise of the pixel."""
+    """Everything that determines an array's error: the scenes, the light levels and the pixel's noise."""
 
     seen: tuple[Seen, ...]  # moments under each illuminant
     levels: tuple[Level, ...]
     noise: Noise
 
     def errors(self, cfa: Cfa) -> NDArray[np.float64]:
-        """Return the predicted error of an array at each light level and in each group of patches: (level, group)."""
+        """Predict an array's error at each light level and in each group of patches: (level, group)."""
         return np.array([array_errors(self.seen[level.light], cfa, self.noise, level) for level in self.levels])
 
     @functools.cached_property
     def share(self) -> NDArray[np.float64]:
-        """Fraction of the patches that belong to each group, under the illuminant of each light level: (level, group)."""
+        """Fraction of the patches in each group under each light level's illuminant: (level, group)."""
         return np.array([self.seen[level.light].share for level in self.levels])
 
     def means(self, cfa: Cfa) -> NDArray[np.float64]:
-        """Return the predicted error of an array at each light level, averaged over all patches: (level,)."""
+        """Predict an array's error at each light level, averaged over all patches: (level,)."""
         return np.asarray((self.errors(cfa) * self.share).sum(axis=1))
 
     def score(self, cfa: Cfa) -> float:
-        """Return the predicted error of an array as the geometric mean over all light levels."""
+        """Predict an array's error as the geometric mean over all light levels."""
         return float(overall(self.means(cfa)))
 
 
 @functools.cache
 def symmetries(shape: tuple[int, int]) -> NDArray[np.intp]:
-    """Return the permutations of the sites that convert an array to an equivalent array of the same shape.
+    """Return the site permutations that convert an array to an equivalent array of the same shape.
 
     Returns
     -------
     ndarray, (symmetry, site)
-        For each symmetry and each site, the index of the site whose filter moves to this site.
+        Site from which each site takes its filter.
     """
     sites = np.arange(math.prod(shape)).reshape(shape)
     turned = [np.rot90(each, turn) for each in (sites, sites.T) for turn in range(4)]
@@ -66,16 +66,13 @@ def symmetries(shape: tuple[int, int]) -> NDArray[np.intp]:
 
 
 def canonical(cfa: Cfa) -> bytes:
-    """Return a key that identifies an array. Equivalent arrays of the same shape have the same key."""
+    """Return a key that is the same for all equivalent arrays of the same shape."""
     orders = symmetries((cfa.shape[0], cfa.shape[1]))
     return min(row.tobytes() for row in cfa.astype(np.uint8).ravel()[orders])
 
 
 def distinct(arrays: Arrays, shape: tuple[int, int], filters: int) -> Arrays:
-    """Return `arrays` without the arrays that are equivalent to an earlier array.
-
-    `shape` is the shape of each array, and `filters` is the number of filters.
-    """
+    """Remove arrays that are equivalent to an earlier array. `filters` is the number of filters."""
     digits = np.int64(filters) ** np.arange(arrays.shape[1])[::-1]
     least = functools.reduce(np.minimum, (arrays[:, order] @ digits for order in symmetries(shape)))
     _, first = np.unique(least, return_index=True)
@@ -97,7 +94,7 @@ def arrangements(counts: Sequence[int]) -> Iterator[list[int]]:
 def every_array(
     shape: tuple[int, int], filters: Sequence[int], counts: Sequence[int] | None, allowed: Allowed
 ) -> list[Cfa] | None:
-    """Return all distinct arrays of a shape.
+    """Enumerate all distinct arrays of a shape.
 
     Parameters
     ----------
@@ -108,12 +105,12 @@ def every_array(
     counts : sequence of int or None
         Number of sites of each filter, or None for any number.
     allowed : callable
-        Function that returns whether an array may consist of a set of filters.
+        Function that tests whether an array may consist of a set of filters.
 
     Returns
     -------
     list of ndarray, (row, col), or None
-        The arrays, or None if there are more than MAX_ENUMERATED arrays, or more than MAX_EVALUATED distinct arrays.
+        The arrays, or None if there are more than MAX_ENUMERATED arrays or more than MAX_EVALUATED distinct arrays.
     """
     sites, base = math.prod(shape), len(filters)
     size = math.factorial(sites) // math.prod(map(math.factorial, counts)) if counts else base**sites
@@ -127,7 +124,7 @@ def every_array(
 
 
 def independent_outputs(responses: NDArray[np.floating]) -> int:
-    """Return the number of linearly independent outputs that a set of filters has for the spectra of scenes.
+    """Count the linearly independent outputs of a set of filters for the spectra of scenes.
 
     Parameters
     ----------
@@ -164,7 +161,7 @@ def anneal(
     swapped : bool
         Whether all steps are swaps, so that the number of sites of each filter does not change.
     allowed : callable
-        Function that returns whether an array may consist of a set of filters.
+        Function that tests whether an array may consist of a set of filters.
     rng : numpy.random.Generator
         Random generator.
     steps : int
@@ -173,7 +170,7 @@ def anneal(
     Returns
     -------
     ndarray, (row, col)
-        The best array that occurred during the search.
+        The best array of the whole search.
     """
     known: dict[bytes, float] = {}
 

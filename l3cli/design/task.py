@@ -1,4 +1,4 @@
-"""Execution of a design recipe.
+"""Execute a design recipe.
 
 `Task` reads the recipe and its files, predicts the errors of arrays, and optimises filters. `designed` ranks the arrays and
 collects the results.
@@ -35,8 +35,8 @@ from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.load import load_recipe
 
 ANNEALING_STEPS = 1000  # number of steps of simulated annealing
-MAX_REPEATED_FILTERS = 8  # with more filters, no run of annealing starts from repetitions of the best 2×2 array
-PIXEL_TOLERANCE = 1e-6  # pixel pitches and f-numbers are equal if their relative difference is at most this
+MAX_REPEATED_FILTERS = 8  # largest number of filters for which annealing starts once from the best 2×2 array
+PIXEL_TOLERANCE = 1e-6  # relative tolerance when pixel pitches and f-numbers are compared
 BOUNDS = np.array([[400.0, 700.0], [10.0, 150.0], [0.1, 1.0]])  # range of centre (nm), sigma (nm) and peak
 VARIABLE_UNITS = np.array([10.0, 10.0, 0.1])  # units of the optimiser's variables: centre (nm), sigma (nm) and peak
 START_DEVIATIONS = np.array([25.0, 15.0, 0.0])  # standard deviation of random starts in centre (nm), sigma (nm) and peak
@@ -45,23 +45,23 @@ DESCENT = {"maxiter": 60, "eps": 1e-4}  # options for `scipy.optimize.minimize`
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """A design recipe, with the scene moments and all files to which the recipe refers.
+    """A design recipe, with its scene moments and all files to which it refers.
 
-    If a task is sent to a worker process, only its two paths are sent. Each process reads the files once.
+    Only the two paths are sent to worker processes. Each process reads the files once.
 
     Parameters
     ----------
     recipe : Path
         File of the design recipe.
     moments : Path
-        File with scene moments, which `l3 design moments` has written.
+        File with scene moments from `l3 design moments`.
     """
 
     recipe: Path
     moments: Path
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _task, (self.recipe, self.moments)  # the cache of _task ensures that each process reads the files only once
+        return _task, (self.recipe, self.moments)
 
     @functools.cached_property
     def wanted(self) -> DesignRecipe:
@@ -72,7 +72,7 @@ class Task:
 
     @property
     def names(self) -> list[str]:
-        """Names of the filters, in the order of their indices."""
+        """Filter names, by index."""
         return list(self.wanted.filters)
 
     @functools.cached_property
@@ -90,7 +90,7 @@ class Task:
 
     @functools.cached_property
     def lights(self) -> list[LightMoments]:
-        """Scene moments under each illuminant that occurs in the light levels.
+        """Scene moments under each illuminant of the light levels.
 
         Raises
         ------
@@ -109,7 +109,7 @@ class Task:
 
     @functools.cached_property
     def levels(self) -> tuple[Level, ...]:
-        """The light levels of the recipe. If a level has no luminance, 100 cd/m² is used."""
+        """Light levels of the recipe, with a luminance of 100 cd/m² if the recipe specifies none."""
         levels, lights = [], [light.illuminant for light in self.lights]
         for one in self.wanted.level:
             luminance = one.lux / np.pi if one.lux is not None else one.luminance_cd_m2 or 100.0
@@ -119,7 +119,7 @@ class Task:
 
     @functools.cached_property
     def spectra(self) -> list[Seen]:
-        """Moments of the principal spectra and of the outputs, under each illuminant."""
+        """Moments of the principal spectra and outputs under each illuminant."""
         return [spectra_of(light, self.wanted.output, self.wanted.counts, self.curves) for light in self.lights]
 
     @functools.cached_property
@@ -127,38 +127,35 @@ class Task:
         return self.problem_of(self.curves)
 
     def problem_of(self, curves: NDArray[np.float64]) -> Problem:
-        """Return the search problem for filters with the quantum efficiencies `curves`, (filter, wavelength)."""
+        """Return the search problem for filters with the given quantum efficiencies (filter, wavelength)."""
         seen = tuple(seen_by(curves, *each) for each in zip(self.lights, self.spectra, strict=True))
         return Problem(seen, self.levels, noise_of(self.pixel))
 
     # ------------------------------------------------------------------------------------------------- arrays
 
     def allowed(self, filters: Sequence[int]) -> bool:
-        """Return whether an array that consists of these filters has enough independent outputs."""
+        """Whether an array of these filters has enough independent outputs."""
         responses = self.curves[list(filters)] @ self.lights[0].basis
         return len(filters) >= self.wanted.needed and independent_outputs(responses) >= self.wanted.needed
 
     def numbered(self, rows: list[str]) -> Cfa:
-        """Convert an array from rows of filter names, such as "r g", to filter indices: (row, col)."""
+        """Convert rows of filter names, such as "r g", to filter indices (row, col)."""
         return sites("/".join(rows), self.names)
 
     def choice(self, pattern: PatternRecipe) -> tuple[list[int], list[int] | None]:
-        """Return the indices of the filters that the arrays of a pattern may contain, and the number of sites per filter.
-
-        The numbers of sites are None if the recipe does not specify them.
-        """
+        """Return the filters that a pattern's arrays may contain, and the number of sites per filter, or None for any."""
         filters = [self.names.index(name) for name in (pattern.counts or pattern.filters or self.names)]
         return filters, list(pattern.counts.values()) if pattern.counts else None
 
     def arrays_of(self, pattern: PatternRecipe, number: int) -> list[Cfa] | None:
-        """Return the arrays of a pattern, or None if there are so many arrays that simulated annealing is needed.
+        """Return the arrays of a pattern, or None if there are so many that simulated annealing is needed.
 
         `number` is the index of the pattern, for error messages.
 
         Raises
         ------
         RecipeError
-            If an array in the recipe has too few independent outputs, or if all arrays of the shape have too few.
+            If an array in the recipe, or every array of the shape, has too few independent outputs.
         """
         shortage = f"fewer than {self.wanted.needed} independent outputs; add filters"
         where = f"{self.recipe}: pattern {number + 1}"
@@ -174,17 +171,16 @@ class Task:
         return every
 
     def bayer(self, filters: Sequence[int]) -> list[Cfa]:
-        """Return one Bayer array for each combination of three filters that provides enough independent outputs.
+        """Return one Bayer array for each combination of three filters with enough independent outputs.
 
-        The filter with the intermediate centre wavelength is at the two green sites. The remaining two filters
-        are at the red and the blue site.
+        The filter with the intermediate centre wavelength occupies the two green sites.
         """
         centres = self.curves @ self.scenes.wavelength / self.curves.sum(axis=1)
         threes = (sorted(three, key=lambda each: float(centres[each])) for three in itertools.combinations(filters, 3))
         return [np.array([[green, red], [blue, green]]) for blue, green, red in threes if self.allowed([blue, green, red])]
 
     def require_same_pixel(self) -> None:
-        """Raise InputFileError if the scene moments were computed for a different f-number or pixel pitch."""
+        """Raise InputFileError if the scene moments are for another f-number or pixel pitch."""
         wanted, given = (self.pixel.pixel_pitch, self.pixel.optics.f_number), (self.scenes.pixel_pitch, self.scenes.f_number)
         if not np.allclose(wanted, given, rtol=PIXEL_TOLERANCE, atol=0):
             theirs, ours = (f"pixels of {1e6 * pitch:g} µm at f/{f_number:g}" for pitch, f_number in (given, wanted))
@@ -194,7 +190,7 @@ class Task:
             )
 
     def judged(self, arrays: Sequence[Cfa]) -> dict[str, NDArray]:
-        """Return the predicted errors of arrays as {"errors": ndarray, (array, level, group)}."""
+        """Predict the errors of arrays: {"errors": ndarray, (array, level, group)}."""
         return {"errors": np.array([self.problem.errors(cfa) for cfa in arrays])}
 
     def annealed(self, seed: int, which: tuple[int, int]) -> dict[str, NDArray]:
@@ -205,13 +201,13 @@ class Task:
         seed : int
             Seed of the random numbers.
         which : tuple of int
-            Index of the pattern, and index of the run. If possible, run 0 starts from repetitions of the best 2×2 array. All
-            other runs start from a random array.
+            Index of the pattern, and index of the run. Run 0 starts from repetitions of the best 2×2 array if possible.
+            Other runs start from random arrays.
 
         Returns
         -------
         dict
-            Key "cfa": the array, (row, col).
+            Key "cfa": the array (row, col).
         """
         (number, run), rng = which, np.random.default_rng([seed, *which])
         pattern = self.wanted.pattern[number]
@@ -227,7 +223,7 @@ class Task:
     # ------------------------------------------------------------------------------------------------- tuning
 
     def tuned_curves(self, parameters: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the quantum efficiencies of all filters if the optimised filters have the given parameters.
+        """Compute the quantum efficiencies of all filters, with the given parameters for the optimised filters.
 
         Parameters
         ----------
@@ -237,7 +233,6 @@ class Task:
         Returns
         -------
         ndarray, (filter, wavelength)
-            Quantum efficiencies.
         """
         curves, wavelength = self.curves.copy(), self.scenes.wavelength
         bare = bare_efficiency(self.wanted.pixel.bare, wavelength, self.recipe.parent)
@@ -256,14 +251,13 @@ class Task:
         seed : int
             Seed of the random numbers.
         number : int
-            Index of the starting point. Starting point 0 consists of the filters in the recipe. All other starting points
-            are random variations of these filters.
+            Index of the starting point. Starting point 0 is the filters in the recipe. All others are random variations.
 
         Returns
         -------
         dict
-            Key "score": logarithm of the smallest error. Key "parameters": ndarray, (optimised filter, 3), with the centre
-            in nm, sigma in nm and peak of each filter.
+            Key "score": logarithm of the smallest error. Key "parameters": centre in nm, sigma in nm and peak of each
+            optimised filter (optimised filter, 3).
         """
         asked, tuned = self.wanted.optimise, [self.wanted.filters[name] for name in self.wanted.tuned]
         assert asked is not None
@@ -291,15 +285,15 @@ class Task:
 
 @functools.lru_cache(maxsize=1)
 def _task(recipe: Path, moments: Path) -> Task:
-    """Return the task for a design recipe. The cache ensures that each process reads the files only once."""
+    """Return the task for a design recipe, cached so that each process reads the files only once."""
     return Task(recipe, moments)
 
 
 UNITS = {"lab": "ΔE00", "scielab": "ΔE of soft chroma", "luminance": "L*", "linear": "% of white"}
 # number of arrays in a design, in addition to the best Bayer array and the best array at each light level
 LISTED_ARRAYS = 100
-SHIFT = 5.0  # nm; shift of a filter in the sensitivity analysis
-DOSES = 10.0 ** np.arange(-2.0, 1.26, 0.25)  # cd s/m²; exposures in the plot of error against exposure
+SHIFT = 5.0  # shift of a filter in the sensitivity analysis, in nm
+DOSES = 10.0 ** np.arange(-2.0, 1.26, 0.25)  # exposures in the plot of error against exposure, in cd s/m²
 
 
 def designed(task: Task, arrays: Sequence[Cfa], errors: NDArray[np.float64]) -> Design:
@@ -310,7 +304,7 @@ def designed(task: Task, arrays: Sequence[Cfa], errors: NDArray[np.float64]) -> 
     task : Task
         The task.
     arrays : sequence of ndarray, (row, col)
-        All arrays that were evaluated.
+        The evaluated arrays.
     errors : ndarray, (array, level, group)
         Predicted errors of the arrays.
 
@@ -358,14 +352,14 @@ def designed(task: Task, arrays: Sequence[Cfa], errors: NDArray[np.float64]) -> 
 
 
 def sensitivity(task: Task, cfa: Cfa) -> NDArray[np.float64]:
-    """Return the relative change of an array's error if the curve of a filter is shifted by SHIFT nm.
+    """Compute the relative change in an array's error if the curve of one filter is shifted by SHIFT nm.
 
     Each filter is shifted in both directions, and the larger change is used.
 
     Returns
     -------
     ndarray, (filter,)
-        Relative change of the error, or 0 for filters that the array does not contain.
+        Relative change, or 0 for filters that the array does not contain.
     """
     changes, given, grid = np.zeros(len(task.curves)), task.problem.score(cfa), task.scenes.wavelength
     for place in np.unique(cfa):

@@ -10,11 +10,10 @@ from l3cli.errors import RecipeError, suggestion
 from l3cli.physics import spectra
 
 CLASSIC = (4, 6)  # rows and columns of patches on the classic ColorChecker
-# Names of data sets in colour-science: two sets of spectra, and the colours that the manufacturer states for charts since
-# 2014.
+# Data sets in colour-science: two sets of spectra, and the manufacturer's colours for charts since 2014.
 AVERAGE, STANDARD = "BabelColor Average", "ISO 17321-1"
 SINCE_2014 = "ColorChecker24 - After November 2014"
-CHARTS = {  # name of a chart → data set of its spectra, and data set of the colours that the manufacturer states (or None)
+CHARTS = {  # data sets of each chart: spectra, and the manufacturer's colours if the spectra must be adapted to them
     "classic": (AVERAGE, None),
     "classic ISO 17321": (STANDARD, None),
     "classic 2014": (AVERAGE, SINCE_2014),
@@ -25,17 +24,17 @@ NO_SPECTRA = (
     "the reflectances of this chart are not published; set chart to a CSV file with a column of wavelengths and one column "
     'of reflectances per patch, in row order: chart = "sg.csv", layout = [10, 14]'
 )
-CORRECTION_NM = 60.0  # correlation length, in nm, of the factor that adapts the spectra to newer charts
+CORRECTION_NM = 60.0  # correlation length, in nm, of the factors that adapt spectra to the manufacturer's colours
 Array = NDArray[np.floating]
 
 
 def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
-    """Return the names and reflectances of the patches of a ColorChecker, row by row.
+    """Return the names and reflectances of ColorChecker patches, row by row.
 
-    "classic" and "passport" are charts from before November 2014. Their spectra are the average of thirty charts
-    (BabelColor). The spectra of "classic ISO 17321" are from ISO 17321-1. Later charts ("classic 2014", "passport 2") have
-    different dyes, whose spectra are not published. For these charts, each average spectrum of the older charts is
-    multiplied by a smooth function of wavelength. The product has the colour that the manufacturer states.
+    "classic" and "passport" are charts from before November 2014, with the average spectra of thirty charts (BabelColor).
+    The spectra of "classic ISO 17321" are from ISO 17321-1. Later charts ("classic 2014", "passport 2") have different
+    pigments with unpublished spectra. They are represented by the average spectra of the older charts, each multiplied by a
+    smooth function of wavelength that yields the manufacturer's colour.
 
     Parameters
     ----------
@@ -49,7 +48,7 @@ def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
     names : tuple of str
         Names of the patches.
     reflectance : ndarray, (patch, wavelength)
-        Reflectances, interpolated linearly. Outside the measured range, the reflectances are constant.
+        Reflectances, interpolated linearly and constant outside the measured range.
 
     Raises
     ------
@@ -67,7 +66,7 @@ def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
 
 
 def _corrected(reflectance: Array, wavelength: Array, stated: str) -> Array:
-    """Multiply each reflectance by the smoothest function of wavelength that results in the stated colour."""
+    """Multiply each reflectance by the smoothest function of wavelength that yields the stated colour."""
     target = _stated_xyz(stated)
     light = spectra.illuminant("D50", wavelength)
     weights = spectra.xyz_weights(wavelength) * light
@@ -84,7 +83,7 @@ def _corrected(reflectance: Array, wavelength: Array, stated: str) -> Array:
 
 @functools.cache
 def _stated_xyz(stated: str) -> Array:
-    """Return the colours (patch, 3) that the manufacturer states, as XYZ under D50. A perfect white has Y = 1."""
+    """Return the manufacturer's colours as XYZ (patch, 3) under D50, relative to a perfect white with Y = 1."""
     colour = spectra.colour_science()
     table = colour.CCS_COLOURCHECKERS[stated]
     assert np.allclose(table.illuminant, colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D50"], atol=2e-3)

@@ -13,14 +13,14 @@ from l3cli.physics import spectra
 
 Array = NDArray[np.floating]
 
-WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # wavelengths, in nm, at which XYZ is computed
+WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # wavelengths for XYZ, in nm
 # Reciprocal colour temperatures of the model illuminants, in mired (10^-6/K), from 25 000 K to 1600 K.
 MIREDS = np.concatenate([np.arange(40.0, 250.0, 10.0), np.arange(250.0, 631.0, 10.0)])
-DAYLIGHT_MIRED = 250.0  # up to this value (4000 K or more), model illuminants are daylight; above this value, black bodies
+DAYLIGHT_MIRED = 250.0  # largest mired value (4000 K) of daylight; model illuminants with larger values are black bodies
 GREENS = np.arange(-0.8, 1.01, 0.1)  # tints: natural logarithm of the factor at GREEN_NM; negative values are magenta
 GREEN_NM, GREEN_WIDTH = 545.0, 45.0  # centre and width of the tint in nm, near the green line of fluorescent lamps
 SAME_MIRED = 1.0  # difference in mired (42 K at 6500 K) below which two colour temperatures look the same
-FINER = 10  # number of steps into which the second search divides each step of the first search
+FINER = 10  # number of steps in the second search per step of the first
 
 
 @dataclass(frozen=True)
@@ -42,14 +42,14 @@ def radiance(mired: float, green: float, wavelength: Array) -> Array:
     mired : float
         Reciprocal correlated colour temperature in mired (10^-6/K).
     green : float
-        Tint: the natural logarithm of the factor by which light at 545 nm is increased. Negative values are magenta.
+        Tint: natural logarithm of the factor by which light at 545 nm is increased. Negative values are magenta.
     wavelength : ndarray, (wavelength,)
         Wavelengths in nm.
 
     Returns
     -------
     ndarray, (wavelength,)
-        The radiance. Without a tint, its mean is 1.
+        Radiance, with a mean of 1 if there is no tint.
     """
     kelvin = 1e6 / mired
     plain = spectra.illuminant(f"{'D' if mired <= DAYLIGHT_MIRED else ''}{kelvin:.6f}K", wavelength)
@@ -57,7 +57,7 @@ def radiance(mired: float, green: float, wavelength: Array) -> Array:
 
 
 def _greener(green: float, wavelength: Array) -> Array:
-    """Return the factor by which the tint changes the radiance at each wavelength."""
+    """Return the factor by which a tint changes the radiance at each wavelength."""
     return np.asarray(np.exp(green * np.exp(-(((wavelength - GREEN_NM) / GREEN_WIDTH) ** 2))))
 
 
@@ -73,7 +73,7 @@ def light_of_neutral(weights: Array, wavelength: Array, neutral: Array) -> Corre
     wavelength : ndarray, (wavelength,)
         Wavelengths in nm.
     neutral : ndarray, (channel,)
-        Signals of a grey surface, in any unit. Channels whose signal is not positive are ignored.
+        Signals of a grey surface, in any unit. Channels without a positive signal are ignored.
 
     Returns
     -------
@@ -86,7 +86,7 @@ def light_of_neutral(weights: Array, wavelength: Array, neutral: Array) -> Corre
 
 
 def light_of_white(white: Array, wavelength: Array) -> CorrelatedLight:
-    """Find the model illuminant whose white point is closest to a given white point.
+    """Find the model illuminant that best matches a white point.
 
     Parameters
     ----------
@@ -98,15 +98,14 @@ def light_of_white(white: Array, wavelength: Array) -> CorrelatedLight:
     Returns
     -------
     CorrelatedLight
-        The illuminant, with its radiance at `wavelength`. Its `misfit` is computed from X, Y and Z instead of camera
-        signals.
+        The illuminant, with its radiance at `wavelength`. Its `misfit` refers to X, Y and Z instead of camera signals.
     """
     mired, green, misfit = _nearest(spectra.xyz_weights(WAVELENGTH), WAVELENGTH, white)
     return CorrelatedLight(white / white[1], *temperature(white), misfit, radiance(mired, green, wavelength))
 
 
 def _nearest(weights: Array, wavelength: Array, neutral: Array) -> tuple[float, float, float]:
-    """Return the mired value, the tint and the misfit of the illuminant that best explains the grey signals `neutral`."""
+    """Return the mired value, tint and misfit of the illuminant that best explains the grey signals `neutral`."""
     used = neutral > 0
     wanted = _centred(np.log(neutral[used]))
     mireds, greens = MIREDS, GREENS
@@ -122,12 +121,12 @@ def _nearest(weights: Array, wavelength: Array, neutral: Array) -> tuple[float, 
 
 
 def light_of(white: Array) -> CorrelatedLight:
-    """Return an illuminant with an unknown spectrum. `white` is the XYZ (3,) of its white point, at any luminance."""
+    """Describe an illuminant with an unknown spectrum by its white point `white`, XYZ (3,) at any luminance."""
     return CorrelatedLight(np.asarray(white / white[1], np.float64), *temperature(white), 0.0, None)
 
 
 def temperature(xyz: Array) -> tuple[float, float]:
-    """Return the correlated colour temperature of a white, and its distance from the black-body locus.
+    """Compute the correlated colour temperature of a white and its distance from the black-body locus.
 
     Parameters
     ----------
@@ -139,7 +138,7 @@ def temperature(xyz: Array) -> tuple[float, float]:
     kelvin : float
         Correlated colour temperature in K, limited to 1600…25 000 K.
     duv : float
-        Distance in CIE 1960 uv. The distance is positive if the white is greener than a black body.
+        Distance in CIE 1960 uv, positive if the white is greener than a black body.
     """
     mireds, locus = _black_bodies()
     point = uv(xyz)
@@ -153,7 +152,7 @@ def temperature(xyz: Array) -> tuple[float, float]:
 
 
 def mired_of(xyz: Array) -> float:
-    """Return the reciprocal colour temperature of the white `xyz` in mired, limited to 40…625 mired (see `temperature`)."""
+    """Return the reciprocal colour temperature of a white, limited to 40…625 mired (see `temperature`)."""
     return 1e6 / temperature(xyz)[0]
 
 

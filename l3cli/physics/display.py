@@ -19,13 +19,13 @@ from l3cli.system.text import Quantity
 Array = NDArray[np.floating]
 XYZ = ("X", "Y", "Z")  # names of outputs that are CIE 1931 tristimulus values
 CHROMATICITY = Quantity(0.001, 0.999)  # permitted range of x and y of a white
-WHITE_PERCENTILE = 99  # percentile of Y that becomes display white, as in the pictures of the L3 paper
+WHITE_PERCENTILE = 99  # percentile of Y that is displayed as white, as in the pictures of the L3 paper
 LUMA = np.array([0.2126, 0.7152, 0.0722])  # luminance weights of the sRGB primaries (Rec. 709)
-FLOAT_BITS = 32  # bits per value of linear pictures in floating point
-CODES = {8: np.uint8, 16: np.uint16}  # bits per code → data type
-AT_ONCE = 1 << 13  # number of colours per block; all temporary arrays of a block fit into the processor cache
-TONE_LIMIT = 1e6  # linear values are clipped to this limit before the tone curve, far above the value that becomes white
-PRECISION = 1e-3  # gradient at which the optimisation ends; a smaller gradient would not change the results
+FLOAT_BITS = 32  # bits per value of linear floating-point pictures
+CODES = {8: np.uint8, 16: np.uint16}  # data type by number of bits per code
+AT_ONCE = 1 << 13  # number of colours per block, small enough for the processor cache
+TONE_LIMIT = 1e6  # limit for linear values before the tone curve, far above the value that is displayed as white
+PRECISION = 1e-3  # gradient at which the optimisation stops, because smaller gradients would not change the results
 
 
 # ------------------------------------------------------------------------------------------- white and exposure
@@ -33,20 +33,17 @@ PRECISION = 1e-3  # gradient at which the optimisation ends; a smaller gradient 
 
 @functools.cache
 def daylight() -> Array:
-    """Return the XYZ (3,) of D65, the white of displays, with Y = 1."""
+    """Return the XYZ (3,) of D65, the white point of displays, with Y = 1."""
     return white_point("D65")
 
 
 def display_white() -> Array:
-    """Return the XYZ (3,) of display white according to the rounded sRGB matrix. The result equals D65 to four digits."""
+    """Return the XYZ (3,) of display white according to the rounded sRGB matrix, which is D65 to four digits."""
     return np.linalg.solve(SRGB_FROM_XYZ, np.ones(3))
 
 
 def white_luminance(luminance: Array) -> float:
-    """Return the luminance that becomes display white: the 99th percentile of `luminance` (row, col).
-
-    If the percentile is not positive, the result is 1.
-    """
+    """Return the luminance to display as white: the 99th percentile of `luminance`, or 1 if it is not positive."""
     bright = white_percentile(luminance)
     return bright if bright > 0 else 1.0
 
@@ -54,9 +51,8 @@ def white_luminance(luminance: Array) -> float:
 def white_percentile(values: Array) -> float:
     """Return the 99th percentile of an array, or NaN if the array contains NaN.
 
-    The result equals the result of np.percentile, except for the rounding in float32, which differs between versions of
-    numpy. np.percentile is not used because it imports numpy's masked arrays. This import takes 5 % of the time in which a
-    picture is rendered.
+    The result equals np.percentile, except for the rounding in float32, which differs between versions of numpy.
+    np.percentile imports numpy's masked arrays, which would take 5 % of the time for rendering a picture.
     """
     flat = values.ravel()
     place = (flat.size - 1) * (WHITE_PERCENTILE / 100)
@@ -70,15 +66,12 @@ def white_percentile(values: Array) -> float:
 
 
 def exposure_scale(luminance: Array) -> float:
-    """Return the factor that maps the 99th percentile of `luminance` (row, col) to 1.
-
-    If the percentile is not positive, the result is 1.
-    """
+    """Return the factor that maps the 99th percentile of `luminance` (row, col) to 1, or 1 if it is not positive."""
     return 1.0 / white_luminance(luminance)
 
 
 def scene_white(text: str) -> NDArray[np.float64]:
-    """Convert the chromaticity "x,y" of a white, or the name of an illuminant, to XYZ.
+    """Convert a chromaticity "x,y" or the name of an illuminant to the XYZ of white.
 
     Returns
     -------
@@ -122,15 +115,15 @@ def srgb_decoded(encoded: Array) -> Array:
 
 
 def codes(encoded: Array, bits: int = 8) -> NDArray[Any]:
-    """Convert encoded values in 0…1 to the codes of a picture file: round((2^bits − 1) · value).
+    """Convert encoded values in 0…1 to the codes of a picture file with 8 or 16 bits: round((2^bits − 1) · value).
 
-    `bits` is 8 or 16, and the result is uint8 or uint16. Values outside 0…1 are not clipped.
+    The caller must clip values outside 0…1.
     """
     return np.floor(encoded * (2**bits - 1) + 0.5).astype(CODES[bits])
 
 
 def srgb_codes(linear: Array, bits: int = 8) -> NDArray[Any]:
-    """Clip linear sRGB values to 0…1, and encode the values as integers with 8 or 16 bits."""
+    """Clip linear sRGB values to 0…1, and encode them as integers with 8 or 16 bits."""
     return codes(srgb_curve(linear), bits)
 
 
@@ -145,7 +138,7 @@ class Tone:
     e: float
 
     def toned(self, linear: Array) -> Array:
-        """Apply the tone curve to linear values. The result is also linear, and must still be encoded for display."""
+        """Apply the tone curve to linear values. The result is linear and must still be encoded for display."""
         x = np.clip(linear, 0.0, TONE_LIMIT)
         return np.minimum(x * (self.a * x + self.b) / (x * (self.c * x + self.d) + self.e), 1.0)
 
@@ -158,16 +151,16 @@ TONES = {"aces": Tone(2.51, 0.03, 2.43, 0.59, 0.14)}
 
 
 def displayed(xyz: Array, white: Array, scale: float) -> Array:
-    """Convert the XYZ of a scene to a picture, with chromatic adaptation to D65.
+    """Convert scene XYZ to a picture, with chromatic adaptation to D65.
 
     Parameters
     ----------
     xyz : ndarray, (3, row, col)
         CIE 1931 XYZ.
     white : ndarray, (3,)
-        XYZ of the scene white, at any luminance. Its chromaticity becomes neutral.
+        XYZ of the scene white, at any luminance, which is displayed as neutral.
     scale : float
-        Luminance Y that becomes display white, in the unit of `xyz`.
+        Luminance Y to display as white, in the unit of `xyz`.
 
     Returns
     -------
@@ -179,10 +172,7 @@ def displayed(xyz: Array, white: Array, scale: float) -> Array:
 
 
 def scene_xyz(linear: Array, white: Array, scale: float) -> Array:
-    """Convert a picture to the XYZ (3, row, col) of the scene.
-
-    This is the inverse of `displayed`, except for clipped values.
-    """
+    """Convert a picture to scene XYZ (3, row, col). This is the inverse of `displayed`, except for clipped values."""
     matrix = adaptation_matrix(daylight(), white) @ xyz_from_srgb_matrix() * scale
     return np.einsum("co,rko->crk", matrix, linear)
 
@@ -193,7 +183,7 @@ def displayed_xyz(linear: Array) -> Array:
 
 
 def lab(xyz: Array, white: Array) -> Array:
-    """Convert XYZ (…, 3) to CIE L*a*b* (CIE 15), in float64. `white` is the XYZ (3,) of white in the same unit."""
+    """Convert XYZ (…, 3) to CIE L*a*b* in float64. `white` is the XYZ (3,) of white in the same unit."""
     share = np.asarray(xyz, np.float64) / white
     root = np.where(share > (6 / 29) ** 3, np.cbrt(share), share * (29 / 6) ** 2 / 3 + 4 / 29)
     x, y, z = np.moveaxis(root, -1, 0)
@@ -213,12 +203,12 @@ def srgb_from_lab(lab_values: Array) -> Array:
 
 
 def delta_e_2000(lab_a: Array, lab_b: Array) -> Array:
-    """Return the CIEDE2000 colour differences between two arrays of L*a*b* values.
+    """Compute the CIEDE2000 differences between two arrays of L*a*b* values.
 
     Parameters
     ----------
     lab_a, lab_b : ndarray, (…, 3)
-        The colours. The shapes are broadcast.
+        The colours, broadcast against each other.
 
     Returns
     -------
@@ -235,10 +225,10 @@ def delta_e_2000(lab_a: Array, lab_b: Array) -> Array:
 
 
 def _delta_e_2000(one: Array, other: Array) -> Array:
-    """Return the CIEDE2000 differences between two arrays of L*, a*, b* (3, colour), as in Sharma, Wu and Dalal (2005).
+    """Compute CIEDE2000 differences between L*, a*, b* values (3, colour), as in Sharma, Wu and Dalal (2005).
 
-    To avoid trigonometric functions, hues are represented by unit vectors, and the mean of two hues by the bisector of their
-    vectors. Only the mean hue is computed as an angle.
+    To avoid trigonometric functions, hues are represented by unit vectors, and the mean of two hues by their bisector. Only
+    the mean hue is computed as an angle.
     """
     (light_1, a_1, b_1), (light_2, a_2, b_2) = one, other
     stretch = 1.5 - 0.5 * _vivid((_length(a_1, b_1) + _length(a_2, b_2)) / 2)
@@ -249,7 +239,7 @@ def _delta_e_2000(one: Array, other: Array) -> Array:
     far = np.copysign(np.sqrt(np.maximum(2 * (both - dot), 0)), cross)
     hue = np.where(opposed, far, cross * np.sqrt(2 / np.where(opposed, 1, both + dot)))  # 2 √(C₁C₂) sin(Δh/2)
     x, y = (np.where(both > 0, p * chroma_2 + q * chroma_1, p + q) for p, q in ((a_1, a_2), (b_1, b_2)))
-    sign = np.where((b_1 > 0) | (b_1 == 0) & (a_1 > 0), 1, -1)  # selects one of the two bisectors of opposite hues
+    sign = np.where((b_1 > 0) | (b_1 == 0) & (a_1 > 0), 1, -1)  # choice between the two bisectors of opposite hues
     x, y = (np.where((x == 0) & (y == 0), each, of) for of, each in ((x, -sign * b_1), (y, sign * a_1)))
     length = _length(x, y)
     mean = (x + 1j * y) / np.where(length > 0, length, 1) + (length == 0)
@@ -266,7 +256,7 @@ def _delta_e_2000(one: Array, other: Array) -> Array:
 
 
 def _length(x: Array, y: Array) -> Array:
-    """Return √(x² + y²). np.hypot is five times slower, because it prevents overflows, which cannot occur for colours."""
+    """Return √(x² + y²), without np.hypot's protection against overflow, which makes it five times slower."""
     return np.sqrt(x * x + y * y)
 
 
@@ -283,20 +273,20 @@ def displayed_delta_e(one: Array, other: Array) -> Array:
 
 
 def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, noise: Array | float = 0.0) -> Array:
-    """Fit a matrix M that converts inputs to outputs, by least squares with the constraint M @ known = answer.
+    """Fit a matrix M that converts inputs to outputs by least squares, with the constraint M @ known = answer.
 
     Parameters
     ----------
     inputs : ndarray, (surface, input)
-        Inputs, such as the signals of a camera.
+        Inputs, such as camera signals.
     outputs : ndarray, (surface, output)
-        Wanted outputs, such as XYZ.
+        Desired outputs, such as XYZ.
     known : ndarray, (input,)
         Input that M must convert exactly, such as the signals of white.
     answer : ndarray, (output,)
         Output for the input `known`.
     noise : ndarray, (input,), or float
-        Noise variance of each input. Larger variances make the elements of M smaller, so that M amplifies noise less.
+        Noise variance of each input. The larger the variance, the less M amplifies noise.
 
     Returns
     -------
@@ -313,11 +303,11 @@ def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, nois
     return free + np.outer(answer - free @ known, towards / (known @ towards))
 
 
-DERIVATIVE_STEP = 2.0**-26  # step of numerical derivatives: the square root of the precision of float64
+DERIVATIVE_STEP = 2.0**-26  # step of numerical derivatives: square root of the float64 precision
 
 
 def refinement(xyz: Array, wanted: Array, white: Array) -> Array:
-    """Find the matrix R that minimises the mean squared CIEDE2000 errors of R @ xyz and leaves white unchanged.
+    """Find the matrix R that minimises the mean squared CIEDE2000 error of R @ xyz and preserves white.
 
     Parameters
     ----------
@@ -331,7 +321,7 @@ def refinement(xyz: Array, wanted: Array, white: Array) -> Array:
     Returns
     -------
     ndarray, (3, 3)
-        The matrix R. The search starts at the identity and finds a local minimum.
+        The matrix R: a local minimum, found by starting from the identity.
     """
     from scipy.optimize import minimize
 
@@ -340,10 +330,10 @@ def refinement(xyz: Array, wanted: Array, white: Array) -> Array:
     def turned(changes: Array) -> Array:
         return np.eye(3) + changes.reshape(-1, 3, 2) @ free
 
-    def errors(changes: Array) -> Array:  # squared errors, because they are smooth even at an error of 0
+    def errors(changes: Array) -> Array:  # squared errors are smooth even at an error of 0
         return np.square(delta_e_2000(lab(xyz @ turned(changes).swapaxes(1, 2), white), goal)).mean(axis=1)
 
-    def sloped(change: Array) -> tuple[float, Array]:  # computes all derivatives together, which is five times faster
+    def sloped(change: Array) -> tuple[float, Array]:  # five times faster than one derivative at a time
         first, *others = errors(change + np.vstack([np.zeros(6), DERIVATIVE_STEP * np.eye(6)]))
         return float(first), (np.array(others) - first) / DERIVATIVE_STEP
 

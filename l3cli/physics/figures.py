@@ -1,4 +1,4 @@
-"""Names and units of quality metrics, and whether larger values are better (docs/method.md#quality-metrics)."""
+"""Names, units and number formats of quality metrics (docs/method.md#quality-metrics)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,17 +8,16 @@ from l3cli.system.text import figure as number
 
 @dataclass(frozen=True)
 class Figure:
-    """Name, unit and number format of a metric, for display."""
+    """How to display a quality metric."""
 
     heading: str  # name and unit in reports
-    short: str  # heading of a column in the terminal
+    short: str  # column heading in the terminal
     unit: str = ""  # unit after a number in sentences, with a leading space if necessary
     more_is_better: bool = False  # whether larger values are better
     digits: int = 2  # number of decimal places
 
 
-# Metric → its display properties. Metrics of frames come first, in the order of reports. Metrics that standards define for
-# test charts follow (docs/measurement.md).
+# Metrics of frames, in the order of reports, followed by test-chart metrics from standards (docs/measurement.md).
 FIGURES = {
     "mean_delta_e": Figure("mean ΔE00", "ΔE00 mean", " ΔE00"),
     "median_delta_e": Figure("median ΔE00", "median", " ΔE00"),
@@ -56,23 +55,23 @@ FIGURES = {
 
 
 def figure_text(figure: str, value: float | None) -> str:
-    """Format the value of a metric without its unit. None, NaN and infinity become a dash."""
+    """Format a metric without its unit. None, NaN and infinity are shown as a dash."""
     return "–" if value is None else number(value, f".{FIGURES[figure].digits}f")
 
 
 def known_mean(values: Sequence[float | None]) -> float | None:
-    """Return the mean of all values that are not None, or None if every value is None."""
+    """Return the mean of all values except None, or None if there are none."""
     known = [value for value in values if value is not None]
     return sum(known) / len(known) if known else None
 
 
 def sign(figure: str) -> float:
-    """Return 1 if larger values of a metric are better. Return −1 if smaller values are better or the metric is unknown."""
+    """Return 1 for metrics with better larger values, and −1 for all others, including unknown metrics."""
     known = FIGURES.get(figure)
     return 1.0 if known and known.more_is_better else -1.0
 
 
 def in_words(value: float, figure: str) -> str:
-    """Format a difference between two values of a metric, with its unit. Unknown metrics have no unit."""
+    """Format a difference between two values of a metric, with the unit if the metric is known."""
     unit = FIGURES[figure].unit if figure in FIGURES else ""
     return f"{value:.2g}{unit}" if value < 10 else f"{value:.0f}{unit}"

@@ -1,16 +1,15 @@
-"""Map colours outside the gamut of a colour space into the gamut, along lines of constant hue (docs/method.md#gamut).
+"""Map out-of-gamut colours into a colour space along lines of constant hue (docs/method.md#gamut).
 
-Let c be the vector of the linear values of a colour. Its OkLab cone responses are s = (A c)^(1/3), where the rows of A are
-scaled so that white has s = (1, 1, 1). Its lightness is L = λ · s. Greys have s = (L, L, L), so all colours with the same
-lightness and hue are on the line s(t) = L + t (s − L). Along this line, each linear value is a cubic polynomial in t.
+Let c be the vector of a colour's linear values. Its OkLab cone responses are s = (A c)^(1/3), where the rows of A are scaled
+so that white has s = (1, 1, 1). Its lightness is L = λ · s. Greys have s = (L, L, L), so colours with the same lightness and
+hue are on the line s(t) = L + t (s − L). Along this line, each linear value is a cubic polynomial in t.
 
 1. **Negative values.** The colour moves towards grey until no linear value is negative. Its position t is the smallest root
-   of the three cubics. One step of Halley's method approximates the root of each cubic. All three steps have the same
-   starting point, which is computed from the cubic that is lowest at t = 1: the root of the straight line through this cubic
-   at t = 0 and at t = 1.
-2. **Values above 1.** The colour is darkened until no linear value is above 1. Darkening preserves the OkLab hue. A second
-   solution clips each value to 1. The result is the mean of the darkened and the clipped colour with the weights 1 − Y⁴ and
-   Y⁴. Bright highlights therefore become as bright as possible and end in white.
+   of the three cubics. Each root is approximated by one step of Halley's method. The common starting point is the root of a
+   straight line, drawn from t = 0 to t = 1 through the cubic that is lowest at t = 1.
+2. **Values above 1.** The colour is darkened until no linear value is above 1, which preserves the OkLab hue. In addition,
+   the colour is clipped to 1. The result is the mean of the darkened and the clipped colour with the weights 1 − Y⁴ and Y⁴.
+   Bright highlights therefore become as bright as possible and end in white.
 
 References
 ----------
@@ -35,15 +34,15 @@ CONES_FROM_XYZ = np.array(
     ]
 )
 LIGHTNESS = np.array([0.2104542553, 0.7936177850, -0.0040720468])  # weights λ of the cube roots of the cone responses
-LEAST_CONE = 1e-12  # minimum cone response, so that the responses to black are not 0
-CONE_SHARE = 0.02  # minimum of each cone response, as a fraction of the largest response; real colours have at least 0.07
-LEAST_LIGHTNESS = 1e-4  # avoids a division by zero
-MIN_DIVISOR = 1e-30  # avoids a division by zero
+LEAST_CONE = 1e-12  # minimum cone response, so that black does not have zero responses
+CONE_SHARE = 0.02  # minimum cone response, as a fraction of the largest response; real colours have at least 0.07
+LEAST_LIGHTNESS = 1e-4  # minimum lightness as a divisor
+MIN_DIVISOR = 1e-30  # added to a divisor that may be zero
 
 
 @dataclass(frozen=True)
 class Gamut:
-    """Matrices that convert between the linear values of a colour space and cone responses."""
+    """Conversion between a colour space's linear values and cone responses."""
 
     cones: NDArray[np.float64]  # (3, 3) converts linear values to cone responses, which are (1, 1, 1) for white
     linear: NDArray[np.float64]  # (3, 3) inverse of `cones`
@@ -52,7 +51,7 @@ class Gamut:
 
 @functools.cache
 def gamut_of(space: Space) -> Gamut:
-    """Return the gamut of a colour space, whose white point must be D65."""
+    """Return the gamut of a colour space with the white point D65."""
     to_xyz = np.linalg.inv(space.from_xyz)
     cones = CONES_FROM_XYZ @ to_xyz
     cones /= cones.sum(axis=1, keepdims=True)
@@ -60,7 +59,7 @@ def gamut_of(space: Space) -> Gamut:
 
 
 def into_gamut(linear: NDArray[np.float64], gamut: Gamut, bounded: bool = True) -> NDArray[np.float64]:
-    """Map colours outside a gamut into the gamut. Colours inside the gamut do not change.
+    """Map out-of-gamut colours into a gamut. Colours inside the gamut do not change.
 
     Parameters
     ----------
@@ -69,14 +68,13 @@ def into_gamut(linear: NDArray[np.float64], gamut: Gamut, bounded: bool = True) 
     gamut : Gamut
         Gamut of the colour space.
     bounded : bool
-        Whether to map colours with values above 1. Use False if a tone curve follows, because a tone curve maps these
-        colours.
+        Whether to map colours with values above 1. Use False if a tone curve follows, which maps these colours itself.
 
     Returns
     -------
     ndarray, (…, 3)
-        Linear values, which the caller must clip to 0…1. Deep blues can exceed this range by up to 2 % of their largest
-        value.
+        Linear values. The caller must clip them to 0…1, because deep blues can exceed this range by up to 2 % of their
+        largest value.
     """
     shown = linear.copy()
     negative = linear.min(axis=-1) < 0
@@ -107,10 +105,7 @@ def _less_chromatic(linear: NDArray[np.float64], gamut: Gamut) -> NDArray[np.flo
 
 
 def _darker(linear: NDArray[np.float64], gamut: Gamut) -> NDArray[np.float64]:
-    """Limit colours (colour, 3) to 1.
-
-    The result is the weighted mean of the clipped colour and the darkened colour. The weights are Y⁴ and 1 − Y⁴.
-    """
+    """Limit colours (colour, 3) to 1, by averaging clipped and darkened colours with the weights Y⁴ and 1 − Y⁴."""
     square = np.square(np.clip(linear @ gamut.luminance, 0, 1))[:, None]
     clipped, scaled = np.minimum(linear, 1), linear / linear.max(axis=1, keepdims=True)
     return scaled + square * square * (clipped - scaled)

@@ -1,6 +1,6 @@
-"""Lens optics: camera equation, cos⁴ falloff, and blur by diffraction and defocus (docs/method.md#optics).
+"""Lens optics: camera equation, cos⁴ falloff, and blur from diffraction and defocus (docs/method.md#optics).
 
-The formulas are taken from ISETCam, and tests compare the results with ISETCam. Lengths are in m unless stated otherwise.
+The formulas are from ISETCam, and tests compare the results with ISETCam. Lengths are in m unless stated otherwise.
 """
 
 import numpy as np
@@ -10,9 +10,9 @@ Array = NDArray[np.floating]
 
 
 def image_distance(focal_length: float, object_distance: float) -> float:
-    """Return the distance from the lens to the sensor for an object in focus: f d / (d − f).
+    """Return the distance from the lens to the sensor for an object in focus at the distance d: f d / (d − f).
 
-    If `object_distance` d is 0, the object is at infinity, and the result is the focal length f.
+    An `object_distance` d of 0 represents infinity, for which the result is the focal length f.
     """
     if object_distance > 0:
         return focal_length * object_distance / (object_distance - focal_length)
@@ -20,25 +20,25 @@ def image_distance(focal_length: float, object_distance: float) -> float:
 
 
 def magnification(focal_length: float, object_distance: float) -> float:
-    """Return the magnification |m| of an object in focus: f / (d − f).
+    """Return the magnification |m| of an object in focus at the distance d: f / (d − f).
 
-    If `object_distance` d is 0, the object is at infinity, and the result is 0.
+    An `object_distance` d of 0 represents infinity, for which the result is 0.
     """
     return focal_length / (object_distance - focal_length) if object_distance > 0 else 0.0
 
 
 def irradiance_per_radiance(f_number: float, magnification: float) -> float:
-    """Return the ratio of sensor irradiance to scene radiance: π / (1 + 4 N² (1 + |m|)²).
+    """Return the ratio of sensor irradiance to scene radiance on the optical axis, in sr: π / (1 + 4 N² (1 + |m|)²).
 
-    The ratio is in sr and applies on the optical axis. N is the f-number, and m is the magnification.
+    N is the f-number, and m is the magnification.
     """
     return float(np.pi / (1.0 + 4.0 * f_number**2 * (1.0 + magnification) ** 2))
 
 
 def relative_illumination(image_distance: float, pixel_pitch: float, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the illuminance of each pixel for a uniform scene, relative to the centre of the frame (cos⁴ law).
+    """Return each pixel's illuminance for a uniform scene, relative to the frame centre (cos⁴ law).
 
-    The relative illuminance is (D² / (D² + r²))², where D is the image distance and r is the distance of the pixel from the
+    The relative illuminance is (D² / (D² + r²))², where D is the image distance and r is the pixel's distance from the
     centre.
 
     Parameters
@@ -48,7 +48,7 @@ def relative_illumination(image_distance: float, pixel_pitch: float, shape: tupl
     pixel_pitch : float
         Pixel pitch in m.
     shape : tuple of int
-        Numbers of rows and columns.
+        Rows and columns of the frame.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Functions for colour filter arrays (CFAs). A CFA is an array (row, col) of channel indices that covers one period."""
+"""Functions for colour filter arrays (CFAs). A CFA is an array (row, col) of channel indices for one period."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 
 def tiled(pattern: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-    """Repeat a pattern (row, col) over an area of the given shape. The first element of the area is pattern[0, 0]."""
+    """Repeat a pattern (row, col) over an area of the given shape, starting with pattern[0, 0]."""
     rows, cols = pattern.shape
     return pattern[np.arange(shape[0])[:, None] % rows, np.arange(shape[1]) % cols]
 
 
 def shifted_cfa(cfa: NDArray[np.uint8], phase: tuple[int, int]) -> NDArray[np.uint8]:
-    """Shift a CFA so that it starts with the site `phase` = (row, col), which is the site of the first pixel of a frame."""
+    """Shift a CFA so that it starts with the site `phase` = (row, col) of a frame's first pixel."""
     return np.roll(cfa, (-phase[0], -phase[1]), axis=(0, 1))
 
 
@@ -27,14 +27,14 @@ def channel_reach(cfa: NDArray[np.uint8]) -> int:
 
 
 def _near(pattern: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
-    """Return, for each site of a periodic pattern, whether the square window around the site contains a true element."""
+    """Dilate a periodic pattern with a square window of radius `reach`."""
     for axis in (0, 1):
         pattern = np.logical_or.reduce([np.roll(pattern, step, axis) for step in range(-reach, reach + 1)])
     return pattern
 
 
 def least_period(pattern: NDArray[Any]) -> NDArray[Any]:
-    """Return the smallest rectangle whose repetition gives the pattern (row, col). The rectangle starts at pattern[0, 0]."""
+    """Return the smallest rectangle, starting at pattern[0, 0], that yields the pattern (row, col) by repetition."""
     lengths = []
     for axis, length in enumerate(pattern.shape):
         periods = (each for each in range(1, length + 1) if length % each == 0)
@@ -43,5 +43,5 @@ def least_period(pattern: NDArray[Any]) -> NDArray[Any]:
 
 
 def array_rows(channels: Sequence[str], cfa: NDArray[np.integer], between: str = " ") -> list[str]:
-    """Return each row of a CFA as text. The channel names are separated by `between`."""
+    """Return each row of a CFA as text, with channel names separated by `between`."""
     return [between.join(channels[site] for site in row) for row in cfa]

@@ -1,4 +1,4 @@
-"""Colour scales for the degree and the angle of polarisation in pictures (docs/polarisation.md#pictures)."""
+"""Colour scales for the degree and angle of polarisation in pictures (docs/polarisation.md#pictures)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,7 +7,7 @@ from l3cli.physics.stokes import aolp, dolp
 
 Floats = NDArray[np.floating]
 
-FULL_BRIGHTNESS = 0.5  # smallest degree of polarisation that is shown with full brightness in a picture of the angle
+FULL_BRIGHTNESS = 0.5  # degree of polarisation from which pictures of the angle have full brightness
 # sRGB values of the colour map viridis (CC0, Smith and van der Walt, 2015) at equidistant positions
 VIRIDIS = np.array(
     [(68, 1, 84), (71, 44, 122), (59, 81, 139), (44, 113, 142), (33, 144, 141), (39, 173, 129), (92, 200, 99),
@@ -25,17 +25,13 @@ def degree_colours(stokes: Floats, most: float = 1.0) -> Floats:
 def angle_colours(stokes: Floats, full: float = FULL_BRIGHTNESS) -> Floats:
     """Map the angle of polarisation of Stokes parameters (3, …) to colours (…, 3).
 
-    The brightness is proportional to the degree of polarisation, and is full at the degree `full` and above.
+    The brightness is proportional to the degree of polarisation, up to the degree `full`.
     """
     return hues(aolp(stokes) / 180) * np.minimum(dolp(stokes) / full, 1)[..., None]
 
 
 def coloured(values: Floats, colours: Floats) -> Floats:
-    """Map values from 0 to 1 to a colour scale.
-
-    The scale interpolates linearly between the equidistant `colours` (colour, 3). The result has an additional last axis for
-    R, G and B.
-    """
+    """Map values (…) from 0 to 1 to colours (…, 3), interpolated linearly between equidistant `colours` (colour, 3)."""
     at = np.linspace(0, 1, len(colours))
     return np.stack([np.interp(values, at, channel) for channel in colours.T], axis=-1)
 

@@ -1,4 +1,4 @@
-"""Colour spaces of pictures: primaries, white point and transfer curve (docs/method.md#display).
+"""Colour spaces for pictures: primaries, white point and transfer curve (docs/method.md#display).
 
 The definitions are from IEC 61966-2-1 (sRGB), SMPTE EG 432-1 with the curve of sRGB (Display P3), ITU-R BT.2020-2 (Rec.
 2020) and Academy S-2014-004 (ACEScg).
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.floating]
 XY: TypeAlias = tuple[float, float]  # chromaticity x, y
 
-# colour-science also contains these two matrices, but the import of colour-science takes longer than rendering a frame.
+# These two matrices are also in colour-science, but importing it takes longer than rendering a frame.
 SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])  # IEC 61966-2-1
 # Bradford matrix, which converts XYZ to cone responses.
 BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
@@ -68,7 +68,7 @@ class Space:
 
     @property
     def from_xyz(self) -> Array:
-        """Matrix (3, 3) that converts XYZ to linear values. For sRGB, the rounded matrix of IEC 61966-2-1 is used."""
+        """Matrix (3, 3) that converts XYZ to linear values. For sRGB, it is the rounded matrix of IEC 61966-2-1."""
         return SRGB_FROM_XYZ.copy() if self.name == SRGB.name else np.linalg.inv(self.to_xyz)
 
 
@@ -101,12 +101,12 @@ def chromaticity_of(xyz: Array) -> XY:
 
 
 def adaptation_matrix(white: Array, to: Array) -> Array:
-    """Return the matrix of the Bradford transform, which adapts XYZ from one white to another white.
+    """Return the Bradford matrix, which adapts XYZ from one white to another.
 
     Parameters
     ----------
     white, to : ndarray, (3,)
-        XYZ of the original white and of the new white. Their luminances are ignored.
+        XYZ of the original and the new white, at any luminance.
 
     Returns
     -------

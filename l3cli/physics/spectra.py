@@ -1,7 +1,7 @@
 """Wavelength grids, illuminants, observers and reflectances.
 
-A spectrum is an array of values at the wavelengths of a grid. Wavelengths are in nm. Radiance is in photons/s/sr/m²/nm
-unless stated otherwise. All other modules access colour-science through this module.
+A spectrum is an array of values on a wavelength grid. Wavelengths are in nm. Radiance is in photons/s/sr/m²/nm unless stated
+otherwise. All other modules access colour-science through this module.
 """
 
 import functools
@@ -22,16 +22,16 @@ BLACK_BODY = Quantity(500, 100_000, "K")  # permitted colour temperatures of bla
 DAYLIGHT = Quantity(4000, 25_000, "K")  # colour temperatures for which CIE daylight is defined
 # Correlated colour temperatures of CIE daylight in K, for the current value of the second radiation constant (CIE 15).
 DAYLIGHT_KELVIN = {f"D{hundreds}": hundreds * 100 * 1.4388 / 1.4380 for hundreds in (50, 55, 65, 75)}
-UNSEEN = 1e-9  # light is invisible if its luminance, relative to 555 nm light with equal power, is below this limit
+UNSEEN = 1e-9  # luminance, relative to 555 nm light of equal power, below which light is invisible
 LONGEST_NM = 20_000  # maximum wavelength of a spectrum
-SPRAGUE_STEP = 20.0  # maximum spacing of bands in nm for which reflectances are interpolated with Sprague polynomials
+SPRAGUE_STEP = 20.0  # maximum band spacing, in nm, at which reflectances are interpolated with Sprague polynomials
 Array = NDArray[np.floating]
 
 
 def colour_science() -> Any:
     """Import colour-science without warnings, and return the module.
 
-    The import takes two seconds, so it is delayed until the module is needed.
+    The import takes two seconds, so it is postponed until the module is needed.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -40,15 +40,15 @@ def colour_science() -> Any:
 
 
 def photons_from_energy(wavelength: Array, energy: Array) -> Array:
-    """Convert a power spectrum (…, wavelength) in W to photons/s, by division by the photon energy at each wavelength."""
+    """Convert a power spectrum (…, wavelength) to photons/s by dividing it by the photon energy at each wavelength."""
     return energy * (wavelength * 1e-9) / (PLANCK * LIGHT_SPEED)
 
 
 def bin_edges(wavelength: Array) -> Array:
-    """Return the edges of the bins around the samples of an increasing wavelength grid, in nm.
+    """Return the bin edges of an increasing wavelength grid, in nm.
 
-    The edges are midway between the samples. The first and the last bin are symmetric about their samples. A single sample
-    has a bin of 1 nm.
+    The edges are midway between the samples. The first and the last bin are symmetric about their samples. The bin of a
+    single sample is 1 nm wide.
 
     Returns
     -------
@@ -61,27 +61,20 @@ def bin_edges(wavelength: Array) -> Array:
 
 
 def bin_widths(wavelength: Array) -> Array:
-    """Return the bin width Δλ, in nm, of each sample of a wavelength grid. The sum Σ f·Δλ is the integral of a function f.
-
-    A single sample has a width of 1 nm.
-    """
+    """Return the bin widths Δλ of a wavelength grid in nm, for integrals Σ f·Δλ. A single sample has a width of 1 nm."""
     return np.abs(np.gradient(wavelength)) if wavelength.size > 1 else np.ones(1)
 
 
 def ascending(wavelength: NDArray[np.float64], values: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[Any]]:
-    """Reverse a wavelength grid and its values (…, wavelength) if the grid is decreasing.
-
-    Otherwise, return the grid and the values unchanged.
-    """
+    """Reverse a wavelength grid and its values (…, wavelength) if the grid is decreasing."""
     falls = wavelength.size > 1 and (np.diff(wavelength) < 0).all()
     return (wavelength[::-1], values[..., ::-1]) if falls else (wavelength, values)
 
 
 def _neighbours(grid: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the indices of the two samples of an increasing grid around each wavelength in `at`, and their weights.
+    """Return the two neighbours of each wavelength in an increasing grid, and their weights for linear interpolation.
 
-    Both results have the shape (2, at). The weights interpolate linearly. Beyond the ends of the grid, the first or the last
-    sample has the weight 1.
+    Both results have the shape (2, at). Beyond the ends of the grid, the first or the last sample has the weight 1.
     """
     if grid.size == 1:
         return np.zeros((2, at.size), np.intp), np.array([[1.0], [0.0]]) * np.ones(at.size)
@@ -91,18 +84,17 @@ def _neighbours(grid: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
 
 
 def light_grid(seen: Array) -> Array:
-    """Return a wavelength grid for an illuminant, with steps of 1 nm.
+    """Return a wavelength grid in steps of 1 nm for an illuminant.
 
-    The grid covers the range of the CIE observer (360…830 nm) and the wavelengths `seen` of a camera. `seen` must be
-    increasing.
+    The grid covers the range of the CIE observer (360…830 nm) and a camera's increasing wavelengths `seen`.
     """
     return np.arange(np.floor(min(360.0, seen[0])), max(830.0, seen[-1]) + 1.0)
 
 
 def interpolation_matrix(source: Array, grid: Array) -> Array:
-    """Return the matrix (grid, source) that interpolates values linearly from the wavelengths `source` to `grid`.
+    """Return the matrix (grid, source) that interpolates linearly from the increasing wavelengths `source` to `grid`.
 
-    Outside the range of `source`, the interpolated values are zero. `source` must be increasing.
+    Outside the range of `source`, the interpolated values are zero.
     """
     matrix = np.zeros((grid.size, source.size))
     samples, shares = _neighbours(source, grid)
@@ -119,10 +111,10 @@ def _step_matrix(source: Array, grid: Array, extended: bool) -> Array:
     Notes
     -----
     The spectrum is assumed to be linear between its samples, and constant in the outer halves of its first and last bins.
-    Beyond these bins, the spectrum is constant if `extended` is true, otherwise zero. The samples of both grids divide the
-    range into intervals. The integral over each interval is distributed to the two nearest samples of `grid`, with the
-    weights of linear interpolation. This preserves the total power and the mean wavelength. If both grids are equal, the
-    matrix is the identity.
+    Beyond these bins, it is constant if `extended` is true, and zero otherwise. The samples of both grids divide the range
+    into intervals. The integral over each interval is distributed to the two nearest samples of `grid` with the weights of
+    linear interpolation, which preserves the total power and the mean wavelength. If both grids are equal, the matrix is the
+    identity.
     """
     rising, aim = np.argsort(source), np.argsort(grid)
     low, high = source[rising], grid[aim]
@@ -143,10 +135,10 @@ def _step_matrix(source: Array, grid: Array, extended: bool) -> Array:
 def sampling_matrix(source: Array, grid: Array) -> Array:
     """Return the matrix (grid, source) that resamples a spectral density, such as power per nm or photons per nm.
 
-    Each resampled value is a mean over a bin of `grid`. The integral is therefore preserved even if a spectral line is
-    between two samples of `grid`. If `grid` is finer than `source`, the matrix interpolates linearly. If both grids are
-    equal, the matrix is the identity. Beyond the bins of `source`, the density is assumed to be zero. The wavelengths of
-    each grid may be in any order, but a ValueError is raised if a wavelength occurs twice.
+    Each resampled value is a mean over a bin of `grid`, so the integral is preserved even if a spectral line is between two
+    samples of `grid`. If `grid` is finer than `source`, the matrix interpolates linearly. If both grids are equal, it is the
+    identity. Beyond the bins of `source`, the density is assumed to be zero. The wavelengths of each grid may be in any
+    order. Raises ValueError if a wavelength occurs twice.
     """
     return _step_matrix(source, grid, extended=False)
 
@@ -164,13 +156,13 @@ def average(curve: Array, source: Array, grid: Array) -> NDArray[np.float64]:
     curve : ndarray, (…, source)
         Values of the ratio.
     source, grid : ndarray
-        Wavelengths of the values and of the result, in nm. A wavelength must not occur twice.
+        Distinct wavelengths of the curve and of the result, in nm.
 
     Returns
     -------
     ndarray, (…, grid)
-        Mean over each bin. For wavelengths of `grid` outside the range of `source`, the mean is set to zero. Bins at the
-        ends of the range may extend beyond it. The curve is assumed to keep its end values there.
+        Mean over each bin, or zero at wavelengths outside the range of `source`. Where a bin extends beyond this range, the
+        curve is assumed to be constant.
     """
     inside = (grid >= source.min()) & (grid <= source.max())
     return np.asarray(curve @ (_step_matrix(source, grid, extended=True) * inside[:, None]).T, dtype=np.float64)
@@ -179,9 +171,9 @@ def average(curve: Array, source: Array, grid: Array) -> NDArray[np.float64]:
 def held_interpolation(bands: Array, wavelength: Array) -> Array:
     """Return the matrix (wavelength, band) that interpolates a reflectance and averages it over wavelength bins.
 
-    If there are at least six bands, evenly spaced in steps of at most 20 nm, the interpolation uses Sprague polynomials, as
-    in CIE 167 and colour-science. Otherwise, the interpolation is linear. Beyond the first and the last band, the
-    reflectance is constant (CIE 15).
+    At least six bands with an even spacing of at most 20 nm are interpolated with Sprague polynomials, as in CIE 167 and
+    colour-science. Other bands are interpolated linearly. Beyond the first and the last band, the reflectance is constant
+    (CIE 15).
     """
     return _held_interpolation(tuple(bands), tuple(wavelength))
 
@@ -203,7 +195,7 @@ def _held_interpolation(bands: tuple[float, ...], wavelength: tuple[float, ...])
 OBSERVERS = {"CIE 1931": "CIE 1931 2 Degree Standard Observer", "CIE 1964": "CIE 1964 10 Degree Standard Observer"}
 
 
-INFRARED = 740.0, 780.0, 1000.0  # wavelengths, in nm, at which `near_infrared` starts, reaches its maximum, and ends
+INFRARED = 740.0, 780.0, 1000.0  # wavelengths, in nm, where `near_infrared` starts, reaches its maximum, and ends
 LUMINOUS_WIDTH = 106.86  # integral of the CIE 1931 function ȳ, in nm
 SAMPLED = np.arange(400.0, 701.0, 10.0)  # wavelengths of spectral outputs, in nm
 # Names of spectral outputs, as in OpenEXR (Fichet, Pacanowski and Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10,
@@ -224,7 +216,7 @@ def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931") -> 
     Returns
     -------
     ndarray, (3, wavelength)
-        The functions, interpolated linearly from tables with steps of 1 nm. They are zero outside the tables.
+        The functions, interpolated linearly from tables in steps of 1 nm, and zero outside the tables.
 
     Raises
     ------
@@ -240,9 +232,8 @@ def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931") -> 
 def near_infrared(wavelength: Array) -> Array:
     """Return the sensitivity of the near-infrared output at each wavelength, on the same scale as ȳ.
 
-    The sensitivity rises from zero at 740 nm, the end of the visible range, to its maximum at 780 nm, the beginning of CIE
-    IR-A. The sensitivity is zero beyond 1000 nm. Light with equal power at all wavelengths up to 830 nm has the same value
-    in this output as in Y.
+    It rises from zero at 740 nm, the end of the visible range, to its maximum at 780 nm, the beginning of CIE IR-A. Beyond
+    1000 nm, it is zero. Light with equal power at all wavelengths up to 830 nm has the same value in this output as in Y.
     """
     band = np.clip((wavelength - INFRARED[0]) / (INFRARED[1] - INFRARED[0]), 0.0, 1.0) * (wavelength <= INFRARED[2])
     return np.asarray(band * (LUMINOUS_WIDTH / (830.0 - (INFRARED[0] + INFRARED[1]) / 2)))
@@ -251,34 +242,30 @@ def near_infrared(wavelength: Array) -> Array:
 def sampled_radiance(wavelength: Array) -> Array:
     """Return the matching functions (output, wavelength) of the spectral outputs RADIANCES.
 
-    Each output is the mean radiance in a bin of SAMPLED. The scale is chosen so that light with equal power at all
-    wavelengths has the same value in each output as in Y.
+    Each output is the mean radiance in a bin of SAMPLED, scaled so that light with equal power at all wavelengths has the
+    same value in each output as in Y.
     """
     return np.asarray(LUMINOUS_WIDTH * sampling_matrix(wavelength, SAMPLED) / bin_widths(wavelength))
 
 
 def is_spectrum(outputs: tuple[str, ...], channels: tuple[str, ...]) -> bool:
-    """Return whether a table has spectral outputs.
-
-    Spectral outputs are reflectances, radiances, or the signals of the camera's own channels.
-    """
+    """Whether the outputs of a table are spectral: reflectances, radiances, or the camera's own channels."""
     return outputs in (channels, REFLECTANCES, RADIANCES)
 
 
 def matching_weights(functions: Array, wavelength: Array) -> Array:
-    """Convert matching functions (output, wavelength) to weights (output, wavelength) for a photon radiance.
+    """Convert matching functions to weights (output, wavelength) for photon radiance: outputs = weights @ radiance.
 
-    For a radiance in photons/s/sr/m²/nm, the outputs are weights @ radiance. For the functions x̄, ȳ and z̄, the outputs are
-    XYZ in cd/m².
+    The radiance is in photons/s/sr/m²/nm. For the functions x̄, ȳ and z̄, the outputs are XYZ in cd/m².
     """
     energy_per_photon = PLANCK * LIGHT_SPEED / (wavelength * 1e-9)
     return LUMINOUS_EFFICACY * functions * energy_per_photon * bin_widths(wavelength)
 
 
 def xyz_weights(wavelength: Array) -> Array:
-    """Return weights (3, wavelength) that convert a radiance to CIE 1931 XYZ: XYZ = weights @ radiance.
+    """Return weights (3, wavelength) that convert radiance in photons/s/sr/m²/nm to CIE 1931 XYZ in cd/m².
 
-    The radiance is in photons/s/sr/m²/nm, and XYZ is in cd/m².
+    XYZ = weights @ radiance.
     """
     return matching_weights(colour_matching_functions(wavelength), wavelength)
 
@@ -290,8 +277,8 @@ USUAL_LIGHTS = 'A, D50, D65, F2, F11, LED-B3, "3200K" (a black body) and "D6000K
 def illuminant_names() -> tuple[str, ...]:
     """Return the names of all illuminants with tabulated spectra, in alphabetical order.
 
-    Three types of valid names are not included: the aliases "F1" to "F12" for FL1 to FL12, black bodies such as "3200K", and
-    daylight such as "D6000K".
+    They do not include the aliases "F1" to "F12" for FL1 to FL12, black bodies such as "3200K", and daylight such as
+    "D6000K".
     """
     return tuple(sorted(colour_science().SDS_ILLUMINANTS))
 
@@ -309,7 +296,7 @@ def illuminant(name: str, wavelength: Array) -> Array:
     Returns
     -------
     ndarray, (wavelength,)
-        Radiance with a mean of 1 over the wavelengths. Beyond the ends of a tabulated spectrum, the power is constant.
+        Radiance, with a mean of 1 over the wavelengths. Beyond the ends of a tabulated spectrum, the power is constant.
 
     Raises
     ------
@@ -337,10 +324,9 @@ def illuminant(name: str, wavelength: Array) -> Array:
 
 
 def known_range(name: str) -> tuple[float, float]:
-    """Return the first and the last wavelength, in nm, at which the spectrum of an illuminant is known.
+    """Return the wavelength range, in nm, in which the spectrum of an illuminant is known.
 
-    The spectrum of an illuminant that is defined by a formula is known at all wavelengths, from 0 to infinity. Raises
-    RecipeError if the name is unknown.
+    The range of an illuminant that is defined by a formula is 0 to infinity. Raises RecipeError if the name is unknown.
     """
     if name in ("A", "E") or re.fullmatch(r"\d+(?:\.\d+)? ?K", name, re.ASCII):
         return 0.0, np.inf
@@ -351,29 +337,26 @@ def known_range(name: str) -> tuple[float, float]:
 
 @functools.lru_cache(1000)
 def require_illuminant(name: str) -> None:
-    """Raise a RecipeError if no illuminant has this name."""
+    """Raise RecipeError if the name of an illuminant is invalid."""
     illuminant(name, SAMPLED)
 
 
 def _illuminant_a(wavelength: Array) -> Array:
-    """Return the power spectrum of CIE illuminant A at each wavelength, from its definition (ISO/CIE 11664-2)."""
+    """Compute the power spectrum of CIE illuminant A at each wavelength from its definition (ISO/CIE 11664-2)."""
     return 100.0 * (560.0 / wavelength) ** 5 * np.expm1(1.435e7 / (2848 * 560)) / np.expm1(1.435e7 / (2848 * wavelength))
 
 
 def _tabulated(name: str, wavelength: Array) -> Array:
-    """Return the power spectrum of a tabulated CIE illuminant, averaged over the bin of each wavelength.
-
-    The table is interpolated linearly. Beyond its ends, the spectrum is constant.
-    """
+    """Average a tabulated illuminant's power spectrum over the bin of each wavelength. It is constant beyond its table."""
     source, values = _illuminant_table(name)
     return np.asarray(values @ _step_matrix(source, wavelength, extended=True).T)
 
 
 def _illuminant_table(name: str) -> tuple[Array, Array]:
-    """Return the wavelengths and the power spectrum of a CIE illuminant. Raises a RecipeError if the name is unknown.
+    """Return the wavelengths and the power spectrum of a CIE illuminant. Raises RecipeError if the name is unknown.
 
-    All tables in colour-science end at 780 nm, but CIE tabulates daylight up to 830 nm. The tables of daylight are therefore
-    extended with the formula for CIE daylight.
+    All tables in colour-science end at 780 nm, but CIE tabulates daylight up to 830 nm. Daylight tables are therefore
+    extended with the CIE formula.
     """
     key = f"FL{name[1:]}" if re.fullmatch(r"F\d+", name) else name
     if key not in illuminant_names():
@@ -391,13 +374,13 @@ def _illuminant_table(name: str) -> tuple[Array, Array]:
 
 
 def _daylight(temperature: float, wavelength: Array) -> Array:
-    """Return the power spectrum of CIE daylight (CIE 15) at each wavelength. `temperature` must be in the range DAYLIGHT."""
+    """Return the power spectrum of CIE daylight (CIE 15) at each wavelength, for a temperature in the range DAYLIGHT."""
     source, values = _daylight_table(temperature)
     return np.asarray(values @ _step_matrix(source, wavelength, extended=True).T)
 
 
 def _daylight_table(temperature: float) -> tuple[Array, Array]:
-    """Return the wavelengths and the power spectrum of CIE daylight with the correlated colour temperature in K."""
+    """Return the wavelengths and the power spectrum of CIE daylight with a correlated colour temperature in K."""
     colour = colour_science()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -406,10 +389,7 @@ def _daylight_table(temperature: float) -> tuple[Array, Array]:
 
 
 def at_luminance(radiance: Array, wavelength: Array, luminance: float) -> Array:
-    """Scale a relative photon radiance (wavelength,) to a luminance in cd/m².
-
-    Raises an InputFileError if the light is invisible.
-    """
+    """Scale a relative photon radiance (wavelength,) to a luminance in cd/m². Raises InputFileError if it is invisible."""
     seen = xyz_weights(wavelength)[1] @ radiance
     if not seen > UNSEEN * (matching_weights(np.ones_like(wavelength), wavelength) @ radiance):
         ends = f"{wavelength.min():g}…{wavelength.max():g} nm"
@@ -420,9 +400,9 @@ def at_luminance(radiance: Array, wavelength: Array, luminance: float) -> Array:
 
 
 def white_point(name: str) -> NDArray[np.float64]:
-    """Return the XYZ (3,) of a perfect white under an illuminant, with Y = 1.
+    """Return the XYZ (3,) of a perfect white under a named illuminant, with Y = 1.
 
-    Raises RecipeError if no illuminant has this name.
+    Raises RecipeError if the name is invalid.
     """
     wavelength = np.arange(380.0, 781.0, 5.0)
     xyz = xyz_weights(wavelength) @ illuminant(name, wavelength)
@@ -433,9 +413,9 @@ COLORCHECKER_WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # wavelengths at which t
 
 
 def colorchecker(wavelength: Array) -> tuple[tuple[str, ...], Array]:
-    """Return the names and the reflectances (24, wavelength) of the ColorChecker patches in ISO 17321-1, row by row.
+    """Return the names and reflectances (24, wavelength) of the ColorChecker patches in ISO 17321-1, row by row.
 
-    The reflectances are interpolated linearly, and are constant outside 380…780 nm.
+    The reflectances are interpolated linearly and constant outside 380…780 nm.
     """
     chart = colour_science().SDS_COLOURCHECKERS["ISO 17321-1"]
     reflectance = [np.interp(wavelength, patch.wavelengths, patch.values) for patch in chart.values()]
@@ -444,9 +424,9 @@ def colorchecker(wavelength: Array) -> tuple[tuple[str, ...], Array]:
 
 @functools.cache
 def _reflectance_tables() -> tuple[tuple[Array, Array], ...]:
-    """Return the sets of measured reflectances that l3 uses from colour-science, except the ColorChecker.
+    """Return the measured reflectances from colour-science, except the ColorChecker.
 
-    Each set is a tuple of its wavelengths and its reflectances (sample, wavelength).
+    Each set is a tuple of wavelengths and reflectances (sample, wavelength).
     """
     colour = colour_science()
     from colour.quality.cfi2017 import load_TCS_CIE2017
@@ -461,14 +441,14 @@ def _reflectance_tables() -> tuple[tuple[Array, Array], ...]:
     return tuple(tables)
 
 
-SURFACES_MEASURED = 380.0, 780.0  # range of the measured reflectances in nm; outside this range, reflectances are constant
+SURFACES_MEASURED = 380.0, 780.0  # range of the measured reflectances in nm, outside which they are assumed to be constant
 
 
 def reflectance_library(wavelength: Array) -> Array:
-    """Return measured reflectances (sample, wavelength) of surfaces, clipped to 0.003…0.999.
+    """Return measured surface reflectances (sample, wavelength), clipped to 0.003…0.999.
 
-    The reflectances are interpolated linearly at the wavelengths, as `held_interpolation` expects. Means over wavelength
-    bins would flatten the curves (docs/method.md#procedural-scenes).
+    They are interpolated linearly at the wavelengths, as `held_interpolation` expects. Averaging over wavelength bins would
+    flatten the curves (docs/method.md#procedural-scenes).
     """
     library = np.concatenate(
         [[np.interp(wavelength, grid, sample) for sample in samples] for grid, samples in _reflectance_tables()]
@@ -487,10 +467,10 @@ def with_saturation(reflectance: Array, saturation: float, drawn: NDArray[np.boo
     reflectance : ndarray, (…, band)
         Reflectances.
     saturation : float
-        Exponent of the ratio between each reflectance and the geometric mean of the bands. 1 leaves reflectances unchanged,
-        and 0 makes them grey.
+        Exponent of the ratio between each reflectance and the geometric mean of the bands, from 0 (grey) to 1 (unchanged) or
+        more.
     drawn : ndarray of bool, (band,), or slice
-        Bands from which the geometric mean is computed. [default: all bands]
+        Bands for the geometric mean. [default: all bands]
 
     Returns
     -------
@@ -503,9 +483,8 @@ def with_saturation(reflectance: Array, saturation: float, drawn: NDArray[np.boo
 def with_titanium_white(reflectance: Array, wavelength: Array, edge: float, width: float) -> Array:
     """Add the absorption edge of titanium white (rutile, 3.0 eV, 413 nm) to reflectances.
 
-    Below this edge, the reflectance of materials with titanium white falls within about 20 nm. In this range, the
-    sensitivities of cameras differ from the sensitivity of the eye. If the training scenes contained no such materials, a
-    table would render white paint as yellow.
+    Below this edge, the reflectance of materials with titanium white drops within about 20 nm. In this range, cameras and
+    the eye differ in sensitivity. If training scenes lacked such materials, a table would render white paint as yellow.
 
     Parameters
     ----------
@@ -514,7 +493,7 @@ def with_titanium_white(reflectance: Array, wavelength: Array, edge: float, widt
     wavelength : ndarray, (band,)
         Wavelengths in nm.
     edge : float
-        Increase of the ratio K/S (Kubelka–Munk) at 405 nm, typically 0.2.
+        Increase in K/S (Kubelka–Munk) at 405 nm, typically 0.2.
     width : float
         Decay length of the exponential tail (Urbach's rule) in nm, typically 5 to 11.
 
@@ -527,6 +506,6 @@ def with_titanium_white(reflectance: Array, wavelength: Array, edge: float, widt
 
 
 def kubelka_munk(absorption_per_scattering: Array) -> Array:
-    """Return the reflectance of an opaque layer of paint with the ratio K/S of absorption to scattering (Kubelka–Munk)."""
+    """Return the reflectance of an opaque paint layer with a ratio K/S of absorption to scattering (Kubelka–Munk)."""
     ratio = absorption_per_scattering
     return 1.0 + ratio - np.sqrt(ratio**2 + 2.0 * ratio)

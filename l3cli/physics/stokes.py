@@ -1,7 +1,7 @@
 """Linear polarisation: Stokes parameters, degree and angle of polarisation, and Malus's law (docs/polarisation.md).
 
-S0 is the intensity. S1 is the intensity after an ideal polariser at 0° minus the intensity at 90°. S2 is the intensity at
-45° minus the intensity at 135°. Angles are counter-clockwise from the horizontal axis of the frame.
+S0 is the intensity. S1 is the intensity behind an ideal polariser at 0° minus the intensity at 90°. S2 is the intensity at
+45° minus the intensity at 135°. Angles are measured counter-clockwise from the frame's horizontal axis.
 """
 
 import functools
@@ -12,20 +12,20 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.floating]
 
-# Outputs of a table for a monochrome polarisation camera. The luminance is the second output, as in X, Y, Z. Refinement
-# layers therefore treat S1 and S2 like chroma: both are 0 for unpolarised light, as chroma is 0 for grey.
+# Outputs of a table for a monochrome polarisation camera. The luminance is the second output, as in X, Y, Z, so that
+# refinement layers treat S1 and S2 like chroma. Both are 0 for unpolarised light, just as chroma is 0 for greys.
 STOKES = ("S1", "S0", "S2")
 COLOUR_STOKES = ("X", "Y", "Z", "S1", "S2")  # outputs of a table for a colour polarisation camera
 IN_ORDER = ("S0", "S1", "S2")  # order in files and pictures
 FEATURES = ("DoLP", "AoLP")
 DARKEST = 1e-6  # minimum of S0 in divisions
-MAX_CORRELATION = 0.95  # limit of the correlation between the noise of S0 and of polarised light; some estimates are larger
+MAX_CORRELATION = 0.95  # upper limit for the estimated correlation between the noise of S0 and the noise of polarised light
 MAX_DOLP_SIGMA = 0.5  # maximum possible standard deviation of values from 0 to 1
-CLEAR_SIGNAL = 12.0  # ratio of polarised light to its noise, above which DoLP and AoLP have Gaussian noise
+CLEAR_SIGNAL = 12.0  # ratio of polarised light to its noise above which DoLP and AoLP have Gaussian noise
 
 
 def has_stokes(outputs: Sequence[str]) -> bool:
-    """Return whether the outputs of a table contain S1 and S2."""
+    """Whether the outputs of a table contain S1 and S2."""
     return {"S1", "S2"} <= set(outputs)
 
 
@@ -64,16 +64,16 @@ def aolp(stokes: Array) -> Array:
 
 @functools.cache
 def _weak_signal() -> tuple[Array, Array, Array]:
-    """Return a table of the standard deviations of the length and the direction of short vectors with Gaussian noise.
+    """Tabulate the standard deviations of the length and direction of short vectors with Gaussian noise.
 
     Returns
     -------
     ratio : ndarray
-        Length of the vector without noise, relative to the standard deviation of its two components.
+        Noise-free length of the vector, relative to the standard deviation of its components.
     length : ndarray
         Standard deviation of the length (Rice distribution), relative to the standard deviation of the components.
     angle : ndarray
-        Standard deviation of half the direction angle, in radians. The value for a vector of length 0 is π/√12.
+        Standard deviation of half the direction angle, in radians. It is π/√12 for a vector of length 0.
     """
     from scipy.special import i0e, i1e, ndtr  # imported here to save start-up time, because few runs need it
 
@@ -91,7 +91,7 @@ def _weak_signal() -> tuple[Array, Array, Array]:
 
 
 def polarisation_sigma(stokes: Array, covariance: Array) -> Array:
-    """Return the standard deviations of the degree and the angle of polarisation, by propagation of noise.
+    """Compute the standard deviations of the degree and angle of polarisation by noise propagation.
 
     Parameters
     ----------
@@ -103,13 +103,13 @@ def polarisation_sigma(stokes: Array, covariance: Array) -> Array:
     Returns
     -------
     ndarray, (2, …)
-        Standard deviations of DoLP and of AoLP. AoLP is in degrees, with at most 180°/√12 = 52° for unpolarised light.
+        Standard deviations of DoLP and AoLP. For AoLP it is in degrees, up to 180°/√12 = 52° for unpolarised light.
 
     Notes
     -----
-    S1 and S2 are a vector with Gaussian noise. The length and the direction of a long vector also have Gaussian noise. If
-    the vector is not longer than its noise, the length has a Rice distribution, and the direction is almost uniform. The
-    length without noise is estimated from the square of the noisy length minus the variances of S1 and S2.
+    S1 and S2 form a vector with Gaussian noise. If the vector is long, its length and direction also have Gaussian noise. If
+    it is not longer than its noise, its length has a Rice distribution, and its direction is almost uniform. The square of
+    the noise-free length is estimated as the square of the noisy length minus the variances of S1 and S2.
     """
     strength = np.hypot(stokes[1], stokes[2])
     bright = np.maximum(stokes[0], DARKEST)
@@ -139,7 +139,7 @@ def behind(stokes: Array, angle: float) -> Array:
 
 
 def malus_matrix(angles: Sequence[float]) -> Array:
-    """Return the matrix (picture, 3) that maps S0, S1 and S2 to intensities behind ideal polarisers at `angles` degrees."""
+    """Return the matrix (picture, 3) that converts S0, S1, S2 to intensities behind ideal polarisers at `angles` degrees."""
     double = 2 * np.radians(np.asarray(angles, np.float64))
     return 0.5 * np.stack([np.ones_like(double), np.cos(double), np.sin(double)], axis=1)
 
@@ -159,7 +159,7 @@ def fit_stokes(intensities: Array, angles: Sequence[float]) -> tuple[Array, Arra
     stokes : ndarray, (3, …)
         S0, S1 and S2.
     residual : ndarray, (picture, …)
-        Intensities minus the intensities predicted by the fitted parameters. With three angles, all residuals are zero.
+        Intensities minus fitted intensities. With three angles, all residuals are zero.
     """
     matrix = malus_matrix(angles)
     inverse = np.linalg.pinv(matrix).astype(intensities.dtype)
@@ -173,18 +173,18 @@ def angle_difference(degrees: Array, others: Array | float) -> Array:
 
 
 def malus(light_angle: Array, gain: Array, angle: Array, leakage: Array, light_polarisation: float) -> Array:
-    """Return the signal of each channel for light that has passed through a rotating polariser (Malus's law).
+    """Predict the signal of each channel for light from a rotating polariser (Malus's law).
 
     Parameters
     ----------
     light_angle : ndarray, (capture,)
-        Angle, in degrees, of the transmission axis of the polariser in front of the light source.
+        Angle of the light's polarisation, which is the transmission axis of the rotating polariser, in degrees.
     gain : ndarray, (channel,)
-        Signal for light that is fully polarised along the transmission axis of the channel.
+        Signal for light that is fully polarised along the channel's transmission axis.
     angle : ndarray, (channel,)
-        Angle of the transmission axis of each channel in degrees.
+        Angle of each channel's transmission axis in degrees.
     leakage : ndarray, (channel,)
-        Inverse of the extinction ratio of each channel. The value for a channel without a polariser is 1.
+        Inverse of each channel's extinction ratio, which is 1 for a channel without a polariser.
     light_polarisation : float
         Degree of linear polarisation of the light.
 
