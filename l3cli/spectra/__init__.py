@@ -1,1 +1,1 @@
-"""Tables of values over wavelength, with units, in the file formats of instruments."""
+"""Spectra with units, read from the file formats of instruments."""

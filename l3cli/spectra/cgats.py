@@ -1,8 +1,8 @@
 """Read spectra from CGATS.17 text files, such as ArgyllCMS .sp, .ti3, .cie and .ccss, and exports of chart readers.
 
 A file contains one or more tables. A table has keywords (`KEYWORD "value"`), the names of its fields between
-BEGIN_DATA_FORMAT and END_DATA_FORMAT, and one row per sample between BEGIN_DATA and END_DATA. A spectrum consists of
-consecutive fields whose names contain the wavelengths: SPEC_380 (ArgyllCMS), SPECTRAL_NM380, nm380, R_380. ArgyllCMS rounds
+BEGIN_DATA_FORMAT and END_DATA_FORMAT, and one row per sample between BEGIN_DATA and END_DATA. A spectrum is stored in
+consecutive fields that are named after the wavelengths: SPEC_380 (ArgyllCMS), SPECTRAL_NM380, nm380, R_380. ArgyllCMS rounds
 the wavelengths in these names to whole nanometres, and writes the exact grid as SPECTRAL_BANDS, SPECTRAL_START_NM and
 SPECTRAL_END_NM. The values must be divided by SPECTRAL_NORM.
 
@@ -23,8 +23,8 @@ TOKEN = re.compile(r'"((?:[^"]|"")*)"|([^\s"]+)')
 COMMENT = re.compile(r'^((?:[^"#]|"[^"]*")*)#.*$')
 BAND = re.compile(r"^(?:(?:SPEC|SPECTRAL|R|NM)_?)?(?:NM_?)?(\d{3,4}(?:\.\d+)?)(?:_?NM)?$", re.I)
 NAMES = ("SAMPLE_NAME", "SAMPLE_LOC", "SAMPLEID", "SAMPLE_ID")  # fields that name the sample, in order of precedence
-PERCENT_ABOVE = 2.0  # a file with larger values contains percentages, because no surface reflects twice the incident light
-MEAS_TYPE_UNITS = {  # value of the keyword MEAS_TYPE → unit; all other values mean a light source
+PERCENT_ABOVE = 2.0  # value above which a file contains percentages, because no surface reflects twice the incident light
+MEAS_TYPE_UNITS = {  # unit by value of the keyword MEAS_TYPE; all other values indicate a light source
     "REFLECTIVE": "reflectance",
     "TRANSMISSIVE": "transmittance",
 }
@@ -32,7 +32,7 @@ MEAS_TYPE_UNITS = {  # value of the keyword MEAS_TYPE → unit; all other values
 
 @dataclass
 class CgatsTable:
-    """One table of a CGATS file: values of the keywords, names of the fields, and cells of the rows."""
+    """One table of a CGATS file: its keywords, field names and rows of cells."""
 
     keywords: dict[str, str] = field(default_factory=dict)
     fields: list[str] = field(default_factory=list)
@@ -46,11 +46,11 @@ class Spectra:
     wavelength: NDArray[np.float64]  # (wavelength,) nm
     values: NDArray[np.float64]  # (sample, wavelength)
     names: tuple[str, ...]
-    unit: str | None  # unit of all samples; None if the file does not state it
+    unit: str | None  # unit of all samples, or None if it is unknown
 
 
 def is_cgats(text: str) -> bool:
-    """Return whether a text is probably a CGATS file: it has a typical first line and the marker BEGIN_DATA."""
+    """Whether a text is probably a CGATS file, with a typical first line and the marker BEGIN_DATA."""
     return FIRST_LINE.match(text) is not None and re.search(r"^\s*BEGIN_DATA\b", text, re.M | re.I) is not None
 
 
@@ -60,33 +60,33 @@ def read_cgats(text: str, path: Path) -> Spectra:
     Parameters
     ----------
     text : str
-        The content of the file.
+        Content of the file.
     path : Path
         The file, for messages.
 
     Returns
     -------
     Spectra
-        One spectrum per row of the table with spectra. Other tables in the file are ignored.
+        One spectrum per row of the table with spectra. Other tables are ignored.
 
     Raises
     ------
     InputFileError
-        If no table or more than one table contains spectra, if a row is incomplete or not numeric, or if the keywords for
-        the wavelength grid contradict the fields.
+        Unless exactly one table contains spectra, if a row is incomplete or not numeric, or if the keywords for the
+        wavelength grid contradict the fields.
     """
     tables = _tables(text, path)
     spectral = [table for table in tables if _bands(table) or "SPECTRAL_NM" in map(str.upper, table.fields)]
     spectral = spectral or [table for table in tables if "SPECTRAL_BANDS" in table.keywords][:1]
     if len(spectral) > 1:
         raise InputFileError(
-            f"{path} contains {len(spectral)} tables with spectra; save the table that you need as a separate file"
+            f"{path} contains {len(spectral)} tables with spectra; save the required table as a separate file"
         )
     if spectral:
         return _spectra(spectral[0], text.split(None, 1)[0].upper(), path)
     fields = " ".join(dict.fromkeys(name for table in tables for name in table.fields))
     raise InputFileError(
-        f"{path} contains {fields[:60] or 'no data'}, but no spectra; export spectral data with fields such as SPEC_380"
+        f"{path} contains no spectra ({fields[:60] or 'no data'}); export spectral data with fields such as SPEC_380"
     )
 
 
@@ -114,7 +114,7 @@ def _tables(text: str, path: Path) -> list[CgatsTable]:
             table.keywords[word] = tokens[1]
     for table in tables:
         width = len(table.fields)
-        if width and any(len(row) != width for row in table.rows):  # a row may extend over several lines
+        if width and any(len(row) != width for row in table.rows):  # rows may extend over several lines
             cells = [cell for row in table.rows for cell in row]
             if len(cells) % width:
                 number = next(number for number, row in enumerate(table.rows, 1) if len(row) != width)
@@ -131,13 +131,13 @@ def _tokens(line: str) -> list[str]:
 
 
 def _bands(table: CgatsTable) -> list[tuple[int, float]]:
-    """Return (index, wavelength in nm) of each field whose name contains a wavelength."""
+    """Return (index, wavelength in nm) of each field that is named after a wavelength."""
     found = [(place, BAND.match(name)) for place, name in enumerate(table.fields)]
     return [(place, float(match[1])) for place, match in found if match]
 
 
 def _number(text: str) -> float:
-    """Convert text to a number. The decimal separator may be a point or a comma."""
+    """Convert text to a number, with a point or a comma as the decimal separator."""
     return float(text.replace(",", "."))
 
 
@@ -148,7 +148,7 @@ def _spectra(table: CgatsTable, identifier: str, path: Path) -> Spectra:
         kind = "reflectance"
     norm = 100.0 if identifier.startswith("CTI") else None
     try:
-        if "SPECTRAL_NM" in upper:  # each row contains pairs of a wavelength and a value
+        if "SPECTRAL_NM" in upper:  # rows are pairs of wavelength and value
             at = [place for place, name in enumerate(upper) if name == "SPECTRAL_NM"]
             wavelength = np.array([_number(table.rows[0][place]) for place in at])
             places = [place + 1 for place in at]
@@ -161,7 +161,7 @@ def _spectra(table: CgatsTable, identifier: str, path: Path) -> Spectra:
         if "SPECTRAL_NORM" in table.keywords:
             norm = _number(table.keywords["SPECTRAL_NORM"])
     except (ValueError, IndexError) as error:
-        raise InputFileError(f"{path}: the data are not rows of numbers ({error}); export the file again") from error
+        raise InputFileError(f"{path} contains data that are not numbers ({error}); export the file again") from error
     if norm is None and kind is None and values.max() > PERCENT_ABOVE:
         unit: str | None = "%"
     else:
@@ -172,7 +172,7 @@ def _spectra(table: CgatsTable, identifier: str, path: Path) -> Spectra:
 
 
 def _grid(table: CgatsTable, named: list[float], count: int, path: Path) -> NDArray[np.float64]:
-    """Return the wavelengths in nm from the keywords of the table or, if the keywords are missing, from the field names.
+    """Return the wavelengths in nm from the table's keywords, or from its field names if keywords are missing.
 
     Raises InputFileError if the keywords contradict the fields.
     """
@@ -183,7 +183,7 @@ def _grid(table: CgatsTable, named: list[float], count: int, path: Path) -> NDAr
     grid = np.linspace(first, last, count)
     if bands != count or (named and np.abs(grid - named).max() > 1.0):
         raise InputFileError(
-            f"{path} states {bands:g} bands from {first:g} to {last:g} nm, but its fields are {count} bands from "
+            f"{path} declares {bands:g} bands from {first:g} to {last:g} nm, but contains {count} bands from "
             f"{named[0] if named else first:g} to {named[-1] if named else last:g} nm; export the file again"
         )
     return grid

@@ -1,17 +1,16 @@
 """Read files of spectra. `read_table` reads every format in FORMATS. Most of this module reads text tables.
 
 A text table is delimited text from a spectrometer, a spreadsheet or l3. Each row contains a wavelength and one value per
-curve. Columns are separated by commas, semicolons, tabs or blanks. If the separator is a semicolon or a tab, commas are
-decimal points. The heading with the column names is the first line, or the last comment (#) before the numbers. The heading
-determines which column contains the wavelengths. The other columns may be in any order, and units in brackets are converted.
-Without a heading, the first column contains the wavelengths in nm, and the other columns must be in the order that the
-caller expects.
+curve. Columns are separated by commas, semicolons, tabs or blanks. Commas are decimal points if the separator is a semicolon
+or a tab. The heading with the column names is the first line, or the last comment (#) before the numbers. It identifies the
+column of wavelengths. The other columns may be in any order, and units in brackets are converted. Without a heading, the
+first column contains the wavelengths in nm, and the other columns must be in the order that the caller expects.
 
-CGATS and JCAMP-DX files are recognised by their first line. colour-science reads IES TM-27-14 files (Illuminating
-Engineering Society, Standard Format for the Electronic Transfer of Spectral Data).
+CGATS and JCAMP-DX files are recognised by their first line. IES TM-27-14 files (Illuminating Engineering Society, Standard
+Format for the Electronic Transfer of Spectral Data) are read with colour-science.
 
-Instruments export text in UTF-8, UTF-16 or Windows-1252. Lines of text may precede the numbers, such as `Key: value` or the
-marker `>>>>>Begin Spectral Data<<<<<`.
+Text may be in UTF-8, UTF-16 or Windows-1252. Lines of text may precede the numbers, such as `Key: value` or the marker
+`>>>>>Begin Spectral Data<<<<<`.
 """
 
 import codecs
@@ -39,13 +38,13 @@ from l3cli.system.limits import read_bounded
 
 CURE = "use a CSV file with spectra"
 MARKER = re.compile(r"^(?:>{3,}|<{3,}|\*{3,}|={3,}|-{3,}|\+{3,})")
-EXCEL_SEPARATOR = re.compile(r'"?sep=.?"?', re.I)  # optional first line of a CSV file that states the separator for Excel
-CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # control characters, which text does not contain
+EXCEL_SEPARATOR = re.compile(r'"?sep=.?"?', re.I)  # optional first line that defines the separator for Excel
+CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # control characters, which do not occur in text
 UNIT_KEY = re.compile(
     r"^(?:y[- ]?(?:axis|unit)|(?:spectral |radiometric |measurement )?units?)\b[^:;=,\t]*[:;=,\t]\s*(.+)$", re.I
 )
 QUALITY = re.compile(r"\d{5}")  # quality code that Photo Research instruments write before a measurement
-# A table is transposed if a row contains at least SIDEWAYS wavelengths, all within the range LIGHT in nm.
+# A table is transposed if one of its rows contains at least SIDEWAYS wavelengths, all within the range LIGHT in nm.
 SIDEWAYS, LIGHT = 10, (150.0, 5000.0)
 WAVELENGTH = ("wavelength", "wavelengths", "lambda", "λ", "wl", "wave", "wvl", "wellenlänge")
 JAZ = {"d", "r", "s", "p"}  # columns of the Ocean Optics Jaz spectrometer: dark, reference, sample, processed result
@@ -58,10 +57,10 @@ DigitisedCurve = tuple[str, list[tuple[float, float]]]  # name of a curve; X (nm
 class TextTable:
     """The numbers in a text table, and the names of its columns."""
 
-    heading: Cells | None  # name of each column; None if the file has no heading
-    rows: list[list[float]]  # rows of equal length; empty if the file contains digitised curves
+    heading: Cells | None  # column names, or None without a heading
+    rows: list[list[float]]  # rows of equal length, or an empty list if the file contains digitised curves
     pairs: tuple[DigitisedCurve, ...] = ()  # digitised curves
-    faults: tuple[str, ...] = ()  # descriptions of faults in the digitised curves
+    faults: tuple[str, ...] = ()  # faults in the digitised curves
 
 
 def _text_table(text: str, path: Path) -> TextTable:
@@ -116,7 +115,7 @@ def _text(path: Path) -> str:
 
 
 def _separator(lines: Sequence[str]) -> tuple[str | None, bool]:
-    """Return the column separator (None for blanks), and whether a comma is a decimal point.
+    """Detect the column separator (None for blanks), and whether commas are decimal points.
 
     The last line that begins with a number determines both results.
     """
@@ -130,10 +129,7 @@ def _separator(lines: Sequence[str]) -> tuple[str | None, bool]:
 
 
 def _split(line: str, separator: str | None) -> Cells:
-    """Split a line into cells at a separator, or at white space if `separator` is None.
-
-    A cell in quotation marks may contain the separator.
-    """
+    """Split a line into cells at a separator (None for blanks), which may occur inside quotation marks."""
     if separator is None:
         return line.split()
     cells = line.split(separator)
@@ -144,7 +140,7 @@ def _split(line: str, separator: str | None) -> Cells:
 
 
 def _without_last(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
-    """Remove the empty last cell of each row if all rows of numbers end with a separator."""
+    """Remove the empty last cells if all rows of numbers end with a separator."""
     rows = [row for row in cells if _is_number(row[0], decimal_comma)]
     if not rows or any(len(row) < 3 or row[-1] for row in rows):
         return cells
@@ -171,8 +167,8 @@ def _numbers(
 ) -> tuple[list[list[float]], list[Cells]]:
     """Return the rows of numbers at the end of a file, and the lines before these rows.
 
-    Raises InputFileError if the file does not end with rows of numbers. The function also raises InputFileError if rows of
-    numbers precede the last line of text, because this line is then probably a damaged row.
+    Raises InputFileError if the file does not end with rows of numbers, or if there are earlier rows of numbers. In the
+    latter case, the text in between is probably a damaged row.
     """
     numeric = [all(_is_number(cell, decimal_comma) for cell in row) for row in cells]
     start = len(cells)
@@ -193,19 +189,19 @@ def _numbers(
         wrong = next(row for number, row in enumerate(before) if number >= earlier[0] and not numeric[number])
         raise InputFileError(f'{path}: "{(separator or " ").join(wrong)[:40]}" is not a row of numbers; correct this row')
     if decimal_comma and {",", "."} <= {letter for row in rows for cell in row for letter in cell if letter in ",."}:
-        raise InputFileError(f"{path}: the numbers contain both commas and points; use one decimal separator only")
+        raise InputFileError(f"{path}: the numbers contain both commas and points; use a single decimal separator")
     if not rows or len({len(row) for row in rows}) != 1 or len(rows[0]) < 2:
         raise InputFileError(
-            f"{path} is not a table with a wavelength in nm and the same number of values in each row; correct the file"
+            f"{path} must be a table with a wavelength in nm and the same number of values in each row; correct the file"
         )
     return [[_number(cell, decimal_comma) for cell in row] for row in rows], before
 
 
 def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurve, ...], tuple[str, ...]]:
-    """Return the digitised curves in a text (X and Y of each point), and the faults of these curves.
+    """Return the digitised curves in a text (X and Y of each point), and their faults.
 
-    Both results are empty if the text contains no digitised curves. Programs for digitising plots write several curves in
-    one of two forms:
+    Both results are empty if there are no digitised curves. Programs for digitising plots write several curves in one of two
+    forms:
 
     1. The columns X and Y of all curves are next to each other. The heading has two lines, with the curve names above X, Y,
        X, Y, …, or a single line with a word for wavelength and a name per curve.
@@ -223,7 +219,7 @@ def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurv
         end = heads[which + 1][0] if which + 1 < len(heads) else len(cells)
         rows = cells[number + 1 : end]
         if which + 1 < len(heads) and lettered[which + 1] and rows and not numeric[end - 1]:
-            rows.pop()  # the row with the names of the next curves
+            rows.pop()  # names of the next curves
         names = cells[number - 1] if number and lettered[which] and not numeric[number - 1] else []
         for place, (x_head, y_head) in enumerate(pairs):
             name = (names[2 * place] if len(names) > 2 * place else "") if lettered[which] else y_head
@@ -246,7 +242,7 @@ def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurv
 
 
 def _pair_heads(row: Cells) -> list[tuple[str, str]]:
-    """Return the pair of headings (X, Y) of each curve, or an empty list if the row is not a sequence of such pairs."""
+    """Split a row into pairs of headings (X, Y), or return an empty list if this is impossible."""
     cells = [cell for cell in row if cell]
     pairs = list(zip(cells[::2], cells[1::2], strict=False))
     if not pairs or len(cells) % 2 or any(not (_is_x(x) and not _is_x(y)) for x, y in pairs):
@@ -259,7 +255,7 @@ def _is_x(cell: str) -> bool:
 
 
 def _is_lettered(row: Cells) -> bool:
-    """Return whether a row of headings starts with X, Y. The line above then contains the names of the curves."""
+    """Whether a row of headings starts with X, Y, so that the line above contains the names of the curves."""
     return [units.split(cell)[0].casefold() for cell in row if cell][:2] == ["x", "y"]
 
 
@@ -268,13 +264,10 @@ def _all_numbers(row: Cells, decimal_comma: bool) -> bool:
 
 
 def _upright(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
-    """Transpose a table whose wavelengths are in a row, so that each row of the result belongs to one wavelength.
-
-    Any other table is returned unchanged.
-    """
+    """Transpose a table if its wavelengths are in a row, so that there is one row per wavelength."""
     for number, row in enumerate(cells):
         if len(row) <= SIDEWAYS or _is_number(_without_nm(row[0]), decimal_comma):
-            continue  # the row does not contain the wavelengths
+            continue  # not a row of wavelengths
         across = [_without_nm(cell) for cell in row]
         labels = next((at for at, cell in enumerate(across) if _is_number(cell, decimal_comma)), len(row))
         grid = across[labels:]
@@ -287,7 +280,7 @@ def _upright(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
         first = [other[0] for other in spectra]
         named = len(first) > 2 and _all_numbers(first, decimal_comma)
         if named and _is_grid([_number(each, decimal_comma) for each in first]):
-            return cells  # the wavelengths are column names, so the table has the right orientation
+            return cells  # the first column also contains wavelengths, so the table is already upright
         names = [" ".join(filter(None, other[:labels])) for other in spectra]
         return [*cells[:number], ["nm", *names], *map(list, zip(grid, *(other[labels:] for other in spectra), strict=True))]
     return cells
@@ -298,7 +291,7 @@ def _without_nm(cell: str) -> str:
 
 
 def _is_grid(values: Sequence[float]) -> bool:
-    """Return whether numbers are distinct, increasing or decreasing, and plausible as wavelengths in nm."""
+    """Whether numbers are plausible as wavelengths in nm, in increasing or decreasing order."""
     ordered = sorted(values)
     return LIGHT[0] <= ordered[0] and ordered[-1] <= LIGHT[1] and len(set(values)) == len(values) and (
         list(values) in (ordered, ordered[::-1])
@@ -309,10 +302,10 @@ def _is_grid(values: Sequence[float]) -> bool:
 
 
 def _heading(before: list[Cells], columns: int, decimal_comma: bool, path: Path) -> Cells | None:
-    """Return the column names from the lines before the numbers, or None if no line is a heading.
+    """Find the column names in the lines before the numbers. Return None if there is no heading.
 
-    If the line below the names contains units, the units are appended to the names. Raises InputFileError if the heading and
-    the rows have different numbers of columns.
+    Units on the line below the names are appended to the names. Raises InputFileError if the heading and the rows have
+    different numbers of columns.
     """
     if not before:
         return None
@@ -347,7 +340,7 @@ def _mismatch(named: int, columns: int, path: Path) -> str:
 
 
 def is_wavelength(heading: str) -> bool:
-    """Return whether a heading marks a column of wavelengths.
+    """Whether a heading identifies a column of wavelengths.
 
     Such a heading begins with a word for wavelength, or consists only of a unit of length other than "m" and "A".
     """
@@ -357,21 +350,21 @@ def is_wavelength(heading: str) -> bool:
 
 
 def _bare(cell: str) -> str | None:
-    """Return the unit in a cell that contains only a unit, without brackets. Return None for any other cell."""
+    """Return the unit in a cell, without brackets, or None if the cell does not consist of a unit."""
     inside = cell.strip("[]() ")
     known = units.parse(inside) is not None or units.RAW.fullmatch(inside) or inside.lower() == "a.u."
     return inside if inside and (known or re.fullmatch(r"% ?\w+", inside)) else None
 
 
 def _with_unit(name: str, unit: str) -> str:
-    """Append a unit in brackets to a column heading. A heading of wavelengths is changed only if the unit is a length."""
+    """Append a unit in brackets to a column heading, unless it is a heading of wavelengths and the unit is not a length."""
     if not unit or (is_wavelength(name) and units.length_nm(unit) is None):
         return name
     return f"{name} ({unit})"
 
 
 def _stated_unit(line: str) -> str | None:
-    """Return the unit of the values that a line such as "Units: µW/cm²/nm" states, or None for any other line."""
+    """Return the unit of values from a line such as "Units: µW/cm²/nm", or None for any other line."""
     found = UNIT_KEY.match(line)
     unit = found[1].strip(' ;,\t[]"') if found else ""
     known = units.RAW.fullmatch(unit) or (units.parse(unit) is not None and units.length_nm(unit) is None)
@@ -380,14 +373,14 @@ def _stated_unit(line: str) -> str | None:
 
 MOST_ROWS = 100_000  # maximum number of wavelengths in a text table
 WIDEST_GAP = 20.0  # maximum distance between neighbouring points of a digitised curve, in nm
-PLOT_EDGE_NM = 5.0  # a curve that ends within this distance of the edge of the plot is assumed to continue beyond the edge
-FOOT = 0.05  # a curve that ends inside the plot must end below this fraction of its peak
-JITTER = 0.02  # negative values of a digitised curve are permitted up to this fraction of the peak
-# Wavelengths are probably in m if all numbers are below METRES, in µm if all numbers are below MICROMETRES, and in Å if all
-# numbers are above ANGSTROMS.
+PLOT_EDGE_NM = 5.0  # distance from the edge of the plot within which a curve is assumed to continue beyond the edge
+FOOT = 0.05  # fraction of its peak below which a curve that ends inside the plot must end
+JITTER = 0.02  # permitted negative values of a digitised curve, as a fraction of its peak
+# Wavelengths are probably in m if all are below METRES, in µm if all are below MICROMETRES, and in Å if all are above
+# ANGSTROMS.
 METRES, MICROMETRES, ANGSTROMS = 1e-3, 5.0, 2000.0
 SPDX = (".spdx", ".xml")
-SPDX_UNITS = {  # spectral quantity in an IES TM-27 file → unit
+SPDX_UNITS = {  # units by spectral quantity in an IES TM-27 file
     "radiance": "W/(sr m² nm)",
     "irradiance": "W/(m² nm)",
     "exitance": "W/(m² nm)",
@@ -396,7 +389,7 @@ SPDX_UNITS = {  # spectral quantity in an IES TM-27 file → unit
     "relative": "relative power",
     "other": None,
 }
-READINGS = ("dark", "ref", "reference", "sample", "scope", "white")  # names of columns with raw readings
+READINGS = ("dark", "ref", "reference", "sample", "scope", "white")  # column names of raw readings
 Array = NDArray[np.float64]
 
 
@@ -405,10 +398,10 @@ class SpectrumFormat:
     """A file format for spectra. docs/own-lab.md lists all formats."""
 
     name: str
-    suffixes: tuple[str, ...]  # in lower case; the letter case of file names is ignored
-    holds: str  # description of the content that l3 reads, for the documentation
-    is_of: Callable[[str], bool] | None  # returns whether a text has this format; None if the suffix determines the format
-    read: Callable[[str, Path], CurveTable]  # converts the text of a file to a table; the path is used in messages
+    suffixes: tuple[str, ...]  # in lower case, to be compared without regard to case
+    holds: str  # description of what l3 reads, for the documentation
+    is_of: Callable[[str], bool] | None  # tests whether a text has this format, or None if the suffix determines the format
+    read: Callable[[str, Path], CurveTable]  # reads the text of a file, given its path for messages
 
 
 def read_table(path: Path) -> CurveTable:
@@ -417,7 +410,7 @@ def read_table(path: Path) -> CurveTable:
     Parameters
     ----------
     path : Path
-        The file. The suffixes .spdx and .xml mean IES TM-27. Otherwise, the content determines the format.
+        The file. The suffixes .spdx and .xml indicate IES TM-27. Otherwise, the content determines the format.
 
     Returns
     -------
@@ -427,8 +420,7 @@ def read_table(path: Path) -> CurveTable:
     Raises
     ------
     InputFileError
-        If the file does not exist or is not valid, or if the wavelengths are implausible in the stated unit, which is nm by
-        default.
+        If the file does not exist or is invalid, or if the wavelengths are implausible in their unit, by default nm.
     """
     if path.suffix.lower() in SPDX:
         return _spdx("", path)
@@ -437,12 +429,12 @@ def read_table(path: Path) -> CurveTable:
 
 
 def names_file(name: str) -> bool:
-    """Return whether the name of an illuminant, chart or transmittance is a file name, that is, has a suffix in SUFFIXES."""
+    """Whether the name of an illuminant, chart or transmittance is a file name with one of SUFFIXES."""
     return name.lower().endswith(SUFFIXES)
 
 
 def _cgats(content: str, path: Path) -> CurveTable:
-    """Read a CGATS file. Each sample of the file becomes a column."""
+    """Read a CGATS file into a table with one column per sample."""
     spectra = read_cgats(content, path)
     return _over_wavelengths(path, spectra.wavelength, spectra.values, spectra.names, spectra.unit)
 
@@ -452,7 +444,7 @@ def _jcamp(content: str, path: Path) -> CurveTable:
 
 
 def _over_wavelengths(path: Path, wavelength: Array, values: Array, names: tuple[str, ...], unit: str | None) -> CurveTable:
-    """Return a table of curves (column, wavelength), sorted by wavelength. `unit` applies to all curves.
+    """Build a table from curves (column, wavelength) with a common unit, sorted by wavelength.
 
     Raises InputFileError if a value is not finite, or if the wavelengths are not monotonic or not plausible in nm.
     """
@@ -464,9 +456,9 @@ def _over_wavelengths(path: Path, wavelength: Array, values: Array, names: tuple
 
 
 def _result(table: CurveTable) -> CurveTable:
-    """Remove columns with raw readings if exactly one other column remains. This column is the result of the instrument.
+    """Remove columns with raw readings if exactly one other column remains, which is the instrument's result.
 
-    Avantes, for example, writes the columns Sample, Dark and Reference in counts, and Transmittance in percent.
+    For example, Avantes writes the columns Sample, Dark and Reference in counts, and Transmittance in percent.
     """
     if table.names is None or len(table.values) < 2:
         return table
@@ -485,10 +477,9 @@ def _result(table: CurveTable) -> CurveTable:
 
 
 def _text_curves(content: str, path: Path) -> CurveTable:
-    """Read the curves in a text table, with increasing wavelengths.
+    """Read the curves in a text table, sorted by wavelength.
 
-    Raises InputFileError if the table is invalid or has too many rows, or if the wavelengths are implausible in the stated
-    unit.
+    Raises InputFileError if the table is invalid or has too many rows, or if the wavelengths are implausible in their unit.
     """
     text = _text_table(content, path)
     if text.pairs:
@@ -513,11 +504,10 @@ def _text_curves(content: str, path: Path) -> CurveTable:
 
 
 def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Path) -> CurveTable:
-    """Interpolate digitised curves to steps of 1 nm. The points of a curve may be in any order.
+    """Interpolate digitised curves, with points in any order, to steps of 1 nm.
 
-    All curves are extended to the wavelength range of the plot. A curve that ends at an edge of the plot continues with its
-    last value. A curve that ends inside the plot continues with zeros. Raises InputFileError, with a list of all faults, if
-    a curve has a fault.
+    All curves are extended to the wavelength range of the plot, with the last value if the curve ends at an edge of the
+    plot, and with zeros if it ends inside. Raises InputFileError with a list of all faults in the curves.
     """
     wrong = list(faults)
     lines = [np.array(sorted(points), np.float64).reshape(-1, 2).T for _, points in curves]
@@ -541,10 +531,7 @@ def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Pa
 
 
 def _curve_faults(name: str, line: Array, grid: Array) -> Iterator[str]:
-    """Yield the faults of a digitised curve.
-
-    The two rows of `line` are X and Y of the points. `grid` contains the wavelengths of the whole plot.
-    """
+    """Yield the faults of a digitised curve `line` (X and Y, point), given the wavelengths of the whole plot, `grid`."""
     x, y = line
     if x.size < 2:
         if x.size:
@@ -559,10 +546,7 @@ def _curve_faults(name: str, line: Array, grid: Array) -> Iterator[str]:
 
 
 def _spdx(_: str, path: Path) -> CurveTable:
-    """Read the spectrum in an IES TM-27-14 file. The spectral quantity in the file determines the unit.
-
-    Raises InputFileError if the file is not valid.
-    """
+    """Read an IES TM-27-14 file, in the unit of its spectral quantity. Raises InputFileError if the file is invalid."""
     read_bounded(path, CURE)
     colour = colour_science()
     try:
@@ -582,15 +566,15 @@ def _spdx(_: str, path: Path) -> CurveTable:
 def _require_light(path: Path, wavelength: Array, values: Array, column: str = "") -> None:
     """Raise InputFileError unless the wavelengths are monotonic and plausible in nm, and all values are finite.
 
-    `column` describes the column of the wavelengths in the message.
+    `column` identifies the wavelength column in the message.
     """
     steps = np.diff(wavelength)
     if not (np.abs(values) <= MAX_NUMBER).all() or not ((steps > 0).all() or (steps < 0).all()):
         raise InputFileError(
-            f"{path}: the wavelengths are not in order, or a value is not a number within ±{MAX_NUMBER:g}; correct the file"
+            f"{path}: the wavelengths are not in order, or a value is not within ±{MAX_NUMBER:g}; correct the file"
         )
     if not (wavelength.size and wavelength.min() > 0 and METRES < wavelength.max() <= LONGEST_NM):
-        raise InputFileError(f"{path}: some wavelengths are not within 0…{LONGEST_NM} nm{column}; correct the file")
+        raise InputFileError(f"{path}: some wavelengths{column} are not within 0…{LONGEST_NM} nm; correct the file")
 
 
 def other_unit(first: float, last: float) -> tuple[str, str] | None:
@@ -604,23 +588,22 @@ def other_unit(first: float, last: float) -> tuple[str, str] | None:
     Returns
     -------
     tuple of str, or None
-        A description of the fault, and the probable unit ("m", "um" or "A"). None if the wavelengths are plausible in nm, or
-        if the smallest wavelength is not positive.
+        Description of the fault, and the probable unit ("m", "um" or "A"). None if the wavelengths are plausible in nm, or
+        if the smallest is not positive.
     """
     if first <= 0 or (last >= MICROMETRES and first <= ANGSTROMS):
         return None
     unit, nm = ("m", 1e9) if last < METRES else ("um", 1e3) if last < MICROMETRES else ("A", 0.1)
     return (
-        f"the wavelengths {first:g}…{last:g} are not plausible in nm, but in {unit} they are "
-        f"{first * nm:g}…{last * nm:g} nm",
+        f"the wavelengths {first:g}…{last:g} are implausible in nm, but in {unit} they are {first * nm:g}…{last * nm:g} nm",
         unit,
     )
 
 
 def _wavelength_column(heading: Sequence[str], path: Path) -> tuple[int, float | None]:
-    """Return the index of the wavelength column, and the factor that converts its wavelengths to nm.
+    """Return the index of the wavelength column, and the factor from its unit to nm, or None without a unit.
 
-    The factor is None if the heading states no unit. Raises InputFileError unless exactly one column contains wavelengths.
+    Raises InputFileError unless exactly one column contains wavelengths.
     """
     named = [number for number, cell in enumerate(heading) if is_wavelength(cell)] or ([0] if not heading[0] else [])
     if len(named) != 1:
@@ -667,6 +650,6 @@ SUFFIXES = tuple(suffix for each in FORMATS for suffix in each.suffixes)
 
 
 def formats_table() -> str:
-    """Return the Markdown table of FORMATS for docs/own-lab.md."""
+    """Return FORMATS as a Markdown table for docs/own-lab.md."""
     rows = [f"| {each.name} | {' '.join(f'`{suffix}`' for suffix in each.suffixes)} | {each.holds} |" for each in FORMATS]
     return "\n".join(["| format | suffixes | content |", "|---|---|---|", *rows])

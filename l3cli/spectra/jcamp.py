@@ -1,8 +1,8 @@
 """Read optical spectra from JCAMP-DX files (versions 4.24 and 5) with one block or several linked blocks.
 
-A block is a list of records `##LABEL= value`. The record with the data is XYDATA or XYPOINTS. XYDATA has the form
+A block is a list of records `##LABEL= value`. The data are in the record XYDATA or XYPOINTS. XYDATA has the form
 (X++(Y..Y)): each line contains an abscissa, the ordinate at this abscissa, and further ordinates in equal steps. XYPOINTS
-has the form (XY..XY), with pairs of numbers. Numbers are decimals (AFFN), or ordinates are compressed in one of the ASDF
+has the form (XY..XY), with pairs of numbers. Numbers are decimals (AFFN), but ordinates may be compressed in one of the ASDF
 forms:
 
 =====  ==========================================================================  =======================
@@ -28,7 +28,7 @@ from l3cli.spectra import units
 
 RECORD = re.compile(r"^\s*##([^=]*)=(.*)$")
 AFFN = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-PACKED = re.compile(r"[%@A-DF-Za-df-s]")  # characters that indicate compressed numbers
+PACKED = re.compile(r"[%@A-DF-Za-df-s]")  # characters that occur only in compressed numbers
 ASDF = re.compile(r"([@A-Ia-i%J-Rj-rS-Zs]|[-+]|(?=[\d.]))(\d*\.?\d*)")
 SQZ = {letter: digit for digit, letter in enumerate("@ABCDEFGHI")} | {
     letter: -digit for digit, letter in enumerate("abcdefghi", 1)
@@ -37,7 +37,7 @@ DIF = {letter: digit for digit, letter in enumerate("%JKLMNOPQR")} | {
     letter: -digit for digit, letter in enumerate("jklmnopqr", 1)
 }
 DUP = {letter: digit for digit, letter in enumerate("STUVWXYZs", 1)}
-NM = {  # unit of the abscissae → size of the unit in nm
+NM = {  # units of the abscissae in nm
     "NANOMETERS": 1.0,
     "NANOMETRES": 1.0,
     "NM": 1.0,
@@ -48,7 +48,7 @@ NM = {  # unit of the abscissae → size of the unit in nm
     "ANGSTROMS": 0.1,
     "A": 0.1,
 }
-FRACTION_OF_LETTER = {  # first letter of transmittance, transmission, reflectance or reflection → unit
+FRACTION_OF_LETTER = {  # unit by first letter of transmittance, transmission, reflectance or reflection
     "T": "transmittance",
     "R": "reflectance",
 }
@@ -58,29 +58,29 @@ FRACTION_OF_LETTER = {  # first letter of transmittance, transmission, reflectan
 class Block:
     """One block of a JCAMP-DX file."""
 
-    records: dict[str, str] = field(default_factory=dict)  # label, without blanks and punctuation → value
-    kind: str = ""  # label of the record that contains the data; empty if the block contains no data
-    lines: list[str] = field(default_factory=list)  # lines of the data
+    records: dict[str, str] = field(default_factory=dict)  # values by label, without blanks and punctuation
+    kind: str = ""  # label of the record with the data, or "" if there are none
+    lines: list[str] = field(default_factory=list)  # lines of data
 
     def of(self, label: str, default: str = "") -> str:
         return self.records.get(label, default)
 
 
 def is_jcamp(text: str) -> bool:
-    """Return whether a text is a JCAMP-DX file: its first record is the title."""
+    """Whether a text is a JCAMP-DX file, with the title as its first record."""
     return re.match(r"\s*##\s*TITLE\s*=", text, re.I) is not None
 
 
 def read_jcamp(text: str, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[str, ...], str | None]:
     """Read one spectrum from a JCAMP-DX file.
 
-    SpectraSuite writes several blocks, one of which contains the processed spectrum. If the file has such a block, this
-    block is read. Otherwise, the first block with data is read.
+    If a block contains the processed spectrum, as in files from SpectraSuite, this block is read. Otherwise, the first block
+    with data is read.
 
     Parameters
     ----------
     text : str
-        The content of the file.
+        Content of the file.
     path : Path
         The file, for messages.
 
@@ -91,15 +91,15 @@ def read_jcamp(text: str, path: Path) -> tuple[NDArray[np.float64], NDArray[np.f
     values : ndarray, (1, wavelength)
         Values in `unit`.
     names : tuple of str
-        The title of the block, as the only element.
+        Title of the block, as the only element.
     unit : str or None
         Unit of the values, or None if the values are relative.
 
     Raises
     ------
     InputFileError
-        If the file contains no spectrum over wavelengths, if values are missing or damaged, or if the number of values is
-        not NPOINTS.
+        If the file contains no spectrum over wavelength, if values are missing or damaged, or if their number is not
+        NPOINTS.
     """
     blocks = [block for block in _blocks(text) if block.kind]
     if not blocks:
@@ -144,7 +144,7 @@ def _blocks(text: str) -> list[Block]:
 def _figure(block: Block, label: str, comma: bool, path: Path, default: float | None = None) -> float:
     """Return the number in a record, or `default` if the record is missing.
 
-    Raises InputFileError if the record is not a number, or if the record is missing and `default` is None.
+    Raises InputFileError if the record is not a number, or if it is missing and there is no default.
     """
     text = block.of(label).strip()
     try:
@@ -156,13 +156,10 @@ def _figure(block: Block, label: str, comma: bool, path: Path, default: float | 
 
 
 def _ordinates(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the abscissae and the ordinates of XYDATA.
-
-    Raises InputFileError if values are missing, or if the number of values is not NPOINTS.
-    """
+    """Return the abscissae and ordinates of XYDATA. Raises InputFileError if values are missing."""
     lines = [line.replace(",", ".") if comma else line for line in block.lines]
     if any("?" in line for line in lines):
-        raise InputFileError(f'{path}: some values are missing ("?"); measure the spectrum again')
+        raise InputFileError(f'{path} contains missing values ("?"); measure the spectrum again')
     packed = any(PACKED.search(line) for line in lines)
     values = _unpacked(lines, path) if packed else [float(each) for line in lines for each in AFFN.findall(line)[1:]]
     first, last = (_figure(block, label, comma, path) for label in ("FIRSTX", "LASTX"))
@@ -175,10 +172,10 @@ def _ordinates(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float6
 
 
 def _unpacked(lines: list[str], path: Path) -> list[float]:
-    """Return the ordinates in lines of compressed XYDATA (ASDF).
+    """Decompress lines of XYDATA (ASDF).
 
-    If a line ends with a difference, the first ordinate of the next line must repeat the last value as a check. The result
-    does not contain this repetition. Raises InputFileError if the two values differ.
+    If a line ends with a difference, the next line starts by repeating the last ordinate as a check. The repetition is
+    omitted. Raises InputFileError if it differs from the last ordinate.
     """
     values: list[float] = []
     by_difference = False  # whether the previous number was a difference
@@ -217,7 +214,7 @@ def _signed(digit: int, digits: str) -> float:
 
 
 def _pairs(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the abscissae and the ordinates of XYPOINTS. Raises InputFileError if the number of pairs is not NPOINTS."""
+    """Return the abscissae and ordinates of XYPOINTS. Raises InputFileError if the number of pairs is not NPOINTS."""
     lines = [re.sub(r"(?<=\d),(?=\d)", ".", line) if comma else line for line in block.lines]
     numbers = [float(each) for line in lines for each in AFFN.findall(line)]
     count = int(_figure(block, "NPOINTS", comma, path, len(numbers) / 2))
@@ -230,9 +227,9 @@ def _pairs(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float64], 
 
 
 def _in_unit(values: NDArray[np.float64], text: str) -> tuple[NDArray[np.float64], str | None]:
-    """Convert values to the unit that `text`, the record YUNITS, states, and return the values and their unit.
+    """Return values with their unit from the record YUNITS (`text`), or with None if they are relative.
 
-    Percentages of transmittance or reflectance become fractions. The unit of relative values is None.
+    Percentages of transmittance or reflectance are converted to fractions.
     """
     share = re.fullmatch(r"(%?)\s*(?:([TR])|(T)RANSMI\w+|(R)EFLECT\w+)\s*(\(?%\)?)?", text.upper())
     if share:

@@ -1,4 +1,4 @@
-"""Tables of spectra, with functions that select columns by name and convert values to the required units."""
+"""Tables of spectra: selection of columns by name, and conversion to required units."""
 
 import json
 import re
@@ -13,17 +13,17 @@ from l3cli.errors import InputFileError, suggestion
 from l3cli.physics import spectra
 from l3cli.spectra import units
 
-# Plausible peak radiances in photons/s/sr/m²/nm: the smallest that a pixel can detect, and the largest that a lamp can emit.
+# Plausible peak radiances in photons/s/sr/m²/nm, from the smallest that a pixel detects to the largest that a lamp emits.
 DIMMEST, BRIGHTEST = 1e6, 1e24
 RELATIVE = ("relative", "relative photons", "relative power")  # "units" of radiances without an absolute scale
 AMPERES_PER_WATT = {"A": 1, "J": -1, "s": 1}  # exponents of the base units in A/W
 VISIBLE = 400.0, 700.0  # visible range in nm
-# A curve is dark where it is below DARK_FRACTION of its peak, or below DARK_FRACTION_OUTSIDE outside the visible range.
+# A curve is dark below DARK_FRACTION of its peak in the visible range, and below DARK_FRACTION_OUTSIDE outside.
 DARK_FRACTION, DARK_FRACTION_OUTSIDE = 0.01, 0.05
-NOISE = 0.01  # due to spectrometer noise, values may be negative by up to this fraction of the peak
+NOISE = 0.01  # fraction of the peak by which values may be negative because of spectrometer noise
 COLOURS = {"r": "red", "g": "green", "b": "blue", "c": "cyan", "m": "magenta", "y": "yellow", "w": "white"}
 OTHER_NAMES = COLOURS | {name: letter for letter, name in COLOURS.items()}  # "r" → "red", "red" → "r", …
-ELECTRONVOLT_NM = spectra.PLANCK * spectra.LIGHT_SPEED / 1.602176634e-19 * 1e9  # energy of a photon × wavelength, in eV nm
+ELECTRONVOLT_NM = spectra.PLANCK * spectra.LIGHT_SPEED / 1.602176634e-19 * 1e9  # photon energy × wavelength, in eV nm
 Array = NDArray[np.float64]
 
 
@@ -34,40 +34,39 @@ class CurveTable:
     path: Path
     wavelength: Array  # (wavelength,) nm
     values: Array  # (column, wavelength)
-    names: tuple[str, ...] | None  # column names without units; None if the file has no heading
-    units: tuple[str | None, ...]  # unit of each column; None if the file does not state it
-    left_out: tuple[str, ...] = ()  # names of columns in the file that are not in this table
+    names: tuple[str, ...] | None  # column names without units, or None without a heading
+    units: tuple[str | None, ...]  # unit of each column, or None if it is unknown
+    left_out: tuple[str, ...] = ()  # names of columns in the file that are omitted from this table
 
     @property
     def note(self) -> str | None:
-        """Message that lists columns of the file that are not in this table, or None if no columns are missing."""
+        """Message that lists omitted columns of the file, or None if there are none."""
         return f"{self.path}: columns that are not used: {', '.join(self.left_out)}" if self.left_out else None
 
     def counted(self, columns: int) -> "CurveTable":
-        """Raise InputFileError if the number of columns is not `columns`. Otherwise, return the table."""
+        """Return the table itself. Raises InputFileError unless it has the given number of columns."""
         if len(self.values) != columns:
             has_commas = len(self.values) == 2 * columns
             cure = "if commas are decimal points, separate columns by semicolons" if has_commas else "add or remove columns"
-            raise InputFileError(f"{self.path} contains {len(self.values)} curves, but {columns} are needed; {cure}")
+            raise InputFileError(f"{self.path} contains {len(self.values)} curves instead of {columns}; {cure}")
         return self
 
     def ordered(self, wanted: Sequence[str], known_as: Callable[[str], str] | None = None) -> "CurveTable":
-        """Return a table with the columns in the order of `wanted`.
+        """Sort the columns by name into the order of `wanted`.
 
-        Columns are found by their names. If the file has no heading, or if `wanted` contains a single name, the table is
-        returned unchanged.
+        If the file has no heading, or if `wanted` contains a single name, the table is returned unchanged.
 
         Parameters
         ----------
         wanted : sequence of str
-            Names of all columns. Letter case is ignored, unless two names differ only in their letter case.
+            Names of all columns. Case is ignored, unless two names differ only in case.
         known_as : callable, optional
             Function that translates a name in the heading to a name in `wanted`.
 
         Raises
         ------
         InputFileError
-            If the number of columns differs, or if the names in the heading are not the wanted names.
+            If the number of columns or their names differ from `wanted`.
         """
         self.counted(len(wanted))
         if self.names is None or len(wanted) == 1:
@@ -83,25 +82,25 @@ class CurveTable:
         return CurveTable(self.path, self.wavelength, self.values[order], tuple(wanted), tuple(self.units[i] for i in order))
 
     def channel_columns(self, channels: Sequence[str], columns: Mapping[str, str] | None = None) -> "CurveTable":
-        """Return a table with one column per channel, in the order of `channels`. All other columns are omitted.
+        """Select one column per channel, in the order of `channels`.
 
         Parameters
         ----------
         channels : sequence of str
             Names of the channels.
         columns : mapping, optional
-            Channel → column name, for channels with a different column name.
+            Column names by channel, for columns that are not named after their channel.
 
         Returns
         -------
         CurveTable
-            The selected columns. If the file has no heading, it must contain one column per channel, and the columns keep
-            their order. If `channels` contains one channel and the file contains one column, the column name is ignored.
+            The selected columns. A file without a heading must contain one column per channel, in the order of `channels`.
+            If there is only one channel and one column, the column name is ignored.
 
         Raises
         ------
         InputFileError
-            If the file contains no column or two columns for a channel, or if `columns` is set for a file without a heading.
+            Unless exactly one column matches each channel, or if `columns` is set for a file without a heading.
         """
         columns = {known_as(channel, channels): name for channel, name in (columns or {}).items()}
         if self.names is None and columns:
@@ -122,15 +121,15 @@ class CurveTable:
                 if len(names) == len(asked) and not columns:
                     wrong = _difference(names, asked)
                 example = f"{{{channel} = {json.dumps(left_out[0], ensure_ascii=False)}}}" if left_out else ""
-                raise InputFileError(f"{self.path}: {wrong}{'; select it with columns = ' if example else ''}{example}")
+                raise InputFileError(f"{self.path}: {wrong}{'; or select one with columns = ' if example else ''}{example}")
         chosen = [place for place in order if place is not None]
         units = tuple(self.units[place] for place in chosen)
         return CurveTable(self.path, self.wavelength, self.values[chosen], tuple(channels), units, tuple(left_out))
 
     def column(self, which: int | str) -> "CurveTable":
-        """Return a table with a single column. `which` is the name of the column, or its number, starting at 1.
+        """Select a single column by its name, or by its number counted from 1.
 
-        Raises InputFileError if no column or more than one column has this name, or if the number is out of range.
+        Raises InputFileError if the name does not occur exactly once, or if the number is out of range.
         """
         if isinstance(which, str):
             names = [_plain(name) for name in self.names or ()]
@@ -139,7 +138,7 @@ class CurveTable:
                 raise InputFileError(f'{self.path}: no column is called "{which}"; {there}')
             which = names.index(_plain(which)) + 1
         if not 1 <= which <= len(self.values):
-            raise InputFileError(f"{self.path} has no column {which}; use a number from 1 to {len(self.values)}")
+            raise InputFileError(f"{self.path}: column {which} does not exist; use a number from 1 to {len(self.values)}")
         one = slice(which - 1, which)
         return CurveTable(self.path, self.wavelength, self.values[one], self.names and self.names[one], self.units[one])
 
@@ -149,10 +148,10 @@ class CurveTable:
         Parameters
         ----------
         unit : str or None
-            Unit of the columns whose heading states no unit. None means photons/s/sr/m²/nm.
+            Unit of columns without a unit in the heading. None means photons/s/sr/m²/nm.
         absolute : bool
-            Whether the absolute scale matters. If False, units of irradiance and flux are also permitted, and the magnitude
-            of the values is not checked.
+            Whether the absolute scale matters. If not, units of irradiance and flux are also permitted, and the magnitude of
+            the values is not checked.
 
         Returns
         -------
@@ -162,7 +161,7 @@ class CurveTable:
         Raises
         ------
         InputFileError
-            If a heading contradicts `unit`, if a unit is not permitted, or if the magnitude of the values is implausible.
+            If a heading contradicts `unit`, a unit is not permitted, or the magnitude of the values is implausible.
         """
         rows = []
         for values, heading in zip(self.values, self.units, strict=True):
@@ -197,9 +196,9 @@ class CurveTable:
         return np.asarray(photons, dtype=np.float64)
 
     def _check_level(self, photons: Array, stated: bool) -> None:
-        """Raise InputFileError if the peak of a column is implausible as a radiance in photons/s/sr/m²/nm.
+        """Raise InputFileError if a column's peak is implausible as a radiance in photons/s/sr/m²/nm.
 
-        `stated` is whether the file or the user has stated the unit.
+        `stated` indicates whether the file or the user specified the unit.
         """
         peaks = photons.max(axis=1)
         peak = float(peaks[peaks > 0].min(initial=np.inf))
@@ -207,7 +206,7 @@ class CurveTable:
             return
         peak = peak if peak < DIMMEST else float(peaks.max())
         if not np.isfinite(peak):
-            return  # all values are zero; callers that cannot use a dark spectrum check this themselves
+            return  # all values are zero, which callers check themselves if they cannot use a dark spectrum
         cure = "correct the stated unit" if stated else f'if the values are watts, set unit = "{units.POWER_RADIANCE}"'
         raise InputFileError(
             f"{self.path}: a radiance of {peak:.3g} {units.PHOTON_RADIANCE} is outside the plausible range of "
@@ -218,8 +217,7 @@ class CurveTable:
         """Convert the columns (column, wavelength) to relative power per nm.
 
         Columns in photons are divided by the wavelength. Columns without a unit are assumed to be power. Small negative
-        values become zero (see `without_noise`). Raises InputFileError if a unit is proportional neither to power nor to
-        photons.
+        values are set to zero (see `without_noise`). Raises InputFileError for units of neither power nor photons.
         """
         rows = []
         for values, heading in zip(self.values, self.units, strict=True):
@@ -237,15 +235,15 @@ class CurveTable:
     def shares(self) -> Array:
         """Convert the columns (column, wavelength) to transmittances or reflectances, as fractions from 0 to 1.
 
-        Columns in percent are divided by 100. Values that exceed the range 0…1 by at most NOISE are clipped. Raises
-        InputFileError if a value exceeds the range by more than NOISE, or if a unit is neither percent nor a fraction.
+        Columns in percent are divided by 100. Values up to NOISE outside 0…1 are clipped. Raises InputFileError for values
+        further outside, and for units other than percent and fractions.
         """
         for heading in filter(None, self.units):
             unit = units.parse(heading)
             if heading not in (*units.RELATIVE_UNITS, *units.FRACTION_UNITS) and (unit is None or unit.powers):
                 raise InputFileError(
-                    f'{self.path}: "{heading}" is not a unit of transmittance or reflectance; write fractions, or the unit '
-                    '"(%)"'
+                    f'{self.path}: "{heading}" is not a unit of transmittance or reflectance; use fractions without a unit, '
+                    'or "(%)"'
                 )
         shares = self.values * np.array([[_share(heading)] for heading in self.units])
         shares = np.where((shares >= -NOISE) & (shares <= 1 + NOISE), shares.clip(0, 1), shares)
@@ -261,24 +259,24 @@ class CurveTable:
         return shares
 
     def responses(self, per_energy: bool, key: str) -> Array:
-        """Return the columns as responsivities.
+        """Check the units of responsivities, and return the columns.
 
         Parameters
         ----------
         per_energy : bool
-            Whether the responsivities are per energy, for example in A/W. Otherwise they are per photon.
+            Whether the responsivities are per energy (for example in A/W) instead of per photon.
         key : str
-            Key of the recipe that contains `per_energy`, for messages.
+            Recipe key of `per_energy`, for messages.
 
         Returns
         -------
         ndarray, (column, wavelength)
-            Values of the file. Percentages are converted to fractions. All other values are unchanged.
+            Values of the file, with percentages converted to fractions.
 
         Raises
         ------
         InputFileError
-            If the unit of a column is not a unit of responsivity, or if the unit contradicts `per_energy`.
+            If a column's unit is not a unit of responsivity, or contradicts `per_energy`.
         """
         for heading in filter(None, self.units):
             unit = units.parse(heading)
@@ -300,8 +298,8 @@ class CurveTable:
     def efficiencies(self, per_energy: bool) -> Array:
         """Convert the columns (column, wavelength) to quantum efficiencies in e-/photon.
 
-        If `per_energy` is true, the unit must be A/W. If `per_energy` is false, columns without a unit are assumed to be
-        quantum efficiencies. Raises InputFileError if a column is relative, or if its unit contradicts `per_energy`.
+        If `per_energy` is true, the unit must be A/W. Otherwise, columns without a unit are assumed to be quantum
+        efficiencies. Raises InputFileError if a column is relative, or if its unit contradicts `per_energy`.
         """
         rows = []
         for values, heading in zip(self.responses(per_energy, "per_energy"), self.units, strict=True):
@@ -335,7 +333,7 @@ class CurveTable:
 
 
 def without_noise(curves: Array) -> Array:
-    """Set small negative values to zero. Such values are probably noise of a spectrometer.
+    """Set small negative values, which are probably spectrometer noise, to zero.
 
     Parameters
     ----------
@@ -345,18 +343,18 @@ def without_noise(curves: Array) -> Array:
     Returns
     -------
     ndarray, (curve, wavelength)
-        The curves, in which values from −NOISE times the peak of the curve to 0 are zero. Lower values are unchanged, so
-        that the caller can reject the curve.
+        Curves without negative values down to −NOISE times their peaks. Lower values are unchanged, so that the caller can
+        reject the curve.
     """
     least = -NOISE * curves.max(axis=1, keepdims=True)
     return np.where((curves < 0) & (curves >= least), 0.0, curves)
 
 
 def gaps(wavelength: NDArray[np.floating], curves: NDArray[np.floating], widest: float) -> list[tuple[float, float]]:
-    """Find the steps between wavelengths that are too wide for interpolation.
+    """Find steps between wavelengths that are too wide for interpolation.
 
-    A step is ignored if all curves are dark at both ends of the step. A curve is dark below 1 % of its peak. For steps
-    outside 400…700 nm, a curve is dark below 5 % of its peak.
+    A step is ignored if all curves are dark at both ends, that is, below 1 % of their peaks. Outside 400…700 nm, the limit
+    is 5 %.
 
     Parameters
     ----------
@@ -381,12 +379,12 @@ def gaps(wavelength: NDArray[np.floating], curves: NDArray[np.floating], widest:
 
 
 def _is_power(unit: units.Unit | None) -> bool:
-    """Return whether a unit is proportional to power or to photons. Percent counts as relative power. None gives False."""
+    """Whether a unit is proportional to power or photons. Percentages count as relative power."""
     return unit is not None and (not unit.powers or unit.powers.get("J") == 1 or unit.powers.get("photon") == 1)
 
 
 def _share(heading: str | None) -> float:
-    """Return the factor that converts a column to fractions: 0.01 if its unit is percent, otherwise 1."""
+    """Return the factor that converts a column to fractions: 0.01 for percentages, otherwise 1."""
     unit = units.parse(heading) if heading is not None else None
     return unit.scale if unit is not None and not unit.powers else 1.0
 
@@ -402,8 +400,7 @@ def _energy_response(unit: units.Unit) -> bool | None:
 def _conversion(unit: str) -> tuple[str, float] | None:
     """Parse a unit of spectral radiance.
 
-    Returns ("J", factor) if the factor converts values to W/(sr m² nm), or ("photon", factor) if the factor converts values
-    to photons/s/sr/m²/nm. Returns None if `unit` is not a unit of spectral radiance.
+    Return ("J", factor to W/(sr m² nm)), or ("photon", factor to photons/s/sr/m²/nm), or None for any other unit.
     """
     if unit in RELATIVE:
         return ("J" if unit == "relative power" else "photon", 1.0)
@@ -414,10 +411,9 @@ def _conversion(unit: str) -> tuple[str, float] | None:
 
 
 def _quantity_per(parsed: units.Unit | None, below: dict[str, int]) -> tuple[str, float] | None:
-    """Return ("J" or "photon", factor), where the factor converts values in the unit `parsed` to values per nm.
+    """Return ("J" or "photon", factor from the unit `parsed` to the same unit per nm).
 
-    The result is None unless `parsed` consists of J or photon, with the exponent 1, and of the base units in `below`, with
-    their exponents.
+    Return None unless `parsed` is J or photon times the base units with the exponents `below`.
     """
     for of in ("J", "photon"):
         if parsed is not None and parsed.powers == {of: 1, **below}:
@@ -426,7 +422,7 @@ def _quantity_per(parsed: units.Unit | None, below: dict[str, int]) -> tuple[str
 
 
 def _without_angle(unit: str) -> tuple[str, float] | None:
-    """Parse a unit of spectral irradiance or spectral flux, such as µW/cm²/nm. See `_conversion` for the result."""
+    """Parse a unit of spectral irradiance or flux, such as µW/cm²/nm, with a result as in `_conversion`."""
     parsed = units.parse(unit)
     return _quantity_per(parsed, {"s": -1, "m": -3}) or _quantity_per(parsed, {"s": -1, "m": -1})
 
@@ -436,9 +432,9 @@ def _plain(name: str) -> str:
 
 
 def _place(name: str, names: Sequence[str]) -> int | None:
-    """Return the index of the column `name`, or None if no column or more than one column has this name.
+    """Return the index of the column `name`, or None unless exactly one column has this name.
 
-    "red" and "r" count as the same name. Letter case is ignored, unless two names differ only in their letter case.
+    "red" and "r" count as the same name. Case is ignored, unless two names differ only in case.
     """
     folded = [each.casefold() for each in names]
     other = OTHER_NAMES.get(name.casefold(), name.casefold())
@@ -451,17 +447,16 @@ def _place(name: str, names: Sequence[str]) -> int | None:
 def known_as(name: str, channels: Sequence[str]) -> str:
     """Translate the name of a colour to the name of a channel.
 
-    For example, "red" becomes "r" if the camera has a channel "r" but no channel "red". Any other name is returned
-    unchanged.
+    For example, "red" becomes "r" if the camera has a channel "r" but no channel "red". Other names are unchanged.
     """
     other = OTHER_NAMES.get(name.casefold(), name)
     return other if name not in channels and other in channels else name
 
 
 def _difference(given: Sequence[str], asked: Sequence[str]) -> str:
-    """Describe the first name in a heading that is not expected or occurs twice, and how to correct the heading."""
+    """Describe the first unexpected or repeated name in a heading, and how to correct it."""
     odd = next((name for name in given if name not in asked), None)
     if odd is None:
         twice = next(name for name in given if given.count(name) > 1)
         return f'two columns are called "{twice}"; give each column a different name'
-    return f'the column "{odd[:40]}" is not expected; {suggestion(odd, asked)} (or remove the heading)'
+    return f'column "{odd[:40]}" is unexpected; {suggestion(odd, asked)} (or remove the heading)'

@@ -33,18 +33,18 @@ SPELLINGS = {
     "−": "-",
 }
 TOKEN = re.compile(r"\s*(?:(?P<name>e-(?!\d)|[A-Za-z]+|%|(?<![\w^])1(?!\d))|(?P<power>\^?-?\d)|(?P<sign>[()/]))\s*")
-# Units of raw readings. Raw readings include the response of the instrument.
+# Units of raw readings, which include the response of the instrument.
 RAW = re.compile(r"(?:counts?|cts|adu|dn|dbm?|[mu]?v)(?:/(?:s|ms|us|nm))?", re.I)
-RAW_LAST = re.compile(r"(?:^|[\s_,])(counts?|cts|adu|dbm?|mv)$", re.I)  # unit of raw readings at the end, without brackets
+RAW_LAST = re.compile(r"(?:^|[\s_,])(counts?|cts|adu|dbm?|mv)$", re.I)  # unit of raw readings without brackets, at the end
 FRACTION_UNITS = ("reflectance", "transmittance")  # "units" of columns with fractions from 0 to 1
 RELATIVE_UNITS = ("a.u.", "au", "arb. units", "relative", "rel.", "rel")  # "units" of columns without an absolute scale
-MAX_UNIT_CHARACTERS = 80  # longer texts are not parsed as units
+MAX_UNIT_CHARACTERS = 80  # length above which a text is not parsed as a unit
 PHOTON_RADIANCE, POWER_RADIANCE = "photons/s/sr/m²/nm", "W/(sr m² nm)"
 
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit, as the product of a factor and powers of base units (J, photon, electron, s, sr, m, A, V, DN)."""
+    """A unit: a factor times powers of base units (J, photon, electron, s, sr, m, A, V, DN)."""
 
     scale: float
     powers: dict[str, int]
@@ -72,9 +72,9 @@ def parse(text: str) -> Unit | None:
 
 
 def below_one_slash(text: str) -> str | None:
-    """Move everything after the first slash of a unit into the denominator: "W/sr·m²/nm" becomes "W/(sr·m² nm)".
+    """Move everything after a unit's first slash into the denominator: "W/sr·m²/nm" becomes "W/(sr·m² nm)".
 
-    The result is None if the text contains no slash, or if the slash is followed only by brackets and slashes.
+    Return None if there is no slash, or nothing but brackets and slashes after it.
     """
     above, slash, below = text.partition("/")
     plain = re.sub(r"[/()]", " ", below)
@@ -82,7 +82,7 @@ def below_one_slash(text: str) -> str | None:
 
 
 def _product(tokens: list[re.Match[str]]) -> tuple[Unit, list[re.Match[str]]]:
-    """Parse tokens up to the end or to an unmatched closing bracket. Return the unit and the remaining tokens.
+    """Parse tokens up to an unmatched closing bracket or the end. Return the unit and the remaining tokens.
 
     A slash applies only to the next factor. Raises KeyError or IndexError if the tokens are not a unit.
     """
@@ -108,7 +108,7 @@ def _product(tokens: list[re.Match[str]]) -> tuple[Unit, list[re.Match[str]]]:
 
 
 def length_nm(text: str) -> float | None:
-    """Return the size of a unit of length in nm, or None if `text` is not a unit of length. "A" is the ångström."""
+    """Convert a unit of length to nm, or return None for any other text. "A" is the ångström."""
     unit = parse("angstrom" if text in ("A", "AA", "Angstrom", "Angstroms", "ANGSTROM") else text)
     return unit.scale * 1e9 if unit is not None and unit.powers == {"m": 1} else None
 
@@ -116,8 +116,8 @@ def length_nm(text: str) -> float | None:
 def split(heading: str) -> tuple[str, str | None]:
     """Split a column heading such as "name (unit)", "name [unit]", "name / unit" or "name %" into name and unit.
 
-    If the heading contains no unit, the name is the whole heading, and the unit is None. If a heading ends with a unit of
-    raw readings without brackets, as in "scope counts", the name still contains the unit.
+    Without a unit, the name is the whole heading, and the unit is None. A unit of raw readings may follow without brackets,
+    as in "scope counts", and then remains part of the name.
     """
     heading = heading.strip()
     name, slash, rest = heading.partition(" / ")

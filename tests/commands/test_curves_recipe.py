@@ -87,7 +87,7 @@ def test_arrays_share_a_file_whose_other_columns_are_left_out(folder: Path, l3: 
     np.testing.assert_allclose(mapped.responsivity[0], percent.mean(axis=1) / 100, rtol=1e-7)
     (folder / CSV).write_text(text.replace(",r (%)", ",rot (%)"))
     (folder / "camera.toml").write_text(RECIPE.read_text())
-    words = 'no column is called "r"; use one of b, NIR, rot, G; select it with columns = {r = "NIR"}'
+    words = 'no column is called "r"; use one of b, NIR, rot, G; or select one with columns = {r = "NIR"}'
     assert words in refused(3, *simulate, "--force")
     (folder / "camera.toml").write_text(RECIPE.read_text().replace(f'"{CSV}"', f'"{CSV}"\ncolumns = {{ir = "NIR"}}'))
     assert "responsivity.columns" in refused(2, *simulate, "--force")
@@ -134,7 +134,7 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
         lambda nm, percent: written("nm,r (%),leaf (%),b (%)", nm, percent),
         'column "leaf" is not expected',
     ),
-    "count": (lambda nm, percent: written("nm,r (%),g (%)", nm, percent[:, :2]), "contains 2 curves, but 3 are needed"),
+    "count": (lambda nm, percent: written("nm,r (%),g (%)", nm, percent[:, :2]), "contains 2 curves instead of 3"),
     "unit": (
         lambda nm, percent: written("nm,r (W/nm),g (W/nm),b (W/nm)", nm, percent),
         '"W/nm" is not a unit of responsivity',

@@ -123,7 +123,7 @@ def test_tables_that_state_the_same(text: str, tmp_path: Path) -> None:
         ("400,1,1\n400,2,2\n", "wavelengths are not in order"),
         ("400,1,1\n410,nan,1\n", "wavelengths are not in order, or a value is not a number"),
         ("400,1,1\n410\n", "same number of values"),
-        ("400,1\n410,1\n", "contains 1 curves, but 2 are needed"),
+        ("400,1\n410,1\n", "contains 1 curves instead of 2"),
         ("", "is not a table"),
         ("nm;a;b\n400;1.234,5;1\n", "not a row of numbers"),
         ("nm;a;b\n400;1,5;1.5\n", "both commas and points"),
