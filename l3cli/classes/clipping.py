@@ -76,7 +76,7 @@ def limited_to_white(outputs: Array, clipped_white: Array) -> Array:
 
     If all channels clip, the raw values do not determine the brightness of a pixel, and each class estimates a different
     one. Without the limit, uniform white areas would look grey next to brighter pixels along their edges. Above the limit,
-    colours fade to white, and from WHITE_FROM times the limit all pixels are white.
+    colours fade to white. All pixels above WHITE_FROM times the limit are white.
 
     Parameters
     ----------

@@ -197,7 +197,7 @@ def _facts(camera: CameraModel) -> Table:
 
 
 def _declared_from(camera: CameraModel) -> str:
-    """Return where values that were not measured come from: the data sheet, or assumptions if there were no dark frames."""
+    """Describe the origin of values that were not measured: the data sheet, or the assumption 0 without dark frames."""
     return "not measured, assumed to be 0" if "dark current" in camera.declared else "from the data sheet"
 
 

@@ -378,7 +378,7 @@ def level_middles(entries: list[dict[str, Any]]) -> np.ndarray:
 
 
 def _curves(document: dict[str, Any], entries: list[dict[str, Any]], at: np.ndarray, title: str, label: str) -> Figure:
-    """Plot each pipeline's main metric in the given entries against their levels `at`."""
+    """Plot each pipeline's main metric against the levels `at` of the given entries."""
     figure = main_of(document)
     values = {name: np.array([entry[name][figure] for entry in entries]) for name in document["pipelines"]}
     everything = np.concatenate(list(values.values()))

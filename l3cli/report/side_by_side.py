@@ -198,13 +198,13 @@ def _verdict(sides: list[Side], shared: list[Place]) -> str:
 
 
 def _title(side: Side, sides: list[Side]) -> str:
-    """Return a table's name, followed by its training set if it was evaluated on several."""
+    """Return a table's name, followed by the training set if the table was evaluated on several training sets."""
     alone = [each.name for each in sides].count(side.name) == 1
     return side.name if alone else f"{side.name} on {side.frames}"
 
 
 def _frame_block(sides: list[Side], index: list[int], pictures: list[dict[str, Pixels]], limit: int, jpeg: Jpeg) -> Block:
-    """Show one frame rendered with each table, and the ideal picture, with a slider if all pictures have the same size."""
+    """Show one frame rendered with each table, and the ideal picture. Pictures of the same size get a slider."""
     frames = [side.document["frames"][at] for side, at in zip(sides, index, strict=True)]
     shown = [
         (_title(side, sides), of[OURS], f"mean ΔE00 {frame[OURS]['mean_delta_e']:.2f}")

@@ -142,7 +142,7 @@ class _Batch:
     def _seen(
         self, batch: slice, scale: Floats, order: TapOrder, rng: np.random.Generator
     ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-        """Yield the classes and levels of a slice of the patches, draw by draw, after scaling by `scale` (draw, patch)."""
+        """Scale a slice of the patches by each row of `scale` (draw, patch), add noise, and yield classes and levels."""
         pass_, patches = self.pass_, self.patches
         signal: Floats = np.ascontiguousarray(patches.signal[batch].T)[order.taps]
         channel = self.neighbours.channel[self.site][order.taps][:, None]

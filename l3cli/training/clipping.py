@@ -74,7 +74,7 @@ def _changes(values: Array) -> Array:
 
 
 def _colours(signals: Array, outputs: Array) -> Array:
-    """Fit a matrix (channel, output) that maps signals to outputs, both relative to white, and white exactly to white."""
+    """Fit a matrix (channel, output) from signals to outputs, both relative to white, that preserves white exactly."""
     weight = 1 / signals.mean(axis=1)
     about, wanted = (each - signals.mean(axis=1, keepdims=True) for each in (signals, outputs))
     power = np.einsum("s,si,sj->ij", weight**2, about, about, optimize=False)

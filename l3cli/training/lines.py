@@ -1,8 +1,8 @@
 """Row and column noise (docs/method.md#row-and-column-noise).
 
 A *line* is a row or a column. All pixels of a line receive the same random offset, so taps in the same line of a patch have
-correlated noise. A tap's *share* is the factor by which the offsets of its row and column are multiplied: 0 if the tap
-clips, because clipped taps have no noise, and otherwise the gain of the tap's channel relative to the camera's gain.
+correlated noise. A tap's *share* is the factor by which the offsets of its row and column are multiplied. It is 0 if the tap
+clips, because clipped taps have no noise. Otherwise, it is the gain of the tap's channel relative to the camera's gain.
 """
 
 import functools

@@ -297,14 +297,14 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
 
 
 def _spectra(head: TrainingSet, recipe: LearningRecipe) -> SpectralSmoothing | None:
-    """Return the settings for smoothing spectra, or None without spectral outputs or `spectral_window`."""
+    """Return the settings for smoothing spectra, or None if the outputs are no spectra or the recipe disables smoothing."""
     if not recipe.spectral_window or len(head.outputs) == 1 or not spectra.is_spectrum(head.outputs, head.camera.channels):
         return None
     return SpectralSmoothing(recipe.spectral_window, recipe.spectral_reach)
 
 
 def _chroma_smoothing(head: TrainingSet, recipe: LearningRecipe) -> ChromaSmoothing | None:
-    """Return the settings for smoothing chroma, or None without the outputs X, Y, Z or `chroma_likeness`."""
+    """Return the settings for smoothing chroma, or None if the outputs are not X, Y, Z or the recipe disables smoothing."""
     if not recipe.chroma_likeness or head.outputs != XYZ:
         return None
     return ChromaSmoothing(recipe.chroma_reach, recipe.chroma_likeness)

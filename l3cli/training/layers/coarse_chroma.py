@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 def measured_noise(layer: LayerPass) -> CoarseChroma:
     """Measure the noise level for a layer's coarse chroma filter.
 
-    Before each step of the filter, the noise is the variance of the block means of simulated greys.
+    Each step of the filter smooths block means. The noise level of a step is their variance in simulated greys.
 
     Parameters
     ----------
