@@ -45,7 +45,7 @@ HUE_DOUBT, GREY_DOUBT = 0.05, 3.0
 SPREADS = 4  # number of steps in which the estimates of clipped blocks spread over uniform areas
 SPREAD_REACH = 32  # distance in pixels over which one step spreads the estimates
 MAX_CHANGE = 0.6  # mean squared relative difference of the unclipped channels from which estimates do not spread
-WHITE_DOUBT = 0.002  # the larger this value, the less white is mixed with the surrounding colour
+WHITE_DOUBT = 0.002  # ridge that limits the amount of white in the mixture with the surrounding colour
 MAX_HUE = 10.0  # largest X/Y and Z/Y of a hue
 Array = NDArray[np.float64]
 

@@ -192,7 +192,7 @@ def _numbers(
         raise InputFileError(f"{path}: the numbers contain both commas and points; use a single decimal separator")
     if not rows or len({len(row) for row in rows}) != 1 or len(rows[0]) < 2:
         raise InputFileError(
-            f"{path} must be a table with a wavelength in nm and the same number of values in each row; correct the file"
+            f"{path} is not a table with a wavelength in nm and the same number of values in each row; correct the file"
         )
     return [[_number(cell, decimal_comma) for cell in row] for row in rows], before
 
@@ -571,7 +571,7 @@ def _require_light(path: Path, wavelength: Array, values: Array, column: str = "
     steps = np.diff(wavelength)
     if not (np.abs(values) <= MAX_NUMBER).all() or not ((steps > 0).all() or (steps < 0).all()):
         raise InputFileError(
-            f"{path}: the wavelengths are not in order, or a value is not within ±{MAX_NUMBER:g}; correct the file"
+            f"{path}: the wavelengths are not in order, or a value is not a number within ±{MAX_NUMBER:g}; correct the file"
         )
     if not (wavelength.size and wavelength.min() > 0 and METRES < wavelength.max() <= LONGEST_NM):
         raise InputFileError(f"{path}: some wavelengths{column} are not within 0…{LONGEST_NM} nm; correct the file")

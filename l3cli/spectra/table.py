@@ -459,4 +459,4 @@ def _difference(given: Sequence[str], asked: Sequence[str]) -> str:
     if odd is None:
         twice = next(name for name in given if given.count(name) > 1)
         return f'two columns are called "{twice}"; give each column a different name'
-    return f'column "{odd[:40]}" is unexpected; {suggestion(odd, asked)} (or remove the heading)'
+    return f'column "{odd[:40]}" is not expected; {suggestion(odd, asked)} (or remove the heading)'

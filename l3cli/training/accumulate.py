@@ -99,7 +99,7 @@ class _Batch:
         self.pass_, self.patches, self.neighbours, self.site, self.weighting = pass_, patches, neighbours, site, weighting
         self.lines = LineNoise.of(pass_.head.camera, pass_.dark)
         member = (neighbours.channel[site][:, None] == np.arange(neighbours.count.shape[1])) / neighbours.count[site]
-        # The level is the mean of the channel means. This is each tap's weight in it.
+        # A patch's level, the mean of its channel means, is a weighted mean of its taps. These are the weights.
         self.tap_share = member.mean(axis=1).astype(np.float32)
 
     def add_to(self, sums: ClassSums, rng: np.random.Generator) -> None:

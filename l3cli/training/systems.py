@@ -14,7 +14,7 @@ from l3cli.artifacts.layers import PLANES
 from l3cli.classes.planes import opponent_basis, room_between, room_for
 
 Array = NDArray[np.float64]
-MAX_RIDGE_STEPS = 5  # a ridge is multiplied by 10 at most this often
+MAX_RIDGE_STEPS = 5  # maximum number of tenfold increases of a ridge
 EQUAL_RESPONSE_MARGIN = 4.0  # safety factor for the correction that the equal-response constraint adds later
 ROUNDING_MARGIN = 1.001  # safety factor for the later rounding of transforms to float32
 

@@ -108,7 +108,7 @@ def test_percent_become_shares(tmp_path: Path) -> None:
         (OCEAN + BEGIN + "400\t1\n410\tx\n420\t2\n", "not a row of numbers"),
         (OCEAN + BEGIN + "400\tx\n410\t1\n420\t2\n", "not a row of numbers"),
         (PREAMBLE + "Wavelength;a;b\n400;1\n410;2\n", "the heading has 3 columns, but the rows have 2"),
-        (OCEAN + BEGIN + END, "must be a table with a wavelength"),
+        (OCEAN + BEGIN + END, "is not a table with a wavelength"),
         ("Operator: me\nx;a;b\n400;1;2\n410;1;2\n", 'no column of "x, a, b" contains wavelengths'),
         ("Wavelength;a\n400;1,5\n410;2.5\n", "commas and points"),
         (
