@@ -155,7 +155,7 @@ def without_colour(frame: TrainingFrame, camera: CameraModel) -> TrainingFrame:
     Raises ValueError if the illuminant of the frame is unknown.
     """
     if frame.light is None:
-        raise ValueError("the illuminant of the frame must be known")
+        raise ValueError(f"the illuminant of scene {frame.scene} is unknown; use a frame with a known illuminant")
     luminance = frame.target[Y]
     electrons = white_signal(frame.light, camera) * camera.full_scale / camera.channel_gains
     of_white = electrons * (frame.exposure / camera.output_unit)

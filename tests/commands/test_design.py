@@ -256,7 +256,7 @@ WRONG = """
     g = { centre_nm = 535, sigma_nm = 40 } | g = { centre_nm = 535 }         | 2 | set both centre_nm and sigma_nm
     g = { centre_nm = 535, sigma_nm = 40 } | g = { centre_nm = 900, sigma_nm = 9, floor = 0 } | 2 | filter g is opaque
     r = { channel = "r" }               | "r\\tx" = {}                       | 2 | contains a blank or a slash
-    r = { channel = "r" }               | r = { channel = "q" }              | 2 | has no channel "q"
+    r = { channel = "r" }               | r = { channel = "q" }              | 2 | channel "q" does not exist
     r = { channel = "r" }               | r = { stack = ["g", "gb"] }        | 2 | stack contains gb
     [[level]]                           | [optimise]; pattern = ["r b"]; [[level]] | 2 | contains no Gaussian filter
     name = "four"                       | name = "four"; rivals = [["r x"]]  | 2 | "x" is not a filter
