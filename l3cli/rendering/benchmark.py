@@ -1,7 +1,7 @@
-"""Measures the rendering time of a frame, in total and for each stage.
+"""Measures the rendering time per frame, in total and per stage.
 
-The frames and tables are synthetic, with realistic sizes. The time of a frame includes all transfers: the uint16 values
-are in host memory at the beginning, and the result is in host memory at the end.
+Frames and tables are synthetic, with realistic sizes. The time includes all transfers, from uint16 values in host memory to
+the result in host memory.
 """
 
 import functools
@@ -30,7 +30,7 @@ from l3cli.rendering.reference import ReferenceRenderer
 
 WINDOW_SIDE_PIXELS = 5  # window side of the second layer
 TWO_LAYERS = ("default",)  # class recipes with a second layer
-STRENGTHS, COHERENCE, DIRECTED = (1.7, 8.0, 40.0), 31, 2.0  # class thresholds, as in configs/classes/default.toml
+STRENGTHS, COHERENCE, DIRECTED = (1.7, 8.0, 40.0), 31, 2.0  # class thresholds from configs/classes/default.toml
 BITS, BLACK_LEVEL, WHITE_LEVEL, CASE_COUNT = 12, 109, 4095, 10
 FRAMES = 40  # number of timed frames
 WARM_UP = 3  # number of frames rendered before the timing starts
@@ -38,14 +38,14 @@ WARM_UP = 3  # number of frames rendered before the timing starts
 
 @dataclass(frozen=True)
 class Case:
-    """One benchmark case, which is one line of the result."""
+    """One benchmark case, printed as one line."""
 
     width: int
     height: int
-    patch: int  # side of the windows of the first layer, in pixels
+    patch: int  # window side of the first layer, in pixels
     cfa: str  # key of CFAS
     classes: str  # key of CLASSES
-    outputs: int = 3  # number of outputs: 3 outputs are encoded as 8-bit sRGB, other numbers are returned as float32
+    outputs: int = 3  # 3 outputs are encoded as 8-bit sRGB, any other number is returned as float32
 
 
 CFAS = {
@@ -56,15 +56,15 @@ CLASSES = {"fast": (10, 1), "single": (20, 8), "default": (10, 9)}  # class reci
 
 
 def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
-    """Return a table with random transforms. Rendering with this table takes as long as with a trained table.
+    """Return a table with random transforms that renders as fast as a trained table.
 
-    The table has the numbers of levels and chromas that `CLASSES` lists for the class recipe of the case, and ten saturation
-    cases. A table with one layer also has two contrast classes. A table with two layers also has the direction classes,
-    colour ratios, coarse chroma, replacement of clipped areas and smoothed chroma of the class recipe `default`.
+    The table has ten saturation cases, and the numbers of levels and chromas that `CLASSES` lists for the class recipe. A
+    single-layer table also has two contrast classes. A two-layer table has the same direction classes, colour ratios, coarse
+    chroma, replacement of clipped areas and chroma smoothing as the class recipe `default`.
 
-    The pixels of `synthetic_frame` fall into different chroma classes, because the chroma centres surround the grey of this
-    frame. Each transform is the mean of the window plus small random deviations. The pictures are therefore nearly grey, and
-    most of their pixels are inside the sRGB gamut, as in real pictures.
+    The chroma centres surround the grey of `synthetic_frame`, so its pixels fall into different chroma classes. Each
+    transform is the mean of the window plus small random deviations. The pictures are therefore nearly grey, and most of
+    their pixels are inside the sRGB gamut, as in real pictures.
     """
     cfa = CFAS[case.cfa]
     channels = int(cfa.max()) + 1
@@ -118,12 +118,12 @@ def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
 
 
 def _directions(case: Case, level_edges: NDArray[np.float64]) -> Feature:
-    """Return the direction feature of the first layer in the class recipe `default`."""
+    """Return the direction feature that the class recipe `default` uses in the first layer."""
     period = max(CFAS[case.cfa].shape)
     span = case.patch - period
     noise = np.sqrt(
         2 * period**2 * _variance(np.append(level_edges, WHITE_LEVEL))
-    )  # standard deviation of the difference between two box sums, in DN
+    )  # standard deviation of the difference of two box sums, in DN
     constants = [direction.SCALE, direction.SCALE, 4, 1, 0, *np.rint(DIRECTED * direction.SCALE * noise).tolist()]
     windows = direction.boxes(case.patch, period, direction.inner_span(span))
     return Feature("direction", 5, windows, np.array(constants, np.int32))
@@ -132,13 +132,13 @@ def _directions(case: Case, level_edges: NDArray[np.float64]) -> Feature:
 def _second_layer(
     first: ClassRule, sites: int, white: NDArray[np.float64], level_edges: NDArray[np.float64], rng: np.random.Generator
 ) -> PlaneLayer:
-    """Return a refinement layer whose structure classes suit the noise of `synthetic_frame`.
+    """Return a refinement layer with structure thresholds for the noise of `synthetic_frame`.
 
-    Each transform returns a grey with the mean luminance of the window. The weights also have small random deviations.
+    Each transform returns a grey with the window's mean luminance, plus small random deviations.
     """
     noise = np.sqrt(
         2 * _variance(np.append(level_edges, WHITE_LEVEL)) / first.patch**3
-    )  # standard deviation of a luminance difference, in DN
+    )  # standard deviation of luminance differences, in DN
     scale = SIGMA * (WHITE_LEVEL - BLACK_LEVEL) * PLANE_STEP / noise
     mantissa, exponent = np.frexp(scale)
     rule = StructureRule(
@@ -156,7 +156,7 @@ def _second_layer(
     ratios = 0.02 * rng.standard_normal((classes, white.size, RATIO_TAPS[1])) / WINDOW_SIDE_PIXELS
     channels = int(first.case_of_code.size).bit_length() - 1
     response = np.zeros((channels + 1, channels + 1, white.size))
-    response[0, :-1] = white / channels  # a grey with the mean of all channels
+    response[0, :-1] = white / channels  # grey with the mean over all channels as its luminance
     return PlaneLayer(
         WINDOW_SIDE_PIXELS,
         np.concatenate([weights.reshape(classes, white.size, -1), ratios], axis=2).astype(np.float32),
@@ -176,7 +176,7 @@ def _variance(level: NDArray[np.float64]) -> NDArray[np.float64]:
 def synthetic_frame(case: Case, rng: np.random.Generator) -> RawFrame:
     """Return a smooth scene that covers all levels, with noise and some texture.
 
-    The noise and texture make classes change between neighbouring pixels as often as in real frames.
+    Noise and texture make the class change from pixel to pixel as often as in real frames.
     """
     cfa = CFAS[case.cfa]
     row, col = np.mgrid[: case.height, : case.width]
@@ -191,9 +191,9 @@ def synthetic_frame(case: Case, rng: np.random.Generator) -> RawFrame:
 
 
 def _detail(case: Case, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a random texture as one brightness factor per pixel.
+    """Return a random texture as a brightness factor per pixel (row, col).
 
-    As in a busy scene, most neighbouring pixels have different structure classes, even at the same CFA site.
+    As in a busy scene, the structure class of most pixels differs from that of the nearest pixels at the same CFA site.
     """
     blocks = np.zeros((case.height, case.width))
     for side in (3, 7, 15):
@@ -219,9 +219,9 @@ SMALL_CASES = (Case(64, 48, 9, "five-band", "fast"),)
 
 
 def jobs(device: str | None, variant: str | None) -> list[Callable[[], dict[str, Any]]]:
-    """Return one function per benchmark case. Each function takes no arguments, runs the case and returns the result.
+    """Return one callable per benchmark case, which runs the case and returns its result.
 
-    If `variant` is None, the cases measure the default kernel variant and the reference renderer.
+    If `variant` is None, the default kernel variant and the reference renderer are measured.
     """
     planned: list[Callable[[], dict[str, Any]]] = [functools.partial(measure, case, device, variant) for case in FULL]
     return planned + [functools.partial(measure_reference, case) for case in SMALL_CASES if variant is None]
@@ -236,7 +236,7 @@ def measure(case: Case, device: str | None = None, variant: str | None = None) -
         Parameters of the benchmark case, and medians over `FRAMES` frames in ms:
 
         * "frame_ms": time from the call until the result is in host memory
-        * "stages_ms": time of each stage as measured by the device (see `OpenCLRenderer.stage_times`)
+        * "stages_ms": time per stage, measured by the device (see `OpenCLRenderer.stage_times`)
         * "stages_sum_ms": sum of the stage times
     """
     table, frame, display = _synthetic(case)
@@ -254,7 +254,7 @@ def measure(case: Case, device: str | None = None, variant: str | None = None) -
 
 
 def measure_reference(case: Case) -> dict[str, Any]:
-    """Measure how long the reference renderer takes to render a frame. The keys are the same as in `measure`."""
+    """Measure how long the reference renderer takes to render a frame. The result has the same keys as from `measure`."""
     table, frame, display = _synthetic(case)
     renderer = ReferenceRenderer(table)
     classes = _times(lambda: renderer.labels(frame))
@@ -271,7 +271,7 @@ def _synthetic(case: Case) -> tuple[TransformTable, RawFrame, Display]:
 
 
 def _times(render: Callable[[], object]) -> list[float]:
-    """Return the durations of `FRAMES` calls of `render`, in ms."""
+    """Call `render` and return the durations of `FRAMES` calls, in ms, after `WARM_UP` calls that are not timed."""
     waits = []
     for turn in range(WARM_UP + FRAMES):
         start = time.perf_counter()

@@ -1,7 +1,7 @@
-"""Selects the transforms with which a frame is rendered.
+"""Selects or derives the transforms for a frame.
 
-The transforms depend on the illuminant of the frame (docs/method.md#several-illuminants), on its analog gain
-(docs/method.md#gains), and on the noise that remains in each pixel after a temporal filter (docs/method.md#noise-sets).
+They depend on the scene illuminant (docs/method.md#several-illuminants), the analog gain (docs/method.md#gains), and the
+noise that remains in each pixel after the temporal filter (docs/method.md#noise-sets).
 """
 
 import functools
@@ -28,16 +28,15 @@ from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.correlated_lights import mired_of
 
-MIN_VARIANCE = 1e-30  # assumed noise variance if all channels clip, in DN²
-# Smallest signal-to-noise ratio at which refinement layers use the transforms of a level. The transforms of darker levels
-# would leave more noise.
+MIN_VARIANCE = 1e-30  # noise variance in DN² assumed where all channels clip
+# At other gains, refinement layers do not use the transforms of levels with a lower signal-to-noise ratio, because these
+# transforms would leave more noise.
 DARKEST_REFINED = 2.0
-# A temporal filter leaves a fraction of the noise. For each of these fractions, transforms of a lower gain are prepared.
-LEFT = (1 / 16, 1 / 4)
-GAINS_PER_DOUBLING = 12  # number of gains per doubling for which transforms are computed
-SAME_GAIN = 0.01  # largest relative difference between gains that are treated as equal
+LEFT = (1 / 16, 1 / 4)  # noise fractions after the temporal filter for which transforms of a lower gain are prepared
+GAINS_PER_DOUBLING = 12  # transforms are computed for this number of gains per octave
+SAME_GAIN = 0.01  # gains with a smaller relative difference count as equal
 FAR_GAIN = 1.5  # l3 warns if a gain is outside the range of known analog gains by more than this factor
-CLEARLY_LESS = 0.75  # transforms of a lower gain are used only if this gain is below 0.75 times the gain of the frame
+CLEARLY_LESS = 0.75  # transforms of a lower gain are used only if it is below this fraction of the frame's gain
 
 Layers = TypeVar("Layers", TransformTable, Condition)
 Float = TypeVar("Float", np.float32, np.float64)
@@ -48,7 +47,7 @@ Float = TypeVar("Float", np.float32, np.float64)
 
 @dataclass(frozen=True)
 class Mix:
-    """A mixture of two illuminants of a table."""
+    """Mixture of two of a table's illuminants."""
 
     warm: int  # index of the illuminant with the lower colour temperature
     cool: int  # index of the illuminant with the higher colour temperature
@@ -56,18 +55,17 @@ class Mix:
 
 
 def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
-    """Return the mixture of a table's illuminants that best matches the white of a scene.
+    """Find the mixture of a table's illuminants that matches the scene illuminant.
 
-    The mixture consists of the two illuminants with the nearest colour temperatures. Their weights are linear in the
-    reciprocal colour temperature. If the scene is warmer or cooler than all illuminants of the table, the mixture contains
-    only the nearest illuminant.
+    It consists of the two illuminants next to the scene in colour temperature, weighted linearly in reciprocal colour
+    temperature. If the scene is warmer or cooler than all illuminants, only the nearest illuminant has a weight.
 
     Parameters
     ----------
     table : TransformTable
         Table with transforms for several illuminants.
     white : ndarray, (3,)
-        XYZ of the white of the scene.
+        XYZ of the scene's white.
 
     Returns
     -------
@@ -86,11 +84,10 @@ def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
 
 
 def nearest_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
-    """Return a mixture that contains only one illuminant: the illuminant of the table that is closest to a scene's white.
+    """Find the table's single illuminant that is closest to the scene illuminant, as a mixture with the weight 0 or 1.
 
-    This illuminant has the larger weight in the mixture from `mix_for`. l3 renders pictures with the transforms for this
-    illuminant, and the white balance corrects the remaining difference. The result is None if the table has no transforms
-    for single illuminants.
+    l3 renders pictures with the transforms for this illuminant, and the white balance corrects the remaining difference. The
+    result is None if the table has no transforms for single illuminants.
     """
     mix = mix_for(table, white)
     return None if mix is None else replace(mix, share=float(mix.share >= 0.5))
@@ -104,12 +101,12 @@ def mixed(table: TransformTable, mix: Mix | None) -> TransformTable:
     table : TransformTable
         Table with transforms for several illuminants.
     mix : Mix or None
-        The mixture, or None to use the transforms trained on all illuminants together.
+        Mixture of illuminants, or None for the transforms trained on all illuminants together.
 
     Returns
     -------
     TransformTable
-        A table with one set of transforms for all illuminants.
+        Table without separate transforms for single illuminants.
     """
     common = table.of_light(None)
     if mix is None:
@@ -129,7 +126,7 @@ def mixed(table: TransformTable, mix: Mix | None) -> TransformTable:
 
 
 def described(table: TransformTable, mix: Mix) -> str:
-    """Describe a mixture in words, such as "62 % A, 38 % D65" or "A"."""
+    """Describe a mixture for users, such as "62 % A, 38 % D65" or "A"."""
     warm, cool, percent = table.lights[mix.warm].name, table.lights[mix.cool].name, round(100 * mix.share)
     if percent in (0, 100):
         return cool if percent else warm
@@ -137,9 +134,9 @@ def described(table: TransformTable, mix: Mix) -> str:
 
 
 def _mixed_layers(common: Layers, warm: Layers, cool: Layers, shares: Sequence[NDArray[np.float64] | float]) -> Layers:
-    """Return the layers of `common` with transforms interpolated between `warm` and `cool`.
+    """Return `common` with transforms interpolated between `warm` and `cool`.
 
-    `shares` contains the weight of `cool` in each layer, either as one number or as one number per class.
+    `shares` contains, for each layer, the weight of `cool`: one number, or one number per class.
     """
 
     def layer(of: Any, one: Any, other: Any, share: NDArray[np.float64] | float) -> Any:
@@ -156,10 +153,9 @@ def _mixed_layers(common: Layers, warm: Layers, cool: Layers, shares: Sequence[N
 
 
 def _between(warm: NDArray[Float], cool: NDArray[Float], share: NDArray[np.float64] | float) -> NDArray[Float]:
-    """Return the weighted mean of two arrays, in which `share` is the weight of `cool`.
+    """Interpolate between two arrays. `share` is the weight of `cool`: one number, or one per element of the first axis.
 
-    `share` is one number, or one number for each element of the first axis. A value that is equal in both arrays is
-    returned unchanged.
+    Where both arrays are equal, the result is exactly the same.
     """
     one, other = warm.astype(np.float64), cool.astype(np.float64)
     share = np.asarray(share).reshape(-1, *[1] * (one.ndim - 1))
@@ -170,45 +166,44 @@ def _between(warm: NDArray[Float], cool: NDArray[Float], share: NDArray[np.float
 
 
 def known_gains(table: TransformTable) -> tuple[float, float]:
-    """Return the smallest and the largest analog gain at which the noise of a table's camera is known.
+    """Return the smallest and largest analog gains at which the noise of the table's camera is known.
 
-    Gains are relative to the gain in the camera model. The result is (1, 1) if the table does not contain its camera.
+    Gains are relative to the camera model. The result is (1, 1) if the table does not contain its camera.
     """
     known = [1.0, *(table.camera.gains.analog_gain.tolist() if table.camera and table.camera.gains else ())]
     return min(known), max(known)
 
 
 def gain_of_frames(table: TransformTable, camera: CameraModel) -> float:
-    """Return the analog gain of the frames of `camera`, relative to the camera of the table.
+    """Return the analog gain of a camera's frames, relative to the table's camera, after scaling to the table's levels.
 
-    The gain is the ratio of the full scales of the two cameras, because raw values are scaled to the table's black and white
-    levels before rendering. Differences below 1 % are ignored. The result is 1 if the table does not contain its camera.
+    It is the ratio of the two full scales, because raw values are scaled to the table's black and white levels before
+    rendering. Differences below 1 % are ignored. The result is 1 if the table does not contain its camera.
     """
     gain = table.camera.full_scale / camera.full_scale if table.camera else 1.0
     return 1.0 if abs(gain - 1) < SAME_GAIN else gain
 
 
 def nearest_step(gain: float) -> float:
-    """Round a gain to the nearest gain for which there are transforms.
+    """Round a gain to 1/12 of an octave, so that a sequence with varying gain needs only a few renderers.
 
-    A sequence with a varying gain therefore needs only a few renderers. The noise of a frame differs by at most 3 % from the
-    noise for which its transforms are intended.
+    The noise at the rounded gain differs by at most 3 %.
     """
     return float(2.0 ** (round(GAINS_PER_DOUBLING * np.log2(gain)) / GAINS_PER_DOUBLING))
 
 
 def at_gain(table: TransformTable, gain: float) -> TransformTable:
-    """Convert a table for frames with a different analog gain (docs/method.md#gains).
+    """Adapt a table to frames with another analog gain (docs/method.md#gains).
 
-    Transforms for temporally filtered frames are kept if they apply at this gain. A table without its camera is returned
-    unchanged.
+    Transforms for temporally filtered frames remain if they apply at this gain. A table that does not contain its camera is
+    returned unchanged.
 
     Parameters
     ----------
     table : TransformTable
         Table for the gain of its camera.
     gain : float
-        Analog gain of the frames, relative to the camera of the table.
+        Analog gain of the frames, relative to the table's camera.
 
     Returns
     -------
@@ -225,7 +220,7 @@ def at_gain(table: TransformTable, gain: float) -> TransformTable:
 
 
 def _at_gain(table: TransformTable, gain: float) -> TransformTable:
-    """Convert a table for a different analog gain. The table must not have transforms for single illuminants."""
+    """Adapt a table to another analog gain. The table must not have transforms for single illuminants."""
     usual, known = replace(table, conditions=()), [(each.noise, each) for each in table.noises if each.noise]
     less = []
     for at in (1.0, *(gain * left for left in LEFT if gain * left > 1)):
@@ -238,10 +233,10 @@ def _at_gain(table: TransformTable, gain: float) -> TransformTable:
 
 
 def _equivalent(table: TransformTable, gain: float) -> TransformTable:
-    """Return a copy of a table with a single set of transforms, for the given gain.
+    """Return a table with a single set of transforms for the given gain.
 
-    At the gain of the camera model, another level has the same relative noise as a level at the given gain. Each class uses
-    the transforms of this other level. Classes of clipped pixels keep their own transforms.
+    Each class uses the transforms of the level that has the same signal-to-noise ratio at the camera model's gain. Classes
+    of clipped pixels keep their own transforms.
     """
     if gain == 1:
         return table
@@ -279,11 +274,11 @@ def _equivalent(table: TransformTable, gain: float) -> TransformTable:
 
 
 def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
-    """Return a copy of a layer in which unclipped classes use transforms from other levels.
+    """Return a layer in which unclipped classes use the transforms of other levels.
 
-    Transforms of unclipped classes have no intercept, so they can be used at other levels. `place` contains, for each level
-    of the first layer, the index of the level from which the transforms are copied. If an index is fractional, the
-    transforms of the two adjacent levels are interpolated. `sites` is the number of CFA sites.
+    This is possible because transforms of unclipped classes have no intercept. `place` contains the index of the source
+    level for each level of the first layer; fractional indices interpolate between two levels. `sites` is the number of CFA
+    sites.
     """
     rule, first = layer.rule, isinstance(layer, MosaicLayer)
     every, numbers = np.arange(len(layer.weights)), np.arange(place.size)
@@ -291,7 +286,7 @@ def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
     middle, to = (np.bincount(own, each) / np.bincount(own) for each in (numbers, place))
     clips = np.asarray(there.kind) >= (rule.chromas if first else rule.structures)
     to = np.where(clips, there.level, np.interp(to, middle, np.arange(middle.size))[there.level])
-    low, step = to.astype(np.int64), every.size // (sites * middle.size)  # the classes of a level are adjacent
+    low, step = to.astype(np.int64), every.size // (sites * middle.size)  # `step` classes per level, which are adjacent
     darker, brighter = (layer.weights[every + step * (each - there.level)] for each in (low, np.ceil(to).astype(np.int64)))
     return replace(layer, weights=_between(darker, brighter, to - low))
 
@@ -300,26 +295,25 @@ def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
 
 
 def noise_limits(table: TransformTable) -> dict[NoiseScale, float]:
-    """Return the largest noise fraction at which each set of transforms for reduced noise is used.
+    """Return up to which noise fraction each of a table's low-noise sets of transforms is used.
 
-    These sets were trained for frames in which a temporal filter has reduced the noise. A noise fraction is a noise
-    variance, divided by the noise variance of the camera. The limit between two sets for the noise fractions a < b is
-    a^¾ · b^¼.
+    Low-noise sets are for temporally filtered frames. A noise fraction is the noise variance divided by the camera's noise
+    variance. A set trained for the fraction a is used up to a^¾ · b^¼, where b is the fraction of the next noisier set.
 
     Returns
     -------
     dict of NoiseScale to float
-        For each set, the largest noise fraction at which the set is used, in order of decreasing noise.
+        Limit of each set, in order of decreasing noise.
     """
     lower = sorted((each.noise for each in table.noises if each.noise and each.noise.shot < 1), key=lambda each: -each.shot)
     return {each: each.shot**0.75 * above.shot**0.25 for above, each in itertools.pairwise([NoiseScale(), *lower])}
 
 
 class NoiseSets:
-    """All sets of transforms of a table. Each pixel is rendered with the set that matches the remaining noise of the pixel.
+    """A table's sets of transforms, from which renderers choose for each pixel according to its remaining noise.
 
-    The first set is for the full noise of the camera, and the other sets are for lower noise. One array contains the
-    transforms of all sets. The classes of all sets are numbered consecutively, as if each set had its own CFA sites.
+    The first set is for the camera's full noise, and the others are for lower noise. The arrays of all sets are
+    concatenated. The classes are numbered through all sets, as if each set had its own CFA sites.
 
     Parameters
     ----------
@@ -342,7 +336,7 @@ class NoiseSets:
         macros = [kernel_macros(each.first.rule) for each in self.tables[:2]]
         if macros[0] != macros[-1]:
             raise InputFileError(
-                "the table's transforms for less noise have a different class rule from its other transforms; train the "
+                "the table's transforms for low noise have a different class rule from its other transforms; train the "
                 "table again"
             )
 
@@ -350,37 +344,34 @@ class NoiseSets:
         return len(self.tables)
 
     def share(self, frame: RawFrame) -> float:
-        """Return the noise variance of a frame, as a fraction of the noise variance of the camera.
-
-        The result is 1 if there is only one set of transforms.
-        """
+        """Return a frame's noise variance as a fraction of the camera's, or 1 if there is only one set of transforms."""
         return frame.noise_share if self._limits else 1.0
 
     def chosen(self, frame: RawFrame) -> NDArray[np.uint8]:
-        """Return the index of the set of transforms with which each pixel of a frame is rendered."""
+        """Choose a set of transforms for each pixel of a frame, as an array (row, col) of set indices."""
         if frame.noise_left is None:
             return np.zeros(frame.values.shape, np.uint8)
         return frame.noise_left.below(self._limits, frame.values.shape)
 
     @functools.cached_property
     def first(self) -> MosaicLayer:
-        """The first layers of all sets, joined into one layer. The class rule is the rule of the first set."""
+        """The first layers of all sets, concatenated, with the class rule of the first set."""
         names = ("weights", "intercept", "samples", "condition")
         return self._joined(names, [table.first for table in self.tables])
 
     @functools.cached_property
     def later(self) -> tuple[PlaneLayer, ...]:
-        """The refinement layers of all sets, joined in the same way as `first`."""
+        """The refinement layers of all sets, concatenated like `first`."""
         layers = zip(*(table.later for table in self.tables), strict=True)
         return tuple(self._joined(("weights", "intercept", "samples"), parts) for parts in layers)
 
     @functools.cached_property
     def first_fixed_point(self) -> FixedPoint:
-        """The first layers of all sets in fixed point, joined in the same way as `first`."""
+        """The first layers of all sets in fixed point, concatenated like `first`."""
         return self._joined(("weights", "intercept", "fraction"), [fixed_point(table) for table in self.tables])
 
     def refinement_rules(self, number: int) -> tuple[PlaneRule, ...]:
-        """Return the class rules of refinement layer `number` in all sets. Refinement layers count from 0."""
+        """Return each set's class rule for refinement layer `number` (from 0)."""
         return tuple(table.later[number].rule for table in self.tables)
 
     @staticmethod
@@ -391,22 +382,22 @@ class NoiseSets:
 
 
 def with_edges_for(table: TransformTable, share: float) -> TransformTable:
-    """Adapt the class edges of a table to frames with less noise. The transforms do not change.
+    """Adapt the class thresholds of a table to frames with less noise, without changing the transforms.
 
-    The edges of contrast, strength and other features are scaled with the noise. The scaled edges therefore separate texture
-    from uniform areas as reliably as the original edges do at the full noise of the camera.
+    The thresholds for contrast, strength and other noise-dependent features scale with the noise, so that they separate
+    texture from uniform areas as reliably as at the camera's full noise.
 
     Parameters
     ----------
     table : TransformTable
-        Table for the noise of its camera.
+        Table for the full noise of its camera.
     share : float
-        Noise variance of the frames, as a fraction of the noise variance of the camera.
+        Noise variance of the frames, as a fraction of the camera's noise variance.
 
     Returns
     -------
     TransformTable
-        A table with one set of transforms.
+        Table with a single set of transforms.
     """
     first = _with_edges(table.first.rule, share)
 
@@ -422,9 +413,9 @@ def with_edges_for(table: TransformTable, share: float) -> TransformTable:
 
 
 def _with_edges(rule: ClassRule, share: float | NDArray[np.float64]) -> ClassRule:
-    """Scale the class edges that depend on noise to another noise level.
+    """Scale the noise-dependent class thresholds by `share`, the ratio of the new to the old noise variance.
 
-    `share` is the new noise variance as a fraction of the old one, as a single number or as one number per level.
+    `share` is one number, or one number per level.
     """
     features = tuple(module.with_less_noise(feature, share) for module, feature in features_of(rule))
     stored = StoredFeatures.of(features) if features else None
@@ -432,6 +423,6 @@ def _with_edges(rule: ClassRule, share: float | NDArray[np.float64]) -> ClassRul
 
 
 def _scaled(edges: NDArray[np.uint32], share: float | NDArray[np.float64]) -> NDArray[np.uint32]:
-    """Multiply class edges by `share`, and keep the edges distinct and in increasing order."""
+    """Multiply class thresholds by `share`, and keep them distinct."""
     least = np.arange(len(edges)).reshape(-1, *[1] * (edges.ndim - 1))
     return np.clip(np.rint(edges * share), least, 2**32 - 1).astype(np.uint32)

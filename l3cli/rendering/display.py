@@ -1,6 +1,6 @@
 """Converts XYZ to pictures in a colour space (docs/method.md#display).
 
-The steps are a matrix, gamut mapping, an optional tone curve, the transfer curve, and rounding to integers.
+The steps are a matrix, gamut mapping, an optional tone curve, the transfer curve, and rounding to integer codes.
 """
 
 from dataclasses import dataclass
@@ -15,20 +15,20 @@ from l3cli.physics.gamut import gamut_of, into_gamut
 from l3cli.physics.spaces import SRGB, Curve, Space, adaptation_matrix
 from l3cli.physics.stokes import STOKES
 
-MAX_LAYERS = 4  # largest number of layers that the renderers support
+MAX_LAYERS = 4  # limit of the renderers
 
 
 @dataclass(frozen=True)
 class Display:
-    """Settings for the conversion of XYZ to the integer values (codes) of a picture.
+    """Settings for converting XYZ to the integer codes of a picture.
 
     code = round(top · curve(clip(tone(gamut(matrix @ XYZ)), 0, 1)))
     """
 
     matrix: NDArray[np.float64]  # (3, 3) converts XYZ to linear values; includes chromatic adaptation and exposure
     bits: int  # bits per code, 8 or 16
-    space: Space = SRGB  # a colour space with a transfer curve
-    tone: Tone | None = None  # tone curve, if any
+    space: Space = SRGB  # must have a transfer curve
+    tone: Tone | None = None
 
     def __post_init__(self) -> None:
         if self.matrix.shape != (3, 3) or not np.isfinite(self.matrix).all() or self.bits not in CODES:
@@ -44,7 +44,7 @@ class Display:
 
     @property
     def top(self) -> int:
-        """The highest code."""
+        """Highest code."""
         return 2**self.bits - 1
 
     @property
@@ -53,18 +53,18 @@ class Display:
 
 
 def make_display(white: NDArray[np.floating], scale: float, bits: int, space: Space = SRGB) -> Display:
-    """Return the display settings for a scene with a known white.
+    """Return display settings that map a scene's white to the white of a colour space.
 
     Parameters
     ----------
     white : ndarray, (3,)
-        XYZ of the white of the scene, which becomes the white of the colour space.
+        XYZ of the scene's white.
     scale : float
-        Exposure. XYZ is multiplied by this factor.
+        Exposure scale, by which XYZ is multiplied.
     bits : int
         Bits per code, 8 or 16.
     space : Space
-        A colour space with a transfer curve.
+        Colour space with a transfer curve.
 
     Returns
     -------
@@ -73,29 +73,29 @@ def make_display(white: NDArray[np.floating], scale: float, bits: int, space: Sp
     Raises
     ------
     RecipeError
-        If the white or the scale is not positive.
+        If the white or the exposure scale is not positive.
     """
     if not np.all(np.asarray(white) > 0):
         shown = ", ".join(f"{each:.4g}" for each in white)
-        raise RecipeError(f"the white of the scene has the XYZ {shown}; use a white whose X, Y and Z are positive")
+        raise RecipeError(f"the scene white has the XYZ {shown}; use a white with positive X, Y and Z")
     return adapted_display(adaptation_matrix(white, display_white()), scale, bits, space)
 
 
 def adapted_display(
     adaptation: NDArray[np.floating], scale: float, bits: int, space: Space = SRGB, tone: Tone | None = None
 ) -> Display:
-    """Return the display settings for a scene with a known chromatic adaptation.
+    """Return display settings that include a given chromatic adaptation.
 
     Parameters
     ----------
     adaptation : ndarray, (3, 3)
-        Converts XYZ under the illuminant of the scene to XYZ under D65.
+        Converts XYZ under the scene illuminant to XYZ under D65.
     scale : float
-        Exposure. XYZ is multiplied by this factor.
+        Exposure scale, by which XYZ is multiplied.
     bits : int
         Bits per code, 8 or 16.
     space : Space
-        A colour space with a transfer curve.
+        Colour space with a transfer curve.
     tone : Tone or None
         Tone curve, if any.
 
@@ -106,28 +106,28 @@ def adapted_display(
     Raises
     ------
     RecipeError
-        If the scale is not positive.
+        If the exposure scale is not positive.
     """
     return Display(linear_matrix(adaptation, scale, space), bits, space, tone)
 
 
 def linear_matrix(adaptation: NDArray[np.floating], scale: float, space: Space) -> NDArray[np.float64]:
-    """Return the matrix M (3, 3) that converts XYZ of a scene to linear values of a colour space: values = M @ XYZ.
+    """Return the matrix (3, 3) from scene XYZ to linear values of a colour space.
 
-    M includes the exposure `scale`, the `adaptation` to D65, and the adaptation from D65 to the white of the colour space.
-    Raises a RecipeError if the scale is not positive.
+    It combines the exposure `scale`, the `adaptation` to D65, and the adaptation from D65 to the white of the colour space.
+    Raises RecipeError if the scale is not positive.
     """
     if not (np.isfinite(scale) and scale > 0):
-        raise RecipeError(f"the exposure is {scale:g}; use a positive number")
+        raise RecipeError(f"the exposure is {scale:g}, but must be positive; use a positive number")
     daylight, neutral = display_white(), space.neutral_xyz
     own = np.eye(3) if np.array_equal(daylight, neutral) else adaptation_matrix(daylight, neutral)
     return np.asarray(space.from_xyz @ (own @ (scale * adaptation)), np.float64)
 
 
 def require_xyz(outputs: tuple[str, ...]) -> None:
-    """Raise a RecipeError unless pictures can be made from these outputs.
+    """Raise a RecipeError unless the outputs can be shown as a picture.
 
-    Pictures can be made from X, Y and Z, from Y alone, and from Stokes parameters. Other outputs may follow X, Y and Z.
+    This is possible for X, Y and Z (optionally followed by other outputs), for Y alone, and for Stokes parameters.
     """
     if outputs[:3] not in (("X", "Y", "Z"), GREY, STOKES):
         raise RecipeError(
@@ -136,20 +136,20 @@ def require_xyz(outputs: tuple[str, ...]) -> None:
 
 
 def shown_adaptation(table: TransformTable, adaptation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the matrix that converts the outputs of a table to XYZ under D65.
+    """Return the matrix from the outputs of a table to XYZ under D65.
 
     Parameters
     ----------
     table : TransformTable
-        Table whose outputs are displayed.
+        Table that renders the outputs.
     adaptation : ndarray, (3, 3)
-        Converts the outputs X, Y, Z under the illuminant of the scene to XYZ under D65.
+        Converts XYZ under the scene illuminant to XYZ under D65.
 
     Returns
     -------
     ndarray, (3, 3)
-        `adaptation` for a table with the outputs X, Y, Z. For a table of grey pictures, a matrix that converts Y (or S0) to
-        a grey of this luminance, with exactly equal R, G and B.
+        `adaptation` for colour tables. For monochrome tables, a matrix that converts Y (or S0) to a grey of this luminance,
+        with exactly equal R, G and B.
     """
     return np.outer(display_white(), [0.0, 1.0, 0.0]) if table.shows_grey else adaptation
 
@@ -161,10 +161,9 @@ def require_known_layers(table: TransformTable) -> None:
 
 
 def encode(planes: NDArray, display: Display) -> NDArray:
-    """Convert X, Y and Z to the integer values of a picture, computed in float64.
+    """Encode X, Y and Z as a picture (row, col, 3), computed in float64.
 
-    `planes` has the axes (output, row, col), and X, Y and Z are the first three outputs. The result has the axes
-    (row, col, 3).
+    X, Y and Z are the first three of `planes` (output, row, col).
     """
     linear = np.einsum("po,orc->rcp", display.matrix, planes[:3].astype(np.float64))
     within = into_gamut(linear, gamut_of(display.space), bounded=display.tone is None)

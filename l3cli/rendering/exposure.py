@@ -1,6 +1,6 @@
-"""Computes the automatic exposure of frames, and counts pixels for which the table was not trained (docs/method.md#display).
+"""Automatic exposure, and the fraction of pixels for which a table was not trained (docs/method.md#display).
 
-Sequences are measured on a sample of about 1500 pixels per frame.
+Except for the exposure of stills, everything is measured on about 1500 pixels per frame.
 """
 
 import functools
@@ -19,13 +19,13 @@ from l3cli.frames.frame import RawFrame, mirrored_indices
 from l3cli.physics.display import white_percentile
 from l3cli.rendering.white.scene_white import WhiteBalance, balanced_patches, followed_share
 
-GRID = (32, 48)  # largest number of rows and of columns in the grid of sampled pixels
-# Relative luminance error that noise can cause near clipped pixels, where fewer channels measure the luminance.
+GRID = (32, 48)  # maximum numbers of rows and columns of sampled pixels
+# Relative error of the luminance due to noise near clipped pixels, where fewer channels contribute.
 NOISE_WHERE_CLIPPED = 0.05
 
 
 class SpreadSamples:
-    """Extracts about 1500 evenly spaced patches at one CFA site from a frame, and determines the class of each patch."""
+    """Samples a frame: extracts about 1500 evenly spaced patches at one CFA site, and classifies them."""
 
     def __init__(self, table: TransformTable) -> None:
         self._table = table
@@ -33,23 +33,23 @@ class SpreadSamples:
         self._orders: dict[int, TapOrder] = {}  # CFA site → order of the taps
 
     def of(self, frame: RawFrame, gains: np.ndarray | None = None) -> tuple[RawFrame, int, Integers]:
-        """Return patches of a frame, with the CFA site and the class of each patch.
+        """Extract and classify patches of a frame.
 
         Parameters
         ----------
         frame : RawFrame
-            Frame from which the patches are taken.
+            Frame to sample.
         gains : ndarray, (channel,), optional
-            White balance gains to apply to the patches.
+            White-balance gains to apply to the patches.
 
         Returns
         -------
         patches : RawFrame
-            Frame whose values have the axes (patch, tap), with the shading of each patch.
+            Patches at the table's levels, with values of shape (patch, tap) and the shading of each patch.
         site : int
-            CFA site of all patches, which is the site of the first pixel of the frame.
+            CFA site of all patches, which is the site of the frame's first pixel.
         labels : ndarray, (patch,)
-            Class of each patch in the first layer, numbered within the site.
+            First-layer class of each patch, numbered within the site.
         """
         table, rule = self._table, self._table.first.rule
         cut, site = self._cut(frame), frame.phase[0] * table.cfa.shape[1] + frame.phase[1]
@@ -61,16 +61,16 @@ class SpreadSamples:
         return cut, site, label_patches(cut.values, rule, self._neighbours, site, self._orders[site])
 
     def patches(self, frame: RawFrame) -> RawFrame:
-        """Return the patches of a frame, without white balance gains."""
+        """Extract patches at the table's levels, without white balance or classification."""
         return self._at_levels(self._cut(frame))
 
     def _at_levels(self, cut: RawFrame) -> RawFrame:
-        """Scale patches to the table's black and white levels, and correct their colour shading."""
+        """Scale patches to the table's levels, and correct their colour shading."""
         table = self._table
         return cut.at_levels(table.black_level, table.white_level, table.bits).shading_corrected()
 
     def _cut(self, frame: RawFrame) -> RawFrame:
-        """Extract the patches of a frame, with the black and white levels of the frame."""
+        """Extract patches at the levels of the frame."""
         down, across = self._geometry(frame)
         patches = frame.values.reshape(-1).take(_places(down, across))
         shading = None
@@ -81,27 +81,27 @@ class SpreadSamples:
         return replace(frame, values=patches, shading=shading)
 
     def shape(self, frame: RawFrame) -> tuple[int, int]:
-        """Return the number of rows and of columns in the grid of patches. The patches are numbered row by row."""
+        """Return the numbers of rows and columns of patches, which are ordered row by row."""
         down, across = self._geometry(frame)
         return len(_windows(*down)[0]), len(_windows(*across)[0])
 
     def _geometry(self, frame: RawFrame) -> list[tuple[int, int, int, int]]:
-        """Return the arguments of `_windows` for the rows and for the columns."""
+        """Return the arguments of `_windows` for rows and columns."""
         table = self._table
         return [(frame.values.shape[axis], table.cfa.shape[axis], table.first.rule.patch, GRID[axis]) for axis in (0, 1)]
 
     def signal(self, patches: RawFrame) -> NDArray[np.float32]:
-        """Convert the values of patches to fractions of full scale."""
+        """Convert patch values to fractions of full scale."""
         full_scale = np.float32(self._table.white_level - self._table.black_level)
         return (patches.values.astype(np.float32) - np.float32(patches.black_level)) / full_scale
 
 
 class LightMeter:
-    """Measures the 99th percentile of the luminance in a frame, from about 1500 pixels that are rendered on the CPU.
+    """Measures the 99th percentile of a frame's luminance from about 1500 pixels.
 
     The effect of noise near clipped pixels is removed, as in `still_scale`. The result is limited to the luminance of a
-    white that clips every channel, because l3 always displays such a white as white. All sampled pixels have the same CFA
-    site, which is sufficient because all sites respond equally to uniform areas. The result does not depend on the device.
+    white that clips all channels, because l3 always displays such a white as white. One CFA site is sufficient, because all
+    sites respond equally to uniform areas. The pixels are rendered on the CPU, so the result does not depend on the device.
     """
 
     def __init__(self, table: TransformTable) -> None:
@@ -111,7 +111,7 @@ class LightMeter:
         self._limit = np.inf if table.clipped_white is None else table.clipped_white[1]
 
     def brightness(self, frame: RawFrame, balance: WhiteBalance | None = None) -> float:
-        """Return the luminance Y that is displayed as white, after the white balance gains of `balance`."""
+        """Return the luminance Y to display as white, for a frame with the white balance `balance`."""
         patches, site, labels = self._samples.of(frame, None if balance is None else balance.gains)
         classes = self.table.first.rule.on_site(labels, site)
         luminance = np.einsum("nt,nt->n", self._weights[classes], self._samples.signal(patches)) + self._intercept[classes]
@@ -123,21 +123,21 @@ class LightMeter:
 
 
 def still_scale(luminance: NDArray[np.floating], frame: RawFrame, table: TransformTable) -> float:
-    """Return the automatic exposure scale of a still image, which is the factor that maps white to 1.
+    """Compute the automatic exposure scale of a still: the factor that maps the luminance of white to 1.
 
     Parameters
     ----------
     luminance : ndarray, (row, col)
-        Rendered Y of the frame.
+        Rendered Y.
     frame : RawFrame
-        The frame, with white balance gains applied.
+        The frame, after white-balance gains.
     table : TransformTable
-        The table that rendered the frame.
+        Table that rendered the frame.
 
     Returns
     -------
     float
-        The scale, or 1 if the scene is dark.
+        Exposure scale, or 1 if the frame is completely dark.
     """
     rule, floor = table.first.rule, frame.black_level + frame.dark
     clips_from = floor + (rule.saturation - table.black_level) / (table.white_level - table.black_level) * (
@@ -149,12 +149,11 @@ def still_scale(luminance: NDArray[np.floating], frame: RawFrame, table: Transfo
 
 
 def _white(luminance: NDArray[np.floating], clipped: NDArray[np.bool_]) -> float:
-    """Return the luminance that should be displayed as white: the 99th percentile, corrected for the noise of clipped areas.
+    """Return the luminance to display as white: the 99th percentile, corrected for noise in clipped areas.
 
-    Noise raises the percentile, so that a uniform white would be displayed as grey. The effect is visible in areas where
-    some channels clip, because fewer channels measure the luminance there. The result is therefore the mean luminance of the
-    pixels that differ from the percentile by at most `NOISE_WHERE_CLIPPED`. For pixels outside clipped areas, this mean uses
-    the percentile instead of the luminance.
+    Noise raises the percentile, so that a uniform white would look grey. This is visible where some channels clip, because
+    fewer channels contribute to the luminance. The result is therefore a mean over all pixels within `NOISE_WHERE_CLIPPED`
+    of the percentile: clipped pixels contribute their luminance, and the others contribute the percentile itself.
     """
     white = white_percentile(luminance)
     alike = np.abs(luminance - white) <= NOISE_WHERE_CLIPPED * white
@@ -164,7 +163,7 @@ def _white(luminance: NDArray[np.floating], clipped: NDArray[np.bool_]) -> float
 
 
 def _near(marked: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
-    """Return a mask of the pixels within `radius` rows and `radius` columns of a marked pixel."""
+    """Dilate a mask by `radius` pixels in rows and columns."""
     for turned in (False, True):
         marked = marked.T if turned else marked
         near = marked.copy()
@@ -177,9 +176,9 @@ def _near(marked: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
 
 @functools.lru_cache(4)  # the result is the same for all frames of a sequence
 def _windows(length: int, period: int, patch: int, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Choose evenly spaced patches along one axis of a frame, and return the indices of their samples.
+    """Choose at most `most` evenly spaced patches along one axis, and return the indices of their samples.
 
-    There are at most `most` patches. All patches are centred on samples with the CFA phase of the first sample.
+    All patches are centred on samples with the same CFA phase as the first sample.
 
     Returns
     -------
@@ -197,9 +196,9 @@ def _windows(length: int, period: int, patch: int, most: int) -> tuple[np.ndarra
 
 @functools.lru_cache(1)
 def _places(down: tuple[int, int, int, int], across: tuple[int, int, int, int]) -> np.ndarray:
-    """Return the index of each patch value in the flattened frame, with the axes (patch, tap).
+    """Return the indices (patch, tap) of all patch values in the flattened frame.
 
-    Indexing the flattened frame is twice as fast as indexing by row and column.
+    This is twice as fast as indexing by row and column.
     """
     (_, row), (_, col) = _windows(*down), _windows(*across)
     places = row[:, None, :, None].astype(np.intp) * across[0] + col[None, :, None, :]
@@ -208,11 +207,11 @@ def _places(down: tuple[int, int, int, int], across: tuple[int, int, int, int]) 
 
 
 class SteadyExposure:
-    """Computes the exposure scale of the frames of a sequence, one after another.
+    """Smooths the automatic exposure of a sequence over time, frame by frame.
 
-    The scale of the first frame is computed from its brightness alone. For later frames, the logarithm of the scale
-    approaches the required value exponentially, which smooths measurement noise and follows changes of the light without
-    overshoot. Changes of the analog gain are compensated immediately. The scale does not depend on later frames.
+    The first frame is exposed for its own brightness. Afterwards, the logarithm of the scale approaches the measured value
+    exponentially, which suppresses measurement noise and follows lighting changes without overshoot. Changes of the analog
+    gain are compensated immediately. Later frames have no influence.
     """
 
     def __init__(self, rate: Fraction) -> None:
@@ -220,9 +219,10 @@ class SteadyExposure:
         self._log: float | None = None
 
     def scale(self, brightness: float, gain: float = 1.0) -> float:
-        """Return the scale of the next frame, from its brightness and analog gain.
+        """Return the exposure scale for the next frame.
 
-        A completely dark frame has the scale of the previous frame, or 1 at the beginning of a sequence.
+        `brightness` is the luminance to display as white. If it is 0, the scale of the previous frame remains (1 at the
+        beginning of a sequence).
         """
         if brightness > 0:
             wanted = math.log(gain / brightness)
@@ -232,26 +232,26 @@ class SteadyExposure:
 
 @dataclass(frozen=True)
 class OutOfRange:
-    """Fractions of a frame's pixels that are outside the training range of the table, or saturated.
+    """Fractions of a frame's pixels that are saturated or outside the training range of a table.
 
-    `darker`, `brighter` and `untrained` count different pixels.
+    The first three fractions do not overlap.
     """
 
-    darker: float  # pixels darker than all trained levels
-    brighter: float  # pixels brighter than all trained levels
-    untrained: float  # pixels at trained levels whose classes have no training patches
-    saturated: float  # pixels that are clipped or near a clipped pixel
+    darker: float  # darker than all trained levels
+    brighter: float  # brighter than all trained levels
+    untrained: float  # at a trained level, but in a class without training patches
+    saturated: float  # clipped or near a clipped pixel
 
 
 class RangeMeter:
-    """Measures the fraction of a frame's pixels for which a table was not trained, from about 1500 pixels per frame."""
+    """Estimates the fraction of a frame's pixels for which a table was not trained, from about 1500 pixels."""
 
     def __init__(self, table: TransformTable) -> None:
         self._table, self._spread = table, SpreadSamples(table)
         self._samples = table.first.rule.by_feature(table.first.samples)
 
     def outside(self, frame: RawFrame) -> OutOfRange:
-        """Measure the fractions of pixels in a frame that are too dark, too bright, untrained or saturated."""
+        """Estimate the fractions of a frame's pixels that are too dark, too bright, untrained or saturated."""
         rule = self._table.first.rule
         _, site, labels = self._spread.of(frame)
         place = rule.split(labels)
@@ -263,7 +263,7 @@ class RangeMeter:
         return OutOfRange(*(float(np.mean(mask)) for mask in (darker, brighter, untrained, saturated)))
 
     def learned_range(self) -> tuple[float, float]:
-        """Return the lowest and the highest signal for which the table was trained, as fractions of full scale."""
+        """Return the lowest and highest trained signals, as fractions of full scale."""
         table = self._table
         learned = np.flatnonzero(self._samples.sum(axis=(0, 2, 3, 4)) > 0)
         edges = np.concatenate([[0.0], level.inner_bounds(table.first.rule, table.black_level, table.white_level), [1.0]])

@@ -1,12 +1,10 @@
-"""Estimates how much the flicker of mains lamps brightens or darkens each frame of a sequence (docs/method.md#flicker).
+"""Estimates how much mains flicker brightens or darkens each frame of a sequence (docs/method.md#flicker).
 
-Lamps on mains of 50 or 60 Hz flicker at 100 or 120 Hz. In a sequence with r frames per second, this frequency and its second
-harmonic are aliased: each appears at its distance from the nearest multiple of r. For example, 100 Hz appears as 10 Hz at 30
-frames per second.
+Lamps on 50 or 60 Hz mains flicker at 100 or 120 Hz. At r frames per second, this frequency and its second harmonic alias to
+their distances from the nearest multiple of r. For example, 100 Hz appears as 10 Hz at 30 frames per second.
 
-The logarithm of the brightness is modelled as the sum of a slow trend, of jumps at changes of the scene, and of sines at
-these known frequencies. The model is fitted to the differences between consecutive frames. A jump is then a single outlier,
-which the robust fit ignores.
+The log brightness is modelled as the sum of a slow trend, jumps at scene changes, and sines at the aliased frequencies. The
+model is fitted to differences between consecutive frames, where a jump is a single outlier that the robust fit ignores.
 """
 
 from collections.abc import Sequence
@@ -20,25 +18,25 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.exposure import SpreadSamples
 
-LOOKAHEAD = 16  # number of frames before and after a frame from which its flicker is estimated
-MIN_STEPS = 8  # smallest number of frame differences for a fit
-MIN_CYCLES = 2.0  # smallest number of cycles among the frames of a fit; slower changes are treated as changes of the scene
+LOOKAHEAD = 16  # the flicker of a frame is estimated from this number of frames before and after it
+MIN_STEPS = 8  # a fit needs at least this number of frame differences
+MIN_CYCLES = 2.0  # flicker with fewer cycles among the frames of a fit counts as a change in the scene
 MAINS_HZ = (50, 60)
-HARMONICS = (2, 4)  # flicker frequencies as multiples of the mains frequency; lamp power oscillates at twice this frequency
+HARMONICS = (2, 4)  # flicker frequencies as multiples of the mains frequency: twice per cycle, and its second harmonic
 MIN_SIGNAL = 0.005  # smallest signal of a usable patch, as a fraction of full scale
-MIN_PATCHES = 50  # smallest number of usable patches for a brightness ratio
-L1_ROUNDS = 10  # iterations of the fit for least absolute deviations
-BIWEIGHT_ROUNDS = 5  # additional iterations with Tukey's biweight
-EXACT = 5e-4  # lower limit of the residuals' standard deviation in the robust fit; logarithm of a brightness ratio
+MIN_PATCHES = 50  # a brightness ratio needs at least this number of usable patches
+L1_ROUNDS = 10  # iterations that minimise absolute deviations
+BIWEIGHT_ROUNDS = 5  # further iterations with Tukey's biweight
+EXACT = 5e-4  # lower limit for the standard deviation of the residuals, which are log brightness ratios
 OUTLIER = 4.685  # cut-off of Tukey's biweight, in standard deviations
 Array = NDArray[np.float64]
 
 
 class BrightnessRatio:
-    """Compares the brightness of each frame of a sequence with the brightness of the previous frame.
+    """Compares the brightness of each frame with the previous frame.
 
-    The result is a median over about 1500 patches of raw values. Motion has no influence as long as moving objects cover
-    less than half of the frame.
+    The median over about 1500 raw patches makes it insensitive to motion, as long as moving objects cover less than half of
+    the frame.
     """
 
     def __init__(self, table: TransformTable) -> None:
@@ -46,10 +44,10 @@ class BrightnessRatio:
         self._before: Array | None = None
 
     def of(self, frame: RawFrame) -> float:
-        """Return the natural logarithm of the brightness ratio between this frame and the previous frame.
+        """Return the natural logarithm of the frame's brightness, relative to the previous frame.
 
-        Patches that are dark or clipped in one of the frames are not used. The result is 0 for the first frame, and for
-        frames with fewer than MIN_PATCHES usable patches.
+        Patches that are dark or clipped in either frame are not used. The result is 0 for the first frame and if fewer than
+        MIN_PATCHES patches are usable.
         """
         patches = self._samples.patches(frame)
         signal = self._samples.signal(patches)
@@ -64,10 +62,10 @@ class BrightnessRatio:
 
 
 def seen_frequencies(mains: int, rate: Fraction, frames: int) -> list[float]:
-    """Return the frequencies of the flicker in a sequence after aliasing, in cycles per frame.
+    """Return the aliased flicker frequencies in a sequence, in cycles per frame.
 
-    A frequency is omitted if the sequence contains fewer than `MIN_CYCLES` of its cycles. The second harmonic is also
-    omitted if its number of cycles differs by less than one from the number of cycles of the flicker frequency.
+    A frequency is omitted if the sequence contains fewer than `MIN_CYCLES` cycles of it. The second harmonic is also omitted
+    if its number of cycles differs from the fundamental's by less than one.
 
     Parameters
     ----------
@@ -93,7 +91,7 @@ def seen_frequencies(mains: int, rate: Fraction, frames: int) -> list[float]:
 
 @dataclass(frozen=True)
 class Flicker:
-    """The flicker of one frame."""
+    """Flicker of one frame."""
 
     log: float  # natural logarithm of the factor by which flicker brightens the frame
     mains: int | None  # mains frequency in Hz, or None if no flicker was found
@@ -109,16 +107,16 @@ def flicker_at(time: float, times: Sequence[float], ratios: Sequence[float], rat
     times : sequence of float
         Times of the surrounding frames in frame intervals, in increasing order.
     ratios : sequence of float
-        For each surrounding frame, the logarithm of the brightness ratio between this frame and the previous frame. The
-        first value is not used.
+        Log brightness of each surrounding frame, relative to its predecessor (`BrightnessRatio.of`). The first value is not
+        used.
     rate : Fraction
         Frames per second.
 
     Returns
     -------
     Flicker
-        Flicker at the mains frequency that fits better. Its logarithm is multiplied by the fraction of the variance that the
-        fit explains.
+        Flicker at the mains frequency that fits better. Its logarithm is multiplied by the fraction of variance that the fit
+        explains, so that a poor fit changes little.
     """
     at, steps = np.asarray(times, np.float64), np.asarray(ratios, np.float64)[1:]
     best, least = Flicker(0.0, None), np.inf
@@ -131,7 +129,7 @@ def flicker_at(time: float, times: Sequence[float], ratios: Sequence[float], rat
             continue
         phase = np.outer(at - time, angles)
         sines = np.hstack([np.cos(phase), np.sin(phase)])
-        # The mains frequency and the frame rate are inexact, so the amplitude and phase of the first sine may drift.
+        # Neither the mains frequency nor the frame rate is exact, so the first sine may drift in amplitude and phase.
         changing = sines[:, [0, angles.size]] * ((at - time) / LOOKAHEAD)[:, None]
         trend = np.diff(at)[:, None]
         basis = np.hstack([np.diff(sines, axis=0), np.diff(changing, axis=0), trend])
@@ -144,9 +142,9 @@ def flicker_at(time: float, times: Sequence[float], ratios: Sequence[float], rat
 
 
 def _robust(basis: Array, values: Array) -> tuple[Array, float]:
-    """Return a robust solution x of basis · x = values, and the standard deviation of the residuals.
+    """Solve basis · x = values robustly, and return x and the standard deviation of the residuals.
 
-    Iteratively reweighted least squares first minimise the absolute deviations, and then exclude outliers.
+    Iteratively reweighted least squares first minimises absolute deviations, then excludes outliers.
     """
     weights = np.ones(values.size)
     for number in range(L1_ROUNDS + BIWEIGHT_ROUNDS):
@@ -162,5 +160,5 @@ def _robust(basis: Array, values: Array) -> tuple[Array, float]:
 
 
 def _spread(values: Array) -> float:
-    """Return the standard deviation of a normal distribution that has the same median absolute value as `values`."""
+    """Estimate the standard deviation of zero-mean values robustly, from their median absolute value."""
     return float(np.median(np.abs(values)) * 1.4826)

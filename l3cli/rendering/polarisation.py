@@ -1,4 +1,4 @@
-"""Converts the outputs of polarisation cameras to values in files and to pictures (docs/polarisation.md#pictures)."""
+"""Converts Stokes parameters to planes for files, and to pictures (docs/polarisation.md#pictures)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,16 +10,16 @@ from l3cli.physics.stokes import DARKEST, FEATURES, IN_ORDER, STOKES, aolp, dolp
 
 Floats = NDArray[np.floating]
 
-SHOWN = ("dolp", "aolp", "stokes")  # types of pictures that show polarisation
-BAR_FRACTION, MIN_BAR_PIXELS = 0.03, 6  # width of the colour bar and of the gap: fraction of the picture width, and minimum
-TICKS = 4  # number of intervals between the ends and ticks of a colour bar
+SHOWN = ("dolp", "aolp", "stokes")  # kinds of polarisation pictures
+BAR_FRACTION, MIN_BAR_PIXELS = 0.03, 6  # width of the colour bar, and of the gap before it, relative to the picture width
+TICKS = 4  # intervals into which the ticks divide a colour bar
 
 
 def in_upright_frame(planes: Floats, outputs: tuple[str, ...], orientation: int) -> Floats:
-    """Turn the outputs of a frame upright, according to the flip code of LibRaw (see `frames.frame.upright`).
+    """Turn the outputs (output, row, col) upright, given the orientation as a LibRaw flip code.
 
-    Angles of polarisation become relative to the horizontal axis of the upright picture. Mirroring a picture changes the
-    sign of S2, and transposing a picture changes the sign of S1.
+    Angles of polarisation become relative to the horizontal axis of the upright picture: mirroring changes the sign of S2,
+    and transposing changes the sign of S1.
     """
     turned = np.moveaxis(upright(np.moveaxis(planes, 0, -1), orientation), -1, 0)
     if has_stokes(outputs) and orientation:
@@ -32,10 +32,10 @@ def in_upright_frame(planes: Floats, outputs: tuple[str, ...], orientation: int)
 
 
 def names_in_files(outputs: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of the planes that are written to a file with linear outputs.
+    """Return the plane names for a file with linear outputs.
 
-    If the outputs contain S1 and S2, the names are the outputs, followed by DoLP and AoLP. S0, S1 and S2 are in this order
-    for monochrome cameras. Other outputs keep their names and their order.
+    If the outputs contain S1 and S2, the names of DoLP and AoLP are appended. For monochrome polarisation cameras, the
+    outputs are reordered to S0, S1, S2.
     """
     if not has_stokes(outputs):
         return outputs
@@ -43,10 +43,10 @@ def names_in_files(outputs: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def planes_in_files(planes: Floats, outputs: tuple[str, ...]) -> Floats:
-    """Return the planes that are written to a file with linear outputs, (value, row, col), in the order of `names_in_files`.
+    """Return the planes (value, row, col) for a file with linear outputs, in the order of `names_in_files`.
 
-    `planes` (output, row, col) are the outputs of a table. If the outputs contain S1 and S2, DoLP (0 to 1) and AoLP (in
-    degrees) are appended.
+    `planes` (output, row, col) contains a table's outputs. If they contain S1 and S2, DoLP (0 to 1) and AoLP (degrees) are
+    appended.
     """
     if not has_stokes(outputs):
         return planes
@@ -56,7 +56,7 @@ def planes_in_files(planes: Floats, outputs: tuple[str, ...]) -> Floats:
 
 
 def picture_of(planes: Floats, outputs: tuple[str, ...], shown: str, bits: int) -> NDArray:
-    """Return a picture of the Stokes parameters, with a colour bar at its right side.
+    """Show Stokes parameters as a picture with a colour bar on its right.
 
     Parameters
     ----------
@@ -65,9 +65,9 @@ def picture_of(planes: Floats, outputs: tuple[str, ...], shown: str, bits: int) 
     outputs : tuple of str
         Names of the outputs.
     shown : str
-        "dolp": the degree of polarisation from 0 to 1, in the colours of viridis. "aolp": the angle as the hue, from 0°
-        (red) to 180°, and the degree as the brightness. "stokes": three pictures side by side, with S0 in greys, and S1/S0
-        and S2/S0 in colours from −1 (blue) to 1 (red).
+        "dolp": the degree of polarisation from 0 to 1, in viridis colours. "aolp": the angle as hue from 0° (red) to 180°,
+        and the degree as brightness. "stokes": side by side, S0 in grey, and S1/S0 and S2/S0 in colours from −1 (blue) to 1
+        (red).
     bits : int
         Bits per value, 8 or 16.
 
@@ -93,7 +93,7 @@ def picture_of(planes: Floats, outputs: tuple[str, ...], shown: str, bits: int) 
 
 
 def _with_bar(picture: Floats, bar: Floats) -> Floats:
-    """Append a vertical colour bar with ticks to the right side of a picture, separated by a gap."""
+    """Add a vertical colour bar with ticks to the right of a picture, separated by a gap."""
     rows, cols = picture.shape[:2]
     width = max(round(BAR_FRACTION * cols), MIN_BAR_PIXELS)
     column = np.repeat(bar, width, axis=1)

@@ -1,7 +1,7 @@
 """Warnings about frames that do not fit a table.
 
-A frame may come from another camera or have a different CFA. The table may not be trained for the brightness of the frame.
-Raw values may be implausible because of a wrong bit depth, byte order, black level or size.
+A frame may come from another camera, have another CFA, or be too dark or bright for the training. Raw values may be
+implausible because of a wrong bit depth, byte order, black level or size.
 """
 
 import re
@@ -20,29 +20,29 @@ from l3cli.rendering.exposure import RangeMeter
 from l3cli.system.text import counted
 
 MAX_OVERSHOOT = 1.5  # largest plausible value of a saturated pixel, relative to the white level
-SHALLOW = 0.55  # smallest value at which a sensor with the stated bit depth can clip, relative to the white level
+SHALLOW = 0.55  # a sensor that clips below this fraction of the white level probably has a lower bit depth than stated
 CLIPPED = 1e-3  # the sensor is assumed to clip if at least this fraction of the pixels has the largest value
-NEAR_BLACK = 0.75  # a value is near the black level if value / black level is between 0.75 and 1 / 0.75
-BLACK_PERCENTILE = 0.1  # percentile of the values that is near the black level in most pictures
-SAME_DEPTH = 0.02  # largest relative difference between white levels that belong to the same bit depth
+NEAR_BLACK = 0.75  # a value is near the black level if their ratio is between 0.75 and 1 / 0.75
+BLACK_PERCENTILE = 0.1  # in most pictures, this percentile of the values is near the black level
+SAME_DEPTH = 0.02  # white levels with a smaller relative difference belong to the same bit depth
 SHEARED = 1.5  # the size is probably wrong if swapping rows and columns makes neighbouring rows more similar by this factor
-ROW_PAIRS = 64  # number of pairs of rows that are compared
+ROW_PAIRS = 64  # number of row pairs to compare
 
-NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # smallest fractions that are reported
-LONG = 60.0  # a longer exposure time, in seconds, was probably stated in another unit
-MANY_TIMES = 100.0  # an exposure time was probably stated in another unit if it exceeds the training's mean by this factor
+NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # smallest fractions to report
+LONG = 60.0  # a longer exposure time is probably not in seconds
+MANY_TIMES = 100.0  # nor is one that exceeds the mean of the training frames by this factor
 
 
 @dataclass
 class FrameWarnings:
-    """Collects the warnings about all frames that a command renders.
+    """Collects warnings about the frames that a command renders.
 
-    Each warning is printed once. If several frames have the same problem, the warning names the first or the worst frame.
+    Each warning is reported once. If it concerns several frames, it names the first or the worst one.
     """
 
     table: TransformTable
     _seen: int = 0  # number of checked frames
-    _first_is_beyond: bool = False  # whether the first frame has values that the A/D converter cannot produce
+    _first_is_beyond: bool = False  # whether the first frame contains values that the A/D converter cannot produce
     _untimed: list[str] = field(default_factory=list)  # names of frames without exposure time and dark frame
     _others: dict[str, tuple[str, int]] = field(default_factory=dict)  # warning → name of the first frame, number of frames
     _notes: dict[str, str] = field(default_factory=dict)  # remark of a file reader → name of the first frame
@@ -53,15 +53,12 @@ class FrameWarnings:
         self._meter = RangeMeter(self.table)
 
     def measure(self, frame: RawFrame) -> None:
-        """Check the metadata and the values of a frame, and store the warnings.
-
-        The method also measures the fractions of pixels outside the trained range, and stores the largest fractions.
-        """
+        """Check the metadata and the values of a frame, and how many of its pixels are outside the trained range."""
         self._seen += 1
         if self.table.dark_signal(1.0) and frame.exposure is None and not frame.dark_measured:
             self._untimed.append(frame.name)
         of_camera = other_camera(frame, self.table), other_gain(frame, self.table)
-        misread = _misread(frame)  # other checks of the values are meaningless if the file was read in a wrong format
+        misread = _misread(frame)  # makes all other checks of the values meaningless
         of_values = (misread,) if misread else (other_phase(frame, self.table), *value_warnings(frame, self.table))
         for text in (*of_camera, *of_values):
             self._note(text, frame.name)
@@ -75,10 +72,10 @@ class FrameWarnings:
                 self._worst[what] = (share, frame.name, count + 1) if share > worst else (worst, name, count + 1)
 
     def check(self, frame: RawFrame, stills: bool) -> None:
-        """Check a still, or a frame of a sequence.
+        """Check a still or the next frame of a sequence.
 
-        The first frame of a sequence is checked in the same way as a still. Later frames are only checked for values that
-        the A/D converter cannot produce, and only if the first frame has no such values.
+        The first frame of a sequence is checked like a still. Later frames are only checked for values that the A/D
+        converter cannot produce, unless the first frame already contains such values.
         """
         if stills or not self._seen:
             self.measure(frame)
@@ -87,14 +84,14 @@ class FrameWarnings:
             self._note(beyond_converter(frame, self.table), frame.name)
 
     def _note(self, text: str, name: str) -> None:
-        """Store a warning about the frame `name`. An empty text is ignored."""
+        """Store a warning about the frame `name`, unless the text is empty."""
         if text:
             first, count = self._others.get(text, (name, 0))
             self._others[text] = first, count + 1
 
     @property
     def assumption(self) -> str:
-        """A line about the exposure time that l3 assumes for frames without exposure time, or "" if l3 assumes no time."""
+        """A line about the exposure time that l3 assumes for frames without one, or "" if there are none."""
         if not self._untimed:
             return ""
         exposure, dark = self.table.exposure, self.table.dark_signal(None)
@@ -104,16 +101,16 @@ class FrameWarnings:
         )
 
     def lines(self) -> Iterator[str]:
-        """Yield the warnings, one line each. A warning that concerns several frames names the first or the worst frame."""
+        """Yield all warnings, one line each."""
         darkest, brightest = self._meter.learned_range()
         texts = {
             "darker": f"are darker than all training samples ({darkest:.2g} of full scale); reduce learning.darkest or "
             "simulate shorter exposures, and train again",
             "brighter": f"are brighter than all training samples ({brightest:.2g} of full scale); increase "
             "learning.brightest or simulate longer exposures, and train again",
-            "untrained": "belong to classes without training patches; train on more scenes or with more learning.patches",
+            "untrained": "belong to classes without training patches; train on more scenes or increase learning.patches",
             "saturated": "are clipped or next to clipped pixels, where colours are estimates; use a shorter exposure, or "
-            "set ‹white_level›",
+            "correct ‹white_level›",
         }
         for text, (name, count) in self._others.items():
             others = f" and {counted(count - 1, 'other frame')}" if count > 1 else ""
@@ -126,15 +123,15 @@ class FrameWarnings:
 
 
 def other_camera(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning if the file and the table name different cameras, otherwise ""."""
+    """Return a warning if the file comes from another camera than the table is for, otherwise ""."""
     theirs = [_words(name) for name in frame.taken_by]
     ours = _words(table.camera_name)
     if not frame.taken_by or any(ours & words - _words(frame.taken_by[0]) or ours == words for words in theirs):
         return ""
     name = max(frame.taken_by[:2], key=len)
     return (
-        f"the file states the camera {name}, but the table is for {table.camera_name}; use a table for this camera, or "
-        "write the stated name in the camera recipe"
+        f"the file comes from the camera {name}, but the table is for {table.camera_name}; use a table for this camera, or "
+        "set this name in the camera recipe"
     )
 
 
@@ -143,7 +140,7 @@ def _words(name: str) -> set[str]:
 
 
 def other_phase(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning that suggests another phase if the pixels contradict the stated CFA phase, otherwise ""."""
+    """Return a warning if the pixels contradict the CFA of the table or the stated CFA phase, otherwise ""."""
     if other := _other_array(frame, table):
         return other
     doubt = phase_doubt(frame, table.cfa)
@@ -151,16 +148,16 @@ def other_phase(frame: RawFrame, table: TransformTable) -> str:
         return ""
     fitting = " or ".join(f"{row},{col}" for row, col in doubt.phases)
     return (
-        "the stated phase of the colour filter array is wrong, because sites of the same channel differ by "
+        "the phase of the colour filter array seems wrong: sites of the same channel differ by "
         f"{doubt.stated:.1%} on average; set ‹phase› {fitting}, which reduces the difference to {doubt.least:.1%}"
     )
 
 
 def _misread(frame: RawFrame) -> str:
-    """Return a warning if the values look like noise but would be smooth in another file format, otherwise ""."""
+    """Return a warning if the values look like noise but would be smooth if read in another format, otherwise ""."""
     if not frame.misread:
         return ""
-    return f"the pixels look like noise, so the file was probably read in a wrong format; read the file with {frame.misread}"
+    return f"the pixels look like noise, so the file was probably read in the wrong format; read it with {frame.misread}"
 
 
 def _other_array(frame: RawFrame, table: TransformTable) -> str:
@@ -170,14 +167,14 @@ def _other_array(frame: RawFrame, table: TransformTable) -> str:
         return ""
     known = {name: parse_cfa(each, name) for name, each in known_arrays().items()}
     return (
-        "the frame has a different colour filter array from the table, probably "
-        f"{' or '.join(doubt.likely(known)[:2])}, because sites of the same colour differ by {doubt.differ:.0%}; train a "
-        "table for this array (see ‹pattern› of l3 init)"
+        "the table is for a different colour filter array: sites of the same colour differ by "
+        f"{doubt.differ:.0%} in this frame; train a table for its array, probably {' or '.join(doubt.likely(known)[:2])} "
+        "(see ‹pattern› of l3 init)"
     )
 
 
 def other_gain(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning if the noise at the analog gain of a frame is unknown or exceeds the black level, otherwise ""."""
+    """Return a warning if the noise at the frame's analog gain is unknown or exceeds the black level, otherwise ""."""
     if frame.gain == 1:
         return ""
     stated = f"the analog gain of the frame is {frame.gain:.3g} times the gain of the table's camera"
@@ -187,31 +184,31 @@ def other_gain(frame: RawFrame, table: TransformTable) -> str:
     deviation = float(np.sqrt(np.max(there.noise_terms(channel=np.arange(len(there.channels)))[0])))
     if deviation > there.black_level:
         return (
-            f"{stated}, at which the noise in dark areas ({deviation:.0f} DN) exceeds the black level "
-            f"({there.black_level:.0f} DN), so values are cut off at 0 and dark areas become too bright; use a lower gain"
+            f"{stated}, where the noise in dark areas ({deviation:.0f} DN) exceeds the black level "
+            f"({there.black_level:.0f} DN), so negative noise is clipped and dark areas become too bright; use a lower gain"
         )
     if least != most and not least / FAR_GAIN < frame.gain < most * FAR_GAIN:
         return (
-            f"{stated}, but the read noise is known only from {least:.3g} to {most:.3g} times this gain; l3 uses the read "
-            "noise of the nearest known gain"
+            f"{stated}, but the camera model contains the read noise only for {least:.3g} to {most:.3g} times; l3 uses the "
+            "read noise at the nearest of these gains"
         )
     return ""
 
 
 def odd_exposure_time(seconds: float | None, table: TransformTable) -> str:
-    """Return a warning if a given exposure time is probably not in seconds, otherwise ""."""
+    """Return a warning if an exposure time is probably not in seconds, otherwise ""."""
     times = seconds / table.exposure if seconds is not None and table.exposure else 0.0
     if seconds is None or (seconds <= LONG and times < MANY_TIMES):
         return ""
-    compared = f" ({times:.0f} times the mean of the training, {table.exposure:.3g} s)" if times >= MANY_TIMES else ""
+    compared = f" ({times:.0f} times the training mean of {table.exposure:.3g} s)" if times >= MANY_TIMES else ""
     return (
-        f"‹exposure_time› {seconds:g} means {seconds:g} seconds{compared}, so l3 subtracts a dark current of "
+        f"‹exposure_time› {seconds:g} means {seconds:g} seconds{compared}, so l3 subtracts a dark signal of "
         f"{table.dark_signal(seconds):.3g} DN; set the time in seconds, not milliseconds"
     )
 
 
 def value_warnings(frame: RawFrame, table: TransformTable) -> Iterator[str]:
-    """Yield warnings about values that are implausible for the table's camera with the stated levels and size."""
+    """Yield warnings about raw values that are implausible for the table's camera or the stated levels and size."""
     top = int(frame.values.max())
     too_high = top > MAX_OVERSHOOT * frame.white_level
     lower = "" if too_high else _clips_lower(frame, top) or _below_black(frame) or _fog(frame, table)
@@ -222,16 +219,16 @@ def value_warnings(frame: RawFrame, table: TransformTable) -> Iterator[str]:
 
 
 def _too_high(frame: RawFrame, bits: int, top: int) -> str:
-    """Return a warning about values far above the white level, otherwise "". `top` is the largest value of the frame.
+    """Return a warning about values far above the white level and their probable cause, otherwise "".
 
-    The warning also says whether the bytes of the values are swapped, or whether all values have a common factor.
+    The cause may be a wrong byte order, a common factor of all values, or another bit depth. `top` is the largest value.
     """
     every, most = int(np.bitwise_or.reduce(frame.values, axis=None)), 2**bits - 1
     step = every & -every
     if 0 < every & 0xFF <= most >> 8 and bits < 16:
         return (
-            f"the two bytes of each value are swapped, because no low byte is above {every & 0xFF}; write the low byte "
-            "first, or set ‹byte_order› big for a headerless file"
+            f"the two bytes of each value seem to be swapped, because no low byte exceeds {every & 0xFF}; write the low "
+            "byte first, or set ‹byte_order› big for a headerless file"
         )
     if step >= 4 and top // step <= most:
         return (
@@ -239,7 +236,7 @@ def _too_high(frame: RawFrame, bits: int, top: int) -> str:
             f"divide the values by {step}, or multiply ‹black_level› and ‹white_level› by {step}"
         )
     if top <= most:
-        return ""  # only the stated white level is too low
+        return ""  # the values fit the bit depth, and only the stated white level is too low
     return (
         f"the values reach {top} DN, but the white level is {frame.white_level:g} DN; if the frame has a different bit "
         "depth, set ‹black_level› and ‹white_level›"
@@ -247,22 +244,22 @@ def _too_high(frame: RawFrame, bits: int, top: int) -> str:
 
 
 def beyond_converter(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning about values that the A/D converter of the camera cannot produce, otherwise "".
+    """Return a warning about values that the camera's A/D converter cannot produce, otherwise "".
 
-    A frame is not checked if its black level or white level differs from the table's.
+    Frames with other black and white levels than the table are not checked.
     """
     most = 2**table.bits - 1
     levels = (frame.black_level, frame.white_level) == (table.black_level, table.white_level)
     if not levels or frame.values.max() <= most:
         return ""
     return (
-        f"some values are above {most} DN, the largest value with the table's {table.bits} bits, and are treated as "
-        "clipped; if the frame has a different bit depth, set ‹black_level› and ‹white_level›"
+        f"some values exceed {most} DN, the maximum for the table's {table.bits} bits, and are treated as clipped; if the "
+        "frame has a different bit depth, set ‹black_level› and ‹white_level›"
     )
 
 
 def _clips_lower(frame: RawFrame, top: int) -> str:
-    """Return a warning if the values clip at the largest value of a lower bit depth, otherwise ""."""
+    """Return a warning if the values clip at the maximum of a lower bit depth, otherwise ""."""
     depth = top.bit_length()
     if not (top > frame.black_level and 8 <= depth < 16 and top == 2**depth - 1 and top < SHALLOW * frame.white_level):
         return ""
@@ -270,25 +267,25 @@ def _clips_lower(frame: RawFrame, top: int) -> str:
     if share < CLIPPED:
         return ""
     return (
-        f"{share:.1%} of the pixels have the value {top} DN, at which {depth}-bit values clip, but the white level is "
+        f"{share:.1%} of the pixels have the value {top} DN, the maximum for {depth} bits, but the white level is "
         f"{frame.white_level:g} DN; set ‹black_level› and ‹white_level›"
     )
 
 
 def _below_black(frame: RawFrame) -> str:
-    """Return a warning if noise cannot explain how far values are below the black level, otherwise ""."""
+    """Return a warning if values are farther below the black level than noise can explain, otherwise ""."""
     share = share_below_black(frame)
     if not share:
         return ""
     return (
-        f"{share:.0%} of the pixels have values less than {BELOW * frame.black_level:.0f} DN, but the black level is "
-        f"{frame.black_level:g} DN; if the black level has already been subtracted or the bit depth is different, set "
+        f"{share:.0%} of the pixels are below {BELOW * frame.black_level:.0f} DN, although the black level is "
+        f"{frame.black_level:g} DN; if the black level was already subtracted or the bit depth is different, set "
         "‹black_level› and ‹white_level›"
     )
 
 
 def _fog(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning if the darkest values are near the table's black level, far above the stated level, otherwise ""."""
+    """Return a warning if the darkest values are near the table's black level but far above the stated one, otherwise ""."""
     black = table.black_level
     other_depth = abs(frame.white_level - table.white_level) > SAME_DEPTH * table.white_level
     if black < SMALLEST_BLACK or frame.black_level > black / 2 or other_depth:
@@ -297,8 +294,8 @@ def _fog(frame: RawFrame, table: TransformTable) -> str:
     if not NEAR_BLACK * black <= darkest <= black / NEAR_BLACK:
         return ""
     return (
-        f"the darkest values are about {darkest:.0f} DN, near the camera's black level of {black:g} DN, but the stated "
-        f"black level is {frame.black_level:g} DN, so colours look washed out; omit ‹black_level›, or set it to {black:g}"
+        f"the darkest values are about {darkest:.0f} DN, near the camera's black level of {black:g} DN, but ‹black_level› "
+        f"is {frame.black_level:g} DN, so colours look washed out; omit ‹black_level›, or set it to {black:g}"
     )
 
 
@@ -313,10 +310,7 @@ def _torn(frame: RawFrame, period: int) -> str:
 
 
 def _step(values: NDArray[np.uint16], period: int) -> float:
-    """Return the mean absolute difference between rows that are `period` rows apart.
-
-    Rows at this distance contain the same channels.
-    """
+    """Return the mean absolute difference between rows one CFA period apart, which contain the same channels."""
     last = len(values) - period
     if last < 1:
         return 0.0

@@ -1,4 +1,4 @@
-"""The reference renderer in float64 (docs/method.md#rendering). Tests compare every other backend with this renderer."""
+"""Reference renderer in float64 (docs/method.md#rendering). Tests compare all other backends with it."""
 
 import functools
 from collections.abc import Iterable, Iterator, Sequence
@@ -19,49 +19,48 @@ from l3cli.physics.mosaic import channel_reach, shifted_cfa
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
 
-# Neighbours used for chroma smoothing, as (row, column) offsets in pixels. Only eight neighbours are used, for speed. The
-# mixture of near and far neighbours averages out the residual patterns of noise and aliasing.
+# Neighbours for chroma smoothing, as (row, column) offsets in pixels. Eight neighbours keep it fast. Mixing near and far
+# neighbours averages out both fine and coarse residual patterns of noise and aliasing.
 CHROMA_NEIGHBOURS = ((-1, -1), (-1, 1), (1, -1), (1, 1), (-4, 0), (4, 0), (0, -4), (0, 4))
 CHROMA_REACH = 4  # largest offset in pixels
 
-# Lower limit of a pixel's luminance, as a multiple of the smallest nearby raw value relative to white. The first factor is
-# for values above the black level, and the second factor is for values below. The second factor is large, because cutting
-# off noise in the dark would change the mean.
+# A pixel's luminance may not fall below the smallest nearby raw value (relative to white), times one of these factors. The
+# first factor applies above the black level, the second one below it. The second factor is large so that little of the noise
+# in the dark is cut off, which would change its mean.
 LEAST_OF_POSITIVE, LEAST_OF_NEGATIVE = 0.5, 2.0
-RAISED_CHROMA = 2.0  # largest change of X and Z when the luminance is raised, as a multiple of the change of Y
+RAISED_CHROMA = 2.0  # when Y is raised, X and Z change by at most this multiple of the change in Y
 
-# Darker pixels are not smoothed. The value is in output units, and far below the noise of any sensor.
-SMOOTHING_DARKEST = 2.0**-20
+SMOOTHING_DARKEST = 2.0**-20  # darker pixels are not smoothed; in output units, far below the noise of any sensor
 
 
 class ReferenceRenderer:
-    """A slow and exact renderer in numpy. See `make_renderer` for the parameter `by_noise`."""
+    """Slow, exact renderer in numpy. `make_renderer` describes the parameter `by_noise`."""
 
     def __init__(self, table: TransformTable, by_noise: bool = False) -> None:
         require_known_layers(table)
         self.table, self._sets = table, NoiseSets(table, by_noise)
 
     def labels(self, frame: RawFrame, layer: int = 0) -> Integers:
-        """Return the class of every pixel as an array (row, col). Layers are counted from 0."""
+        """Return the class map (row, col) of a layer. Layer 0 reads the raw frame."""
         levelled = at_table_levels(frame, self.table)
         labels = self._labels(levelled)
         return self._refine(levelled, labels, layer)[1] if layer else labels
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
-        """Render a frame, and return the outputs of the table as an array (output, row, col)."""
+        """Render a frame to the outputs of the table, (output, row, col)."""
         return self.exact_outputs(frame).astype(np.float32)
 
     def classified(self, frame: RawFrame) -> tuple[NDArray[np.float32], list[Integers]]:
-        """Return the outputs, and a list with the class maps (row, col) of the first and the last layer.
+        """Return the outputs and the class maps (row, col) of the first and last layers.
 
-        For a table with a single layer, the list contains one class map.
+        A table with a single layer has a single class map.
         """
         return self.outputs(frame), [self.labels(frame, number) for number in sorted({0, len(self.table.later)})]
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
-        """Render a frame as a picture (row, col, 3).
+        """Render a frame to a picture (row, col, 3).
 
-        Raises RecipeError if pictures cannot be made from the outputs of the table.
+        Raises RecipeError if the table's outputs cannot be shown as a picture.
         """
         require_xyz(self.table.outputs)
         return encode(self.exact_outputs(frame), display)
@@ -71,14 +70,14 @@ class ReferenceRenderer:
         return encode(outputs, display)
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """Yield the picture of each frame, in the order of the frames."""
+        """Yield the picture of each frame, in order."""
         return (self.picture(frame, display) for frame, display in frames)
 
     def exact_outputs(self, frame: RawFrame) -> NDArray[np.float64]:
-        """Return the outputs (output, row, col) in float64. The method `outputs` rounds the same values to float32.
+        """Render a frame to the outputs of the table (output, row, col) in float64, without the rounding of `outputs`.
 
-        The outputs include all steps after the layers: the replacement of clipped areas, the gain of the shading, the
-        smoothing of spectra or chroma, and the correction for dark current.
+        All steps after the layers are included: replacing clipped areas, shading gain, smoothing spectra or chroma, and
+        compensating for the range lost to dark current.
         """
         levelled = at_table_levels(frame, self.table)
         labels = self._labels(levelled)
@@ -102,21 +101,20 @@ class ReferenceRenderer:
         return frame.light_share * made
 
     def planes(self, frame: RawFrame) -> NDArray[np.int32]:
-        """Return the planes that the last layer reads. The table must have a refinement layer."""
+        """Return the planes (plane, row, col) that the last refinement layer reads."""
         levelled = at_table_levels(frame, self.table)
         return self._refine(levelled, self._labels(levelled), len(self.table.later))[0]
 
     @functools.cached_property
     def _fixed_points(self) -> list[FixedPoint]:
-        """Fixed-point transforms of all layers except the last."""
+        """Fixed-point transforms of every layer but the last."""
         basis = planes_basis(self.table)
         return [self._sets.first_fixed_point, *(refined_fixed_point(layer, basis) for layer in self._sets.later[:-1])]
 
     def _labels(self, levelled: RawFrame) -> Integers:
-        """Return the class of every pixel in the first layer.
+        """Classify every pixel for the first layer, in a frame from `at_table_levels`.
 
-        The raw values of `levelled` must be scaled to the table's black and white levels. Classes are numbered consecutively
-        over all sets of transforms.
+        The class numbers continue from one set of transforms to the next.
         """
         usual, *others = (
             label_mosaic(levelled.values, table.first.rule, table.cfa, len(table.channels), levelled.phase)
@@ -128,10 +126,7 @@ class ReferenceRenderer:
         return labels
 
     def _refine(self, levelled: RawFrame, first_labels: Integers, number: int) -> tuple[NDArray[np.int32], Integers]:
-        """Return the planes that a refinement layer reads, and the class of every pixel in this layer.
-
-        Layers are counted from 1.
-        """
+        """Return the planes that refinement layer `number` (from 1) reads, and the layer's class map."""
         later = self._sets.later
         planes = first_planes(levelled, first_labels, self.table, self._fixed_points[0])
         labels = self._refined_labels(planes, first_labels, 0)
@@ -141,45 +136,45 @@ class ReferenceRenderer:
         return planes, labels
 
     def _with_plain_clipped_areas(self, made: NDArray[np.float64], levelled: RawFrame) -> NDArray[np.float64]:
-        """Replace the outputs of uniform clipped areas if the table contains the necessary coefficients."""
+        """Replace the outputs in uniform clipped areas, if the table contains the coefficients for it."""
         clipping = self.table.later[-1].clipping
         if clipping is None:
             return made
         return replaced(made, mosaic_of(levelled, self.table), clipping.response, clipping.white)
 
     def _refined_labels(self, planes: NDArray[np.int32], first_labels: Integers, place: int) -> Integers:
-        """Return the class of every pixel in a refinement layer. Refinement layers are counted from 0."""
+        """Classify every pixel for refinement layer `place` (from 0)."""
         rule, *others = self._sets.refinement_rules(place)
         return label_planes(planes, first_labels, rule, self.table.first.rule, *others)
 
 
 def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
-    """Convert a frame to the black level, white level and bit depth of the table, and correct its colour shading."""
+    """Scale a frame to the table's black level, white level and bit depth, and correct its colour shading."""
     return frame.at_levels(table.black_level, table.white_level, table.bits).shading_corrected()
 
 
 def mosaic_of(levelled: RawFrame, table: TransformTable) -> Mosaic:
-    """Return the raw values and the CFA of a frame, in the form that the replacement of uniform clipped areas needs.
+    """Combine the raw values and CFA of a frame, as `classes.clipping` needs them to replace uniform clipped areas.
 
-    The raw values of `levelled` must already be scaled to the table's black and white levels.
+    `levelled` is a frame from `at_table_levels`.
     """
     cfa = shifted_cfa(table.cfa, levelled.phase)
     return Mosaic(levelled.values, cfa, levelled.black_level, table.white_level)
 
 
 def output_planes(frame: RawFrame, labels: Integers, table: TransformTable, first: MosaicLayer) -> NDArray[np.float64]:
-    """Apply the transforms of a first layer in floating point.
+    """Apply the transforms of the first layer in floating point.
 
     Parameters
     ----------
     frame : RawFrame
-        Frame whose raw values are scaled to the table's black and white levels.
+        Frame from `at_table_levels`.
     labels : ndarray, (row, col)
         Class of each pixel.
     table : TransformTable
-        Table to which the layer belongs.
+        Table that contains the layer.
     first : MosaicLayer
-        The first layer, with the classes of all sets of transforms.
+        First layer, with the classes of all sets of transforms.
 
     Returns
     -------
@@ -190,16 +185,16 @@ def output_planes(frame: RawFrame, labels: Integers, table: TransformTable, firs
 
 
 def first_planes(frame: RawFrame, labels: Integers, table: TransformTable, fixed: FixedPoint) -> NDArray[np.int32]:
-    """Apply the transforms of the first layer in fixed point, and return the planes.
+    """Compute the planes for the first refinement layer by applying the first layer in fixed point.
 
     Parameters
     ----------
     frame : RawFrame
-        Frame whose raw values are scaled to the table's black and white levels.
+        Frame from `at_table_levels`.
     labels : ndarray, (row, col)
         Class of each pixel.
     table : TransformTable
-        Table to which the layer belongs.
+        Table that contains the layer.
     fixed : FixedPoint
         Fixed-point transforms of the first layer.
 
@@ -213,7 +208,7 @@ def first_planes(frame: RawFrame, labels: Integers, table: TransformTable, fixed
 def refinement_planes(
     planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer, fixed: FixedPoint
 ) -> NDArray[np.int32]:
-    """Apply the transforms of a refinement layer in fixed point to the planes of the previous layer.
+    """Compute the planes for the next refinement layer by applying a refinement layer in fixed point.
 
     Parameters
     ----------
@@ -222,7 +217,7 @@ def refinement_planes(
     labels : ndarray, (row, col)
         Class of each pixel.
     layer : PlaneLayer
-        The layer.
+        Refinement layer.
     fixed : FixedPoint
         Fixed-point transforms of the layer.
 
@@ -245,11 +240,11 @@ def refinement_outputs(
     labels : ndarray, (row, col)
         Class of each pixel.
     layer : PlaneLayer
-        The layer.
+        Last refinement layer.
     share : float
-        Noise variance of the frame, as a fraction of the noise variance of the camera.
+        Noise variance of the frame, as a fraction of the camera's noise variance.
     chroma : sequence of int
-        Indices of the outputs to which coarse chroma is added.
+        Indices of the outputs that receive the coarse chroma.
 
     Returns
     -------
@@ -263,27 +258,24 @@ def refinement_outputs(
 
 
 def _mosaic_windows(values: NDArray, table: TransformTable) -> NDArray:
-    """Return the window around each pixel of a mosaic, with the axes (1, row, col, window row, window col)."""
+    """Return a view of the window around each mosaic pixel, (1, row, col, window row, window col)."""
     patch = table.first.rule.patch
     padded = pad_mosaic(values, table.first.rule.radius, table.cfa.shape)
     return np.lib.stride_tricks.sliding_window_view(padded[None], (patch, patch), (1, 2))
 
 
 def _windows(planes: NDArray, layer: PlaneLayer) -> NDArray:
-    """Return the window around each pixel in every plane, with the axes (plane, row, col, window row, window col)."""
+    """Return a view of the window around each pixel in every plane, (plane, row, col, window row, window col)."""
     return np.lib.stride_tricks.sliding_window_view(mirrored(planes, layer.radius), (layer.side, layer.side), (1, 2))
 
 
 def _patches(windows: NDArray, row: int) -> NDArray:
-    """Return the taps (col, tap) of all windows in one row of the picture. The taps of each plane are consecutive."""
+    """Return the taps (col, tap) of all windows in one picture row, plane after plane."""
     return np.moveaxis(windows[:, row], 0, 1).reshape(windows.shape[2], -1)
 
 
 def _fixed_point_planes(windows: NDArray, labels: Integers, fixed: FixedPoint) -> NDArray[np.int32]:
-    """Apply fixed-point transforms to the windows around all pixels, and return the planes.
-
-    `windows` has the axes (plane, row, col, …). The result has the axes (plane, row, col).
-    """
+    """Apply fixed-point transforms to windows (plane, row, col, …), and return planes (plane, row, col)."""
     made = np.empty((fixed.weights.shape[1], *labels.shape), np.int32)
     for row, label in enumerate(labels):
         sums = (fixed.weights[label] * _patches(windows, row)[:, None]).sum(axis=-1) + fixed.intercept[label]
@@ -294,13 +286,12 @@ def _fixed_point_planes(windows: NDArray, labels: Integers, fixed: FixedPoint) -
 def _transformed(
     windows: NDArray, labels: Integers, layer: MosaicLayer | PlaneLayer, ratios: NDArray | None = None
 ) -> NDArray[np.float64]:
-    """Apply floating-point transforms to the windows around all pixels, and return the outputs.
+    """Apply floating-point transforms to windows (plane, row, col, …), and return outputs (output, row, col).
 
-    `windows` has the axes (plane, row, col, …). `ratios` (row, col, tap) contains the colour ratios, which are additional
-    taps after the taps of the windows. The result has the axes (output, row, col).
+    The colour ratios (row, col, tap), if any, are additional taps after those from the window.
     """
     outputs = np.empty((layer.weights.shape[1], *labels.shape))
-    for row, label in enumerate(labels):  # row by row, because the transforms of all pixels would need gigabytes
+    for row, label in enumerate(labels):  # row by row: gathering the transforms of all pixels at once would need gigabytes
         patches = _patches(windows, row)
         if ratios is not None:
             patches = np.concatenate([patches, ratios[row]], axis=1)
@@ -310,19 +301,18 @@ def _transformed(
 
 
 def white_scale(table: TransformTable) -> NDArray[np.float64]:
-    """Return one factor per channel that converts raw values of a white object to the luminance of the object.
+    """Return the factor (channel,) that converts raw values of a white object to its luminance.
 
-    Raw values are in DN above black, and luminances are in output units.
+    Raw values are in DN above black, and the luminance is in output units.
     """
     assert table.white_signals is not None
     return np.asarray(1 / (table.white_signals * (table.white_level - table.black_level)))
 
 
 def raising_constants(table: TransformTable) -> dict[str, float | int]:
-    """Return the constants for raising the luminance of pixels that are too dark.
+    """Return the constants, by name, for raising the luminance of pixels that are too dark.
 
-    The keys of the result are the names of the constants. The result is empty if the table does not contain the signals of a
-    white.
+    The result is empty if the table does not contain the channel signals of white.
     """
     if table.white_signals is None:
         return {}
@@ -335,16 +325,16 @@ def raising_constants(table: TransformTable) -> dict[str, float | int]:
 
 
 def least_luminance(frame: RawFrame, table: TransformTable) -> NDArray[np.float64]:
-    """Return the lowest luminance that each pixel can have according to the raw values around the pixel.
+    """Return a lower limit for the luminance of each pixel, derived from the raw values around it.
 
-    Each raw value in a window around the pixel is divided by the value that a white object has in the same channel. The
-    lowest luminance is a fraction of the smallest of these ratios. The window is just large enough to contain all channels.
-    Values outside the frame are ignored. If the table does not contain the signals of a white, the result is −∞.
+    Each raw value in a window around the pixel is divided by the raw value of white in the same channel. The limit is the
+    smallest of these ratios times a constant factor. The window is just large enough to contain all channels. Values outside
+    the frame are ignored. The limit is −∞ if the table does not contain the channel signals of white.
 
     Parameters
     ----------
     frame : RawFrame
-        Frame whose raw values are scaled to the table's black and white levels.
+        Frame from `at_table_levels`.
     table : TransformTable
         Table that renders the frame.
 
@@ -364,15 +354,14 @@ def least_luminance(frame: RawFrame, table: TransformTable) -> NDArray[np.float6
 
 
 def smoothed_spectra(planes: NDArray[np.float64], smoothing: SpectralSmoothing) -> NDArray[np.float64]:
-    """Smooth spectra by averaging each pixel with similar neighbours, without changing the brightness of a pixel.
+    """Average the spectrum of each pixel with similar neighbours, without changing the pixel's brightness.
 
-    Let o be the outputs of a pixel, Y the mean of its outputs, p the central pixel of a window, and q any pixel of the
-    window:
+    For the central pixel p of a window and any pixel q in it, let o be the spectrum and Y its mean:
 
         w_q = max(0, 1 − ((Y_q − Y_p) / (reach · Y_p))²)²
         o_p ← ō_p · Y_p / Ȳ_p
 
-    ō and Ȳ are means over the window, weighted by w. The means are computed from differences to the central pixel, so that
+    ō and Ȳ are means over the window, weighted by w. They are computed from differences to the central pixel, so that
     uniform areas are unchanged to the last bit. At the borders, planes are mirrored about the outermost pixels.
 
     Parameters
@@ -380,7 +369,7 @@ def smoothed_spectra(planes: NDArray[np.float64], smoothing: SpectralSmoothing) 
     planes : ndarray, (output, row, col)
         Spectra.
     smoothing : SpectralSmoothing
-        Size of the window, and reach.
+        Window size in pixels, and `reach` as in the equation.
 
     Returns
     -------
@@ -393,7 +382,7 @@ def smoothed_spectra(planes: NDArray[np.float64], smoothing: SpectralSmoothing) 
     total, brighter, change = np.ones_like(brightness), np.zeros_like(brightness), np.zeros_like(planes)
     for down, right in np.ndindex(smoothing.window, smoothing.window):
         if down == right == smoothing.radius:
-            continue  # the central pixel has a weight of 1, which `total` already contains
+            continue  # `total` starts at 1, the weight of the central pixel
         there = slice(down, down + rows), slice(right, right + cols)
         difference = around[there] - brightness
         weight = np.maximum(1 - np.square(difference / scale), 0) ** 2
@@ -411,34 +400,33 @@ def smoothed_chroma(
     white: NDArray[np.float64],
     least: NDArray[np.float64] | float = -np.inf,
 ) -> NDArray[np.float64]:
-    """Smooth chroma by averaging each pixel with similar neighbours, then raise pixels that are too dark.
+    """Average the chroma of each pixel with similar neighbours, then raise pixels that are too dark.
 
-    Smoothing does not change the luminance.
-
-    Let p be a pixel and q one of its neighbours (CHROMA_NEIGHBOURS). X_w and Z_w are the X and Z of `white`:
+    The averaging does not change the luminance. For a pixel p, its neighbours q (CHROMA_NEIGHBOURS), and X_w and Z_w of
+    `white`:
 
         e_q = X_q Y_p − X_p Y_q
         f_q = Z_q Y_p − Z_p Y_q
         w_q = max(0, 1 − ((Y_q − Y_p) / (reach · Y_p))² − ((e_q / X_w)² + (f_q / Z_w)²) / (likeness · Y_p²)²)²
         X_p ← X_p + Σ w_q e_q / (Y_p + Σ w_q Y_q)
 
-    Z is changed in the same way. The new ratio X_p / Y_p is the weighted mean of X over p and its neighbours, divided by the
-    weighted mean of Y. Areas of one chromaticity are unchanged to the last bit. At the borders, planes are mirrored about
-    the outermost pixels.
+    Z changes in the same way. The new X_p / Y_p is the weighted mean of X over p and its neighbours, divided by the weighted
+    mean of Y. Areas of constant chromaticity are unchanged to the last bit. At the borders, planes are mirrored about the
+    outermost pixels.
 
-    If Y_p is below `least`, it becomes `least`. X_p and Z_p then move towards the chroma of the diagonal neighbours, by at
-    most RAISED_CHROMA times the change of Y_p.
+    If Y_p is below `least`, it becomes `least`, and X_p and Z_p move towards the chroma of the diagonal neighbours, by at
+    most RAISED_CHROMA times the change in Y_p.
 
     Parameters
     ----------
     planes : ndarray, (3, row, col)
         X, Y and Z.
     smoothing : ChromaSmoothing
-        Differences of luminance and chroma at which the weight of a neighbour becomes zero.
+        Differences in luminance (`reach`) and chroma (`likeness`) at which a neighbour's weight reaches zero.
     white : ndarray, (3,)
         XYZ of white, with Y = 1.
     least : ndarray, (row, col), or float
-        Lower limit of the luminance of each pixel (`least_luminance`).
+        Lower limit for the luminance of each pixel (`least_luminance`).
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The common interface of all renderers, and functions that create a renderer."""
+"""The interface of all renderers, and functions that create one."""
 
 import importlib
 import itertools
@@ -15,60 +15,57 @@ from l3cli.frames.frame import RawFrame
 from l3cli.rendering.conditions import at_gain, nearest_step, noise_limits, with_edges_for
 from l3cli.rendering.display import Display
 
-# To add a backend, write a class whose constructor takes a TransformTable, and add a line here. A module is imported only if
-# its backend is used.
+# To add a backend, write a class that implements `Renderer` and accepts a table and `by_noise`, and add a line here. The
+# module is imported only when the backend is used.
 BACKENDS = {
     "opencl": "l3cli.rendering.opencl.renderer:OpenCLRenderer",
     "reference": "l3cli.rendering.reference:ReferenceRenderer",
 }
 
-MAX_HELD = 16  # largest number of cached renderers; each renderer stores its transforms on the device
+MAX_HELD = 16  # limit of cached renderers, which occupy device memory
 
 
 class Renderer(Protocol):
-    """A renderer for one table. Everything that does not depend on the frame is prepared once."""
+    """A renderer for one table. It prepares everything that does not depend on the frame when it is created."""
 
     @property
     def table(self) -> TransformTable: ...
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.integer]:
-        """Return the class of every pixel as an array (row, col). Layers are counted from 0.
-
-        All backends return the same classes.
-        """
+        """Return the class map (row, col) of a layer, which is the same for all backends. Layer 0 reads the raw frame."""
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
-        """Render a frame, and return the outputs of the table as an array (output, row, col)."""
+        """Render a frame to the outputs of the table, (output, row, col)."""
 
     def classified(self, frame: RawFrame) -> tuple[NDArray[np.float32], Sequence[NDArray[np.integer]]]:
-        """Return the outputs, and a list with the class maps (row, col) of the first and the last layer.
+        """Return the outputs and the class maps (row, col) of the first and last layers.
 
-        For a table with a single layer, the list contains one class map.
+        A table with a single layer has a single class map.
         """
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
-        """Render a frame as a picture (row, col, 3) in uint8 or uint16.
+        """Render a frame to a picture (row, col, 3) in uint8 or uint16.
 
-        Raises a RecipeError unless the outputs of the table are X, Y and Z, only Y, or Stokes parameters.
+        Raises RecipeError unless the table's outputs are X, Y and Z, only Y, or Stokes parameters.
         """
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """Yield the picture of each frame, in the order of the frames.
+        """Yield the picture of each frame, in order.
 
-        While the caller uses a picture, the next picture may already be computed.
+        The next picture may be computed while the caller processes the current one.
         """
 
     def encoded(self, outputs: NDArray[np.float32], display: Display) -> NDArray:
-        """Encode outputs that were changed after rendering, such as filtered outputs, as a picture.
+        """Encode outputs (output, row, col), for example after lens correction, as a picture (row, col, 3).
 
-        Raises a RecipeError unless the outputs of the table are X, Y and Z, only Y, or Stokes parameters.
+        Raises RecipeError unless the table's outputs are X, Y and Z, only Y, or Stokes parameters.
         """
 
 
 def make_ready(backend: str, **options: str | None) -> None:
-    """Prepare a backend before the table is known: import modules, find the device, and start the compiler.
+    """Prepare a backend without a table: import modules, find the device, and warm up the compiler.
 
-    This takes about as long as reading a table, and can be done at the same time in another thread.
+    This takes about as long as reading a table, and can run at the same time in another thread.
 
     Parameters
     ----------
@@ -94,8 +91,8 @@ def make_renderer(backend: str, table: TransformTable, by_noise: bool = False, *
     table : TransformTable
         Table that renders the frames.
     by_noise : bool
-        Whether to choose the set of transforms pixel by pixel. If a temporal filter has reduced the noise of a pixel, the
-        pixel is then rendered with transforms that were trained at a similarly low noise.
+        Whether each pixel uses transforms that match its remaining noise after the temporal filter. Otherwise, all pixels
+        use the transforms for the camera's full noise.
     **options
         Options of the backend. "opencl" has the options `device` and `variant` (see `OpenCLRenderer`).
 
@@ -117,16 +114,15 @@ def make_renderer(backend: str, table: TransformTable, by_noise: bool = False, *
 
 
 class NoiseRenderer:
-    """Renderer for frames with any analog gain and any noise.
+    """Renderer that adapts the table to the analog gain and the noise of each frame.
 
-    Each frame is rendered with the transforms for its analog gain. If a temporal filter has reduced the noise of the frame,
-    each pixel is rendered with the transforms for its remaining noise. If the table has no transforms that were trained at
-    lower noise, the class edges are adapted to the mean noise of the frame.
+    After the temporal filter, each pixel uses the transforms for its remaining noise. If the table has no transforms for low
+    noise, the class thresholds are adapted to the frame's mean noise instead.
 
     Parameters
     ----------
     backend, table, **options
-        The same as for `make_renderer`.
+        As in `make_renderer`.
     """
 
     def __init__(self, backend: str, table: TransformTable, **options: str | None) -> None:
@@ -150,16 +146,16 @@ class NoiseRenderer:
         return self._renderers[noise]
 
     def _noise(self, frame: RawFrame) -> tuple[float, float | None]:
-        """Return the analog gain and the noise fraction that determine the transforms for a frame.
+        """Return the analog gain and noise fraction that determine a frame's transforms.
 
-        The noise fraction is None if the transforms are chosen for each pixel.
+        The noise fraction is None if each pixel has its own.
         """
         gain = nearest_step(frame.gain)
         by_pixel = frame.noise_left is not None and bool(noise_limits(self._table(gain)))
         return gain, None if by_pixel else frame.noise_share
 
     def of_frame(self, frame: RawFrame) -> Renderer:
-        """Return a renderer with a single set of transforms, which match the gain and the mean noise fraction of a frame."""
+        """Return a renderer with a single set of transforms, for a frame's gain and mean noise fraction."""
         return self._of((nearest_step(frame.gain), frame.noise_share))
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.integer]:
@@ -175,7 +171,7 @@ class NoiseRenderer:
         return self._of(self._noise(frame)).picture(frame, display)
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """Yield the picture of each frame. Consecutive frames with the same noise are processed in parallel."""
+        """Yield the picture of each frame. Consecutive frames with the same noise share a renderer and are pipelined."""
         shared = ((self._noise(frame), (frame, display)) for frame, display in frames)
         for noise, run in itertools.groupby(shared, key=itemgetter(0)):
             yield from self._of(noise).pictures(each for _, each in run)
@@ -185,6 +181,6 @@ class NoiseRenderer:
 
 
 def _make_room(held: dict[Any, Any]) -> None:
-    """Remove the oldest entry if the cache contains `MAX_HELD` entries."""
+    """Remove the oldest entry of a cache that has `MAX_HELD` entries."""
     if len(held) == MAX_HELD:
         del held[next(iter(held))]

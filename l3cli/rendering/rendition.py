@@ -1,6 +1,6 @@
-"""Converts frames to pictures with a colour space, bit depth, exposure and white balance.
+"""Renders frames to pictures with a given colour space, bit depth, exposure and white balance.
 
-The exposure and the white balance are either set by the user or measured in the frames.
+Exposure and white balance are either set by the user or measured in the frames.
 """
 
 import itertools
@@ -29,28 +29,28 @@ from l3cli.rendering.white.source import WhiteSource, given_white, usual_balance
 from l3cli.system.locks import ThreadLock
 
 DEPTHS = (8, 16, FLOAT_BITS)
-MIN_EXPOSURE, MAX_EXPOSURE = 1e-9, 1e9  # range of the exposure, by which Y is multiplied
-ANY_RATE = Fraction(30)  # arbitrary frame rate for sequences in which only the first frame is measured
+MIN_EXPOSURE, MAX_EXPOSURE = 1e-9, 1e9  # allowed range of the exposure, by which Y is multiplied
+ANY_RATE = Fraction(30)  # frame rate if only the first frame is measured, so that its value does not matter
 
 
 @dataclass(frozen=True)
 class Rendition:
-    """Settings for the conversion of outputs to pictures."""
+    """Settings for converting a table's outputs to pictures."""
 
-    balance: WhiteBalance | None  # white balance of frames without a measured white; None writes the outputs unchanged
-    exposure: float | None  # factor by which Y is multiplied, or None for automatic exposure
+    balance: WhiteBalance | None  # white balance unless the white is measured; None: write the outputs unchanged
+    exposure: float | None  # factor by which Y is multiplied; None: automatic exposure
     bits: int  # bits per value: 8, 16 or FLOAT_BITS
-    space: Space | None = SRGB  # colour space, or None if the outputs are not colours
-    raw: bool = False  # whether the picture is for a raw converter; the exposure is then recorded but not applied
-    mosaic: str | None = None  # name of the CFA in the file format, if `raw` is true and the picture is a mosaic
+    space: Space | None = SRGB  # None: the outputs are not colours
+    raw: bool = False  # whether the file is for a raw converter; the exposure is then recorded but not applied
+    mosaic: str | None = None  # CFA name in the file format, if `raw` is true and the picture is a mosaic
     stops: float = 0.0  # additional exposure in EV
-    stated_exposure: bool = False  # whether to apply the exposure that each raw file states
-    tone: Tone | None = None  # tone curve, if any
-    polarisation: str | None = None  # one of `polarisation.SHOWN`, or None if the picture does not show Stokes parameters
+    stated_exposure: bool = False  # whether to apply the baseline exposure recorded in each raw file
+    tone: Tone | None = None
+    polarisation: str | None = None  # one of `polarisation.SHOWN`; None: the picture does not show polarisation
 
     @property
     def is_linear(self) -> bool:
-        """Whether the values of the picture are linear floating-point numbers."""
+        """Whether the picture stores linear floating-point values."""
         return self.space is None or self.space.curve is None
 
     @property
@@ -60,7 +60,7 @@ class Rendition:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the three values of a pixel, as in an OpenEXR file."""
+        """Names of a pixel's three values, as in an OpenEXR file."""
         return ("X", "Y", "Z") if self.space and self.space.name == XYZ.name else ("R", "G", "B")
 
 
@@ -68,14 +68,14 @@ OUTPUTS = Rendition(None, None, FLOAT_BITS, None)  # writes the outputs of the t
 
 
 def chosen_space(name: str | None, linear: bool) -> Space:
-    """Return a colour space by name.
+    """Look up a colour space by name.
 
     Parameters
     ----------
     name : str or None
         Name of the colour space. None means sRGB.
     linear : bool
-        Whether to store linear floating-point values, without the transfer curve.
+        Whether to omit the transfer curve, for linear floating-point values.
 
     Returns
     -------
@@ -100,7 +100,7 @@ def chosen_space(name: str | None, linear: bool) -> Space:
 
 
 def outputs_as_they_are(table: TransformTable) -> Rendition:
-    """Return the settings for writing the outputs of a table unchanged. Files with X, Y and Z are marked as CIE XYZ."""
+    """Return the settings for writing a table's outputs unchanged. X, Y and Z are tagged as CIE XYZ."""
     if table.outputs != ("X", "Y", "Z"):
         return OUTPUTS
     return replace(OUTPUTS, space=replace(XYZ, title="CIE XYZ", neutral=chromaticity_of(table.white_point)))
@@ -110,7 +110,7 @@ def shown_as(
     table: TransformTable, exposure: float | None, white: str | None, space: str, bits: int,
     estimated_by: TransformTable | None = None,
 ) -> tuple[Rendition, WhiteSource | None]:  # fmt: skip
-    """Return the settings that convert outputs to pictures, and the method that finds the white of each frame.
+    """Validate a user's picture settings.
 
     Parameters
     ----------
@@ -119,20 +119,20 @@ def shown_as(
     exposure : float or None
         Factor by which Y is multiplied, or None for automatic exposure.
     white : str or None
-        The white, as in `white_source` and `given_white`.
+        White point, as in `white_source` and `given_white`.
     space : str
         Name of the colour space.
     bits : int
         Bits per value: 8, 16 or FLOAT_BITS.
     estimated_by : TransformTable, optional
-        Table for the estimation of the white, as in `white_source`.
+        Table with which "auto" estimates the white, as in `white_source`.
 
     Returns
     -------
     rendition : Rendition
         Settings of the pictures.
     source : WhiteSource or None
-        Method that finds the white of each frame, or None if all frames have the white balance of the rendition.
+        Finds the white of each frame. None if all frames use the white balance of the rendition.
 
     Raises
     ------
@@ -142,8 +142,8 @@ def shown_as(
     if exposure is not None and not (isinstance(exposure, Real) and MIN_EXPOSURE <= exposure <= MAX_EXPOSURE):
         given_as = f"{exposure:g}" if isinstance(exposure, Real) else f'"{exposure}"'
         raise RecipeError(
-            f"exposure {given_as} is not within {MIN_EXPOSURE:g}…{MAX_EXPOSURE:g} times Y; omit exposure to determine "
-            "the exposure automatically"
+            f"exposure {given_as} is not within {MIN_EXPOSURE:g}…{MAX_EXPOSURE:g}; set a factor for Y in this range, or "
+            "omit exposure for automatic exposure"
         )
     if bits not in DEPTHS:
         raise RecipeError(f"pictures cannot have {bits} bits; use 8, 16 or {FLOAT_BITS}")
@@ -157,12 +157,12 @@ def shown_as(
 def rendered(
     renderer: Renderer, frame: RawFrame, rendition: Rendition, scale: float, balance: WhiteBalance | None = None
 ) -> tuple[NDArray[Any], float]:
-    """Render a frame as a picture.
+    """Render a frame to a picture.
 
     Parameters
     ----------
     renderer : Renderer
-        Renderer with the table.
+        Renderer for the table.
     frame : RawFrame
         Frame to render.
     rendition : Rendition
@@ -175,9 +175,9 @@ def rendered(
     Returns
     -------
     pixels : ndarray, (row, col, value)
-        The picture in upright orientation.
+        The picture, turned upright.
     scale : float
-        Exposure scale of the picture. Pictures for raw converters are stored without this scale.
+        Exposure scale. It is not applied to pictures for raw converters.
     """
     balance = balance or rendition.balance
     if balance is not None and not rendition.is_linear:
@@ -205,13 +205,13 @@ def rendered(
 def frame_and_display(
     renderer: Renderer, frame: RawFrame, rendition: Rendition, balance: WhiteBalance, scale: float
 ) -> tuple[RawFrame, Display]:
-    """Apply the white-balance gains to a frame, and determine the display settings of the picture.
+    """Apply white-balance gains to a frame, and determine the display settings for its picture.
 
     A `scale` of 0 means automatic exposure.
     """
     frame = balanced(frame, renderer.table, balance.gains)
-    # Automatic exposure of a single frame needs the luminance of all pixels before encoding. If the frame has a single band,
-    # the outputs stay on the device and are then encoded. Larger frames are rendered twice.
+    # The automatic exposure of a still needs the luminance of all pixels before encoding. If the renderer processes the
+    # frame in one piece, the outputs remain on the device for encoding. Larger frames are rendered twice.
     scale = scale * balance.luminance or still_scale(renderer.outputs(frame)[1], frame, renderer.table)
     scale *= 2**rendition.stops
     adaptation = shown_adaptation(renderer.table, balance.adaptation)
@@ -219,10 +219,10 @@ def frame_and_display(
 
 
 class FrameMeter:
-    """Determines the exposure scale and the white balance of frames, one after another.
+    """Determines the exposure scale and the white balance, frame by frame.
 
-    In a sequence, the exposure and the white balance follow the measurements smoothly. Some methods measure the white only
-    in the first frame of a sequence. Each still has its own white, and the renderer determines its automatic exposure.
+    In a sequence, both follow the measurements smoothly, and a white measured on a grey object or a chart is measured only
+    in the first frame. Each still has its own white, and its automatic exposure is determined after rendering.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ class FrameMeter:
     rendition : Rendition
         Settings of the pictures.
     source : WhiteSource or None
-        Method that finds the white of each frame, or None for the white of the rendition.
+        Finds the white of each frame. None for the white of the rendition.
     rate : Fraction or None
         Frames per second of a sequence, or None for stills.
     """
@@ -255,11 +255,11 @@ class FrameMeter:
         Returns
         -------
         scale : float
-            Exposure scale, or 0 if the renderer should determine the exposure.
+            Exposure scale, or 0 if it must be determined after rendering.
         balance : WhiteBalance or None
             White balance, or None for the white balance of the rendition.
         white : SceneWhite or None
-            Measured white, or None if the white is not measured or if the frame has no usable pixels.
+            Measured white. None if it is not measured, or if the frame has no usable pixels.
 
         Raises
         ------
@@ -275,15 +275,15 @@ class FrameMeter:
         Returns
         -------
         brightness : float
-            Luminance that should be displayed as white, or 0 if the brightness is not measured.
+            Luminance to display as white, or 0 if the brightness is not measured.
         balance, white
-            The same as in `measured`.
+            As in `measured`.
         """
         white = self._measured_white(frame) if self._source else None
         return self._light.brightness(frame, self._balance) if self._light else 0.0, self._balance, white
 
     def scale(self, frame: RawFrame, brightness: float, flicker: float = 0.0) -> float:
-        """Return the exposure scale of the next frame, or 0 if the renderer should determine the exposure.
+        """Return the exposure scale for the next frame, or 0 if it must be determined after rendering.
 
         Parameters
         ----------
@@ -292,7 +292,7 @@ class FrameMeter:
         brightness : float
             Brightness of the frame, from `looked_at`.
         flicker : float
-            Natural logarithm of the factor by which flicker brightens the frame. The scale compensates for this factor.
+            Natural logarithm of the factor by which flicker brightens the frame, for which the scale compensates.
         """
         steady = math.exp(-flicker)
         if self._light and self._exposure:
@@ -312,16 +312,16 @@ class FrameMeter:
 
 
 class Following:
-    """Determines the exposure scale and the white balance of frames one after another, and applies the temporal filter.
+    """Measures exposure and white balance frame by frame, and applies the temporal filter.
 
     Parameters
     ----------
     table, rendition, source
-        The same as for `FrameMeter`.
+        As in `FrameMeter`.
     rate : Fraction or None
-        Frames per second. If None, all frames have the exposure scale and the white balance of the first frame.
+        Frames per second. If None, all frames use the exposure scale and the white balance of the first frame.
     temporal : Chunks, optional
-        The temporal filter. [default: frames are not filtered]
+        Temporal filter. [default: frames are not filtered]
     """
 
     def __init__(
@@ -337,8 +337,8 @@ class Following:
     def shown(self, frame: RawFrame) -> tuple[RawFrame, float, WhiteBalance | None]:
         """Return the filtered frame, its exposure scale and its white balance.
 
-        The white balance is None if the frame has the white balance of the rendition. Raises an InputFileError if the white
-        of the frame cannot be measured.
+        The white balance is None for the white balance of the rendition. Raises InputFileError if the white cannot be
+        measured.
         """
         with self._alone:
             measured = self._first if self._held and self._first is not None else self._meter.measured(frame)[:2]

@@ -1,17 +1,17 @@
-"""Uncertainty of rendered outputs due to the noise of the camera (docs/measurement.md#uncertainty).
+"""Uncertainty of rendered outputs due to camera noise (docs/measurement.md#uncertainty).
 
 The standard deviation of an output at pixel p is modelled as
 
     σ(p) = G(class) · K(kind) · E(p) · s(p)
 
-s is the standard deviation of a raw value at the signal level of the output. G is a gain for each class of the last layer.
-K is a factor for each kind of the first layer, which is a chroma or a saturation case. E is a factor for the outermost rows
-and columns. Outputs in these rows and columns have more noise, because mirrored windows contain some raw values twice.
+s is the standard deviation of a raw value at the output's signal level. G is a gain for each class of the last layer. K is a
+factor for each kind (chroma or saturation case) of the first layer. E is a factor for the outermost rows and columns, which
+are noisier because mirrored windows contain some raw values twice.
 
-G, K and E are determined by a parametric bootstrap. The rendered picture is treated as the true scene. Frames of this scene
-are simulated several times with new noise and are rendered. G, K and E are fitted so that the mean σ equals the standard
-deviation over these renderings, for each class, each kind, and the outermost rows and columns. The result therefore
-includes the effect of noise on the choice of classes.
+A parametric bootstrap determines G, K and E. The rendered picture is treated as the true scene, of which several frames with
+independent noise are simulated and rendered. G, K and E are fitted so that the mean σ equals the standard deviation over the
+renderings: for each class, for each kind, and for the outermost rows and columns. The result therefore includes the effect
+of noise on the classification.
 """
 
 import math
@@ -38,53 +38,52 @@ Array = NDArray[np.floating]
 Labels = NDArray[np.integer]
 CLIPPED = 1  # bit of the mask: clipped values affect the class or the result
 UNTRAINED = 2  # bit of the mask: the class has no training patches
-# Large frames are not simulated as a whole. Only some square pieces are simulated.
+# Of large frames, only a grid of square pieces is simulated.
 PIECE_PIXELS = 96  # approximate side of a piece
 PIECES_PER_SIDE = 4  # number of pieces along each side of the frame
-SEAM_PIXELS = 8  # width of the border that is ignored in each piece
+SEAM_PIXELS = 8  # width of the border to ignore in each piece
 BUDGET = 1 << 18  # approximate number of pixels in all renderings together
-DRAWS = (5, 40)  # smallest and largest number of renderings
-SMOOTHED = 0.5  # σ of a Gaussian that removes noise from the picture, in pixels; otherwise this noise would count twice
-FITS = 3  # number of iterations of the robust fit from outputs to signals
-ROUNDS = 4  # number of iterations of the fit of the gains and factors, which is enough for convergence
+DRAWS = (5, 40)  # minimum and maximum numbers of renderings
+SMOOTHED = 0.5  # σ in pixels of a Gaussian blur that removes noise from the picture, because it would count twice
+FITS = 3  # iterations of the robust fit from outputs to raw signals
+ROUNDS = 4  # iterations of the fit of G and K, enough for convergence
 PRIOR = 50  # weight, in pixels, of the assumption that a class has the gain of a coarser class
-# Number of rows and columns at each border that have their own factors. Farther inside, σ changes by less than 2 %.
-EDGE_PIXELS = 4
-TILES = (1, 2, 4, 8, 16)  # sides of the tiles whose means are evaluated, in pixels
-MIN_TILES = 9  # smallest number of tiles for which the noise of the tile means is evaluated
-MIN_VARIANCE = 1e-30  # avoids a division by zero if noise does not change any raw value, as in a black frame
+EDGE_PIXELS = 4  # number of rows and columns with their own factor E; farther inside, σ changes by less than 2 %
+TILES = (1, 2, 4, 8, 16)  # sides in pixels of the tiles for which the noise of the mean is measured
+MIN_TILES = 9  # the noise of the mean is measured only for tiles of which a rendering contains at least this number
+MIN_VARIANCE = 1e-30  # avoids division by zero if noise changes no raw value, as in a black frame
 MIN_SIDE = 32  # smallest side of a frame, in pixels
-SUMS = ((0, 1), (0, 2), (1, 2))  # pairs of Stokes parameters; the variances of their sums yield the covariances
-STRIP = 1 << 16  # number of pixels that are processed together, so that their values fit into the processor cache
+SUMS = ((0, 1), (0, 2), (1, 2))  # pairs of Stokes parameters; the variances of their sums determine their covariances
+STRIP = 1 << 16  # number of pixels to process together, so that they fit into the CPU cache
 SEED = 20
 
 
 @dataclass(frozen=True)
 class NoiseGains:
-    """Factors G, K and E, which convert the noise of raw values to the noise of outputs (see the head of the module)."""
+    """Factors G, K and E from the noise of raw values to the noise of outputs (see the module docstring)."""
 
     # For tables with Stokes parameters, the axis "output" contains the outputs, followed by SUMS.
     by_class: NDArray[np.float32]  # (class of the last layer, output) gain G
     by_kind: NDArray[np.float32]  # (class of the first layer, output) factor K
     by_edge: NDArray[np.float32]  # (side, distance, output) factor E; the sides are top, bottom, left and right
-    area: Array  # (tile size, output) variance of the tile mean times the number of pixels, relative to the pixel variance
-    unit: float  # raw value above black, in DN, at which the brightness of the outputs is 1
+    area: Array  # (tile size, output) variance of the tile mean, times its number of pixels, relative to the pixel variance
+    unit: float  # raw signal above black, in DN, at which the brightness of the outputs is 1
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Uncertainty of the outputs of a frame, in the orientation of the upright picture."""
+    """Uncertainty of the outputs of a frame, in upright orientation."""
 
-    sigma: NDArray[np.float32]  # (row, col, output) standard deviation due to the noise of the camera
-    mask: NDArray[np.uint8]  # (row, col) bits CLIPPED and UNTRAINED, or 0 for reliable pixels
-    gains: NoiseGains  # result of the bootstrap, which can be used for other frames of the same scene
+    sigma: NDArray[np.float32]  # (row, col, output) standard deviation due to camera noise
+    mask: NDArray[np.uint8]  # (row, col) bits CLIPPED and UNTRAINED; 0 for reliable pixels
+    gains: NoiseGains  # result of the bootstrap, reusable for other frames of the same scene
     # (row, col, 2) standard deviations of DoLP, and of AoLP in degrees; None for tables without Stokes parameters
     polarisation: NDArray[np.float32] | None = None
 
     def of_mean(self, inside: NDArray[np.bool_]) -> Array:
-        """Return the standard deviation of the mean of the outputs over a region.
+        """Return the standard deviation of each output's mean over a region.
 
-        The noise is assumed to be correlated in the same way as in a square with the same number of pixels.
+        The correlation of the noise is assumed to have the same effect as in a square with the same number of pixels.
 
         Parameters
         ----------
@@ -105,22 +104,21 @@ def require_known_noise(table: TransformTable) -> None:
     """Raise a RecipeError if the table does not contain the noise model of its camera."""
     if table.camera is None:
         raise RecipeError(
-            "to compute the uncertainty, l3 needs the camera's noise model, which this table does not contain; train the "
-            "table again"
+            "the uncertainty depends on the camera's noise model, which this table does not contain; train the table again"
         )
 
 
 def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = None) -> Uncertainty:
-    """Return the uncertainty of the outputs of a frame.
+    """Compute the uncertainty of the outputs of a frame.
 
     Parameters
     ----------
     renderer : Renderer
-        A renderer with a single set of transforms, which must match the gain and the noise of the frame.
+        Renderer with a single set of transforms, for the gain and noise of the frame.
     frame : RawFrame
         The raw frame.
     like : Uncertainty, optional
-        Uncertainty of another frame of the same scene. If given, its factors are used instead of a new bootstrap.
+        Uncertainty of another frame of the same scene. Its factors replace the bootstrap.
 
     Returns
     -------
@@ -129,12 +127,12 @@ def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = 
     Raises
     ------
     RecipeError
-        If the table does not contain the noise model of its camera, or if the frame is too small.
+        If the table does not contain its camera's noise model, if the frame requests a lens warp, or if it is too small.
     """
     if frame.warps:
         raise RecipeError(
-            f"{frame.name} requests a lens warp, for which l3 cannot compute the uncertainty; set ‹opcodes› leave to render "
-            "the frame without the warp"
+            f"{frame.name} requests a lens warp, for which l3 cannot compute the uncertainty; set ‹opcodes› leave to omit "
+            "the warp"
         )
     table = renderer.table
     require_known_noise(table)
@@ -166,7 +164,7 @@ def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = 
 
 
 def _with_sums(table: TransformTable, outputs: Array) -> Array:
-    """Append sums of pairs of Stokes parameters (SUMS) to the outputs. Outputs of other types are returned unchanged."""
+    """Append the sums of Stokes parameters (SUMS) to the outputs, if these contain Stokes parameters."""
     if not has_stokes(table.outputs):
         return outputs
     stokes = stokes_of(outputs, table.outputs)
@@ -174,10 +172,10 @@ def _with_sums(table: TransformTable, outputs: Array) -> Array:
 
 
 def _of_polarisation(table: TransformTable, outputs: Array, sigma: Array) -> NDArray[np.float32]:
-    """Return the standard deviations of DoLP and AoLP as an array (row, col, 2).
+    """Return the standard deviations (row, col, 2) of DoLP and AoLP.
 
-    `sigma` (output, row, col) contains the standard deviations of the outputs and of SUMS. The covariance of two parameters
-    follows from the variances of both parameters and of their sum.
+    `sigma` (output, row, col) contains the standard deviations of the outputs and of SUMS. The covariance of two Stokes
+    parameters follows from their variances and the variance of their sum.
     """
     made = np.empty((*outputs.shape[1:], 2), np.float32)
     for first in range(0, len(made), step := max(STRIP // made.shape[1], 1)):
@@ -198,17 +196,17 @@ def _of_polarisation(table: TransformTable, outputs: Array, sigma: Array) -> NDA
 class RegionMean:
     """Mean of the outputs over a region of a picture."""
 
-    mean: Array  # (output) mean
-    sigma: Array  # (output) standard deviation of the mean due to the noise of the camera
+    mean: Array  # (output)
+    sigma: Array  # (output) standard deviation of the mean due to camera noise
     pixels: int  # number of pixels
-    unusual: float  # fraction of pixels that are clipped or whose class has no training patches
+    unusual: float  # fraction of pixels that are clipped, or in a class without training patches
 
 
 def region(picture: NDArray[np.floating], of: Uncertainty, polygon: Sequence[tuple[float, float]]) -> RegionMean:
-    """Average the outputs over a polygon, and return the mean with its uncertainty.
+    """Average the outputs over a polygon, with the uncertainty of the mean.
 
-    The errors of neighbouring pixels are correlated, because neighbouring outputs are computed from the same raw values. The
-    uncertainty of the mean takes this correlation into account.
+    Errors of neighbouring pixels are correlated, because their windows share raw values. The uncertainty of the mean takes
+    this correlation into account.
 
     Parameters
     ----------
@@ -217,13 +215,12 @@ def region(picture: NDArray[np.floating], of: Uncertainty, polygon: Sequence[tup
     of : Uncertainty
         Uncertainty of the same frame, from `Renderer.uncertainty`.
     polygon : sequence of (float, float)
-        Corners (row, col). The centres of the pixels have integer coordinates. A pixel belongs to the region if its centre
-        is inside the polygon.
+        Corners (row, col). Pixel centres have integer coordinates. The region consists of the pixels whose centres are
+        inside the polygon.
 
     Returns
     -------
     RegionMean
-        Mean, uncertainty, number of pixels, and fraction of unusual pixels.
 
     Raises
     ------
@@ -241,12 +238,12 @@ def region(picture: NDArray[np.floating], of: Uncertainty, polygon: Sequence[tup
     """
     if picture.shape != of.sigma.shape:
         raise RecipeError(
-            f"the picture has the shape {picture.shape}, but the uncertainty has the shape {of.sigma.shape}; use both "
+            f"the picture has the shape {picture.shape}, but the uncertainty has the shape {of.sigma.shape}; compute both "
             "from the same frame"
         )
     inside = within_polygon(picture.shape[:2], polygon)
     if not inside.any():
-        raise RecipeError("the polygon contains no pixel; use corners (row, col) inside the picture")
+        raise RecipeError("the polygon contains no pixel centre; use corners (row, col) inside the picture")
     mean = picture[inside].mean(axis=0, dtype=np.float64)
     return RegionMean(mean, of.of_mean(inside), int(inside.sum()), float((of.mask[inside] > 0).mean()))
 
@@ -259,7 +256,7 @@ def within_polygon(shape: tuple[int, ...], polygon: Sequence[tuple[float, float]
     shape : tuple of int
         Numbers of rows and columns.
     polygon : sequence of (float, float)
-        Corners (row, col). The centres of the pixels have integer coordinates.
+        Corners (row, col). Pixel centres have integer coordinates.
     """
     row, col = np.indices(shape)
     inside = np.zeros(shape, bool)
@@ -272,7 +269,7 @@ def within_polygon(shape: tuple[int, ...], polygon: Sequence[tuple[float, float]
 
 
 def _flags(table: TransformTable) -> list[NDArray[np.uint8]]:
-    """Return the flags CLIPPED and UNTRAINED of each class: one array for the first layer, and one array for the last layer.
+    """Return the mask bits (CLIPPED, UNTRAINED) of each class in the first and last layers.
 
     For a table with a single layer, the result contains one array.
     """
@@ -283,7 +280,7 @@ def _flags(table: TransformTable) -> list[NDArray[np.uint8]]:
 
 
 def _replaced(table: TransformTable, frame: RawFrame) -> NDArray[np.uint8]:
-    """Return an array (row, col) with CLIPPED where clipped areas are replaced, and 0 elsewhere."""
+    """Return an array (row, col) that is CLIPPED where rendering replaces clipped areas, and 0 elsewhere."""
     none, clipping = np.zeros(frame.values.shape, np.uint8), table.later[-1].clipping if table.later else None
     if clipping is None:
         return none
@@ -296,16 +293,16 @@ def _replaced(table: TransformTable, frame: RawFrame) -> NDArray[np.uint8]:
     np.put(blocks, numbers[share > 0], CLIPPED)
     replaced = np.pad(blocks, 1, mode="edge")
     for axis, side in enumerate(sides):
-        # Each pixel is between the centres of two blocks. These are the blocks `low` and `low + 1` of the padded map.
+        # Each pixel is interpolated between the blocks `low` and `low + 1` of the padded map.
         low = (np.arange(none.shape[axis]) + side // 2) // side
         replaced = replaced.take(low, axis) | replaced.take(low + 1, axis)
     return replaced
 
 
 def _sides(planes: NDArray[Any]) -> list[NDArray[Any]]:
-    """Return views of the outermost rows and columns of planes: top, bottom, left and right.
+    """Return views of the outermost rows and columns at the top, bottom, left and right.
 
-    Each view has the axes (…, distance, along). The outermost row or column of a side has the distance 0.
+    Each view has the axes (…, distance from the border, position along the border).
     """
     turned = planes.swapaxes(-1, -2)
     return [each[..., :EDGE_PIXELS, :] for each in (planes, planes[..., ::-1, :], turned, turned[..., ::-1, :])]
@@ -314,11 +311,10 @@ def _sides(planes: NDArray[Any]) -> list[NDArray[Any]]:
 def _raw_sigma(
     table: TransformTable, terms: tuple[Array, Array, float], unit: float, outputs: Array, scale: Array
 ) -> Array:  # fmt: skip
-    """Return, for each pixel, the noise s of a raw value at the signal level of the output of the pixel.
+    """Return the standard deviation s of a raw value at each output's signal level, as a fraction of full scale.
 
-    The noise is a standard deviation, as a fraction of full scale. The noise terms are averaged over the channels. `outputs`
-    are already multiplied by `scale`, which is the product of `RawFrame.light_share` and the shading gain of each pixel. The
-    result is also multiplied by `scale`.
+    The noise terms are averaged over the channels. `scale` is `RawFrame.light_share` times the shading gain of each pixel.
+    The outputs include this factor, and so does the result.
     """
     span = table.white_level - table.black_level
     constant, linear, quadratic = (np.mean(term) / span**2 for term in terms)
@@ -336,10 +332,9 @@ def _brightness(table: TransformTable, outputs: Array) -> Array:
 
 
 def _noise_terms(table: TransformTable, frame: RawFrame) -> tuple[Array, Array, float]:
-    """Return the constant, linear and quadratic noise terms of a frame.
+    """Return the constant (channel,), linear (channel,) and quadratic noise terms of a frame.
 
-    The terms apply to raw values that are scaled to the table's black and white levels. The constant and the linear term
-    have one value per channel.
+    They apply to raw values at the table's black and white levels, in DN.
     """
     every = np.arange(len(table.channels))
     camera, dark = _camera_and_dark(table, frame)
@@ -348,18 +343,15 @@ def _noise_terms(table: TransformTable, frame: RawFrame) -> tuple[Array, Array, 
 
 
 def _line_variances(table: TransformTable, frame: RawFrame) -> tuple[float, float]:
-    """Return the variances of the row offsets and of the column offsets, in DN².
-
-    The variances apply to raw values that are scaled to the table's black and white levels.
-    """
+    """Return the variances of row noise and column noise in DN², at the table's black and white levels."""
     camera, dark = _camera_and_dark(table, frame)
     return camera.line_variances(dark)
 
 
 def _camera_and_dark(table: TransformTable, frame: RawFrame) -> tuple[CameraModel, float]:
-    """Return the table's camera model with the noise remaining in a frame after a temporal filter, and the dark signal.
+    """Return the table's camera with the noise that remains in a frame, and the frame's dark signal.
 
-    The dark signal is in DN, scaled to the table's black and white levels.
+    The dark signal is in DN at the table's black and white levels.
     """
     assert table.camera is not None
     dark = frame.dark * (table.white_level - table.black_level) / (frame.white_level - frame.black_level)
@@ -370,20 +362,20 @@ def _camera_and_dark(table: TransformTable, frame: RawFrame) -> tuple[CameraMode
 
 
 def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Array) -> NoiseGains:
-    """Determine the factors G, K and E by a bootstrap. The `outputs` of the frame are already multiplied by `scale`.
+    """Determine the factors G, K and E by a bootstrap. The `outputs` of the frame include the factor `scale`.
 
     Raises RecipeError if the frame is too small.
     """
     from scipy.ndimage import gaussian_filter
 
     table = renderer.table
-    # Each piece begins at a multiple of the CFA period and the block size. The outermost pieces include the frame borders.
+    # Pieces begin at multiples of the blocks for clipped areas, which are whole CFA periods, and for coarse chroma.
     units = [math.lcm(side, BLOCK) for side in block_sides(table.cfa)]
     if min(frame.values.shape) < (least := max(MIN_SIDE, *units)):
         tall, wide = frame.values.shape
         raise RecipeError(
-            f"the frame has {tall}×{wide} pixels, but an estimate of the uncertainty needs at least "
-            f"{least}×{least} pixels; use a larger frame"
+            f"the frame has {tall}×{wide} pixels, but the uncertainty requires at least {least}×{least} pixels; use a "
+            "larger frame"
         )
     rows, cols = (_sampled(length, unit) for length, unit in zip(frame.values.shape, units, strict=True))
     shown = _cut(outputs, rows, cols) / (_cut(scale, rows, cols) if scale.ndim else scale)
@@ -415,7 +407,7 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Arr
         first[draw], last[draw] = labels[0], labels[-1]
     spread = _raw_sigma(table, terms, unit, made[:own], np.ones((), np.float32))
     deviations = made - made.mean(axis=1, keepdims=True)
-    # Expected value of the sample standard deviation of `draws` values, relative to the true standard deviation.
+    # Ratio of the expected sample standard deviation of `draws` values to the true standard deviation.
     chi = math.exp(math.lgamma(draws / 2) - math.lgamma((draws - 1) / 2)) * math.sqrt(2 / draws)
     measured = np.sqrt(np.square(deviations).mean(axis=1)) / chi
     inner = np.flatnonzero(_counts(rows)), np.flatnonzero(_counts(cols))
@@ -431,10 +423,9 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Arr
 
 
 def _edge_factors(measured: Array, expected: Array, inner: tuple[Labels, Labels]) -> Array:
-    """Return the factors E (side, distance, output) of the outermost rows and columns.
+    """Return the factors E (side, distance, output): measured divided by expected standard deviation near each border.
 
-    Each factor is the ratio of the measured to the expected standard deviation. Corners and the seams between simulated
-    pieces are ignored.
+    Corners and the seams between simulated pieces are ignored.
     """
     rows, cols = inner
     pairs = zip((cols, cols, rows, rows), _sides(measured), _sides(expected), strict=True)
@@ -447,31 +438,30 @@ def _along(planes: Array, along: Labels) -> Array:
 
 
 def _cut(planes: NDArray[Any], rows: Labels, cols: Labels) -> NDArray[Any]:
-    """Select rows and columns, which are the last two axes of `planes`."""
+    """Select rows and columns from planes (…, row, col)."""
     return planes.take(rows, -2).take(cols, -1)
 
 
 def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labels], outputs: Array) -> tuple[Array, float]:
-    """Fit the inverse of rendering: a matrix (channel, output) that converts outputs to raw signals in DN.
+    """Fit the inverse of rendering: a matrix from outputs to raw signals in DN.
 
-    The fit compares means of blocks, because the outputs cannot reproduce fine patterns. Robust least squares weights the
-    error of each block relative to the brightness of the block.
+    The fit compares block means, because outputs and raw values disagree in fine patterns. It is a robust least-squares fit
+    of errors relative to the brightness of each block.
 
     Parameters
     ----------
     table : TransformTable
         Table that rendered the outputs.
     levelled : RawFrame
-        The frame, with its raw values scaled to the table's black and white levels.
+        The frame, from `at_table_levels`.
     sampled : (ndarray, ndarray)
-        Indices of the rows and of the columns that `outputs` contains.
+        Row and column indices of `outputs` in the frame.
     outputs : ndarray, (output, row, col)
-        The outputs.
+        Outputs of the sampled rows and columns.
 
     Returns
     -------
     matrix : ndarray, (channel, output)
-        The matrix.
     unit : float
         Mean raw signal, in DN above black, at which the brightness of the outputs is 1.
     """
@@ -498,10 +488,9 @@ def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labe
 
 
 def _sampled(length: int, unit: int) -> NDArray[np.int64]:
-    """Return the indices of the rows or columns to simulate: either all indices, or the indices of a few pieces.
+    """Choose the rows or columns to simulate: all of them, or evenly spaced pieces of a large frame.
 
-    Pieces begin at multiples of `unit`. The first piece contains the first index, and the last piece contains
-    the last index.
+    Pieces begin at multiples of `unit`. The first and last pieces include the borders of the frame.
     """
     piece = max(PIECE_PIXELS // unit, 1) * unit
     if length <= piece * PIECES_PER_SIDE:
@@ -512,7 +501,7 @@ def _sampled(length: int, unit: int) -> NDArray[np.int64]:
 
 
 def _counts(indices: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return a mask of the indices from `_sampled` that are neither near a seam between pieces nor near an end."""
+    """Return a mask of the indices from `_sampled` that are not near a seam between pieces or a border of the frame."""
     seams = np.concatenate([[-0.5], np.flatnonzero(np.diff(indices) != 1) + 0.5, [indices.size - 0.5]])
     return np.asarray(np.abs(np.arange(indices.size)[:, None] - seams).min(axis=1) > SEAM_PIXELS)
 
@@ -520,27 +509,27 @@ def _counts(indices: NDArray[np.int64]) -> NDArray[np.bool_]:
 def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, measured: Array) -> tuple[Array, Array]:
     """Fit the gains G and the factors K by iterative proportional fitting.
 
-    Pixels are grouped in four ways: by level, by the class of the last layer without its site, by the class of the last
-    layer with its site, and by the kind of the first layer. The fit makes the mean of the predicted standard deviations in
-    each group equal to the mean of the measured standard deviations.
+    Pixels are grouped in four ways: by level, by the class in the last layer pooled over all CFA sites, by the class at each
+    site, and by the kind in the first layer. In each group, the fit makes the mean predicted standard deviation equal to the
+    mean measured standard deviation.
 
     Parameters
     ----------
     table : TransformTable
         Table with one set of transforms.
     first, last : ndarray, (draw, pixel)
-        Classes in the first and in the last layer.
+        Classes in the first and last layers.
     spread : ndarray, (draw, pixel)
-        Standard deviation of the raw values.
+        Standard deviation s of raw values.
     measured : ndarray, (output, row, col)
         Standard deviation over the renderings.
 
     Returns
     -------
     by_class : ndarray, (class of the last layer, output)
-        The gains G.
+        Gains G.
     by_kind : ndarray, (class of the first layer, output)
-        The factors K.
+        Factors K.
     """
     from scipy.sparse import coo_array
 
@@ -550,7 +539,7 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
     size, cell = int(kind.max()) + 1 if table.later else 1, last.astype(np.intp)
     if table.later:
         cell = cell * size + kind[first]
-    used = np.flatnonzero(np.bincount(cell.ravel()))  # combinations of class and kind that occur in the renderings
+    used = np.flatnonzero(np.bincount(cell.ravel()))  # combinations of class and kind that occur
     number = np.zeros(used[-1] + 1, np.intp)
     number[used] = np.arange(used.size)
     cell = number[cell]
@@ -562,8 +551,7 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
     prior = PRIOR * len(last) * measured.mean(axis=(1, 2))
     wanted = _summed(cell.ravel(), np.tile(measured.reshape(len(measured), -1), len(cell)).T, used.size)
     seen = [_summed(part, wanted, len(factor)) for part, factor in zip(parts, factors, strict=True)]
-    # The mean over all draws is approximated by a weighted mean of two draws: the draw itself, and one other draw, which
-    # represents all other draws.
+    # The mean over all draws is approximated from two draws per pixel: the draw itself, and one that represents all others.
     alone, others = _summed(cell.ravel(), spread.reshape(-1, 1) / len(cell), used.size), 1 - 1 / len(cell)
     by_others = coo_array((np.roll(spread * others, 1, 0).ravel(), (cell.ravel(), np.roll(cell, 1, 0).ravel()))).tocsr()
     for _ in range(ROUNDS):
@@ -576,15 +564,12 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
 
 
 def _summed(part: Labels, values: NDArray[Any], size: int) -> Array:
-    """Sum the values (cell, output) of all cells that belong to the same part. The result has the axes (part, output)."""
+    """Sum values (cell, output) over the cells of each part, to an array (part, output)."""
     return np.stack([np.bincount(part, of, size) for of in values.T], axis=-1)
 
 
 def _areas(deviations: Array) -> Array:
-    """Compute `NoiseGains.area` from several renderings of one scene with different noise.
-
-    `deviations` (output, draw, row, col) contains the differences between each rendering and the mean rendering.
-    """
+    """Compute `NoiseGains.area` from the deviations (output, draw, row, col) of renderings from their mean."""
     areas, means = [], deviations
     for side in TILES:
         if side > 1:

@@ -153,7 +153,7 @@ def test_c_source_builds_by_cmake_for_any_processor(table: Path, tmp_path: Path,
 
 def test_a_white_far_from_training_is_reported_as_by_l3_render(table: Path, tmp_path: Path, l3: L3) -> None:
     err = l3("export", table, "-o", tmp_path / "c", "--white", "0.45,0.41")[2]
-    assert "--white 0.45,0.41 is far from the mean illuminant of the training" in err
+    assert "--white 0.45,0.41 is far from the mean training illuminant" in err
 
 
 def test_a_prefix_begins_symbols_of_c_source_alone(table: Path, tmp_path: Path, refused: Refused) -> None:

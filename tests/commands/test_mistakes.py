@@ -183,15 +183,15 @@ MISTAKES = """
     2 render table.h5 raw.tif -o new.png --white -3,40
         0…1000000 pixels
     2 render table.h5 raw.tif -o new.png --white 2,1,1,1.5
-        has 4 multipliers, but the channels are r, g, b
+        has 4 multipliers; set one for each of the channels r, g, b
     2 render table.h5 raw.tif -o new.png --white 2.1,0,1.4
         0.05…20
     2 render table.h5 raw.tif -o new.png --white 2.1,nan,1.4
         not a number
     3 render table.h5 raw.tif -o new.png --white 5000,5000
-        exceeds the picture of 160×240 pixels
+        extends beyond the picture (160×240 pixels)
     3 render table.h5 raw.tif -o new.png --white camera
-        states no white balance
+        contains no white balance
     3 render table.h5 grey.npy -o new.png --white chart
         no ColorChecker with 4×6 patches found
     3 render table.h5 text.pgm -o new.png
@@ -478,7 +478,7 @@ def test_a_device_that_is_not_there_is_named(desk: Path, refused: Refused, monke
     monkeypatch.setenv("L3_DEVICE", "nvdia")
     monkeypatch.chdir(desk)
     line = refused(4, "render", "table.h5", "raw.tif", "-o", "new.png")
-    assert 'no OpenCL device is called "nvdia"; --device or L3_DEVICE must be one of 0: ' in line
+    assert 'no OpenCL device is called "nvdia"; set --device or L3_DEVICE to one of 0: ' in line
 
 
 def test_a_folder_that_may_not_be_written_is_named_before_any_work(
@@ -524,9 +524,9 @@ def test_one_line_of_each(l3: L3, table: Path, bayer: CameraModel, tmp_path: Pat
     (torn,) = warnings("a.raw", "--size", exchanged, *timed)
     assert torn.endswith(f"did you mean --size {right} (rows first)?")
     (swapped,) = warnings("b.raw", "--size", right, *timed)
-    assert swapped.endswith("the file was probably read in a wrong format; read the file with --byte-order big")
+    assert swapped.endswith("the file was probably read in the wrong format; read it with --byte-order big")
     (long,) = warnings("a.raw", "--size", right, "--exposure-time", 20)
-    assert long.startswith("warning: --exposure-time 20 means 20 seconds (1000 times the mean of the training, 0.02 s)")
+    assert long.startswith("warning: --exposure-time 20 means 20 seconds (1000 times the training mean of 0.02 s)")
     assert long.endswith("set the time in seconds, not milliseconds")
 
 

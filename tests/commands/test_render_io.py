@@ -192,8 +192,8 @@ def test_values_above_the_converter_in_later_frames_are_reported_once(
     code, _, err = l3("render", table, tmp_path / "clip.npy", "-o", tmp_path / "out", "--backend", "reference")
     assert code == 0
     (line,) = (line for line in err.splitlines() if "16383 DN" in line)
-    assert "frame 2 and 1 other frame: some values are above 16383 DN, the largest value with the table's 14 bits" in line
-    with pytest.warns(UserWarning, match="the array: some values are above 16383 DN"):
+    assert "frame 2 and 1 other frame: some values exceed 16383 DN, the maximum for the table's 14 bits" in line
+    with pytest.warns(UserWarning, match="the array: some values exceed 16383 DN"):
         Renderer(RGGB, backend="reference").picture(frames[2])
 
 

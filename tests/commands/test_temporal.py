@@ -132,5 +132,5 @@ def test_dark_current_and_dark_frames_stay_what_they_are(l3: L3, tmp_path: Path,
 def test_a_table_without_its_camera_is_one_line(refused: Refused, tmp_path: Path, still_frames: Path) -> None:
     save(dataclasses.replace(TABLE, camera=None), tmp_path / "old.h5")
     call = ("render", tmp_path / "old.h5", still_frames, "-o", tmp_path / "out", "--temporal", *FAST)
-    assert "--temporal needs the camera's noise" in refused(2, *call)
+    assert "--temporal requires the camera's noise" in refused(2, *call)
     assert not (tmp_path / "out").exists()

@@ -78,7 +78,7 @@ def test_the_white_that_the_file_states(l3: L3, table: Path, warm: Path, tmp_pat
     code, _, err = l3("render", table, warm, "--white", CAMERA, "-o", tmp_path / "a.png", *FAST)
     assert code == 0
     line, *warnings = err.splitlines()
-    assert line.startswith(f"{warm}: white stated in the file: x,y = 0.42")
+    assert line.startswith(f"{warm}: white from the file: x,y = 0.42")
     assert 3150 < float(line.split(" K,")[0].split()[-1]) < 3250
     assert not [each for each in warnings if "camera" in each or "array" in each]
     assert cast(tmp_path / "a.png") <= ROUNDING
@@ -181,7 +181,7 @@ def test_a_neutral_that_no_light_gives_and_another_camera_are_warned_of(
     assert code == 0
     (line,) = [each for each in err.splitlines() if "does not match any daylight, lamp or black body" in each]
     assert "l3 makes greys neutral but does not correct other colours" in line
-    assert "the file states the camera Canon EOS 550D, but the table is for small Bayer" in err
+    assert "the file comes from the camera Canon EOS 550D, but the table is for small Bayer" in err
 
 
 def test_an_array_that_a_file_misstates_is_warned_of_with_the_phase(
@@ -189,7 +189,7 @@ def test_an_array_that_a_file_misstates_is_warned_of_with_the_phase(
 ) -> None:
     raw = dng(tmp_path / "shifted.dng", bayer, "D65", mosaic(bayer, "D65")[:, 1:].copy())
     err = l3("render", table, raw, "-o", tmp_path / "a.png", *FAST)[2]
-    assert "the stated phase of the colour filter array is wrong" in err
+    assert "the phase of the colour filter array seems wrong" in err
     assert "--phase 0,1 or 1,0" in err
     assert "sites" not in l3("render", table, raw, "-o", tmp_path / "b.png", "--phase", "0,1", *FAST)[2]
 
@@ -250,7 +250,7 @@ def test_python_gives_the_pictures_of_the_command(
     for white in ("camera", "auto", "30,40", "A"):
         assert l3("render", table, warm, "--white", white, "-o", tmp_path / "a.png", "--force", "--quiet", *FAST)[0] == 0
         np.testing.assert_array_equal(renderer.picture(frame, white=white), read_image(tmp_path / "a.png")[0])
-    with pytest.raises(l3cli.errors.InputFileError, match="states no white balance"):
+    with pytest.raises(l3cli.errors.InputFileError, match="contains no white balance"):
         renderer.picture(mosaic(bayer, "A"), white="camera")
 
 
@@ -369,7 +369,7 @@ def test_its_greys_are_neutral_also_where_the_file_states_another_white(
     assert 2700 < float(line.split(" K,")[0].split()[-1]) < 3000
     rows, cols = ([int(n) for n in each.split()[-1].split("–")] for each in line.split("; rows ")[1].split(", "))
     np.testing.assert_allclose([*rows, *cols], [39, 39 + 4 * PITCH, 31, 31 + 6 * PITCH], atol=6)
-    assert "the file states a white of 5" in err
+    assert "the white balance in the file is 5" in err
     assert chroma(picture).max() < 3
     assert l3(*call, "camera")[0] == 0
     assert chroma(picture).max() > 20

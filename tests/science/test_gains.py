@@ -230,7 +230,7 @@ def test_frames_are_rendered_by_the_transforms_for_their_gain(several: Transform
         np.testing.assert_array_equal(renderer.outputs(dataclasses.replace(frame, gain=gain)), wanted)
     assert other_gain(dataclasses.replace(frame, gain=20.0), several) == ""
     for gain in (0.01, 64.0):
-        assert "read noise is known only from 1 to 16" in other_gain(dataclasses.replace(frame, gain=gain), several)
+        assert "the read noise only for 1 to 16 times" in other_gain(dataclasses.replace(frame, gain=gain), several)
     assert "exceeds the black level (240 DN)" in other_gain(dataclasses.replace(frame, gain=256.0), several)
     unknown = dataclasses.replace(several, camera=None, conditions=())
     assert "does not contain the noise model of its camera" in other_gain(dataclasses.replace(frame, gain=4.0), unknown)

@@ -178,7 +178,7 @@ def test_greys_of_the_chart_are_neutral_by_a_grey_and_by_a_file_that_states_it(t
         code, _, err = l3("render", table, file, "--white", white, "--bits", 16, "-o", tmp_path / "a.tif", "--force")
         assert code == 0
         assert 2700 < float(err.split(" K,")[0].split()[-1]) < 3100
-        assert ("the file states a white of 55" in err) == (white == "chart")
+        assert ("the white balance in the file is 55" in err) == (white == "chart")
         windows = patch_windows(srgb_decoded(read_image(tmp_path / "a.tif")[0] / 65535), 18)[18:]
         chroma = np.hypot(*lab(displayed_xyz(windows.mean(axis=(1, 2))), daylight())[:, 1:].T)
         print(white, np.round(chroma, 1))

@@ -239,9 +239,9 @@ def test_large_frames_are_sampled_and_noise_is_that_of_their_gain() -> None:
 def test_what_is_not_known_is_refused() -> None:
     table = even_table(BAYER, 1)
     frame, renderer = noisy_frame(table, 0.1, 3), make_renderer("opencl", table)
-    with pytest.raises(RecipeError, match="needs the camera's noise model"):
+    with pytest.raises(RecipeError, match="depends on the camera's noise model"):
         uncertainty(make_renderer("opencl", replace(table, camera=None)), frame)
-    with pytest.raises(RecipeError, match="needs at least 32×32 pixels"):
+    with pytest.raises(RecipeError, match="requires at least 32×32 pixels"):
         uncertainty(renderer, replace(frame, values=frame.values[:8]))
     found = uncertainty(renderer, frame)
     for picture, corners, words in ((found.sigma[1:], [(0, 0)], "has the shape"), (found.sigma, [(0, 0)], "no pixel")):

@@ -51,7 +51,7 @@ def test_nothing_is_reported_of_what_cameras_give(table: TransformTable) -> None
 @pytest.mark.parametrize("share", [1.2, 0.3])
 def test_bytes_that_are_exchanged_and_values_that_are_shifted_up(table: TransformTable, share: float) -> None:
     values = picture(share)
-    assert "the two bytes of each value are swapped" in words(values.byteswap(), table)
+    assert "the two bytes of each value seem to be swapped" in words(values.byteswap(), table)
     for shift in (2, 4):
         text = words(values << shift, table)
         assert ("" if (values.max() << shift) < 1.5 * WHITE else f"all values are multiples of {2**shift}") in text
@@ -63,17 +63,17 @@ def test_bytes_that_are_exchanged_and_values_that_are_shifted_up(table: Transfor
 def test_values_that_the_converter_cannot_give(table: TransformTable) -> None:
     values = picture()
     values[0, :3] = 5000
-    assert "some values are above 4095 DN, the largest value with the table's 12 bits" in words(values, table)
+    assert "some values exceed 4095 DN, the maximum for the table's 12 bits" in words(values, table)
     assert words(values, table, white=4096.0) == ""  # the level is of its file, and so is its depth
     values[0, 0] = 65535
     assert "the values reach 65535 DN, but the white level is 4095" in words(values, table)
 
 
 def test_fewer_bits_than_the_tables(table: TransformTable) -> None:
-    assert "at which 8-bit values clip, but the white level is 4095" in words(picture(1.5, 4, 255), table)
-    assert "at which 10-bit values clip" in words(picture(1.5, 60, 1023), table)
-    assert "the black level has already been subtracted or the bit depth is different" in words(picture(0.5, 4, 255), table)
-    assert "the black level has already been subtracted" in words(picture(1.0, 0.0), table)
+    assert "the maximum for 8 bits, but the white level is 4095" in words(picture(1.5, 4, 255), table)
+    assert "the maximum for 10 bits" in words(picture(1.5, 60, 1023), table)
+    assert "the black level was already subtracted or the bit depth is different" in words(picture(0.5, 4, 255), table)
+    assert "the black level was already subtracted" in words(picture(1.0, 0.0), table)
 
 
 def test_a_black_level_that_leaves_fog(table: TransformTable) -> None:

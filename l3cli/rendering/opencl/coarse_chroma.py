@@ -1,4 +1,4 @@
-"""Coarse chroma and the replacement of clipped areas on an OpenCL device.
+"""Coarse chroma filter and replacement of clipped areas on an OpenCL device.
 
 The reference implementations are in l3cli/classes/coarse_chroma.py and l3cli/classes/clipping.py.
 """
@@ -18,12 +18,12 @@ from l3cli.rendering.opencl.devices import pyopencl
 from l3cli.rendering.opencl.layout import COARSE_MACROS, COARSE_MARGIN, UNLIKE_ANY, clipping_macros, paired_source
 from l3cli.rendering.opencl.work import Band, Track, scratch
 
-BLOCK_MAPS = 8  # values per block, stored as an OpenCL float8; the last value is not used
-READ_AHEAD = 16  # number of elements that vector loads may read beyond the end of the data
+BLOCK_MAPS = 8  # values per block, stored as a float8; the last one is not used
+READ_AHEAD = 16  # vector loads may read this number of elements beyond the end of the data
 
 
 class DeviceCoarseChroma:
-    """Kernels and buffers for the coarse chroma filter. The kernels are compiled for the first frame."""
+    """Kernels and buffers of the coarse chroma filter. The kernels are compiled for the first frame."""
 
     def __init__(
         self, kernel: Callable[..., Any], run: Callable[..., Any], constant: Callable[..., Any], chroma: CoarseChroma,
@@ -34,19 +34,19 @@ class DeviceCoarseChroma:
         Parameters
         ----------
         kernel : callable
-            Function that compiles a kernel, given the source, the macros and the name.
+            Compiles a kernel from its source, macros and name.
         run : callable
-            Function that enqueues a kernel for all pixels of an area.
+            Enqueues a kernel for all pixels of an area.
         constant : callable
-            Function that copies an array to the device, and returns the buffer.
+            Copies an array to a device buffer.
         chroma : CoarseChroma
             Settings of the filter.
         variant : str
             A key of layout.VARIANTS.
         """
         self._make, self._run, self._constant, self._chroma, self._variant = kernel, run, constant, chroma, variant
-        self._kernels: list[Any] = []  # the kernels "average" and "soften"
-        self._scales: dict[float, list[Any]] = {}  # noise fraction → scale of each filter step
+        self._kernels: list[Any] = []  # "average" and "soften"
+        self._scales: dict[float, list[Any]] = {}  # noise fraction → scale of each filter pass
 
     def blocks(self, track: Track, band: Band, share: float) -> tuple[list[Any], tuple[Any, Any]]:
         """Enqueue the coarse chroma filter for a band.
@@ -54,11 +54,11 @@ class DeviceCoarseChroma:
         Parameters
         ----------
         track : Track
-            Command queue and device buffers for the band.
+            Command queue and buffers for the band.
         band : Band
-            Rows of the frame that are rendered together.
+            The band.
         share : float
-            Noise variance of the frame, as a fraction of the noise variance of the camera.
+            Noise variance of the frame, as a fraction of the camera's noise variance.
 
         Returns
         -------
@@ -84,9 +84,9 @@ class DeviceCoarseChroma:
         return events, (before, last)
 
     def _room(self, track: Track, shape: tuple[int, int]) -> list[Any]:
-        """Return the three block buffers of a track, and allocate the buffers for planes of size `shape` if necessary.
+        """Return a track's three block buffers for planes of size `shape`.
 
-        Margins around the blocks are filled with `UNLIKE_ANY`, so that the filter never averages over the edge of the frame.
+        Their margins are filled with `UNLIKE_ANY`, so that the filter never averages across the edge of the frame.
         """
         if track.coarse is None or track.coarse[0] != shape:
             cl, context = pyopencl(), track.queue.context
@@ -108,11 +108,11 @@ class DeviceClipping:
     ) -> None:  # fmt: skip
         """Store the arguments, without compiling the kernels.
 
-        `table` contains the settings of the replacement. The other arguments are the same as for `DeviceCoarseChroma`.
+        `table` contains the coefficients for the replacement. The other arguments are as in `DeviceCoarseChroma`.
         """
         self._make, self._run, self._constant, self._table, self._variant = kernel, run, constant, table, variant
-        self._kernels: list[Any] = []  # the kernels "measure_blocks", "map_blocks", "spread_estimates" and "read_maps"
-        self._constants: list[Any] = []  # buffers with the CFA, and with the response and the white
+        self._kernels: list[Any] = []  # "measure_blocks", "map_blocks", "spread_estimates" and "read_maps"
+        self._constants: list[Any] = []  # buffers with the CFA, and with the response followed by the white
 
     def maps(self, track: Track, band: Band, frame: RawFrame) -> tuple[list[Any], Any]:
         """Enqueue the kernels that compute replacement values for clipped areas.
@@ -120,18 +120,18 @@ class DeviceClipping:
         Parameters
         ----------
         track : Track
-            Command queue and device buffers for the band.
+            Command queue and buffers for the band.
         band : Band
-            Rows of the frame that are rendered together.
+            The band.
         frame : RawFrame
-            Frame whose raw values are scaled to the table's black and white levels.
+            Frame at the table's black and white levels.
 
         Returns
         -------
         events : list
             Events of the enqueued kernels.
         quads : buffer
-            Replacement values, one set per quad of 2 × 2 pixels.
+            Replacement values for each quad of 2 × 2 pixels.
         """
         table = self._table
         clipping = table.later[-1].clipping

@@ -1,9 +1,9 @@
-"""Finds OpenCL devices, explains why a device is missing, and chooses the folder in which PoCL caches compiled kernels.
+"""Finds OpenCL devices, explains why a device is missing, and chooses the folder of PoCL's kernel cache.
 
-PoCL trusts all files in its cache, and aborts the process if it cannot write to the cache. The folder must therefore be
-writable only by this user, and must be on a disk with enough space. Otherwise a temporary folder is used. docs/limits.md
-describes the effect of a damaged file in the cache. Other drivers have their own caches. The cache of pyopencl is not used,
-because pyopencl unpickles the files in its cache.
+PoCL trusts all files in its cache, and aborts the process if it cannot write to it. The folder must therefore be writable
+only by this user, and be on a disk with enough space. Otherwise a temporary folder is used. docs/limits.md describes what
+happens if a cached file is damaged. Other drivers have their own caches. pyopencl's cache is disabled, because pyopencl
+unpickles its files.
 """
 
 import atexit
@@ -23,12 +23,12 @@ from typing import Any
 from l3cli.errors import DeviceError, shortened
 from l3cli.rendering.opencl.processor import compiled_for
 
-MIN_FREE_BYTES = 16 << 20  # required free space, several times the size of the kernels of a table
-MAX_EMPTY_FILE_SECONDS = 86400  # older empty cache files are removed; every process with PoCL 3.0 leaves an empty file
+MIN_FREE_BYTES = 16 << 20  # required free space, several times the size of one table's kernels
+MAX_EMPTY_FILE_SECONDS = 86400  # older empty cache files are removed, because each process with PoCL 3.0 leaves one
 INSTALL = 'install a driver with: pip install "pyopencl[pocl]"'
-LINKER = "ld"  # linker that PoCL calls; if the linker or the libraries of a C compiler are missing, PoCL aborts the process
-REFUSES_PROCESSOR = "unknown target CPU"  # part of the message from PoCL's compiler if the processor is too new
-DAMAGED = "INVALID_KERNEL_NAME"  # error of PoCL for a program from a damaged cache file
+LINKER = "ld"  # PoCL calls this linker, and aborts the process if it or the libraries of a C compiler are missing
+REFUSES_PROCESSOR = "unknown target CPU"  # part of the error message of PoCL's compiler if the processor is too new
+DAMAGED = "INVALID_KERNEL_NAME"  # PoCL's error for a program from a damaged cache file
 FORKED = (
     "this process was forked from a process that uses OpenCL, and OpenCL would hang here; start processes with "
     'multiprocessing.get_context("spawn"), and create renderers in the new processes'
@@ -37,15 +37,15 @@ FORKED = (
 
 @functools.cache
 def prepare_cache() -> str:
-    """Set the folder of PoCL's cache. This function must be called before the first OpenCL function.
+    """Set the folder of PoCL's cache. Must be called before the first OpenCL function.
 
-    The folder is created if necessary, with access only for the user. A temporary folder is used instead if other users can
-    write to the folder or if the disk is full.
+    The folder is created if necessary, with access only for this user. A temporary folder replaces it if other users can
+    write to it, or if the disk is full.
 
     Returns
     -------
     str
-        The reason why a temporary folder is used, or "" if the folder is permanent.
+        Why the folder is temporary, or "" if it is permanent.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def prepare_cache() -> str:
         os.environ["POCL_CACHE_DIR"] = _temporary_folder()
         return "the user has no home folder"
     try:
-        # All parent folders get safe permissions, because anybody who can write to a parent could replace the folder.
+        # New parent folders get safe permissions too: whoever can write to a parent could replace the folder.
         for each in (*reversed(folder.parents), folder):
             each.mkdir(mode=stat.S_IRWXU, exist_ok=True)
         state = folder.stat()
@@ -74,19 +74,19 @@ def prepare_cache() -> str:
 
 
 def cache_warning() -> str:
-    """Return a warning if PoCL's cache is temporary, otherwise ""."""
+    """Return a warning if PoCL's cache folder is temporary, otherwise ""."""
     if not prepare_cache.cache_info().currsize or not (reason := prepare_cache()):
         return ""
     return (
-        f"compiled kernels cannot be cached ({reason}), so every l3 command takes some seconds longer to compile kernels; "
-        "set XDG_CACHE_HOME to a writable folder on a disk with free space"
+        f"compiled kernels cannot be cached ({reason}), so every l3 command spends some seconds compiling them; set "
+        "XDG_CACHE_HOME to a writable folder on a disk with free space"
     )
 
 
 def _user_folder() -> Path | None:
-    """Return the user's folder for PoCL's cache, or None if no such folder is known.
+    """Return the user's folder for PoCL's cache, or None if the user has no home folder.
 
-    The folder is POCL_CACHE_DIR if this variable is set. Otherwise the folder is inside XDG_CACHE_HOME or the home folder.
+    This is POCL_CACHE_DIR if set, otherwise a folder inside XDG_CACHE_HOME or ~/.cache.
     """
     chosen, caches = Path(os.environ.get("POCL_CACHE_DIR", "")), Path(os.environ.get("XDG_CACHE_HOME", ""))
     if chosen.is_absolute():
@@ -98,7 +98,7 @@ def _user_folder() -> Path | None:
 
 
 def _require_room(folder: Path) -> None:
-    """Raise OSError if a folder has too little space for compiled kernels, or if programs in the folder cannot be run."""
+    """Raise OSError unless compiled kernels fit into a folder and can be executed there."""
     if os.statvfs(folder).f_flag & os.ST_NOEXEC:
         raise PermissionError(errno.EACCES, "programs in this folder cannot be run (noexec)")
     with tempfile.TemporaryFile(dir=folder) as room:
@@ -114,7 +114,7 @@ def _remove_empty(folder: Path) -> None:
 
 
 def _temporary_folder() -> str:
-    """Create a folder that is removed at the end of this process. Raises a DeviceError if no disk has enough space."""
+    """Create a folder that is removed when this process ends. Raises DeviceError if no disk has enough space."""
     places = [place for place in (os.environ.get("TMPDIR"), "/tmp", "/var/tmp", "/dev/shm") if place]
     for place in places:
         with contextlib.suppress(OSError):
@@ -123,8 +123,8 @@ def _temporary_folder() -> str:
             atexit.register(_remove, folder, os.getpid())
             return folder
     raise DeviceError(
-        f"none of the folders {', '.join(places)} has {MIN_FREE_BYTES >> 20} MB of free space to compile kernels; free some "
-        "space, or set TMPDIR to another folder"
+        f"none of the folders {', '.join(places)} has {MIN_FREE_BYTES >> 20} MB of free space for compiled kernels; free "
+        "some space, or set TMPDIR to another folder"
     )
 
 
@@ -133,7 +133,7 @@ def _remove(folder: str, owner: int) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-LINKS_BY_PROGRAM = re.compile(r"OpenCL \d+\.\d+ PoCL [1-3]\.")  # PoCL versions that need the linker; wheels contain 3.0
+LINKS_BY_PROGRAM = re.compile(r"OpenCL \d+\.\d+ PoCL [1-3]\.")  # versions of PoCL that call the linker; PyPI has 3.0
 
 
 _owner: int | None = None  # id of the process that first used OpenCL
@@ -145,8 +145,8 @@ def pyopencl() -> Any:
     Raises
     ------
     DeviceError
-        If OpenCL is not installed, or if this process was forked from a process that uses OpenCL. A fork does not copy the
-        threads of the driver, so the first OpenCL call would wait forever.
+        If OpenCL is not installed, or if this process was forked from a process that uses OpenCL. The driver's threads do
+        not exist in the forked process, so the first OpenCL call would wait forever.
     """
     global _owner
     if _owner not in (None, os.getpid()):
@@ -156,19 +156,19 @@ def pyopencl() -> Any:
     try:
         import pyopencl
     except ImportError as error:
-        raise DeviceError(f"OpenCL cannot be loaded ({error}); {INSTALL}") from error
+        raise DeviceError(f"cannot load OpenCL ({error}); {INSTALL}") from error
     return pyopencl
 
 
 def devices() -> list[Any]:
-    """Return all OpenCL devices. The position in the list is the number of a device for --device and L3_DEVICE."""
+    """Return all OpenCL devices, in the order of the numbers for --device and L3_DEVICE."""
     return [device for _, shown, _ in _platforms() for device in shown]
 
 
 def survey() -> list[str]:
-    """Describe all devices, one line each, and all platforms without devices.
+    """Describe all devices, and all platforms without devices, one line each.
 
-    If there are no devices, the lines explain what is missing and how to install the missing parts.
+    Without a device, the lines explain what is missing and how to install it.
     """
     lines, number = [], 0
     platforms = _platforms()
@@ -182,12 +182,12 @@ def survey() -> list[str]:
             lines.append(f"{number}: {device.name.strip()} ({kind}, {device.max_compute_units} units; {name}{as_another})")
             number += 1
         if not shown:
-            lines.append(f"the OpenCL platform {name} has no device: {why}")
+            lines.append(f"the OpenCL platform {name} provides no device: {why}")
     return lines or [f"no OpenCL driver (ICD) is installed; {INSTALL}"]
 
 
 def _platforms() -> list[tuple[str, list[Any], str]]:
-    """Return the name and the devices of each platform. For a platform without devices, also return the reason."""
+    """Return each platform's name, its devices, and why it has none."""
     cl = pyopencl()
     try:
         platforms = cl.get_platforms()
@@ -211,13 +211,13 @@ def choose_device(wanted: str) -> Any:
     Parameters
     ----------
     wanted : str
-        Number of the device, or a part of its name. If empty, the first GPU is chosen, or the first device if there is no
+        Number of the device, or part of its name. The empty string means the first GPU, or the first device if there is no
         GPU.
 
     Raises
     ------
     DeviceError
-        If there is no such device.
+        If no device matches.
     """
     available = devices()
     if not available:
@@ -230,7 +230,7 @@ def choose_device(wanted: str) -> Any:
     named = [device for device in available if wanted.lower() in device.name.lower()]
     if not named or wanted.isdecimal():
         names = ", ".join(f"{index}: {device.name.strip()}" for index, device in enumerate(available))
-        raise DeviceError(f'no OpenCL device is called "{shortened(wanted)}"; ‹device› or L3_DEVICE must be one of {names}')
+        raise DeviceError(f'no OpenCL device is called "{shortened(wanted)}"; set ‹device› or L3_DEVICE to one of {names}')
     return named[0]
 
 
@@ -238,8 +238,8 @@ def choose_device(wanted: str) -> Any:
 def refusals(device: Any) -> Iterator[None]:
     """Convert an OpenCL error in the `with` block to a DeviceError with a one-line message.
 
-    The message says what to do if the device has too little memory, if PoCL is too old for the processor, or if the kernel
-    cache is damaged. For any other error, the message quotes the driver.
+    The message suggests a fix if the device has too little memory, if PoCL is too old for the processor, or if the kernel
+    cache is damaged. For any other error, it quotes the driver.
     """
     cl = pyopencl()
     try:
@@ -251,13 +251,13 @@ def refusals(device: Any) -> Iterator[None]:
     except cl.Error as error:
         if REFUSES_PROCESSOR in str(error):
             raise DeviceError(
-                f"{device.name.strip()}: this PoCL is older than the processor and does not support it; install a "
-                "newer PoCL (Debian, Ubuntu: pocl-opencl-icd; conda: pocl) and choose its device with ‹device›"
+                f"{device.name.strip()}: this version of PoCL is too old for the processor; install a newer PoCL (Debian, "
+                "Ubuntu: pocl-opencl-icd; conda: pocl) and choose its device with ‹device›"
             ) from error
         if DAMAGED in str(error):
             raise DeviceError(
-                f"{os.environ['POCL_CACHE_DIR']} contains damaged kernels; remove this folder, so that l3 "
-                "compiles the kernels again"
+                f"{os.environ['POCL_CACHE_DIR']} contains damaged kernels; remove this folder, and l3 will compile the "
+                "kernels again"
             ) from error
         reason = " ".join(str(error).split())[:300]
         raise DeviceError(f"{device.name.strip()} failed: {reason}; choose another device with ‹device›") from error

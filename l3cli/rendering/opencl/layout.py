@@ -1,4 +1,4 @@
-"""Converts a table to macros, arrays and source texts for the kernels (opencl/**/*.cl)."""
+"""Converts a table to source texts, macros and arrays for the kernels (opencl/**/*.cl)."""
 
 import functools
 import math
@@ -25,9 +25,9 @@ from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display
 from l3cli.rendering.reference import raising_constants, white_scale
 
-EXTRA_CFA_COLUMNS = 31  # number of additional columns per CFA row, so that two vectors of 16 can be loaded at any phase
-SIDE_BY_SIDE_OUTPUTS = (3, 4)  # numbers of floating-point outputs for which side_by_side.cl is used
-SIDE_BY_SIDE_TAPS = 25  # largest number of taps for which side_by_side.cl is used with floating-point weights
+EXTRA_CFA_COLUMNS = 31  # repeated columns per CFA row, so that two vectors of 16 can be loaded at any phase
+SIDE_BY_SIDE_OUTPUTS = (3, 4)  # side_by_side.cl is used for these numbers of floating-point outputs,
+SIDE_BY_SIDE_TAPS = 25  # if there are at most this number of taps
 FOLDERS = {"processor": "cpu", "graphics": "gpu"}  # variant → folder inside opencl/
 SHARED = ("common/rule.cl", "common/encoding.cl")
 TRANSFORM = ("common/ratios.cl", "cpu/folding.cl", "cpu/floating_point.cl", "cpu/side_by_side.cl", "cpu/transform.cl")
@@ -35,15 +35,15 @@ TRANSFORM = ("common/ratios.cl", "cpu/folding.cl", "cpu/floating_point.cl", "cpu
 
 @functools.cache
 def curve_macros(curve: Curve, steps: int, degree: int) -> dict[str, int | str]:
-    """Return the macros that define a transfer curve in encoding.cl.
+    """Approximate a transfer curve by a polynomial, and return the macros for encoding.cl.
 
-    The power function of the curve is approximated by a polynomial in the fourth root of the linear value. The polynomial is
-    fitted at Chebyshev nodes.
+    Above the linear part of the curve, the polynomial is a function of the fourth root of the linear value, fitted at
+    Chebyshev nodes.
 
     Parameters
     ----------
     curve : Curve
-        The transfer curve.
+        Transfer curve.
     steps : int
         Number of Newton steps with which the kernel computes the fourth root.
     degree : int
@@ -63,11 +63,11 @@ def curve_macros(curve: Curve, steps: int, degree: int) -> dict[str, int | str]:
 
 @functools.cache
 def curve_pieces(curve: Curve, top: int) -> dict[str, int | str]:
-    """Return the macros that define a transfer curve in encoding.cl as 32 parabolas.
+    """Approximate a transfer curve by 32 parabolas, and return the macros for encoding.cl.
 
-    For a linear value x, the parabolas are functions of u = 2^-8 + CURVE_SHARE · x. The upper bits of the float u are the
-    index of the parabola, so there are four parabolas per octave of u. The result is the code between 0 and `top`, plus one
-    half for rounding. The parabolas are fitted at Chebyshev nodes, and their error is up to 3e-5 of `top`.
+    For a linear value x, the parabolas are functions of u = 2^-8 + CURVE_SHARE · x. The upper bits of u as a float select
+    the parabola, so there are four per octave of u. The result is the code from 0 to `top`, plus one half for rounding. The
+    parabolas are fitted at Chebyshev nodes, with errors of up to 3e-5 of `top`.
     """
     start, share = 2.0**-8, 1 - 2.0**-8 - 2.0**-22
     octave, quarter = np.divmod(np.arange(32), 4)
@@ -84,7 +84,7 @@ def curve_pieces(curve: Curve, top: int) -> dict[str, int | str]:
 
 @functools.cache
 def gamut_macros(space: Space) -> dict[str, int | str]:
-    """Return the macros that define the gamut mapping into a colour space in encoding.cl."""
+    """Return the macros for gamut mapping into a colour space in encoding.cl."""
     gamut = gamut_of(space)
     arrays = {"CONES": gamut.cones, "LINEAR": gamut.linear, "LUMINANCE": gamut.luminance, "LIGHTNESS": LIGHTNESS}
     return {
@@ -97,7 +97,7 @@ def gamut_macros(space: Space) -> dict[str, int | str]:
 
 
 def _literal(value: float) -> str:
-    """Return a number as a single-precision literal of OpenCL C."""
+    """Format a number as a single-precision literal in OpenCL C."""
     return f"{value:.8e}f"
 
 
@@ -106,12 +106,12 @@ Macros = dict[str, int | str]
 
 @dataclass(frozen=True)
 class Cut:
-    """Division of a band into tiles, each of which is rendered by one work-group."""
+    """Division of a band into tiles, one per work-group."""
 
-    tile: int  # number of columns of a tile
-    band: int  # number of rows of a tile
-    group: tuple[int, int]  # size of a work-group
-    lanes: int  # number of pixels or taps that a work-item processes in parallel; 0 lets lanes.cl decide
+    tile: int  # columns per tile
+    band: int  # rows per tile
+    group: tuple[int, int]  # work-group size
+    lanes: int  # pixels or taps that a work-item processes in parallel; 0: chosen by lanes.cl
 
     @property
     def macros(self) -> Macros:
@@ -119,16 +119,16 @@ class Cut:
 
 
 def source_folder() -> Path:
-    """Return the folder of the .cl files, which is inside the installed package or next to the package in a repository."""
+    """Return the folder of the .cl files: inside an installed package, or next to the package in a repository."""
     package = Path(__file__).parents[2]
     inside = package / "opencl"
     return inside if inside.is_dir() else package.parent / "opencl"
 
 
 def first_source(variant: str, rule: ClassRule) -> str:
-    """Return the source of the kernels for the first layer, including the code for the features of its class rule.
+    """Return the source of the first layer's kernels, including the code for its class features.
 
-    #line directives make the messages of the compiler refer to the original files and lines.
+    #line directives make compiler messages refer to the original files and lines.
     """
     features = [
         joined_files("common/vectors.cl", *plane_kernel.snippets(rule)),
@@ -138,7 +138,7 @@ def first_source(variant: str, rule: ClassRule) -> str:
 
 
 def refinement_source(variant: str, layer: PlaneLayer) -> str:
-    """Return the source of the kernels for a refinement layer, including the code for its class rule."""
+    """Return the source of a refinement layer's kernels, including the code for its class rule."""
     formula, kernels = plane_kernel.rule_snippets(layer.rule)
     chroma = ("common/coarse_chroma.cl", "common/quads.cl") if layer.coarse_chroma else ()
     shared = ("common/vectors.cl", "common/encoding.cl", "common/gradient.cl", formula, *chroma)
@@ -151,10 +151,10 @@ def encoder_source(variant: str) -> str:
 
 
 def encoding_source(variant: str, name: str, *shared: str) -> str:
-    """Return the source of a kernel that processes outputs and then encodes the result as a picture.
+    """Return the source of a kernel that processes outputs and then encodes them as a picture.
 
-    `name` is the name of two source files: one in opencl/common/, and one in the folder of the variant. The encoder and the
-    files `shared` precede these two files.
+    The kernel consists of two files with the same `name`, in opencl/common/ and in the folder of the variant. The encoder
+    and the files `shared` precede them.
     """
     encoding = [each for each in VARIANTS[variant].encoder_sources if not each.endswith("encode.cl")]
     return joined_files(
@@ -164,22 +164,21 @@ def encoding_source(variant: str, name: str, *shared: str) -> str:
 
 
 def joined_files(*names: str) -> str:
-    """Return the contents of several files in the folder opencl/ as one text."""
+    """Concatenate files from opencl/, with #line directives."""
     folder = source_folder()
     return "\n".join(f'#line 1 "{name}"\n{(folder / name).read_text(encoding="utf-8")}' for name in names)
 
 
 def paired_source(variant: str, name: str, *shared: str) -> str:
-    """Return the source of a kernel that is divided between two files called `name`.
+    """Return the source of a kernel that consists of two files with the same `name`.
 
-    One file is in opencl/common/, and the other file is in the folder of the variant. The files `shared` precede these two
-    files.
+    One is in opencl/common/, the other in the folder of the variant. The files `shared` precede them.
     """
     return joined_files("common/vectors.cl", *shared, f"common/{name}", f"{FOLDERS[variant]}/{name}")
 
 
 def table_macros(table: TransformTable, sets: int = 1) -> Macros:
-    """Return the macros for the first layer of a table. `sets` is the number of sets of transforms."""
+    """Return the macros for a table's first layer, with the given number of transform sets."""
     rule = table.first.rule
     constants = sum(len(feature.constants) for feature in rule.feature_list)
     return {
@@ -201,14 +200,14 @@ def table_macros(table: TransformTable, sets: int = 1) -> Macros:
 
 
 def white_macros(table: TransformTable) -> Macros:
-    """Return the macros that limit outputs to the white that clips every channel, if the table contains this white."""
+    """Return the macros that limit outputs to the white that clips all channels, if the table contains it."""
     return {} if table.clipped_white is None else {"WHITE_FROM": _literal(clipping.WHITE_FROM)}
 
 
 def least_macros(table: TransformTable) -> Macros:
-    """Return the macros for the code that raises the luminance of pixels that are too dark.
+    """Return the macros for raising the luminance of pixels that are too dark.
 
-    The result is empty if the table does not contain the signals of a white.
+    The result is empty if the table does not contain the channel signals of white.
     """
     if table.white_signals is None:
         return {}
@@ -223,42 +222,41 @@ def least_macros(table: TransformTable) -> Macros:
 
 
 def site_scale(table: TransformTable) -> NDArray[np.float64]:
-    """Return the factor `white_scale` of each CFA site, as an array (CFA row, column).
+    """Return `white_scale` at each CFA site, as an array (CFA row, column).
 
-    The CFA columns repeat for `EXTRA_CFA_COLUMNS` additional columns, so that the kernel can load whole vectors that start
-    at any CFA column.
+    The CFA columns continue periodically for `EXTRA_CFA_COLUMNS`, so that kernels can load whole vectors from any column.
     """
     columns = np.arange(table.cfa.shape[1] + EXTRA_CFA_COLUMNS) % table.cfa.shape[1]
     return np.asarray(white_scale(table)[table.cfa[:, columns]])
 
 
 def display_constants(table: TransformTable, matrix: NDArray | None) -> NDArray[np.float64]:
-    """Return the constants that kernels need to encode pictures.
+    """Return the constants with which kernels encode pictures.
 
     Parameters
     ----------
     table : TransformTable
-        Table whose outputs are encoded.
+        Table that renders the outputs.
     matrix : ndarray, (3, 3), or None
-        Matrix from X, Y, Z to the linear values of a picture, or None if outputs are written unchanged.
+        Matrix from X, Y, Z to the linear values of a picture, or None for unencoded outputs.
 
     Returns
     -------
     ndarray, (12,)
-        The matrix, row by row, then the XYZ of the white that clips every channel, in output units. Values that do not apply
-        are zero.
+        The matrix, row by row, and the XYZ of the white that clips all channels, in output units. Constants that do not
+        apply are zero.
     """
     white = table.clipped_white
     return np.concatenate([np.zeros(9) if matrix is None else matrix.ravel(), np.zeros(3) if white is None else white])
 
 
-COARSE_MARGIN = max(SPACINGS)  # width of the margin around the blocks of a band, in blocks
-UNLIKE_ANY = 1e12  # value of the blocks in the margin, so large that no block of the frame is similar
+COARSE_MARGIN = max(SPACINGS)  # margin around a band, in blocks
+UNLIKE_ANY = 1e12  # value of margin blocks, so large that no block in the frame is similar
 COARSE_MACROS: Macros = {"MARGIN": COARSE_MARGIN}
 
 
 def clipping_macros(table: TransformTable) -> Macros:
-    """Return the macros for the kernels that replace uniform clipped areas."""
+    """Return the macros for replacing uniform clipped areas."""
     rows, columns = clipping.block_sides(table.cfa)
     steps = {
         "BEGINS": clipping.BEGINS,
@@ -294,7 +292,7 @@ def clipping_macros(table: TransformTable) -> Macros:
     }
 
 
-# Macros for the transforms of a layer that outputs planes for the next layer.
+# Macros for the transforms of every layer but the last, which compute planes for the next layer.
 TO_PLANES: Macros = {
     "OUTPUTS": PLANES,
     "FIXED_POINT": 1,
@@ -306,14 +304,14 @@ TO_PLANES: Macros = {
 
 
 def _coarse_macros(table: TransformTable) -> Macros:
-    """Return the macros for the transforms of a refinement layer with coarse chroma."""
+    """Return the macros for adding coarse chroma in the last layer."""
     first, second = table.chroma_outputs
     step = _literal(PLANE_STEP)
     return {"COARSE_CHROMA": 1, "PLANE_STEP": step, "CHROMA_1": first, "CHROMA_2": second, **COARSE_MACROS}
 
 
 def refinement_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
-    """Return the macros for a refinement layer of a table."""
+    """Return the macros for one of a table's refinement layers."""
     return {
         "PATCH": layer.side,
         "RADIUS": layer.radius,
@@ -331,28 +329,27 @@ def refinement_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
     }
 
 
-OUTPUTS_AS_THEY_ARE: Macros = {"PLANES": 1, "CODE": "float"}  # the kernel writes the outputs without encoding
-NOT_ENCODED: Macros = {"NOT_ENCODED": 1, "CODE": "float"}  # for timing, the kernel writes one number per pixel
+OUTPUTS_AS_THEY_ARE: Macros = {"PLANES": 1, "CODE": "float"}  # write outputs without encoding
+NOT_ENCODED: Macros = {"NOT_ENCODED": 1, "CODE": "float"}  # write one number per pixel, to time the transforms alone
 
 
 def display_macros(display: Display) -> Macros:
-    """Return the macros for encoding pictures with the settings `display`."""
+    """Return the macros for encoding pictures with given display settings."""
     macros: Macros = {"CODE": {8: "uchar", 16: "ushort"}[display.bits], "TOP": display.top, **gamut_macros(display.space)}
     if display.tone is not None:
         terms = {**vars(display.tone), "limit": TONE_LIMIT}
         macros = macros | {f"TONE_{name.upper()}": _literal(value) for name, value in terms.items()}
-    # With 8 bits, the error of the curve is up to 8e-5, which changes one code in 200 by 1. With 16 bits, the error is up to
-    # 1.2e-6, which is as small as the rounding error of float32.
+    # For 8 bits, the approximation error is up to 8e-5, which changes one code in 200 by 1. For 16 bits, it is up to 1.2e-6,
+    # as small as the rounding error of float32.
     if display.bits == 8:
         return macros | curve_macros(display.curve, 2, 5) | curve_pieces(display.curve, display.top)
     return macros | curve_macros(display.curve, 3, 8)
 
 
 def class_arrays(table: TransformTable, *others: TransformTable) -> tuple[NDArray, ...]:
-    """Return the arrays that the kernel `classes` receives as constant arguments.
+    """Return the constant arguments of the kernel `classes`.
 
-    If the kernel chooses between several sets of transforms, `others` are the tables with the sets that were trained at
-    lower noise.
+    If it chooses between several sets of transforms, `others` are the tables with the sets for lower noise.
     """
     rule, channels = table.first.rule, len(table.channels)
     neighbours = neighbourhoods(table.cfa, rule.patch, channels)
@@ -376,16 +373,16 @@ def class_arrays(table: TransformTable, *others: TransformTable) -> tuple[NDArra
 
 @dataclass(frozen=True)
 class Weights:
-    """The transforms of a layer in floating point, with the taps in the order that the kernels need."""
+    """A layer's transforms in floating point, with the taps in the order of the kernels."""
 
-    taps: NDArray[Any]  # (class, output, tap); the taps of the windows are sorted by column, then row, then plane
+    taps: NDArray[Any]  # (class, output, tap); window taps are sorted by column, then row, then plane
     intercept: NDArray[Any]  # (class, output)
-    ratio_taps: int = 0  # number of ratio taps, which follow the taps of the windows
+    ratio_taps: int = 0  # number of ratio taps, which follow the window taps
 
 
 @dataclass(frozen=True)
 class WholeWeights:
-    """The transforms of a layer in fixed point. The layer outputs three planes."""
+    """A layer's transforms in fixed point, which compute three planes."""
 
     taps: NDArray[np.int16]  # (class, plane, tap); taps are sorted as in `Weights`
     intercept: NDArray[np.int32]  # (class, plane)
@@ -393,24 +390,24 @@ class WholeWeights:
 
 
 def first_weights(table: TransformTable, first: MosaicLayer) -> Weights:
-    """Return the weights of a first layer that computes outputs. The taps are raw values in DN above black."""
+    """Return the first layer's weights for outputs. They apply to raw values in DN above black."""
     taps = by_column(first.weights, 1) / (table.white_level - table.black_level)
     return Weights(taps.astype(np.float32), first.intercept)
 
 
 def first_plane_weights(fixed: FixedPoint, bits: int) -> WholeWeights:
-    """Return the weights of a first layer that computes planes. The taps are raw values minus `raw_middle`."""
+    """Return the first layer's weights for planes. They apply to raw values minus `raw_middle`."""
     intercept = fixed.intercept + raw_middle(bits) * fixed.weights.sum(axis=-1, dtype=np.int64)
     return WholeWeights(by_column(fixed.weights, 1), intercept.astype(np.int32), fixed.fraction)
 
 
 def refinement_plane_weights(fixed: FixedPoint) -> WholeWeights:
-    """Return the weights of a refinement layer that computes planes."""
+    """Return a refinement layer's weights for planes."""
     return WholeWeights(by_column(fixed.weights, PLANES), fixed.intercept.astype(np.int32), fixed.fraction)
 
 
 def refinement_weights(layer: PlaneLayer) -> Weights:
-    """Return the weights of a refinement layer that computes outputs. The taps are planes in plane steps."""
+    """Return a refinement layer's weights for outputs. They apply to integer plane values, in steps of `PLANE_STEP`."""
     windows = by_column(layer.weights[..., : layer.window_taps], PLANES)
     taps = np.concatenate([windows, layer.weights[..., layer.window_taps :]], axis=-1)
     return Weights((taps * PLANE_STEP).astype(np.float32), layer.intercept, layer.ratio_taps)
@@ -418,28 +415,28 @@ def refinement_weights(layer: PlaneLayer) -> Weights:
 
 @dataclass(frozen=True)
 class PlaneStep:
-    """Constant buffers for the kernels that compute the input planes and the classes of a refinement layer."""
+    """Constant buffers for computing a refinement layer's input planes and class map."""
 
     weights: Any  # weights of the previous layer, which computes the planes
     rule: tuple[Any, ...]  # constants of the kernel `structures` (gradient.cl, structure.cl, tree.cl)
-    nothing: Any  # buffer of zeros, used in place of unneeded display constants
+    nothing: Any  # buffer of zeros in place of the display constants, which planes do not use
 
 
 def table_buffers(
     sets: NoiseSets, variant: str, lanes: int, constant: Callable[..., Any]
 ) -> tuple[list[Any], Any, list[PlaneStep]]:
-    """Copy the rules and transforms of a table to the device.
+    """Copy a table's class rules and transforms to the device.
 
     Parameters
     ----------
     sets : NoiseSets
-        The table with all sets of transforms.
+        All sets of transforms of the table.
     variant : str
         A key of VARIANTS.
     lanes : int
-        Length of the vectors.
+        Vector length.
     constant : callable
-        Function that copies an array to the device and returns the buffer.
+        Copies an array to a device buffer.
 
     Returns
     -------
@@ -465,10 +462,7 @@ def table_buffers(
 
 
 def by_column(weights: NDArray, planes: int) -> NDArray:
-    """Sort the taps by column, row and plane, instead of by plane, row and column.
-
-    `weights` has the axes (class, output, tap).
-    """
+    """Reorder the taps of weights (class, output, tap) from plane, row, column to column, row, plane."""
     classes, outputs, taps = weights.shape
     side = math.isqrt(taps // planes)
     square = weights.reshape(classes, outputs, planes, side, side)
@@ -478,13 +472,13 @@ def by_column(weights: NDArray, planes: int) -> NDArray:
 def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
     """Pack floating-point weights for the processor variant.
 
-    Tables with few outputs and taps use side_by_side.cl and the format of `_side_by_side`. All other tables use
-    floating_point.cl. In its format (class, group, …), each group contains up to four outputs and consists of:
+    Layers with few outputs and taps use side_by_side.cl and the format of `_side_by_side`. All others use floating_point.cl,
+    with the format (class, group, …). A group of up to four outputs consists of:
 
-    1. vectors (vector, output, lane) with all taps of the windows except the last tap,
-    2. the last tap of each output,
+    1. all window taps except the last one, as vectors (vector, output, lane),
+    2. the last window tap of each output,
     3. the intercept of each output,
-    4. the ratio taps, one after another, each for all outputs,
+    4. the ratio taps (tap, output),
     5. zeros that pad the group to a multiple of 16 numbers.
     """
     classes, outputs, taps = layer.taps.shape
@@ -512,10 +506,7 @@ def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
 
 
 def pack_whole_in_vectors(layer: WholeWeights, lanes: int) -> NDArray[np.int16]:
-    """Pack fixed-point weights for side_by_side.cl.
-
-    The number of fractional bits is stored as the intercept of a fourth output.
-    """
+    """Pack fixed-point weights for side_by_side.cl. The number of fractional bits is the intercept of a fourth output."""
     intercept = np.column_stack([layer.intercept, layer.fraction])
     return _side_by_side(layer.taps, intercept, 8)
 
@@ -523,9 +514,8 @@ def pack_whole_in_vectors(layer: WholeWeights, lanes: int) -> NDArray[np.int16]:
 def _side_by_side(taps: NDArray, intercept: NDArray, once: int) -> NDArray:
     """Pack the weights of each class for side_by_side.cl.
 
-    Each class begins with 16 numbers, of which numbers 0, 4, 8 and 12 are the intercepts of the four outputs. The weights of
-    the taps follow in blocks. A block contains the weights of `once` taps for output 0, then the weights of the same taps
-    for output 1, and so on up to output 3. If there are fewer outputs or taps, the remaining numbers are zero.
+    Each class begins with a header of 16 numbers, which contains the intercepts of the four outputs at a stride of 4. The
+    taps follow in blocks (output, tap) of four outputs and `once` taps. Missing outputs and taps are zero.
     """
     classes, outputs, count = taps.shape
     first = np.zeros((classes, 4, 4), intercept.dtype)
@@ -537,9 +527,9 @@ def _side_by_side(taps: NDArray, intercept: NDArray, once: int) -> NDArray:
 
 
 def pack_in_fours(layer: Weights, lanes: int) -> NDArray:
-    """Pack floating-point weights for gpu/frame.cl. The result has the axes (class, 1 + tap, output).
+    """Pack floating-point weights for gpu/frame.cl, as an array (class, 1 + tap, output).
 
-    The intercept precedes the taps. The number of outputs is padded to a multiple of four with zeros.
+    The intercept precedes the taps, and the outputs are padded with zeros to a multiple of four.
     """
     classes, outputs, taps = layer.taps.shape
     packed = np.zeros((classes, 1 + taps, -(-outputs // 4) * 4), layer.taps.dtype)
@@ -549,7 +539,7 @@ def pack_in_fours(layer: Weights, lanes: int) -> NDArray:
 
 
 def pack_whole_in_fours(layer: WholeWeights, lanes: int) -> NDArray[np.int32]:
-    """Pack fixed-point weights for gpu/frame.cl. The result has the axes (class, 1 + tap, 4).
+    """Pack fixed-point weights for gpu/frame.cl, as an array (class, 1 + tap, 4).
 
     The three intercepts and the number of fractional bits precede the taps.
     """
@@ -567,20 +557,20 @@ def _cut_for_graphics(table: TransformTable, lanes: int) -> Cut:
 
 @dataclass(frozen=True)
 class Variant:
-    """Kernels, division of the work and format of the weights for one type of device."""
+    """Source files, division of the work, and format of the weights for one type of device."""
 
-    sources: tuple[str, ...]  # files in opencl/ for the first layer, which follow the files for the class features
+    sources: tuple[str, ...]  # files in opencl/ for the first layer, after the files for the class features
     refinement_sources: tuple[str, ...]  # files for a refinement layer
-    encoder_sources: tuple[str, ...]  # files for the encoder, which converts outputs to pictures
-    encoder_cut: Cut  # division of a band for the encoder
-    joins: bool  # whether one kernel can both determine the classes and apply the transforms of the first layer
-    cut: Callable[[TransformTable, int], Cut]  # returns the division of a band for a table and a vector length
-    pack: Callable[[Weights, int], NDArray]  # packs floating-point weights for a vector length
-    pack_whole: Callable[[WholeWeights, int], NDArray]  # packs fixed-point weights for a vector length
+    encoder_sources: tuple[str, ...]  # files for encoding outputs as pictures
+    encoder_cut: Cut  # tiles of the encoder
+    joins: bool  # whether one kernel can compute both classes and transforms of the first layer
+    cut: Callable[[TransformTable, int], Cut]  # table, vector length → tiles of all other kernels
+    pack: Callable[[Weights, int], NDArray]  # floating-point weights, vector length → array for the kernels
+    pack_whole: Callable[[WholeWeights, int], NDArray]  # fixed-point weights, vector length → array for the kernels
 
 
 VARIANTS = {
-    # Each work-item renders many pixels, with vectors of pixels for the classes and vectors of taps for the transforms.
+    # Each work-item renders many pixels. Vectors contain pixels for the classes, and taps for the transforms.
     "processor": Variant(
         (*SHARED, "cpu/ingest.cl", "cpu/statistics.cl", "cpu/classes.cl", "cpu/rows.cl", *TRANSFORM, "cpu/joined.cl"),
         ("cpu/ingest.cl", "cpu/rows.cl", *TRANSFORM, "cpu/plane_rows.cl"),

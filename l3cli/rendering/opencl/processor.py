@@ -1,9 +1,9 @@
-"""Selects the target processor for PoCL 3.0 from PyPI if its compiler is older than the processor.
+"""Selects a target processor for PoCL 3.0 from PyPI, if its compiler is too old for the actual processor.
 
-PoCL gets the name of the processor from its compiler, LLVM 14 from 2022. For newer processors, the name is "generic", which
-LLVM does not accept as a target, so no kernel can be compiled (https://github.com/pocl/pocl/issues/1049). PoCL has no option
-to change the name. This module therefore replaces the name in PoCL's device structure with the name of an older processor
-that LLVM supports. The actual processor must have all instruction sets of the older processor (docs/limits.md).
+PoCL gets the processor name from its compiler, LLVM 14 from 2022. Newer processors are called "generic", which LLVM does not
+accept as a target, so no kernel can be compiled (https://github.com/pocl/pocl/issues/1049). PoCL has no option to change the
+name. This module therefore overwrites the name in PoCL's device structure with an older processor that LLVM supports and
+whose instruction sets the actual processor has (docs/limits.md).
 """
 
 import ctypes
@@ -13,23 +13,23 @@ from pathlib import Path
 from typing import Any
 
 PLATFORM = "PoCL 3.0"
-UNKNOWN_PROCESSOR = re.compile(r" PoCL HSTR: pthread-x86_64-.*-generic$")  # matches the version of a device
+UNKNOWN_PROCESSOR = re.compile(r" PoCL HSTR: pthread-x86_64-.*-generic$")  # matches the device version
 UNKNOWN = b"generic\0"
-NAME_OFFSET = 640  # position of the pointer to the name in the device structure, in bytes
+NAME_OFFSET = 640  # byte offset of the pointer to the name in the device structure
 POINTER = ctypes.sizeof(ctypes.c_void_p)
-# Processor name in LLVM → CPU flags that the processor must have, as named by Linux. The newest processor comes first.
+# LLVM's name of a processor → required CPU flags, as named by Linux; the newest processor comes first.
 HASWELL = frozenset(["avx2", "bmi1", "bmi2", "f16c", "fma", "movbe", "abm"])
 PROCESSORS = {
     b"skylake-avx512": HASWELL | frozenset(["avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"]),
     b"haswell": HASWELL,
     b"x86-64": frozenset[str](),
 }
-# PoCL's device structure points to one of these buffers, so all of them must exist until the process ends.
+# PoCL's device structure will point to one of these buffers, so they must exist until the process ends.
 _names = {name: ctypes.create_string_buffer(name) for name in PROCESSORS}
 
 
 def compiled_for(device: Any) -> str:
-    """Select the target processor if PoCL's compiler does not know the actual processor, and return the target's name.
+    """Select a target processor for PoCL's compiler if it does not support the actual one, and return the target's name.
 
     The result is "" if PoCL chooses the target itself. Repeated calls return the same name.
     """
@@ -45,7 +45,7 @@ def compiled_for(device: Any) -> str:
 
 
 def _read(place: int, size: int) -> bytes:
-    """Return the bytes at an address, or b"" if the address is invalid. Direct access to an invalid address would crash."""
+    """Read memory at an address, or return b"" if the address is invalid, where direct access would crash."""
     with open("/proc/self/mem", "rb", buffering=0) as memory:
         try:
             return os.pread(memory.fileno(), size, place)
@@ -54,6 +54,6 @@ def _read(place: int, size: int) -> bytes:
 
 
 def _abilities() -> frozenset[str]:
-    """Return the CPU flags of the processor, as named by Linux."""
+    """Return the CPU flags, as named by Linux."""
     flags = re.search(r"^flags\s*: (.*)$", Path("/proc/cpuinfo").read_text("utf-8", "replace"), re.MULTILINE)
     return frozenset(flags[1].split() if flags else ())

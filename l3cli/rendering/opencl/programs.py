@@ -1,4 +1,4 @@
-"""The OpenCL programs of a table. Each program is compiled when a frame needs it for the first time."""
+"""Compiles the OpenCL programs for a table, each for the first frame that uses it."""
 
 import functools
 import os
@@ -16,43 +16,43 @@ from l3cli.rendering.opencl.devices import choose_device, pyopencl, refusals
 from l3cli.rendering.opencl.processor import compiled_for
 
 BUILD_OPTIONS = ("-w", "-cl-mad-enable", "-cl-std=CL1.2")
-# Macros that select the kernels of a program, so that unused kernels are not compiled.
-TRANSFORM_ONLY: layout.Macros = {"TRANSFORM_ONLY": 1}  # only the kernel for the transforms
-CLASSES_ONLY: layout.Macros = {"CLASSES_ONLY": 1}  # only the kernel for the classes of the first layer
-JOINED: layout.Macros = {"JOINED": 1}  # only the combined kernel for the classes and transforms of the first layer
+# Macros that limit a program to one kernel, so that unused kernels are not compiled.
+TRANSFORM_ONLY: layout.Macros = {"TRANSFORM_ONLY": 1}  # transforms
+CLASSES_ONLY: layout.Macros = {"CLASSES_ONLY": 1}  # classes of the first layer
+JOINED: layout.Macros = {"JOINED": 1}  # classes and transforms of the first layer together
 Key = tuple[Any, ...]
 
 
 class Compiler:
-    """Compiles programs for a device, and reuses programs that this process has already compiled."""
+    """Compiles programs for a device, and caches them within this process."""
 
     def __init__(self, context: Any, device: Any) -> None:
         self.context, self._device = context, device
         self._built: dict[tuple[str, ...], Any] = {}  # source and options → program
 
     def build(self, source: str, macros: layout.Macros) -> Any:
-        """Return the compiled program for a source text and macros."""
+        """Compile a program from its source and macros."""
         options = [*BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in macros.items())]
-        if name := compiled_for(self._device):  # PoCL must not use cached kernels for other processors
+        if name := compiled_for(self._device):  # so that PoCL does not use cached kernels for other processors
             options.append(f"-DCOMPILED_FOR={name}")
         key = (source, *options)
         if key not in self._built:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # pyopencl warns about any output of the compiler
+                warnings.simplefilter("ignore")  # pyopencl warns about any compiler output
                 self._built[key] = pyopencl().Program(self.context, source).build(options)
         return self._built[key]
 
 
 @functools.cache
 def compiler_of(device: Any) -> Compiler:
-    """Return the compiler of a device, which all renderers of a process share."""
+    """Return the compiler for a device, which all renderers in a process share."""
     return Compiler(pyopencl().Context([device]), device)
 
 
 def chosen(device: str | None, variant: str | None) -> tuple[Any, str]:
-    """Return the device and the variant of the kernels. The parameters are the same as for `OpenCLRenderer`.
+    """Resolve the `device` and `variant` of `OpenCLRenderer`, including their defaults.
 
-    Raises a DeviceError if there is no such device, and a RecipeError if the variant is unknown.
+    Raises DeviceError if no device matches, and RecipeError if the variant is unknown.
     """
     found = choose_device(os.environ.get("L3_DEVICE", "") if device is None else device)
     name = variant or ("graphics" if found.type & pyopencl().device_type.GPU else "processor")
@@ -62,17 +62,17 @@ def chosen(device: str | None, variant: str | None) -> tuple[Any, str]:
 
 
 def make_ready(device: str | None = None, variant: str | None = None) -> None:
-    """Compile the encoder, which is the same for all tables. The parameters and errors are the same as for `chosen`."""
+    """Compile the default encoder, which does not depend on the table. Parameters and errors are as in `chosen`."""
     found, name = chosen(device, variant)
     with refusals(found):
         usual_encoder(compiler_of(found), name)
 
 
 def usual_encoder(compiler: Compiler, variant: str) -> int:
-    """Compile the encoder for 8-bit sRGB pictures, and return the length of the device's vectors.
+    """Compile the encoder for 8-bit sRGB pictures, and return the device's vector length.
 
-    The vector length is part of the kernel's name. PoCL compiles a kernel when the kernel first runs, so this function runs
-    the kernel on one pixel.
+    The vector length is part of the kernel's name. Because PoCL compiles a kernel when it first runs, the kernel is run on
+    one pixel.
     """
     cl, context = pyopencl(), compiler.context
     cut = layout.VARIANTS[variant].encoder_cut
@@ -86,29 +86,29 @@ def usual_encoder(compiler: Compiler, variant: str) -> int:
 
 
 class Programs:
-    """The kernels for the layers of a table and for the encoder. Layers are counted from 0.
+    """The kernels for a table's layers, counted from 0, and for the encoder.
 
-    The parameter `ending` of the methods contains the macros that select the type of results: planes, outputs or encoded
-    pictures (layout.py).
+    In all methods, `ending` contains the macros that select what a kernel writes: planes, outputs or encoded pixels
+    (layout.py).
 
     Parameters
     ----------
     compiler : Compiler
-        The compiler of the device.
+        Compiler for the device.
     table : TransformTable
-        Table that the kernels render.
+        Table with which the kernels render.
     variant : str
         A key of layout.VARIANTS.
     lanes : int or None
-        Length of the vectors in the processor variant, or None for the width of the device's registers.
+        Vector length in the processor variant, or None for the width of the device's registers.
     sets : int
         Number of sets of transforms.
     """
 
     def __init__(self, compiler: Compiler, table: TransformTable, variant: str, lanes: int | None, sets: int = 1) -> None:
         self._compiler, self._table, self._variant, self._sets = compiler, table, variant, sets
-        self._programs: dict[Key, Any] = {}  # layer (−1 for the encoder), and macros for the type of results → program
-        self._kernels: dict[Key, Any] = {}  # key of the program and name of the kernel → kernel
+        self._programs: dict[Key, Any] = {}  # layer (−1 for the encoder) and `ending` macros → program
+        self._kernels: dict[Key, Any] = {}  # key of the program and kernel name → kernel
         self._last = len(table.later)
         made_for = layout.VARIANTS[variant]
         self.joins = made_for.joins
@@ -116,20 +116,20 @@ class Programs:
         self.cut = made_for.cut(table, lanes or usual_encoder(compiler, variant))
 
     def transforms(self, ending: layout.Macros, joined: bool = False) -> Any:
-        """Return the kernel that applies the transforms of the last layer.
+        """Return the kernel that applies the last layer's transforms.
 
-        If `joined` is true, the kernel also determines the classes. The table must then have a single layer.
+        With `joined`, which requires a single layer, the kernel also classifies the pixels.
         """
         return self._transforms(self._last, ending, joined)
 
     def first_outputs(self) -> Any:
-        """Return the kernel that computes the first layer's outputs, for tables whose last layer corrects these outputs."""
+        """Return the kernel that computes the first layer's outputs, for tables whose last layer corrects them."""
         return self._transforms(0, layout.OUTPUTS_AS_THEY_ARE, joined=False)
 
     def planes(self, layer: int, joined: bool = False) -> Any:
-        """Return the kernel that computes the output planes of `layer`, which the next layer reads.
+        """Return the kernel that computes the planes from `layer` for the next layer.
 
-        If `joined` is true, the kernel also determines the classes. `layer` must then be the first layer.
+        With `joined`, which requires the first layer, the kernel also classifies the pixels.
         """
         return self._transforms(layer, layout.TO_PLANES, joined)
 
@@ -139,10 +139,7 @@ class Programs:
         return self._kernel(self._built(layer, ending | (TRANSFORM_ONLY if self.joins and not layer else {})), "transform")
 
     def classes(self, layer: int) -> Any:
-        """Return the kernel that determines the classes of a layer.
-
-        A program that is already compiled is reused if it contains the kernel.
-        """
+        """Return the kernel that classifies the pixels for a layer, from an already compiled program if possible."""
         usual = layout.TO_PLANES if layer < self._last else layout.OUTPUTS_AS_THEY_ARE
         if self.joins and not layer:
             return self._kernel(self._built(layer, {**usual, **CLASSES_ONLY}), "classes")
@@ -150,7 +147,7 @@ class Programs:
         return self._kernel(key, "structures" if layer else "classes")
 
     def encoder(self, ending: layout.Macros) -> Any:
-        """Return the kernel that converts outputs to pictures."""
+        """Return the kernel that encodes outputs as pictures."""
         key = self._built(-1, ending)
         return self._kernel(key, self._programs[key].kernel_names)
 

@@ -3,9 +3,9 @@
 For each frame, the renderer uploads the raw values, runs one or two kernels per layer (opencl/*.cl), and downloads the
 result.
 
-A frame is divided into horizontal bands, so that the memory on the device does not grow with the size of the frame. A frame
-of usual size has a single band. Successive bands alternate between two tracks, each of which has its own queue and buffers.
-While one track computes, the other track can upload and download.
+Large frames are divided into horizontal bands, so that the required device memory does not grow with the size of the frame.
+Bands alternate between two tracks with separate queues and buffers. While one track computes, the other can upload and
+download.
 """
 
 from collections import deque
@@ -42,15 +42,14 @@ from l3cli.rendering.opencl.work import (
     stages_of,
 )
 
-LONG_RUN = 1 << 14  # number of pixels per work-item of the shading kernel in the variant with vectors
-GROUP = 64  # number of work-items per group of the shading kernel in the variant with one pixel per work-item
+LONG_RUN = 1 << 14  # pixels per work-item of the shading kernel in the processor variant
+GROUP = 64  # work-items per group of the shading kernel in the graphics variant, with one pixel each
 
 
 class DeviceShading:
     """Kernel and buffers for lens shading.
 
-    The kernel is compiled for the first frame with colour shading. Buffers are reused as long as frames have the same
-    shading.
+    The kernel is compiled for the first frame with colour shading. Buffers are reused while the shading remains the same.
     """
 
     def __init__(self, kernel: Callable[[str, Macros, str], Any], constant: Callable[[NDArray], Any], lanes: int) -> None:
@@ -59,11 +58,11 @@ class DeviceShading:
         Parameters
         ----------
         kernel : callable
-            Function that compiles a kernel, given the source, the macros and the name.
+            Compiles a kernel from its source, macros and name.
         constant : callable
-            Function that copies an array to the device, and returns the buffer.
+            Copies an array to a device buffer.
         lanes : int
-            Length of the vectors.
+            Vector length.
         """
         self._make, self._constant, self._run = kernel, constant, LONG_RUN if lanes > 1 else 1
         self._kernel: Any = None
@@ -72,29 +71,20 @@ class DeviceShading:
 
     @staticmethod
     def macros(shading: Shading | None) -> Macros:
-        """Return the macros for the kernels of the last layer, for frames with or without shading."""
+        """Return the macros with which the last layer's kernels apply the shading, if any."""
         return {} if shading is None else {"SHADED": 1, "GAIN_STEP": NODE_SPACING_COLUMNS}
 
     def gain(self, shading: Shading | None, rows: slice) -> tuple[Any, ...]:
-        """Return a tuple that contains one buffer with the shading gains of the given rows.
-
-        The tuple is empty if the frame has no shading.
-        """
+        """Return a tuple with the buffer of the shading gains for `rows`, or an empty tuple without shading."""
         return () if shading is None else (self._buffer(shading, "gain", rows),)
 
     @staticmethod
     def corrects(frame: RawFrame) -> bool:
-        """Return whether a frame has colour shading.
-
-        The kernel corrects colour shading in place, so the device must be able to write to the raw values.
-        """
+        """Whether a frame has colour shading, which the kernel corrects in place, in a copy of the raw values."""
         return frame.shading is not None and frame.shading.colour is not None
 
     def correct(self, frame: RawFrame, track: Track, band: Band) -> Any:
-        """Enqueue the correction of colour shading for a band.
-
-        The raw values must already be scaled to the table's black and white levels.
-        """
+        """Enqueue the colour shading correction of a band, at the table's black and white levels."""
         if self._kernel is None:
             macros: Macros = {"FRACTION": FRACTION, "RUN": self._run}
             self._kernel = self._make(
@@ -119,49 +109,49 @@ class DeviceShading:
 
 @dataclass(frozen=True)
 class Unread:
-    """Outputs of a frame that are still in a buffer on the device, so that the frame need not be rendered again."""
+    """Outputs of a frame that remain on the device, so that the frame need not be rendered again."""
 
     frame: RawFrame
-    values: NDArray[np.uint16]  # copy of the values of the frame, because the caller may change the original
+    values: NDArray[np.uint16]  # copy of the frame's values, because the caller may change them
     track: Track
     result: Any  # buffer with the outputs
 
     def are_of(self, frame: RawFrame) -> bool:
-        """Return whether the outputs were computed from this frame, and the frame's values have not changed since then."""
+        """Whether these are the outputs of this frame, and its values have not changed since."""
         return self.frame is frame and np.array_equal(self.values, frame.values)
 
 
 TRACKS = 2
-ENCODED_PIXELS = 1 << 22  # number of pixels that `encoded` copies to the device per transfer
-Labels = Mapping[int, NDArray]  # layer → array (row, col) to which the classes are written
+ENCODED_PIXELS = 1 << 22  # pixels per transfer in `encoded`
+Labels = Mapping[int, NDArray]  # layer → array (row, col) that receives the class map
 NO_LABELS: Labels = {}
-READ_AHEAD = 16  # number of elements that vector loads may read beyond the last pixel
+READ_AHEAD = 16  # vector loads may read this number of elements beyond the last pixel
 
 
 class OpenCLRenderer:
     """Renderer on an OpenCL device.
 
-    The programs and the buffers for the table are created once. The buffers for bands are created once per frame size. Only
-    one thread at a time may use a renderer. While the renderer waits for the device, other threads can run.
+    Programs and buffers for the table are created once, and buffers for bands once per frame size. Only one thread at a time
+    may use a renderer. Other threads can run while it waits for the device.
 
     Parameters
     ----------
     table : TransformTable
         Table that renders the frames.
     device : str, optional
-        Number of the device, or a part of its name. [default: the value of the environment variable L3_DEVICE, otherwise the
-        first GPU, otherwise the first device]
+        Number of the device, or part of its name. [default: the environment variable L3_DEVICE, otherwise the first GPU,
+        otherwise the first device]
     variant : str, optional
         A key of layout.VARIANTS. [default: depends on the device type]
     lanes : int, optional
-        Length of the vectors in the processor variant. [default: the width of the device's registers]
+        Vector length in the processor variant. [default: the width of the device's registers]
     by_noise : bool
-        The same as in `make_renderer`.
+        As in `make_renderer`.
 
     Raises
     ------
     DeviceError
-        If there is no device, or if the device fails.
+        If no device matches, or if the device fails.
     """
 
     def __init__(
@@ -202,7 +192,7 @@ class OpenCLRenderer:
             self._clipping = clips and DeviceClipping(self._kernel, self._run, self._constant, table, self.variant)
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.uint32]:
-        """Return the class of every pixel as an array (row, col). Layers are counted from 0."""
+        """Return the class map (row, col) of a layer. Layer 0 reads the raw frame."""
         labels = np.empty(frame.values.shape, np.uint32)
         if self._layers and self._unread is not None and self._unread.are_of(frame):  # the classes are still on the device
             work, track = Work(self.device, self.stages), self._unread.track
@@ -213,12 +203,12 @@ class OpenCLRenderer:
         return labels
 
     def classified(self, frame: RawFrame) -> tuple[NDArray[np.float32], list[NDArray[np.uint32]]]:
-        """Return the outputs, and a list with the class maps (row, col) of the first and the last layer.
+        """Return the outputs and the class maps (row, col) of the first and last layers.
 
-        For a table with a single layer, the list contains one class map.
+        A table with a single layer has a single class map.
         """
         labels = {layer: np.empty(frame.values.shape, np.uint32) for layer in {0, len(self._layers)}}
-        joined, self._joined = self._joined, self._joined and bool(self._layers)  # a joined kernel does not store classes
+        joined, self._joined = self._joined, self._joined and bool(self._layers)  # for one layer, it stores no classes
         try:
             planes, work = self._start_outputs(frame, labels)
         finally:
@@ -226,7 +216,7 @@ class OpenCLRenderer:
         return self._ended(planes, work, frame), [labels[layer] for layer in sorted(labels)]
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
-        """Render a frame, and return the outputs of the table as an array (output, row, col)."""
+        """Render a frame to the outputs of the table, (output, row, col)."""
         planes, work = self._start_outputs(frame)
         if len(self._bands(frame.values.shape)) == 1:
             self._unread = Unread(frame, frame.values.copy(), self._tracks[-1], self._tracks[-1].result)
@@ -240,18 +230,18 @@ class OpenCLRenderer:
         return planes
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
-        """Render a frame as a picture (row, col, 3). The picture is encoded on the device.
+        """Render a frame to a picture (row, col, 3), which is encoded on the device.
 
-        Raises a RecipeError unless the outputs of the table are X, Y and Z, only Y, or Stokes parameters.
+        Raises RecipeError unless the table's outputs are X, Y and Z, only Y, or Stokes parameters.
         """
         picture, work = self._start_picture(frame, display)
         work.end()
         return picture
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """Yield the picture of each frame, in the order of the frames.
+        """Yield the picture of each frame, in order.
 
-        While the caller uses a picture, the device already computes the next picture.
+        The device computes the next picture while the caller processes the current one.
         """
         started: deque[tuple[NDArray, Work]] = deque()
         for frame, display in frames:
@@ -277,23 +267,23 @@ class OpenCLRenderer:
         return picture
 
     def stage_times(self, frame: RawFrame, display: Display | None) -> dict[str, float]:
-        """Measure the time that the device spends in each of `stages`, in ms.
+        """Measure the device time of each of the `stages`.
 
-        The classes and the transforms of the first layer are timed separately, even if one kernel usually computes both.
+        Classes and transforms of the first layer are timed separately, even if one kernel usually computes both.
         "transforms" is the time of a kernel without encoding, which writes one number per pixel. "encode" is the additional
-        time of the kernel with encoding. The first call includes compilation, so ignore its result.
+        time of the kernel with encoding. Ignore the result of the first call, which includes compilation.
 
         Parameters
         ----------
         frame : RawFrame
             Frame to render.
         display : Display or None
-            Settings of the picture, or None to render outputs.
+            Settings of the picture, or None for unencoded outputs.
 
         Returns
         -------
         dict of str to float
-            Time of each stage in ms.
+            Time per stage in ms.
         """
         self._unread = None
         joined, self._joined = self._joined, False
@@ -333,16 +323,15 @@ class OpenCLRenderer:
         frame : RawFrame
             Frame to render.
         results : sequence of ndarray, (row, …)
-            Arrays to which the results are written. On the device, the results are consecutive in one buffer.
+            Arrays that receive the results, which are consecutive in one buffer on the device.
         ending : dict or None
-            Macros that select the type of results (planes, outputs or encoded pictures), or None to compute only classes.
+            Macros that select whether outputs or encoded pixels are written. None computes only class maps.
         matrix : ndarray, (3, 3), optional
             Matrix from outputs to the linear values of a picture.
         labels : dict of int to ndarray, (row, col)
-            For each layer to classify, the array to which the classes are written.
+            Layers whose class maps are requested, and the arrays that receive them.
         borrow : bool
-            Whether the device may read the values of the frame until all commands have finished. Otherwise the values are
-            copied first, so that the caller may change the frame.
+            Whether the caller leaves the frame unchanged until all commands have finished. Otherwise its values are copied.
 
         Returns
         -------
@@ -366,7 +355,7 @@ class OpenCLRenderer:
                 if not self._joined or (kernel is None and not any(labels)):
                     arguments = (*self._decides(track, band), *self._site(band, levelled))
                     work.add("classes", self._run(self._programs.classes(0), track, band.shape(0), *arguments))
-                if encoding is None:  # computed after the first kernel is enqueued, so that the device is busy meanwhile
+                if encoding is None:  # computed only now, while the device already runs the first kernel
                     encoding = self._constant(layout.display_constants(self.table, matrix), np.float32)
                 for number in range(max(labels) if kernel is None else len(self._layers)):
                     self._classify_refinement(number, track, band, levelled, work)
@@ -382,7 +371,7 @@ class OpenCLRenderer:
         return work
 
     def _start_encoding(self, outputs: Any, track: Track, display: Display, matrix: NDArray, picture: NDArray) -> Work:
-        """Enqueue the encoding of a buffer with outputs. `matrix` converts the outputs to linear values of the picture."""
+        """Enqueue the encoding of outputs that are in a buffer. `matrix` converts them to linear values of the picture."""
         work = Work(self.device, self.stages)
         with refusals(self.device):
             kernel = self._programs.encoder(layout.display_macros(display))
@@ -396,10 +385,7 @@ class OpenCLRenderer:
         return work
 
     def _bring(self, values: NDArray, frame: RawFrame, track: Track, band: Band, work: Work) -> None:
-        """Enqueue the upload of the raw values of a band.
-
-        The upload includes rows above and below the band, if the windows of pixels in the band extend into these rows.
-        """
+        """Enqueue the upload of a band's raw values, including the rows above and below that later steps need."""
         source, (rows, columns) = values[band.raw_rows], band.shape(0)
         track.labels = self._scratch(track.labels, 4 * rows * columns)
         if self._in_place and not self._shading.corrects(frame):
@@ -413,10 +399,7 @@ class OpenCLRenderer:
             work.add("classes", self._shading.correct(frame, track, band))
 
     def _chosen(self, frame: RawFrame, track: Track, band: Band, work: Work) -> tuple[Any, ...]:
-        """Enqueue the upload of a band's transform set indices, one per pixel.
-
-        The result is a tuple with the buffer that will contain the indices.
-        """
+        """Enqueue the upload of a band's transform set indices, one per pixel. Return a tuple with their buffer."""
         rows = band.reads[0]
         pixels = np.zeros((rows.stop - rows.start) * band.columns + READ_AHEAD, np.uint8)
         pixels[:-READ_AHEAD].reshape(-1, band.columns)[...] = self._sets.chosen(frame)[rows]
@@ -426,18 +409,15 @@ class OpenCLRenderer:
         return (work.upload(track.queue, pixels, track.sets),)
 
     def _decides(self, track: Track, band: Band) -> tuple[Any, ...]:
-        """Return the buffer arguments of the kernel that determines the classes of the first layer."""
+        """Return the buffer arguments of the kernel that classifies pixels for the first layer."""
         return track.raw, *band.mosaic_source, *self._class_buffers, *track.chosen, track.labels
 
     def _site(self, band: Band, frame: RawFrame) -> tuple[np.int32, np.int32]:
-        """Return the CFA row and column of the first pixel of a band."""
+        """Return the CFA row and column of a band's first pixel."""
         return np.int32((frame.phase[0] + band.reads[0].start) % self.table.cfa.shape[0]), np.int32(frame.phase[1])
 
     def _classify_refinement(self, number: int, track: Track, band: Band, frame: RawFrame, work: Work) -> None:
-        """Enqueue the kernels that compute the input planes and the classes of refinement layer `number`.
-
-        Refinement layers are counted from 0.
-        """
+        """Enqueue the kernels for the input planes and the class map of refinement layer `number` (from 0)."""
         step, (rows, columns), made = self._layers[number], band.shape(number), band.shape(number + 1)
         track.planes[number] = self._scratch(track.planes[number], 4 * layout.PLANES * rows * columns)
         kernel = self._programs.planes(number, self._joined and not number)
@@ -449,10 +429,10 @@ class OpenCLRenderer:
         work.add("structures", self._run(self._programs.classes(number + 1), track, made, *buffers, np.int32(rows)))
 
     def _reads(self, number: int, track: Track, band: Band, frame: RawFrame) -> tuple[tuple[Any, ...], tuple[np.int32, ...]]:
-        """Return the first and the last arguments of the kernel that applies the transforms of a layer.
+        """Return the first and last arguments of the kernel that applies a layer's transforms.
 
-        The first arguments are buffers with the raw values or planes, the index buffers for padding, and the classes. If the
-        kernel also determines the classes, the buffers with the class rule are added. The last arguments are integers.
+        The first arguments are the raw values or planes, the index buffers for padding, and the class map. A kernel that
+        also classifies the pixels receives the class rule, too. The last arguments are integers.
         """
         if self._joined and not number:
             return self._decides(track, band), self._site(band, frame)
@@ -465,10 +445,10 @@ class OpenCLRenderer:
         self, kernel: Any, encoding: Any, track: Track, band: Band, result: Any, frame: RawFrame, work: Work,
         ending: layout.Macros,
     ) -> None:  # fmt: skip
-        """Enqueue all steps of the last layer for a band, and write the results to `result`.
+        """Enqueue all steps of the last layer for a band, which write to `result`.
 
-        The steps are coarse chroma, the replacement of clipped areas, the transforms with the encoding, and the smoothing of
-        spectra or chroma. Steps that the table does not use are skipped.
+        As far as the table uses them, these are coarse chroma, the replacement of clipped areas, the transforms with the
+        encoding, and the smoothing of spectra or chroma.
         """
         number = len(self._layers)
         smooths = self._spectra or self._chroma
@@ -493,9 +473,9 @@ class OpenCLRenderer:
             work.add(CHROMA, self._chroma.smooth(track, band, encoding, result, frame, gain, {**ending, **shaded}))
 
     def _first_outputs(self, track: Track, band: Band, frame: RawFrame, work: Work) -> tuple[Any, ...]:
-        """Enqueue the kernel that computes the first layer's outputs, which the last layer corrects.
+        """Enqueue the kernel for the first layer's outputs, which the last layer corrects.
 
-        The result is a tuple with the buffer that will contain these outputs.
+        Return a tuple with their buffer.
         """
         (rows, columns), step = band.shape(0), self._layers[0]
         size = 4 * len(self.table.outputs) * rows * columns
@@ -506,31 +486,25 @@ class OpenCLRenderer:
         return (track.first,)
 
     def _target(self, track: Track, parts: list[NDArray], work: Work) -> Any:
-        """Return the buffer to which the results of a band are written.
-
-        If there is only one result array and the device uses host memory, this buffer shares the memory of the array.
-        """
+        """Return the buffer for a band's results: the memory of the result array itself if possible."""
         if self._in_place and len(parts) == 1:
             return work.in_place(track.queue, parts[0], written=True)
         track.result = self._scratch(track.result, sum(part.nbytes for part in parts))
         return track.result
 
     def _run(self, kernel: Any, track: Track, shape: tuple[int, int], *arguments: Any, cut: layout.Cut | None = None) -> Any:
-        """Enqueue a kernel for all pixels of an area.
-
-        The last two arguments of the kernel are the numbers of rows and columns.
-        """
+        """Enqueue a kernel for all pixels of an area. Its size (rows, columns) is appended to the arguments."""
         rows, columns = shape
         cut = cut or self._cut
         grid = (-(-columns // cut.tile) * cut.group[0], -(-rows // cut.band) * cut.group[1])
         return track.run(kernel, grid, cut.group, *arguments, np.int32(rows), np.int32(columns))
 
     def _kernel(self, source: str, macros: layout.Macros, name: str) -> Any:
-        """Compile a program for a single kernel, and return the kernel."""
+        """Compile a program, and return its kernel `name`."""
         return pyopencl().Kernel(self._compiler.build(source, {**macros, **self._cut.macros}), name)
 
     def _bands(self, shape: tuple[int, ...]) -> tuple[Band, ...]:
-        """Return the bands of a frame with the given numbers of rows and columns. The latest result is cached."""
+        """Return the bands of a frame (rows, columns). The latest result is cached."""
         if self._frame_bands is None or self._frame_bands[0] != shape:
             self._frame_bands = shape, tuple(bands(self.table, shape, self._constant))
         return self._frame_bands[1]

@@ -1,4 +1,4 @@
-"""Smoothing of spectra and of chroma on an OpenCL device. The reference is in l3cli/rendering/reference.py."""
+"""Smoothing of spectra and chroma on an OpenCL device. The reference is in l3cli/rendering/reference.py."""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,7 +18,7 @@ DARKEST: Macros = {"DARKEST": f"{SMOOTHING_DARKEST!r}f"}
 
 
 def room_for(track: Track, band: Band, outputs: int) -> Any:
-    """Return the track's buffer for the outputs of a band before smoothing. A buffer that is too small is replaced."""
+    """Return the track's buffer for a band's outputs before smoothing, enlarged if necessary."""
     track.made = scratch(track.queue.context, track.made, 4 * outputs * (band.made.stop - band.made.start) * band.columns)
     return track.made
 
@@ -26,15 +26,15 @@ def room_for(track: Track, band: Band, outputs: int) -> Any:
 def place_of(band: Band, frame_rows: int) -> tuple[np.int32, ...]:
     """Return the last arguments of a smoothing kernel, which describe the rows of a band.
 
-    The arguments are: the number of rows that the kernel reads, the index of the first of these rows in the frame, the index
-    of the first row that the kernel writes, and the number of rows of the frame.
+    These are the number of rows to read, the frame row of the first row to read, the frame row of the first row to write,
+    and the number of rows in the frame.
     """
     made, first = band.made, band.rows.start
     return tuple(map(np.int32, (made.stop - made.start, made.start, first, frame_rows)))
 
 
 class DeviceSpectra:
-    """Kernel that smooths spectra. The kernel is compiled for the first frame."""
+    """Kernel that smooths spectra. It is compiled for the first frame."""
 
     def __init__(
         self, kernel: Callable[[str, Macros, str], Any], run: Callable[..., Any], table: TransformTable, variant: str
@@ -44,11 +44,11 @@ class DeviceSpectra:
         Parameters
         ----------
         kernel : callable
-            Function that compiles a kernel, given the source, the macros and the name.
+            Compiles a kernel from its source, macros and name.
         run : callable
-            Function that enqueues a kernel for all pixels of an area.
+            Enqueues a kernel for all pixels of an area.
         table : TransformTable
-            Table with the settings of the smoothing.
+            Table with spectral smoothing.
         variant : str
             A key of layout.VARIANTS.
         """
@@ -58,24 +58,22 @@ class DeviceSpectra:
         self._kernel: Any = None
 
     def room(self, track: Track, band: Band) -> Any:
-        """Return the buffer into which the outputs of a band are written before smoothing."""
+        """Return the buffer for a band's outputs before smoothing."""
         return room_for(track, band, self._outputs)
 
     def smooth(self, track: Track, band: Band, result: Any, frame_rows: int) -> Any:
-        """Enqueue the kernel that smooths the outputs of a band.
-
-        The kernel reads the outputs from the buffer that the method `room` returns.
+        """Enqueue the kernel that smooths the outputs of a band, from the buffer that `room` returns.
 
         Parameters
         ----------
         track : Track
-            Command queue and device buffers for the band.
+            Command queue and buffers for the band.
         band : Band
-            Rows of the frame that are rendered together.
+            The band.
         result : buffer
-            Buffer to which the smoothed outputs are written, without the margins above and below the band.
+            Receives the smoothed outputs, without the margins above and below the band.
         frame_rows : int
-            Number of rows of the frame.
+            Number of rows in the frame.
 
         Returns
         -------
@@ -96,9 +94,9 @@ class DeviceSpectra:
 
 
 class DeviceChroma:
-    """The kernels that smooth chroma, raise pixels that are too dark, and write outputs or pictures.
+    """Kernels that smooth chroma, raise pixels that are too dark, and write outputs or pictures.
 
-    Kernels are compiled when a frame first needs them.
+    Each kernel is compiled for the first frame that uses it.
     """
 
     def __init__(
@@ -115,53 +113,51 @@ class DeviceChroma:
         Parameters
         ----------
         compiler : Compiler
-            The compiler of the device.
+            Compiler for the device.
         run : callable
-            Function that enqueues a kernel for all pixels of an area.
+            Enqueues a kernel for all pixels of an area.
         constant : callable
-            Function that copies an array to the device, and returns the buffer.
+            Copies an array to a device buffer.
         table : TransformTable
-            Table with the settings of the smoothing.
+            Table with chroma smoothing.
         variant : str
             A key of layout.VARIANTS.
         cut : layout.Cut
-            Division of a band into tiles, each of which is processed by one work-group.
+            Division of a band into one tile per work-group.
         """
         assert table.chroma_smoothing is not None
         self._compiler, self._run, self._variant, self._cut = compiler, run, variant, cut
         smoothing, white = table.chroma_smoothing, table.white_point / table.white_point[1]
         self._factors = tuple(map(np.float32, (1 / smoothing.reach, *1 / (smoothing.likeness * white[::2]))))
-        self._kernels: dict[tuple[Any, ...], Any] = {}  # macros for the type of results → kernel
+        self._kernels: dict[tuple[Any, ...], Any] = {}  # `ending` macros → kernel
         self._macros = layout.least_macros(table)
         self._scale = constant(layout.site_scale(table), np.float32) if self._macros else None
 
     def room(self, track: Track, band: Band) -> Any:
-        """Return the buffer into which the outputs of a band are written before smoothing."""
+        """Return the buffer for a band's outputs before smoothing."""
         return room_for(track, band, 3)
 
     def smooth(
         self, track: Track, band: Band, encoding: Any, result: Any, frame: RawFrame, gain: tuple[Any, ...], ending: Macros
     ) -> Any:
-        """Enqueue the kernel that smooths the chroma of a band.
-
-        The kernel reads the outputs from the buffer that the method `room` returns.
+        """Enqueue the kernel that smooths the chroma of a band, from the buffer that `room` returns.
 
         Parameters
         ----------
         track : Track
-            Command queue and device buffers for the band.
+            Command queue and buffers for the band.
         band : Band
-            Rows of the frame that are rendered together.
+            The band.
         encoding : buffer
             Constants for encoding pictures (`layout.display_constants`).
         result : buffer
-            Buffer to which the results are written, without the margins above and below the band.
+            Receives the outputs or pixels, without the margins above and below the band.
         frame : RawFrame
-            Frame whose raw values are scaled to the table's black and white levels.
+            Frame at the table's black and white levels.
         gain : tuple
-            The buffer with the shading gains of the band. The tuple is empty if the frame has no shading.
+            The buffer with the band's shading gains, or an empty tuple without shading.
         ending : dict
-            Macros that select the type of results: outputs or an encoded picture.
+            Macros that select whether outputs or encoded pixels are written.
 
         Returns
         -------

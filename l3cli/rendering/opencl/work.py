@@ -1,8 +1,7 @@
-"""Command queues and buffers of an OpenCL device, the commands for a frame, and the division of a frame into bands.
+"""Command queues, buffers and enqueued commands of an OpenCL device, and the division of a frame into bands.
 
-A band is a range of rows that is rendered as a whole. `Band` lists the rows that each layer needs for a band, and contains
-index buffers for padding. These buffers map rows and columns beyond the edges of the frame to mirrored rows and columns
-inside the frame.
+A band is a range of rows that is rendered as a whole. `Band` contains the rows that each layer needs for it, and index
+buffers for padding, which map rows and columns outside the frame to mirrored ones inside.
 """
 
 import os
@@ -25,17 +24,17 @@ from l3cli.rendering.reference import CHROMA_REACH
 
 STAGES = ("upload", "classes", "transforms", "encode", "download")
 REFINEMENT_STAGES = ("upload", "classes", "planes", "structures", "transforms", "encode", "download")
-COARSE_CHROMA = "coarse chroma"  # additional stage before the transforms, for tables with coarse chroma
-CHROMA = "chroma"  # additional stage after the transforms, for tables that smooth chroma; also encodes the picture
-SPECTRA = "spectra"  # additional stage after the transforms, for tables that smooth spectra
-BAND_PIXELS = 1 << 22  # approximate number of pixels of a band, without margins
+COARSE_CHROMA = "coarse chroma"  # additional stage before the transforms
+CHROMA = "chroma"  # additional stage after the transforms: chroma smoothing, which also encodes the picture
+SPECTRA = "spectra"  # additional stage after the transforms: smoothing of spectra
+BAND_PIXELS = 1 << 22  # approximate number of pixels in a band, without margins
 
 
-Source = Any  # device buffer that maps each row or column of a padded range to a row or column inside the frame
+Source = Any  # device buffer with the index, inside the frame, of each row or column of a padded range
 
 
 def stages_of(table: TransformTable) -> tuple[str, ...]:
-    """Return the names of the rendering stages whose times are measured, in the order of execution."""
+    """Return the names of a table's rendering stages, in the order of execution."""
     stages = REFINEMENT_STAGES if table.later else STAGES
     if table.later and table.later[-1].coarse_chroma:
         stages = (*stages[:-3], COARSE_CHROMA, *stages[-3:])
@@ -51,45 +50,42 @@ def constant(context: Any, array: NDArray, dtype: Any = None) -> Any:
 
 
 def scratch(context: Any, buffer: Any, size: int) -> Any:
-    """Return `buffer` if the buffer has at least `size` bytes, otherwise a new buffer of `size` bytes."""
+    """Return `buffer` if it has at least `size` bytes, otherwise a new buffer of `size` bytes."""
     if buffer is None or buffer.size < size:
         buffer = pyopencl().Buffer(context, pyopencl().mem_flags.READ_WRITE, size)
     return buffer
 
 
 class Track:
-    """A command queue, and the device buffers for rendering one band at a time.
-
-    A buffer that is too small for a band is replaced by a larger buffer.
-    """
+    """A command queue and the device buffers for one band at a time. Buffers grow as required."""
 
     def __init__(self, context: Any, layers: int) -> None:
         """Create a queue without buffers, for a table with `layers` refinement layers."""
         cl = pyopencl()
         self.queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
         self.raw: Any = None  # raw values for the kernels: `uploaded`, or a buffer in host memory
-        self.uploaded: Any = None  # copy of the raw values; only used if the device has its own memory
-        self.labels: Any = None  # class of each pixel in the first layer
-        self.sets: Any = None  # transform set index of each pixel; only used if the device has its own memory
-        self.chosen: tuple[Any, ...] = ()  # `sets`, or a buffer in host memory; empty if the table has one transform set
+        self.uploaded: Any = None  # copy of the raw values or their shading correction, unless host memory is used
+        self.labels: Any = None  # class map of the first layer
+        self.sets: Any = None  # transform set index of each pixel, if the device has its own memory
+        self.chosen: tuple[Any, ...] = ()  # `sets`, or a buffer in host memory; empty for a single set of transforms
         self.planes: list[Any] = [None] * layers  # input planes of each refinement layer
-        self.refined_labels: list[Any] = [None] * layers  # class of each pixel in each refinement layer
+        self.refined_labels: list[Any] = [None] * layers  # class map of each refinement layer
         self.coarse: tuple[tuple[int, int], list[Any]] | None = None  # shape and buffers of coarse chroma
-        self.means: Any = None  # block means of the mosaic, for the replacement of uniform clipped areas
-        self.maps: Any = None  # values of each block for the replacement of clipped areas
+        self.means: Any = None  # block means of the mosaic, for replacing uniform clipped areas
+        self.maps: Any = None  # replacement values of each block
         self.uniformity: Any = None  # uniformity of each block
-        self.estimates: list[Any] = [None, None]  # estimated signals of clipped blocks, before and after a step
+        self.estimates: list[Any] = [None, None]  # estimated signals of clipped blocks, before and after an iteration
         self.quads: Any = None  # `maps`, interpolated to quads of pixels
-        self.first: Any = None  # outputs of the first layer; only used if the last layer corrects these outputs
-        self.made: Any = None  # outputs before chroma or spectra are smoothed
-        self.result: Any = None  # outputs, or encoded pixels of the picture
-        self._typed: set[Any] = set()  # kernels whose argument types have been declared
+        self.first: Any = None  # outputs of the first layer, if the last layer corrects them
+        self.made: Any = None  # outputs before smoothing
+        self.result: Any = None  # outputs or encoded pixels
+        self._typed: set[Any] = set()  # kernels with declared argument types
 
     def run(self, kernel: Any, grid: tuple[int, ...], group: tuple[int, ...], *arguments: Any) -> Any:
         """Enqueue a kernel.
 
-        The argument types of a kernel are declared before its first call. Otherwise pyopencl would determine the types at
-        every call, which takes longer than everything else that precedes the first kernel of a frame.
+        Its argument types are declared before the first call. Otherwise pyopencl would determine them at every call, which
+        takes longer than everything else before the first kernel of a frame.
         """
         if kernel not in self._typed:
             kernel.set_scalar_arg_dtypes([type(each) if isinstance(each, np.generic) else None for each in arguments])
@@ -98,15 +94,14 @@ class Track:
 
 
 def shares_memory(device: Any) -> bool:
-    """Return whether a device uses host memory, so that no data need to be copied."""
+    """Whether a device uses host memory, so that no data need to be copied."""
     return bool(device.type & pyopencl().device_type.CPU)
 
 
 class Work:
-    """The commands that were enqueued for one frame: the events of each stage, and the arrays that the device uses.
+    """The enqueued commands of one frame: their events, by stage, and the host arrays that the device accesses.
 
-    The device uses the memory of these arrays. `Work` therefore keeps references to the arrays until all commands have
-    finished, even if the program is interrupted.
+    `Work` keeps these arrays alive until all commands have finished, even if the program is interrupted.
     """
 
     def __init__(self, device: Any, stages: tuple[str, ...]) -> None:
@@ -124,7 +119,7 @@ class Work:
                 queue.finish()
 
     def in_place(self, queue: Any, array: NDArray, written: bool = False) -> Any:
-        """Return a buffer that shares the memory of a contiguous array. The device must use host memory."""
+        """Return a buffer that shares the memory of a contiguous array, for a device that uses host memory."""
         flags = pyopencl().mem_flags
         self.arrays.append(array)
         self._queues.append(queue)
@@ -141,8 +136,8 @@ class Work:
     def fetch(self, queue: Any, buffer: Any, arrays: Iterable[NDArray], offset: int = 0) -> None:
         """Enqueue the download of a buffer into one or several contiguous arrays.
 
-        The arrays are filled one after another, beginning at byte `offset` of the buffer. A buffer from `in_place` is
-        mapped instead of copied.
+        The arrays are filled one after another, from byte `offset` of the buffer. A buffer from `in_place` is mapped instead
+        of copied.
         """
         cl = pyopencl()
         for array in arrays:
@@ -157,7 +152,7 @@ class Work:
             self.add("download", event)
 
     def end(self) -> "Work":
-        """Wait until all commands have finished. Other threads can run in the meantime.
+        """Wait until all commands have finished, while other threads can run.
 
         Raises
         ------
@@ -177,7 +172,7 @@ class Work:
         self.events[stage].append(event)
 
     def milliseconds(self) -> dict[str, float]:
-        """Return the device time of each stage in ms. All commands must have finished."""
+        """Return the device time of each stage in ms, after `end`."""
         return {
             stage: sum((event.profile.end - event.profile.start) * 1e-6 for event in events)
             for stage, events in self.events.items()
@@ -186,32 +181,27 @@ class Work:
 
 @dataclass(frozen=True)
 class PlaneSource:
-    """Index buffers for padding the input of a refinement layer.
+    """Index buffers that pad the input of a refinement layer with mirrored rows and columns."""
 
-    Rows and columns outside the frame are replaced by mirrored rows and columns inside the frame.
-    """
-
-    # To compute the classes: rows of the planes, rows of the first layer's classes, and columns.
-    classes: tuple[Source, Source, Source]
-    # To apply the transforms: rows and columns of the planes.
-    transforms: tuple[Source, Source]
+    classes: tuple[Source, Source, Source]  # for classification: plane rows, rows of the first class map, columns
+    transforms: tuple[Source, Source]  # for the transforms: plane rows, plane columns
 
 
 @dataclass(frozen=True)
 class Band:
-    """A range of rows that is rendered as a whole, and the rows that each layer needs as input for this range."""
+    """A range of rows that is rendered as a whole, and the rows that each step needs for it."""
 
-    # For each refinement layer, the rows of its input planes. Then, if the table smooths chroma or spectra, the rows of the
-    # outputs to be smoothed. The last element is the rows of the band itself.
+    # The rows of each refinement layer's input planes, then the rows of the outputs to smooth (only if the table smooths
+    # chroma or spectra), then the rows of the band itself.
     reads: tuple[slice, ...]
-    raw_rows: slice  # rows of the raw frame that any step needs
-    columns: int  # number of columns of the frame
-    mosaic_source: tuple[Source, Source]  # index buffers for rows, counted from the first of `raw_rows`, and for columns
+    raw_rows: slice  # raw rows that the steps need together
+    columns: int  # number of columns in the frame
+    mosaic_source: tuple[Source, Source]  # index buffers for rows, counted from the start of `raw_rows`, and for columns
     later: tuple[PlaneSource, ...]  # one per refinement layer
 
     @property
     def rows(self) -> slice:
-        """Rows of the picture that belong to the band."""
+        """Rows of the band in the picture."""
         return self.reads[-1]
 
     @property
@@ -220,15 +210,14 @@ class Band:
         return self.reads[len(self.later)]
 
     def shape(self, number: int) -> tuple[int, int]:
-        """Return the numbers of rows and columns in the range `reads[number]`."""
+        """Return the numbers of rows and columns in `reads[number]`."""
         return self.reads[number].stop - self.reads[number].start, self.columns
 
 
 def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDArray], Source]) -> Iterator[Band]:
-    """Yield the bands of a frame from top to bottom. `shape` contains the numbers of rows and columns.
+    """Yield the bands of a frame (rows, columns) from top to bottom.
 
-    The rows that each layer reads for a band are computed from the margins of the later steps. `constant` copies an index
-    array to the device.
+    The rows that each step reads follow from the margins of all later steps. `constant` copies an index array to the device.
     """
     (rows, columns), radius, cfa = shape, table.first.rule.radius, table.cfa
     row_source = mirrored_indices(rows, radius, cfa.shape[0])
@@ -240,9 +229,9 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
     across = {margin: constant(_int32(mirrored_indices(columns, margin, 1))) for margin in sides}
 
     def outside(seen: slice, margin: int, there: slice) -> Source:
-        """Return an index buffer for the rows `seen` and a margin of `margin` rows above and below.
+        """Return an index buffer for the rows `seen` with `margin` rows above and below, mirrored at the frame's edges.
 
-        Indices are counted from the first row of `there`. Rows outside the frame are mirrored into the frame.
+        Indices are counted from the first row of `there`.
         """
         return constant(_int32(mirrored_indices(rows, margin, 1)[seen.start : seen.stop + 2 * margin] - there.start))
 
@@ -256,7 +245,7 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
         for margin in reversed(margins):
             above = reads[0].start - margin
             if margin == COARSE_REACH:
-                above -= above % BLOCK  # align bands with the blocks of the whole frame
+                above -= above % BLOCK  # aligns the band with the blocks of the whole frame
             reads.insert(0, slice(max(0, above), min(rows, reads[0].stop + margin)))
         seen = row_source[reads[0].start : reads[0].stop + 2 * radius]
         raw_rows = slice(int(seen.min()), int(seen.max()) + 1)

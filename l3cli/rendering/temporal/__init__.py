@@ -1,1 +1,1 @@
-"""The temporal filter, which blends each mosaic with the previous frames before rendering (docs/method.md#temporal)."""
+"""Temporal filter, which blends each raw frame with the previous frames before rendering (docs/method.md#temporal)."""

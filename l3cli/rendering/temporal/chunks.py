@@ -1,9 +1,9 @@
-"""Divides a sequence into chunks, each of which has its own temporal filter.
+"""Divides a sequence into chunks, which are filtered independently.
 
-A chunk has `CHUNK` frames, counted from the first frame of the sequence. The filter of a chunk starts `LEAD` frames before
-the chunk, so the noise is already low when the chunk begins. These frames are called the lead-in of the chunk. A filtered
-frame therefore depends on at most `LEAD` + `CHUNK` − 1 other frames. If a command is resumed, or if several machines share
-the frames, the necessary frames are read again and the results are the same.
+Chunks consist of `CHUNK` frames, counted from the first frame of the sequence. The filter of a chunk starts `LEAD` frames
+earlier, so that the noise is already low when the chunk begins. These frames are the chunk's lead-in. A filtered frame
+therefore depends on at most `LEAD` + `CHUNK` − 1 previous frames. A resumed command, or a machine that renders part of the
+sequence, reads these frames again and computes the same result.
 """
 
 import importlib
@@ -27,12 +27,14 @@ class Filter(Protocol):
 
 
 class Chunks:
-    """Applies the filters of a sequence. During the lead-in of the next chunk, two filters run in parallel.
+    """Filters a sequence in order, with a new filter for each chunk.
+
+    During the lead-in of the next chunk, two filters are active.
 
     Parameters
     ----------
     make : callable
-        Function that creates a filter.
+        Creates a filter.
     """
 
     def __init__(self, make: Callable[[], Filter]) -> None:
@@ -40,9 +42,9 @@ class Chunks:
         self._filters: dict[int, Filter] = {}  # chunk → filter
 
     def filtered(self, place: int, frame: RawFrame) -> RawFrame:
-        """Return the filtered frame. `place` is the index of the frame in the sequence.
+        """Filter the frame with index `place` in the sequence.
 
-        The indices of successive calls must increase. Frames for which `needed` yields false may be omitted.
+        Calls must be in order of the index. Frames for which `needed` yields false may be omitted.
         """
         chunks = chunks_of(place)
         self._filters = {chunk: self._filters.get(chunk) or self._make() for chunk in chunks}
@@ -53,20 +55,20 @@ class Chunks:
 def chunks_of(place: int) -> range:
     """Return the numbers of the chunks whose filters read the frame with index `place`.
 
-    A frame in the lead-in of the next chunk belongs to two chunks. All other frames belong to one chunk.
+    These are two chunks for a frame in the lead-in of the next chunk, otherwise one.
     """
     return range(place // CHUNK, (place + LEAD) // CHUNK + 1)
 
 
 def needed(wanted: Iterable[tuple[int, bool]]) -> Iterator[bool]:
-    """Yield, for each frame, whether the temporal filter must read this frame.
+    """Yield, for each frame, whether the temporal filter must read it.
 
-    A frame must be read if its result is wanted, or if the result of a later frame depends on this frame.
+    This is the case if the caller wants its result, or if the wanted result of a later frame depends on it.
 
     Parameters
     ----------
     wanted : iterable of (int, bool)
-        Index of each frame, and whether its result is wanted. Up to `LEAD` + `CHUNK` pairs are read in advance.
+        Index of each frame, and whether the caller wants its result. Up to `LEAD` + `CHUNK` pairs are read ahead.
     """
     prefetched: list[tuple[int, bool]] = []
     frames = iter(wanted)
@@ -81,20 +83,19 @@ def needed(wanted: Iterable[tuple[int, bool]]) -> Iterator[bool]:
 
 
 class AnyOrder:
-    """Applies the filters of a sequence whose frames are requested in any order, for example by a video editor.
+    """Filters frames that are requested in any order, for example by a video editor.
 
-    The filtered frames are the same as in sequential order. If a requested frame does not follow the previous frame, the
-    filter restarts at the lead-in of the requested frame's chunk. Several threads may share an instance, but only one thread
-    at a time can filter.
+    The results are the same as in sequential order. If the requested frame precedes the last one or is in a later chunk, the
+    filter restarts at the lead-in of its chunk. Threads may share an instance, which filters for one thread at a time.
 
     Parameters
     ----------
     make : callable
-        Function that creates a filter.
+        Creates a filter.
     read : callable
-        Function that takes the index of a frame, counted from 0, and returns the raw frame. Any exception is allowed.
+        Returns the raw frame with a given index, counted from 0. Its exceptions are passed on.
     most : int
-        Number of filtered frames to keep, because several threads may request neighbouring frames out of order.
+        Number of filtered frames to cache, because several threads may request neighbouring frames out of order.
     """
 
     def __init__(self, make: Callable[[], Filter], read: Callable[[int], RawFrame], most: int) -> None:
@@ -102,14 +103,11 @@ class AnyOrder:
         self._alone = ThreadLock()
         self._made: dict[int, RawFrame] = {}  # index → filtered frame
         self._next = 0  # index of the next frame to filter
-        self._complete = 0  # index of the first frame whose result is valid; earlier frames belong to a lead-in
+        self._complete = 0  # index of the first valid result; earlier frames belong to a lead-in
         self._chunks = Chunks(make)
 
     def filtered(self, place: int, frame: RawFrame) -> RawFrame:
-        """Return the filtered frame. `place` is the index of the frame in the sequence.
-
-        If an earlier frame of the chunk has not been filtered yet, the necessary earlier frames are read and filtered first.
-        """
+        """Filter the frame with index `place` in the sequence, after any earlier frames on which it depends."""
         with self._alone:
             if place in self._made:
                 return self._made[place]
@@ -126,11 +124,11 @@ class AnyOrder:
                 if at >= self._complete:
                     self._made[at] = made
                 if len(self._made) > self._most:
-                    del self._made[next(iter(self._made))]  # removes the oldest frame
+                    del self._made[next(iter(self._made))]  # the oldest
             return self._made[place]
 
     def _begin(self, place: int) -> None:
-        """Restart the filter at the index `place`, which must be the first frame of a lead-in."""
+        """Restart the filter at `place`, the index of the first frame of a lead-in."""
         self._chunks, self._next = Chunks(self._make), place
         self._complete = place + LEAD if place else 0  # the frames of the lead-in belong to the previous chunk
         self._made = {}
@@ -143,26 +141,26 @@ FILTERS = {
 
 
 def filters(backend: str, table: TransformTable, **options: str | None) -> Callable[[], Filter]:
-    """Return a function that creates temporal filters.
+    """Return a function that creates temporal filters for a table's camera.
 
     Parameters
     ----------
     backend : str
         "opencl" or "reference".
     table : TransformTable
-        Table whose camera determines the noise.
+        Table that contains its camera.
     **options
         Options of the backend, as in `make_renderer`.
 
     Returns
     -------
     callable
-        Function without parameters that returns a new `Filter`.
+        Takes no argument and returns a new `Filter`.
 
     Raises
     ------
     RecipeError
-        If the table does not contain the noise model of its camera.
+        If the table does not contain its camera, or if the camera has too much row or column noise.
     DeviceError
         If no device is found.
     """

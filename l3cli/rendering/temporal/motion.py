@@ -1,10 +1,9 @@
-"""Estimates motion vectors: the displacement of each block between two frames (docs/method.md#temporal).
+"""Estimates one motion vector per block between two frames (docs/method.md#temporal).
 
-All computations use integers. Both frames are averaged over CFA periods, which removes the mosaic. The resolution of the
-resulting planes is halved repeatedly until a sample is about as large as a block. The search starts in the coarsest plane
-and ends in the finest plane. All displacements are whole CFA periods, so that every pixel is compared with a pixel of the
-same channel. The search skips a block that does not move. The search also skips a block if noise can explain the differences
-that remain after a displacement by the vector from the coarser plane.
+Both frames are averaged over CFA periods, which removes the mosaic. An image pyramid halves the resolution repeatedly until
+a sample is about as large as a block. The search runs from the coarsest to the finest plane of the pyramid, in integers. All
+vectors are whole CFA periods, so that pixels of the same channel are compared. At each resolution, the search skips blocks
+for which noise explains the remaining differences, without motion or with the vector found so far.
 """
 
 import itertools
@@ -19,21 +18,21 @@ Plane = NDArray[np.int32]
 Vectors = NDArray[np.int32]  # (block row, block col, 2) displacement in rows and columns
 
 MAX_COARSE_DISPLACEMENT = 2  # largest displacement in the coarsest plane, in samples of this plane
-CLIPPED = (1 << 12) - 1  # limit of differences in units u (module `noise`), so that kernels can sum columns in 16 bits
-SETTLED = 5  # a block is not searched if its mean difference is at most 5/8 of the standard deviation of noise
-RELUCTANCE = 2  # a new vector must fit better than the starting vector by this number of standard deviations of noise
-NEIGHBOURS = ((-1, 0), (1, 0), (0, -1), (0, 1))  # positions of the neighbouring blocks whose vectors are also tried
+CLIPPED = (1 << 12) - 1  # limit of absolute differences in u (module `noise`), so that kernels can sum columns in 16 bits
+SETTLED = 5  # a block is not searched if its mean absolute difference is at most 5/8 of the noise standard deviation
+RELUCTANCE = 2  # the cost of a new vector must be lower by this number of noise standard deviations
+NEIGHBOURS = ((-1, 0), (1, 0), (0, -1), (0, 1))  # offsets of the neighbouring blocks that provide candidate vectors
 
 
 def planes_of(values: NDArray[np.uint16], grid: Grid) -> list[Plane]:
-    """Average a mosaic over CFA periods, then repeatedly over 2 × 2 samples.
+    """Build the image pyramid: average a mosaic over CFA periods, then repeatedly over 2 × 2 samples.
 
     Parameters
     ----------
     values : ndarray, (row, col)
-        Mosaic, extended to whole blocks.
+        Mosaic in u, extended to whole blocks.
     grid : Grid
-        Division of the frame into cells and blocks.
+        Cells and blocks of the frame.
 
     Returns
     -------
@@ -51,22 +50,21 @@ def planes_of(values: NDArray[np.uint16], grid: Grid) -> list[Plane]:
 
 
 def vectors_of(now: list[Plane], before: list[Plane], grid: Grid, noise: NoiseTerms) -> Vectors:
-    """Return the motion vector of each block, in pixels.
-
-    The object at a pixel of this frame was at pixel + vector in the previous frame.
+    """Estimate the motion vector of each block, which points to its position in the previous frame.
 
     Parameters
     ----------
     now, before : list of ndarray
-        Planes of this frame and of the previous frame, from `planes_of`.
+        Image pyramids of this frame and the previous frame, from `planes_of`.
     grid : Grid
-        Division of the frame into cells and blocks.
+        Cells and blocks of the frame.
     noise : NoiseTerms
         Noise of the frames.
 
     Returns
     -------
     ndarray, (block row, block col, 2)
+        Displacements in rows and columns, in pixels.
     """
     found = np.zeros((*grid.blocks, 2), np.int32)
     for level in reversed(range(grid.planes)):
@@ -83,7 +81,7 @@ def vectors_of(now: list[Plane], before: list[Plane], grid: Grid, noise: NoiseTe
 
 
 class _Search:
-    """Compares blocks between two frames in planes of one resolution."""
+    """Compares blocks of two frames at one level of the image pyramids."""
 
     def __init__(self, now: Plane, before: Plane, grid: Grid, noise: NoiseTerms, level: int) -> None:
         self._before, self._grid, self._level = before, grid, level
@@ -93,20 +91,20 @@ class _Search:
         self._now = self._windows(now, np.zeros((*grid.blocks, 2), np.int32))
         mean = self._now.sum(axis=(2, 3)) // (tall * wide)
         spread = noise.spread[mean >> (DEEP - 8)]
-        # If a difference has the standard deviation σ, the sum of n absolute differences has the standard deviation
-        # 0.6 √n σ. This is approximated by 5/8 √n σ.
+        # If differences have the standard deviation σ, the sum of n absolute differences has the standard deviation 0.6 √n
+        # σ, approximated here by 5/8 √n σ.
         self._reluctance = (spread * (RELUCTANCE * 5 * root_of((tall, wide)))) >> (7 + level)
-        # The mean of this sum is 0.8 n σ for two unfiltered frames, or 0.58 n σ if the previous frame is filtered.
+        # The mean of this sum is 0.8 n σ for two unfiltered frames, and 0.58 n σ if the previous frame is filtered.
         self._settled = (spread * (SETTLED * tall * wide)) >> (3 + level)
 
     def _first(self, axis: int) -> NDArray[np.intp]:
-        """Return the first row (axis 0) or column (axis 1) of the window of every block."""
+        """Return the first row (axis 0) or column (axis 1) of every block's window."""
         grid, unit = self._grid, self._grid.period[axis] << self._level
         margin = (grid.window(self._level)[axis] - grid.block[axis] // unit) // 2
         return np.arange(grid.blocks[axis]) * grid.block[axis] // unit - margin
 
     def _windows(self, plane: Plane, vector: Vectors) -> Plane:
-        """Return the window of every block in a plane, displaced by `vector`. The plane is extended at its edges."""
+        """Return every block's window in a plane, displaced by `vector`. The plane's edges are replicated."""
         rows = np.clip(self._rows[:, None, :] + vector[..., 0, None], 0, plane.shape[0] - 1)
         cols = np.clip(self._cols[None, :, :] + vector[..., 1, None], 0, plane.shape[1] - 1)
         return plane[rows[..., :, None], cols[..., None, :]]
@@ -116,11 +114,11 @@ class _Search:
         return np.minimum(differences, CLIPPED).sum(axis=(2, 3), dtype=np.int64)
 
     def settled(self, vector: Vectors) -> NDArray[np.bool_]:
-        """Return, for each block, whether noise can explain the differences that remain after a displacement by `vector`."""
+        """Return, for each block, whether noise explains the differences that remain after displacement by `vector`."""
         return self._cost(vector) <= self._settled
 
     def best_of(self, candidates: list[Vectors]) -> Vectors:
-        """Return the best vector of each block. The first candidate is kept unless another candidate fits clearly better."""
+        """Return the best vector of each block: the first candidate unless another one fits clearly better."""
         best = self._within(candidates[0])
         least = self._cost(best)
         for candidate in candidates[1:]:
@@ -131,7 +129,7 @@ class _Search:
         return best
 
     def _within(self, vector: Vectors) -> Vectors:
-        """Limit vectors such that all displaced blocks stay inside the frame."""
+        """Limit vectors so that the displaced blocks remain inside the frame."""
         grid, limited = self._grid, vector.copy()
         for axis in (0, 1):
             unit = grid.period[axis] << self._level
@@ -143,14 +141,14 @@ class _Search:
 
 
 def root_of(window: tuple[int, int]) -> int:
-    """Return 16 times the square root of the number of samples in a window."""
+    """Return 16 times the square root of a window's number of samples, rounded."""
     return int(np.sqrt(window[0] * window[1]) * 16 + 0.5)
 
 
 def _neighbours(vectors: Vectors) -> Iterator[Vectors]:
-    """Yield arrays with the vectors of the upper, lower, left and right neighbour of each block.
+    """Yield the vectors of each block's upper, lower, left and right neighbours.
 
-    At the edge of the frame, the vector of the block itself replaces the vector of a missing neighbour.
+    At the edge of the frame, a missing neighbour has the block's own vector.
     """
     padded = np.pad(vectors, ((1, 1), (1, 1), (0, 0)), mode="edge")
     for down, across in NEIGHBOURS:

@@ -1,8 +1,8 @@
-"""The division of a frame into cells and blocks for the temporal filter, and the noise of the camera in integers.
+"""Cells and blocks of the temporal filter, and camera noise in integers.
 
 The filter computes with integers in the unit u = 2^−`protect` DN, where `protect` is the number of bits that raw values
-leave unused in a 16-bit word. The recursive filter therefore preserves fractions of a DN, and the values of every camera use
-all 16 bits.
+leave unused in a 16-bit word. Values of every camera therefore use all 16 bits, and the recursive filter preserves fractions
+of a DN.
 """
 
 from dataclasses import dataclass
@@ -14,37 +14,37 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import RecipeError
 from l3cli.frames.frame import RawFrame
 
-MIN_CELL, MIN_BLOCK = 4, 16  # smallest side of a cell and of a block, in pixels
-LANES = 8  # number of pixels that kernels process in parallel; the width of a block is a multiple of this number
+MIN_CELL, MIN_BLOCK = 4, 16  # smallest sides of a cell and a block, in pixels
+LANES = 8  # kernels process this number of pixels in parallel, so the width of a block is a multiple of it
 DEEP = 16  # bits per value
-LINEAR_FRACTION = 8  # number of fractional bits of the linear noise term
-UNEVEN_FRACTION = 24  # number of fractional bits of the quadratic noise term
-NOISE_FRACTIONS = (1.0, 0.5, 0.25)  # fractions of the camera's noise variance to which class edges can be adapted
-MAX_UNEVEN = 1 << 20  # limit of the quadratic term; the fixed pattern is then a quarter of the signal
-MAX_FIXED = 1 << 28  # limit of the constant fixed-pattern term; the fixed pattern is then a quarter of the range
-ROW_PERIODS_PER_READ = 8  # the mean level of a frame is computed from every eighth CFA period along the columns
-# Largest variance of row and column noise, relative to the noise variance of a pixel. With this much row noise, 5 % more of
-# the noise of a static scene remains.
+LINEAR_FRACTION = 8  # fractional bits of the linear noise term
+UNEVEN_FRACTION = 24  # fractional bits of the quadratic noise term
+NOISE_FRACTIONS = (1.0, 0.5, 0.25)  # noise fractions to which class thresholds can be adapted
+MAX_UNEVEN = 1 << 20  # limit of the quadratic term, where the fixed pattern is a quarter of the signal
+MAX_FIXED = 1 << 28  # limit of the constant fixed-pattern term, where the fixed pattern is a quarter of the range
+ROW_PERIODS_PER_READ = 8  # the mean level of a frame is computed from every eighth row of CFA periods
+# Largest variance of row and column noise, relative to the pixel noise variance. At this limit, 5 % more noise remains in a
+# static scene.
 MAX_LINES = 1 / 16
-TABULATED_LEVELS = 256  # number of levels for which the noise of a difference is tabulated
+TABULATED_LEVELS = 256  # number of levels at which the noise of frame differences is tabulated
 
 
 @dataclass(frozen=True)
 class Grid:
-    """The division of a frame into cells and blocks. All sizes are (rows, columns) in pixels.
+    """Division of a frame into cells, with one blending weight each, and blocks, with one motion vector each.
 
-    Each cell has its own blending weight, and each block has its own motion vector.
+    Sizes are (rows, columns) in pixels.
     """
 
     period: tuple[int, int]  # size of the CFA period
     cell: tuple[int, int]  # size of a cell, a multiple of the CFA period
-    block: tuple[int, int]  # size of a block, a multiple of the size of a cell
-    blocks: tuple[int, int]  # number of rows of blocks, and number of columns of blocks
-    planes: int  # number of planes in the search for motion vectors, each with half the resolution of the previous plane
+    block: tuple[int, int]  # size of a block, a multiple of the cell size
+    blocks: tuple[int, int]  # numbers of block rows and block columns
+    planes: int  # number of planes in the image pyramid of the motion search
 
     @staticmethod
     def of(shape: tuple[int, ...], period: tuple[int, ...]) -> "Grid":
-        """Create the grid for frames of size `shape` and a CFA of size `period`. Both sizes are (rows, columns)."""
+        """Create the grid for frames of size `shape` with a CFA period of size `period`."""
         down, across = (_sides(side, lanes) for side, lanes in zip(period, (1, LANES), strict=True))
         blocks = (-(-shape[0] // down[2]), -(-shape[1] // across[2]))
         planes = 1
@@ -54,12 +54,12 @@ class Grid:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Numbers of rows and columns after the frame is extended to whole blocks."""
+        """Size of the frame after extension to whole blocks."""
         return self.blocks[0] * self.block[0], self.blocks[1] * self.block[1]
 
     @property
     def cells(self) -> tuple[int, int]:
-        """Number of rows of cells, and number of columns of cells."""
+        """Numbers of cell rows and cell columns."""
         return self.shape[0] // self.cell[0], self.shape[1] // self.cell[1]
 
     @property
@@ -68,10 +68,10 @@ class Grid:
         return self.cell[0] * self.cell[1]
 
     def window(self, level: int) -> tuple[int, int]:
-        """Return the size (rows, columns) of the windows that the motion search compares in one plane.
+        """Return the size (rows, columns) of a block's window at one level of the image pyramid, in samples.
 
-        The window of a block is usually the block itself. If a block has at most four rows (columns) in the plane, the
-        window has two additional rows (columns) on each side.
+        The window is usually the block itself. If the block has at most four rows (columns) at this level, two rows
+        (columns) are added on each side.
         """
         units = (side // (period << level) for side, period in zip(self.block, self.period, strict=True))
         rows, cols = (count + 4 if count <= 4 else count for count in units)
@@ -89,10 +89,7 @@ class Grid:
 
 
 def _sides(period: int, lanes: int) -> tuple[int, int, int]:
-    """Return the lengths, in pixels, of a period, a cell and a block along one axis.
-
-    The length of a block is a multiple of `lanes`.
-    """
+    """Return the sides of a period, a cell and a block along one axis, in pixels. Blocks are multiples of `lanes`."""
     cell = period * -(-MIN_CELL // period)
     block = next(side for side in range(cell, 8 * MIN_BLOCK, cell) if side >= MIN_BLOCK and side % lanes == 0)
     return period, cell, block
@@ -108,33 +105,33 @@ def _repeated(there: int, wanted: int, period: int) -> NDArray[np.intp]:
 
 @dataclass(frozen=True, eq=False)
 class NoiseTerms:
-    """Noise of a pixel, in units u. S is the signal of the pixel above black.
+    """Integer coefficients of the pixel noise, in u.
 
-    The temporal variance is (linear · S >> LINEAR_FRACTION) + constant. The variance of the fixed pattern is fixed +
-    (uneven · S² >> UNEVEN_FRACTION). The fixed pattern matters only if a block moves, because different pixels are then
-    compared.
+    At the signal S above black, the temporal noise variance is (linear · S >> LINEAR_FRACTION) + constant, and the variance
+    of the fixed pattern is fixed + (uneven · S² >> UNEVEN_FRACTION). The fixed pattern matters only in moving blocks, where
+    different pixels are compared.
     """
 
-    protect: int  # number of bits by which DN are shifted to the left to convert them to u
+    protect: int  # left shift that converts DN to u
     black: int  # black level in u
     white: int  # white level in u
     linear: int
     constant: int
     fixed: int
     uneven: int
-    # (level) standard deviation of the difference between two frames after averaging over a CFA period, in u
+    # (level) standard deviation, in u, of the difference of two frames that are averaged over the CFA period
     spread: NDArray[np.int32]
 
 
 def noise_of(camera: CameraModel, black_level: float, white_level: float, sites: int) -> NoiseTerms:
-    """Return the noise of the frames of a camera.
+    """Convert a camera's noise model to integers for frames with the given levels.
 
     Parameters
     ----------
     camera : CameraModel
-        Camera with the noise model.
+        Camera that took the frames.
     black_level, white_level : float
-        Black and white level of the frames, in DN.
+        Black and white levels of the frames, in DN.
     sites : int
         Number of pixels in a CFA period.
 
@@ -162,10 +159,9 @@ def noise_of(camera: CameraModel, black_level: float, white_level: float, sites:
 
 
 def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
-    """Return the fraction of the noise variance that remains in a filtered frame, at the mean level of the frame.
+    """Return the noise fraction of a filtered frame at its mean level, rounded up to one of `NOISE_FRACTIONS`.
 
-    The filter reduces the variance of the temporal noise to the fraction `left`, but does not reduce the fixed pattern. The
-    result is rounded up to one of `NOISE_FRACTIONS`.
+    The filter reduces the temporal noise variance to the fraction `left`, but not the fixed pattern.
     """
     stretch = (camera.white_level - camera.black_level) / (frame.white_level - frame.black_level)
     signal = max(_mean(frame.values, camera.cfa.shape[0]) - frame.black_level, 0.0) * stretch
@@ -177,60 +173,56 @@ def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
 
 
 def _mean(values: NDArray[np.uint16], period: int) -> float:
-    """Return the approximate mean of a frame. Only every eighth CFA period along the columns is read."""
+    """Estimate the mean of a frame from every eighth row of CFA periods."""
     whole = values[: len(values) // (period * ROW_PERIODS_PER_READ) * period * ROW_PERIODS_PER_READ]
     sampled = whole.reshape(-1, period * ROW_PERIODS_PER_READ, values.shape[1])[:, :period] if whole.size else values
     return float(sampled.mean())
 
 
 def to_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:
-    """Convert values in DN to the unit u of the temporal filter.
-
-    Results that do not fit into 16 bits are clipped. Only values above the white level are affected.
-    """
+    """Convert DN to u. Values that would exceed 16 bits, which are above the white level, are clipped."""
     most = np.uint16((1 << DEEP - noise.protect) - 1)
     return np.minimum(values, most) << np.uint16(noise.protect)
 
 
 def of_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:
-    """Convert values in the unit u of the temporal filter to the nearest DN."""
+    """Convert u to the nearest DN."""
     most = (1 << DEEP - noise.protect) - 1
     return np.minimum((values.astype(np.uint32) + (1 << noise.protect >> 1)) >> noise.protect, most).astype(np.uint16)
 
 
 def kind_of(frame: RawFrame) -> tuple[object, ...]:
-    """Return the properties that must be equal in two frames so that the filter can blend the frames."""
+    """Return the properties in which frames must agree so that the filter can blend them."""
     return frame.values.shape, frame.phase, frame.black_level, frame.white_level
 
 
 def settings_of(frame: RawFrame) -> tuple[float, float | None]:
-    """Return the analog gain of a frame, and its exposure time in s or None."""
+    """Return the analog gain and the exposure time (s, None if unknown) of a frame."""
     return frame.gain, frame.exposure
 
 
 def times_brighter(now: tuple[float, float | None], before: tuple[float, float | None]) -> float:
-    """Return the factor by which a frame becomes brighter if the settings change from `before` to `now`.
+    """Return the ratio of signals between two settings from `settings_of`.
 
-    `before` and `now` are results of `settings_of`. If one of the exposure times is unknown, only the gains are compared.
+    If either exposure time is unknown, only the gains are compared.
     """
     times = now[1] / before[1] if now[1] and before[1] else 1.0
     return times * now[0] / before[0]
 
 
 def require_noise(camera: CameraModel | None) -> CameraModel:
-    """Return `camera`. Raise a RecipeError if the temporal filter cannot be used with this camera.
+    """Return a table's camera if the temporal filter can be used with it, otherwise raise a RecipeError.
 
-    `camera` is None if the table does not contain its camera. Cameras with strong row or column noise cause an error,
-    because the filter compares sums over cells, and the offset of a row or column does not average out in these sums. Noise
-    that is removed with masked pixels is not counted.
+    This excludes tables without a camera (None) and cameras with strong row or column noise, which does not average out in
+    the filter's sums over cells. Noise that masked pixels remove is not counted.
     """
     if camera is None:
         raise RecipeError(
-            "‹temporal› needs the camera's noise model, which this table does not contain; train the table again"
+            "‹temporal› requires the camera's noise model, which this table does not contain; train the table again"
         )
     if camera.corrected_noise().lines > MAX_LINES * camera.pixel_variance():
         raise RecipeError(
-            "‹temporal› would mistake the temporal noise of the camera's rows and columns for motion, because it exceeds a "
-            "quarter of the pixel noise; remove ‹temporal›, or use frames with masked pixels"
+            "‹temporal› would mistake the camera's row and column noise for motion, because it exceeds a quarter of the "
+            "pixel noise; remove ‹temporal›, or use frames with masked pixels"
         )
     return camera

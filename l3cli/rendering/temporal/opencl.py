@@ -1,6 +1,6 @@
-"""The temporal filter on an OpenCL device.
+"""Temporal filter on an OpenCL device.
 
-Each kernel in opencl/common/temporal*.cl computes one step of reference.py or motion.py.
+Each kernel in opencl/common/temporal*.cl implements one step of reference.py or motion.py.
 """
 
 from collections.abc import Callable
@@ -29,10 +29,10 @@ from l3cli.rendering.temporal.noise import (
     times_brighter,
 )
 
-STRIPS = {"processor": 32, "graphics": 1}  # variant → number of blocks, cells or periods that a work-item processes
+STRIPS = {"processor": 32, "graphics": 1}  # variant → number of blocks, cells or CFA periods per work-item
 MARGIN_PIXELS = 4  # width of the margin around a plane
 PADDING_COLUMNS = 8  # number of additional columns after the margin
-TILE_ROWS = 4  # number of window rows that are read together
+TILE_ROWS = 4  # number of window rows to read together
 STAGES = ("upload", "download")
 KERNELS = ("planes", "search", "evidence", "weigh", "blend")
 
@@ -43,9 +43,9 @@ class Device:
     Parameters
     ----------
     period : tuple of int
-        Rows and columns of the CFA period.
+        CFA period (rows, columns) in pixels.
     device, variant : str, optional
-        The same as for `OpenCLRenderer`.
+        As in `OpenCLRenderer`.
 
     Raises
     ------
@@ -68,28 +68,28 @@ class Device:
             self._typed: set[str] = set()
 
     def run(self, name: str, rows: int, columns: int, *arguments: Any) -> None:
-        """Enqueue a kernel for all rows and columns of an area. Each work-item processes `strip` columns.
+        """Enqueue a kernel over `rows` × `columns` elements, `strip` columns per work-item.
 
-        Integer arguments are passed as 32-bit integers.
+        Integer arguments are passed as int32.
         """
         kernel, grid = self.kernels[name], (-(-columns // self.strip), rows)
-        if name not in self._typed:  # the types are declared once, as in work.Track.run
+        if name not in self._typed:  # declaring the types takes time, as in work.Track.run
             kernel.set_scalar_arg_dtypes([np.int32 if isinstance(each, int) else None for each in arguments])
             self._typed.add(name)
         kernel(self.queue, grid, (1, 1) if self.strip > 1 else None, *arguments)
 
     def buffer(self, size: int) -> Any:
-        """Return a device buffer of `size` bytes."""
+        """Allocate a device buffer of `size` bytes."""
         return pyopencl().Buffer(self.context, pyopencl().mem_flags.READ_WRITE, size)
 
     def cleared(self, size: int) -> Any:
-        """Return a zero-filled device buffer of `size` bytes."""
+        """Allocate a zero-filled device buffer of `size` bytes."""
         flags = pyopencl().mem_flags
         return pyopencl().Buffer(self.context, flags.READ_WRITE | flags.COPY_HOST_PTR, hostbuf=np.zeros(size, np.uint8))
 
 
 def _macros(period: tuple[int, ...]) -> layout.Macros:
-    """Return the macros for compiling the kernels."""
+    """Return the macros with which the kernels are compiled."""
     grid = Grid.of((1, 1), period)
     names = (
         "ONE",
@@ -127,7 +127,7 @@ def _macros(period: tuple[int, ...]) -> layout.Macros:
 
 
 class _Buffers:
-    """Device buffers of a filter, for frames with the same size, phase and levels."""
+    """Device buffers of a filter, for frames of the same size, phase and levels."""
 
     def __init__(self, device: Device, grid: Grid, noise: NoiseTerms) -> None:
         pixels, blocks = (int(np.prod(sides)) for sides in (grid.shape, grid.blocks))
@@ -135,7 +135,7 @@ class _Buffers:
         self.history = [device.buffer(2 * pixels) for _ in range(2)]  # filter state before and after this frame
         self.now, self.before = (device.buffer(2 * _units(grid)) for _ in range(2))
         self.vectors = [device.buffer(8 * blocks) for _ in range(2)]
-        # Remaining noise of the cells, with a margin.
+        # Noise fractions of the cells, with a margin.
         self.host_left = np.empty((grid.cells[0] + 2, grid.cells[1] + 2 * PADDING_COLUMNS), np.uint16)
         self.left = [device.cleared(self.host_left.nbytes) for _ in range(2)]
         self.weights = device.cleared(self.host_left.nbytes)
@@ -144,7 +144,7 @@ class _Buffers:
         self.cuts = device.buffer(4 * self.strips)
         read_only = flags.READ_ONLY | flags.COPY_HOST_PTR
         self.spread = pyopencl().Buffer(device.context, read_only, hostbuf=noise.spread)
-        # A device that uses host memory reads and writes the arrays of a frame directly.
+        # A device that shares host memory reads and writes the host arrays of a frame directly.
         self.borders = None if device.in_place else (device.buffer(2 * pixels), device.buffer(2 * pixels))
 
 
@@ -154,11 +154,11 @@ class OpenCLFilter:
     Parameters
     ----------
     device : Device
-        Device with the kernels, which several filters may share.
+        Device with the kernels. Several filters may share it.
     period : tuple of int
-        Rows and columns of the CFA period.
+        CFA period (rows, columns) in pixels.
     camera : CameraModel
-        Camera with the noise model.
+        Camera that took the frames.
     """
 
     def __init__(self, device: Device, period: tuple[int, ...], camera: CameraModel) -> None:
@@ -167,11 +167,10 @@ class OpenCLFilter:
         self._settings: tuple[float, float | None] = (1.0, None)  # gain and exposure time of the previous frame
 
     def filtered(self, frame: RawFrame) -> RawFrame:
-        """Blend the next frame with the previous frames, and return the result.
+        """Blend the next frame with the previous frames, and return the result with its remaining noise fractions.
 
-        The result also states the remaining fraction of the noise. The filter restarts if the frame differs from the
-        previous frame in size, phase or levels. If the gain or the exposure time differs, the filter first converts its
-        state.
+        The filter restarts if the size, phase or levels of the frame have changed. If the gain or exposure time has changed,
+        it converts its state first.
         """
         with refusals(self._device.device):
             first = kind_of(frame) != self._kind
@@ -204,10 +203,7 @@ class OpenCLFilter:
             return replace(frame, values=made[:rows, :cols], noise_share=share, noise_left=of_cells)
 
     def history(self) -> NDArray[np.uint16]:
-        """Return the filtered values after the latest frame as an array (row, col).
-
-        Values are in the unit u, which the module `noise` defines.
-        """
+        """Return the filtered values (row, col) after the latest frame, in u (see the module `noise`)."""
         values = np.empty(self._grid.shape, np.uint16)
         pyopencl().enqueue_copy(self._device.queue, values, self._buffers.history[0])
         return values
@@ -217,7 +213,7 @@ class OpenCLFilter:
         return noise_of(self._camera.at_gain(frame.gain), frame.black_level, frame.white_level, sites)
 
     def _rescale(self, frame: RawFrame) -> None:
-        """Convert the state of the filter to a new gain and exposure time, on the host because this is rarely necessary."""
+        """Convert the filter state to a new gain or exposure time. This is rare and therefore done on the host."""
         device, buffers, grid, noises = self._device, self._buffers, self._grid, (self._noise, self._noise_of(frame))
         left = buffers.host_left[1:-1, PADDING_COLUMNS:-PADDING_COLUMNS]
         before = reference.Blend(self.history(), left.astype(np.int64))
@@ -229,27 +225,23 @@ class OpenCLFilter:
         self._planes(buffers.history[0], buffers.before, buffers.now, 0)
 
     def _planes(self, values: Any, made: Any, before: Any, free_bits: int) -> None:
-        """Compute all planes of the new frame `values`, and the coarser planes of the previous frame.
+        """Compute the image pyramid of the new frame `values` in `made`, and complete the previous frame's in `before`.
 
-        The planes of the new frame are written to `made`. `before` already contains the finest plane of the previous frame,
-        and receives the coarser planes.
+        `before` already contains the finest plane.
         """
         grid = self._grid
         parts = -(-grid.shape[0] // (grid.period[0] << grid.planes - 1))
         self._device.run("planes", 2 * parts, grid.blocks[1], values, made, before, free_bits, *grid.blocks)
 
     def _borders(self, work: Work, values: NDArray[np.uint16], made: NDArray[np.uint16]) -> tuple[Any, Any]:
-        """Return the device buffers for the values of the frame and for the filtered values."""
+        """Return the device buffers for the raw values and for the filtered values."""
         device, buffers = self._device, self._buffers
         if buffers.borders is None:
             return work.in_place(device.queue, values), work.in_place(device.queue, made, written=True)
         return work.upload(device.queue, values, buffers.borders[0]), buffers.borders[1]
 
     def _search(self, raw: Any) -> Any:
-        """Compute the motion vectors from the coarsest plane to the finest plane. Return the buffer with the vectors.
-
-        The unit of the vectors is one CFA period.
-        """
+        """Compute the motion vectors, and return their buffer. Vectors are in CFA periods."""
         device, buffers, grid = self._device, self._buffers, self._grid
         self._planes(raw, buffers.now, buffers.before, self._noise.protect)
         for level in reversed(range(grid.planes)):
@@ -262,7 +254,7 @@ class OpenCLFilter:
         return buffers.vectors[0]
 
     def _weigh(self, raw: Any, vectors: Any) -> None:
-        """Compute the blending weight of each cell."""
+        """Compute the blending weights of all cells."""
         device, buffers, grid, noise = self._device, self._buffers, self._grid, self._noise
         constant = min(grid.sites * noise.constant, reference.MOST_VARIANCE)
         terms = (noise.protect, noise.black, noise.linear, constant, noise.fixed, noise.uneven)
@@ -274,7 +266,7 @@ class OpenCLFilter:
 
 
 def _units(grid: Grid) -> int:
-    """Return the number of samples in all planes of a frame, including margins for windows that extend beyond the frame."""
+    """Return the number of samples in an image pyramid, including margins for windows that extend beyond the frame."""
     rows, cols = (side // period for side, period in zip(grid.shape, grid.period, strict=True))
     planes = ((rows >> level, cols >> level) for level in range(grid.planes))
     return sum(
@@ -285,14 +277,13 @@ def _units(grid: Grid) -> int:
 def opencl_filters(
     period: tuple[int, ...], camera: CameraModel, device: str | None = None, variant: str | None = None
 ) -> Callable[[], OpenCLFilter]:
-    """Return a function that creates temporal filters on a device.
+    """Return a function that creates temporal filters on a device. Parameters are as in `Device` and `OpenCLFilter`.
 
-    The filters share their kernels, so all filters must be used in one thread. The parameters are the same as for `Device`
-    and `OpenCLFilter`.
+    The filters share their kernels, so they must all be used in the same thread.
     """
     shared = Device(period, device, variant)
-    # PoCL compiles a kernel when it first runs. Two tiny frames run all kernels now, before a renderer in another thread
-    # starts to compile its own kernels.
+    # PoCL compiles a kernel when it first runs. Filtering two tiny frames compiles all kernels now, before a renderer in
+    # another thread compiles its own.
     first, tiny = OpenCLFilter(shared, period, camera), Grid.of((1, 1), period).shape
     for _ in range(2):
         first.filtered(RawFrame("none", np.zeros(tiny, np.uint16), camera.black_level, camera.white_level))

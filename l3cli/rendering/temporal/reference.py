@@ -1,4 +1,4 @@
-"""The temporal filter in numpy. The kernels in opencl/common/temporal*.cl compute exactly the same results."""
+"""Temporal filter in numpy. The kernels in opencl/common/temporal*.cl compute exactly the same results."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -24,18 +24,19 @@ from l3cli.rendering.temporal.noise import (
     to_units,
 )
 
-# Values are in units u, which the module `noise` defines. A residual is a value of a frame minus the filter state.
-ONE = 1 << 10  # fixed-point representation of 1, for weights and for fractions of noise
-# The residual power over 3 × 3 cells counts as motion only above 5/4 of the expected noise. The excess is multiplied by 4.
+# Values are in the unit u (see the module `noise`). Residuals are values of the new frame minus filtered values of the
+# previous frame.
+ONE = 1 << 10  # fixed-point representation of 1, for weights and noise fractions
+# The squared residuals over 3 × 3 cells indicate motion only above 5/4 of their expected sum. The excess is multiplied by 4.
 POWER_FACTOR, POWER_FREE = 4, 5
-MEAN_FREE = 2  # the squared sum over a cell counts as motion only above this multiple of the variance expected from noise
-WIDE_FREE = 6  # the squared sum over 3 × 3 cells counts as motion only above this multiple of the expected variance
-CUT = 8  # a cell shows a different scene if its residual power exceeds the expected variance by this factor
-CLIPPED = (1 << 14) - 1  # limit of residuals in u, so that sums of squares fit into 32 bits in kernels
-MOST_POWER = (1 << 32) - 1  # limit of the residual power of a cell in u², so that kernels need only 32 bits
-MOST_VARIANCE = (1 << 29) - 1  # limit of the noise variance of a cell in u², so that kernels need only 32 bits
+MEAN_FREE = 2  # the squared residual sum of single cells indicates motion only above this multiple of its expected value
+WIDE_FREE = 6  # the same for the squared residual sum of 3 × 3 cells
+CUT = 8  # the scene has changed in a cell if its squared residuals exceed their expected sum by this factor
+CLIPPED = (1 << 14) - 1  # limit of residuals in u, so that kernels sum their squares in 32 bits
+MOST_POWER = (1 << 32) - 1  # limit of a cell's squared residuals in u², so that kernels need only 32 bits
+MOST_VARIANCE = (1 << 29) - 1  # limit of a cell's noise variance in u², so that kernels need only 32 bits
 MOST_BEYOND = 1 << 42  # limit of the motion evidence in u², so that all sums are exact in float64 (below 2^53)
-FEW = 2  # the filter restarts if more than 1/FEW of the cells show a different scene
+FEW = 2  # the filter restarts if the scene has changed in more than 1/FEW of the cells
 
 
 Cells = NDArray[np.int64]
@@ -48,35 +49,32 @@ class Blend:
     """State of the temporal filter after a frame."""
 
     values: NDArray[np.uint16]  # (row, col) filtered values in u, extended to whole blocks
-    left: Cells  # (cell row, cell col) remaining noise variance, as a fraction of the variance of one frame, times ONE
+    left: Cells  # (cell row, cell col) remaining noise variance relative to a single frame, times ONE
 
 
 def first_blend(values: NDArray[np.uint16], grid: Grid) -> Blend:
-    """Return the state of the filter after the first frame of a scene.
-
-    `values` are in the unit u, and are extended to whole blocks.
-    """
+    """Return the filter state after the first frame of a scene, with values in u, extended to whole blocks."""
     return Blend(values, np.full(grid.cells, ONE, np.int64))
 
 
 def rescaled(before: Blend, times: float, grid: Grid, noises: tuple[NoiseTerms, NoiseTerms]) -> Blend:
-    """Convert the state of the filter to a new gain or exposure time (docs/method.md#temporal).
+    """Convert the filter state to a new gain or exposure time (docs/method.md#temporal).
 
     Parameters
     ----------
     before : Blend
-        State with the old gain and exposure time.
+        State at the old gain and exposure time.
     times : float
-        Factor by which the change multiplies signals.
+        Ratio of new to old signals.
     grid : Grid
-        Division of the frame into cells and blocks.
+        Cells and blocks of the frame.
     noises : tuple of NoiseTerms
         Noise before and after the change.
 
     Returns
     -------
     Blend
-        State in which the remaining noise is a fraction of the new noise, limited to 1.
+        State at the new settings, with noise fractions of at most 1.
     """
     was, now = noises
     scale = np.rint(now.black + (np.arange(1 << DEEP) - was.black) * times)
@@ -91,7 +89,7 @@ def rescaled(before: Blend, times: float, grid: Grid, noises: tuple[NoiseTerms, 
 
 
 def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: Grid, noise: NoiseTerms) -> Blend:
-    """Blend a frame with the previous state of the filter, whose blocks are displaced by the motion vectors.
+    """Blend a frame with the motion-compensated filter state.
 
     Parameters
     ----------
@@ -102,14 +100,14 @@ def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: G
     vectors : ndarray, (block row, block col, 2)
         Motion vectors in pixels.
     grid : Grid
-        Division of the frame into cells and blocks.
+        Cells and blocks of the frame.
     noise : NoiseTerms
         Noise of the frames.
 
     Returns
     -------
     Blend
-        State after the frame.
+        State after this frame.
     """
     rows, cols = np.indices(grid.shape, sparse=True)
     of_pixel = vectors.repeat(grid.block[0], 0).repeat(grid.block[1], 1)
@@ -130,7 +128,7 @@ def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: G
 
 
 def _moved_left(left: Cells, vectors: Vectors, grid: Grid) -> Cells:
-    """Return the fraction of the noise that remained in the previous frame, at the displaced centre of each cell."""
+    """Return the motion-compensated noise fractions of the previous state, read at each cell's displaced centre."""
     rows, cols = (
         (np.arange(count) * side + side // 2 + _by_cell(vectors[..., axis], grid).swapaxes(0, axis).swapaxes(0, 1)) // side
         for axis, (count, side) in enumerate(zip(grid.cells, grid.cell, strict=True))
@@ -139,7 +137,7 @@ def _moved_left(left: Cells, vectors: Vectors, grid: Grid) -> Cells:
 
 
 def _by_cell(of_block: NDArray, grid: Grid) -> NDArray:
-    """Expand an array with one value per block to one value per cell."""
+    """Repeat values of blocks for all their cells."""
     down, across = (block // cell for block, cell in zip(grid.block, grid.cell, strict=True))
     return of_block.repeat(down, 0).repeat(across, 1)
 
@@ -147,20 +145,18 @@ def _by_cell(of_block: NDArray, grid: Grid) -> NDArray:
 def _evidence(
     values: NDArray[np.uint16], residual: Cells, left: Cells, vectors: Vectors, grid: Grid, noise: NoiseTerms
 ) -> tuple[Cells, Cells, Cells, Cells]:
-    """Return three measures of motion around each cell, and the mean value that all three measures have without motion.
-
-    The residual of a cell or of a neighbourhood is the sum of the residuals of its pixels.
+    """Compute three measures of motion in the 3 × 3 cells around each cell, and their common expected value without motion.
 
     Returns
     -------
     pixels : ndarray, (cell row, cell col)
-        Sum of the squared residuals of all pixels in the 3 × 3 cells around each cell.
+        Sum over all pixels of the squared residual, in u².
     cells : ndarray, (cell row, cell col)
-        Sum of the squared residuals of these 3 × 3 cells.
+        Sum over the 3 × 3 cells of the squared residual sum of the cell, in u².
     neighbourhood : ndarray, (cell row, cell col)
-        Square of the residual of the whole neighbourhood.
+        Squared residual sum of the whole neighbourhood, in u².
     expected : ndarray, (cell row, cell col)
-        Mean value of each of the three measures without motion.
+        Expected value of all three measures if there is only noise, in u².
     """
     signal = np.maximum(_sums(values.astype(np.int64), grid) - grid.sites * noise.black, 0)
     variance = np.minimum((signal * noise.linear >> LINEAR_FRACTION) + grid.sites * noise.constant, MOST_VARIANCE)
@@ -175,13 +171,13 @@ def _evidence(
 
 
 def _sums(values: Cells, grid: Grid) -> Cells:
-    """Sum the values of all pixels in each cell."""
+    """Sum pixel values (row, col) over each cell."""
     (down, across), (tall, wide) = grid.cells, grid.cell
     return values.reshape(down, tall, across, wide).sum(axis=(1, 3))
 
 
 def _nearby(cells: Cells) -> Cells:
-    """Sum values over the 3 × 3 cells around each cell. Cells outside the frame count as zero."""
+    """Sum values over the 3 × 3 cells around each cell, with zeros outside the frame."""
     padded = np.pad(cells, 1)
     tall = padded[:-2] + padded[1:-1] + padded[2:]
     return tall[:, :-2] + tall[:, 1:-1] + tall[:, 2:]
@@ -193,9 +189,9 @@ class ReferenceFilter:
     Parameters
     ----------
     period : tuple of int
-        Rows and columns of the CFA period.
+        CFA period (rows, columns) in pixels.
     camera : CameraModel
-        Camera with the noise model.
+        Camera that took the frames.
     """
 
     def __init__(self, period: tuple[int, ...], camera: CameraModel) -> None:
@@ -206,11 +202,10 @@ class ReferenceFilter:
         self.vectors: Vectors | None = None  # motion vectors of the latest frame, or None for the first frame
 
     def filtered(self, frame: RawFrame) -> RawFrame:
-        """Blend the next frame with the previous frames, and return the result.
+        """Blend the next frame with the previous frames, and return the result with its remaining noise fractions.
 
-        The result also states the remaining fraction of the noise. The filter restarts if the frame differs from the
-        previous frame in size, phase or levels. If the gain or the exposure time differs, the filter first converts its
-        state.
+        The filter restarts if the size, phase or levels of the frame have changed. If the gain or exposure time has changed,
+        it converts its state first.
         """
         kind = kind_of(frame)
         grid = Grid.of(frame.values.shape, self._period)
@@ -237,5 +232,5 @@ class ReferenceFilter:
 
 
 def reference_filters(period: tuple[int, ...], camera: CameraModel) -> Callable[[], ReferenceFilter]:
-    """Return a function that creates a `ReferenceFilter`."""
+    """Return a function without parameters that creates a `ReferenceFilter`."""
     return lambda: ReferenceFilter(period, camera)

@@ -1,1 +1,1 @@
-"""White points of scenes, methods for finding the white point, and white balance."""
+"""Scene white points, how to find them, and white balance."""

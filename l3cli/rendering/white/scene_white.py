@@ -1,7 +1,7 @@
-"""White points of scenes, and the white balance of frames (docs/method.md#scene-white).
+"""Scene white points and white balance (docs/method.md#scene-white).
 
-White balance has two steps. Before a frame is rendered, each channel is multiplied by a gain. After rendering, a matrix
-adapts the outputs from the white point of the scene to D65.
+White balance has two steps: a gain per channel before rendering, and a matrix after rendering, which adapts the outputs from
+the scene's white point to D65.
 """
 
 import functools
@@ -25,18 +25,18 @@ from l3cli.physics.mosaic import shifted_cfa, tiled
 from l3cli.rendering.reference import ReferenceRenderer
 
 Array = NDArray[np.floating]
-MAX_CLIPPED = 0.01  # largest fraction of clipped pixels in a measurable grey area
+MAX_CLIPPED = 0.01  # a grey area may contain at most this fraction of clipped pixels
 FLAT = 0.5  # a channel counts as clipped if more than this fraction of its pixels have the largest value of the frame
-# A grey area with an uncertain mean is "too dark" if its mean is below this fraction of full scale, otherwise "not uniform".
+MIN_CERTAINTY = 50.0  # smallest ratio of a channel's mean signal in a grey area to the standard error of this mean
+# If the mean is less certain, the message calls areas below this fraction of full scale too dark, and others not uniform.
 DARK_FRACTION = 0.01
-MIN_CERTAINTY = 50.0  # smallest ratio of the mean signal of a channel in a grey area to the standard error of the mean
 
 
 @dataclass(frozen=True)
 class Grey:
     """A rectangular area of a frame that shows a grey object."""
 
-    name: str  # description of the area for messages
+    name: str  # how messages call the area
     where: tuple[slice, slice]  # rows and columns in sensor orientation
 
 
@@ -49,7 +49,7 @@ class Square:
     size: int  # side in pixels
 
     def within(self, frame: RawFrame) -> Grey:
-        """Return the area of the frame that the square covers.
+        """Find the area of a frame that the square covers.
 
         Raises
         ------
@@ -62,13 +62,13 @@ class Square:
         top, left = self.row - self.size // 2, self.col - self.size // 2
         if min(top, left) < 0 or top + self.size > height or left + self.size > width:
             raise InputFileError(
-                f"{frame.name}: the square of {self.size}×{self.size} pixels around row {self.row}, column {self.col} "
-                f"exceeds the picture of {height}×{width} pixels; choose a square inside the picture"
+                f"{frame.name}: the {self.size}×{self.size} square around row {self.row}, column {self.col} extends beyond "
+                f"the picture ({height}×{width} pixels); choose a square inside the picture"
             )
         top, left = (left, top) if turned else (top, left)
         top = rows - top - self.size if frame.orientation & 2 else top
         left = cols - left - self.size if frame.orientation & 1 else left
-        if frame.warps:  # the picture shows pixels at other places than the raw frame
+        if frame.warps:  # lens correction moves the square to another place in the picture
             half = (self.size - 1) / 2
             middle = source_places(frame.warps, np.array(top + half), np.array(left + half), GREEN)
             moved = [round(float(place) - half) for place in middle]
@@ -86,12 +86,12 @@ class GreyRenderer:
         self._reach = table.first.rule.radius + sum(max(BORDER_PIXELS, layer.radius) for layer in table.later)
 
     def outputs_of(self, shares: Array) -> NDArray[np.float64]:
-        """Return X, Y and Z of uniform areas.
+        """Render uniform areas to X, Y and Z.
 
         Parameters
         ----------
         shares : ndarray, (area, channel)
-            Signals of each area, as fractions of full scale.
+            Channel signals of each area, as fractions of full scale.
 
         Returns
         -------
@@ -107,12 +107,12 @@ class GreyRenderer:
         return np.asarray(areas.mean(axis=(1, 3)).T[:, :3], np.float64)
 
     def signals(self, frame: RawFrame, grey: Grey) -> NDArray[np.float64]:
-        """Return the mean signal of each channel in a grey area of a frame, in DN above black level and dark signal.
+        """Return the mean signal of each channel in a grey area, in DN above black level and dark signal.
 
         Raises
         ------
         InputFileError
-            If the area is clipped, too dark or not uniform, or contains too few pixels of a channel.
+            If the area is clipped, too dark, not uniform, or too small.
         """
         means, why = _measured(frame, self.table, grey.where)
         if why:
@@ -120,14 +120,11 @@ class GreyRenderer:
         return means
 
     def usable(self, frame: RawFrame, grey: Grey) -> bool:
-        """Return whether the signals of a grey area can be measured (see `signals`)."""
+        """Whether `signals` can measure a grey area."""
         return not _measured(frame, self.table, grey.where)[1]
 
     def of_part(self, frame: RawFrame, where: tuple[slice, slice]) -> NDArray[np.float64]:
-        """Render a part of a frame, and return the means of X, Y and Z.
-
-        `where` contains the rows and columns of the part, in sensor orientation.
-        """
+        """Render the area `where` (rows and columns in sensor orientation), and return its mean X, Y and Z."""
         rows, cols = where
         margin = self._reach + max(self.table.cfa.shape)
         top, left = max(rows.start - margin, 0), max(cols.start - margin, 0)
@@ -139,10 +136,10 @@ class GreyRenderer:
 
 
 def _shading_corrected(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
-    """Crop a frame to a small area, and correct the colour shading in the area.
+    """Crop a frame to a small area, and correct its colour shading.
 
-    Shading that is common to all channels is not corrected, because it is nearly constant over a small area. The `phase` of
-    the result is still the phase of the uncropped frame.
+    Shading common to all channels is ignored, because it is nearly constant over a small area. The result keeps the `phase`
+    of the whole frame.
     """
     shading = frame.shading
     cut = None if shading is None else replace(shading, colour=None if shading.colour is None else shading.colour[where])
@@ -150,9 +147,9 @@ def _shading_corrected(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
 
 
 def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]) -> tuple[NDArray[np.float64], str]:
-    """Return the mean signal of each channel in an area, in DN, and the reason why the area cannot be used, or "".
+    """Return the mean signal of each channel in an area, in DN, and why the area cannot be used, or "".
 
-    The reason completes a sentence whose subject is the area, for example "is clipped in 12% of its pixels".
+    The reason continues a sentence that starts with the area's name: "is clipped in 12% of its pixels; …".
     """
     values, means = _shading_corrected(frame, where).values, np.zeros(len(table.channels))
     clipped = float((values >= frame.white_level).mean())
@@ -160,47 +157,47 @@ def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]
         return means, f"is clipped in {clipped:.0%} of its pixels; choose a darker grey"
     cfa = shifted_cfa(table.cfa, (frame.phase[0] + where[0].start, frame.phase[1] + where[1].start))
     channel = tiled(cfa, values.shape)
-    top, reached = int(frame.values.max()), 0  # largest value in the frame, and number of channels that clip at this value
+    top, reached = int(frame.values.max()), 0  # largest value in the frame, and how many channels clip at it
     for index, letter in enumerate(table.channels):
         seen = values[channel == index] - (frame.black_level + frame.dark)
         if seen.size < 2:
-            return means, f"has too few pixels of channel {letter}; choose a larger square"
+            return means, f"contains too few pixels of channel {letter}; choose a larger square"
         means[index] = seen.mean()
         if not means[index] > MIN_CERTAINTY * seen.std() / np.sqrt(seen.size):
             if means[index] > DARK_FRACTION * (frame.white_level - frame.black_level):
                 varies = seen.std() / means[index]
-                return means, f"is not uniform: channel {letter} varies by {varies:.0%}; choose an area of uniform grey"
-            return means, f"is too dark: channel {letter} has {means[index]:.3g} DN; choose a brighter grey"
+                return means, f"is not uniform: channel {letter} varies by {varies:.0%}; choose a uniform grey area"
+            return means, f"is too dark: the mean of channel {letter} is {means[index]:.3g} DN; choose a brighter grey"
         reached += bool((values[channel == index] == top).mean() > FLAT)
     if reached > 1:
         return means, f"is clipped at {top} DN, below the white level of {frame.white_level:g} DN; correct ‹white_level›"
     return means, ""
 
 
-TIME_CONSTANT = 1.0  # time constant of exposure and white balance after a change of the light, in s
+TIME_CONSTANT = 1.0  # s; time constant with which exposure and white balance adapt to a change in lighting
 
 
 @dataclass(frozen=True)
 class WhiteBalance:
-    """Channel gains that are applied before rendering, and an output matrix that is applied after rendering."""
+    """Channel gains to apply before rendering, and an output matrix to apply afterwards."""
 
-    gains: NDArray[np.float64]  # (channel) gains of at least 1, so that clipped pixels stay at the white level
-    adaptation: NDArray[np.float64]  # (3, 3) adapts the outputs X, Y, Z to D65, and preserves the Y of white
-    luminance: float  # Y of a grey area rendered without the gains, divided by Y of the same area rendered with the gains
+    gains: NDArray[np.float64]  # (channel) at least 1, so that clipped pixels stay at the white level
+    adaptation: NDArray[np.float64]  # (3, 3) adapts X, Y, Z to D65, and preserves the Y of white
+    luminance: float  # Y of a grey area rendered without the gains, divided by its Y with the gains
 
 
 def adaptation(white: Array) -> NDArray[np.float64]:
-    """Return the Bradford matrix that adapts XYZ from the white point `white` to D65."""
+    """Return the Bradford matrix (3, 3) from the white point `white` (XYZ) to D65."""
     return np.asarray(adaptation_matrix(white, display_white()), np.float64)
 
 
 def plain_balance(white: Array, channels: int) -> WhiteBalance:
-    """Return a white balance without gains. The output matrix adapts from the white point `white` to D65."""
+    """Return a white balance without gains, which only adapts the outputs from `white` (XYZ) to D65."""
     return WhiteBalance(np.ones(channels), adaptation(white), 1.0)
 
 
 def balanced(frame: RawFrame, table: TransformTable, gains: Array) -> RawFrame:
-    """Multiply the channels of a frame by white-balance gains, and clip the results at the white level."""
+    """Multiply the channels of a frame by white-balance gains, and clip them at the white level."""
     if (gains == 1).all():
         return frame
     curves = _curves(frame.black_level + frame.dark, frame.white_level, tuple(gains.tolist()))
@@ -213,7 +210,7 @@ def balanced(frame: RawFrame, table: TransformTable, gains: Array) -> RawFrame:
 
 
 def balanced_patches(patches: RawFrame, channel: NDArray[np.integer], gains: Array) -> RawFrame:
-    """Apply white-balance gains to patches, as in `balanced`. `channel` contains the channel of each tap."""
+    """Apply white-balance gains to patches (patch, tap), like `balanced`. `channel` (tap,) is the channel of each tap."""
     if (gains == 1).all():
         return patches
     curves = _curves(patches.black_level + patches.dark, patches.white_level, tuple(gains.tolist()))
@@ -222,7 +219,7 @@ def balanced_patches(patches: RawFrame, channel: NDArray[np.integer], gains: Arr
 
 @functools.lru_cache(maxsize=8)
 def _curves(zero: float, white_level: float, gains: tuple[float, ...]) -> NDArray[np.uint16]:
-    """Return a look-up table for each channel, which multiplies 16-bit values by the white-balance gain.
+    """Return look-up tables (channel, raw value) that apply the white-balance gains to 16-bit values.
 
     `zero` is the raw value without light. Values at or above the white level do not change.
     """
@@ -232,11 +229,10 @@ def _curves(zero: float, white_level: float, gains: tuple[float, ...]) -> NDArra
 
 
 class SteadyWhite:
-    """Smooths the white balance of a sequence over time.
+    """Smooths the white balance of a sequence over time, frame by frame.
 
-    The first frame uses the white balance measured in this frame. For later frames, the white balance approaches the
-    measured white balance exponentially, with the time constant of the automatic exposure. The white balance of a frame does
-    not depend on later frames.
+    The first frame uses its measured white balance. Afterwards, the white balance approaches the measured one exponentially,
+    with the same time constant as the automatic exposure. Later frames have no influence.
     """
 
     def __init__(self, rate: Fraction) -> None:
@@ -244,10 +240,9 @@ class SteadyWhite:
         self._now: WhiteBalance | None = None
 
     def balance(self, wanted: WhiteBalance | None) -> WhiteBalance | None:
-        """Return the smoothed white balance of the next frame, or None if no frame has been measured so far.
+        """Return the smoothed white balance for the next frame, or None as long as no white balance has been measured.
 
-        `wanted` is the white balance measured in the next frame. If `wanted` is None because the white point could not be
-        measured, the white balance of the previous frame is returned.
+        `wanted` is the white balance measured in this frame. If it is None, the white balance of the previous frame remains.
         """
         if wanted is not None:
             self._now = wanted if self._now is None else _between(self._now, wanted, self._share)
@@ -255,7 +250,10 @@ class SteadyWhite:
 
 
 def followed_share(rate: Fraction) -> float:
-    """Return the fraction of a change that exposure and white balance follow per frame, at `rate` frames per second."""
+    """Return the fraction of a step change to which exposure and white balance adapt within one frame.
+
+    `rate` is in frames per second.
+    """
     return 1 - math.exp(-1 / (float(rate) * TIME_CONSTANT))
 
 
@@ -265,21 +263,21 @@ def _between(now: WhiteBalance, wanted: WhiteBalance, share: float) -> WhiteBala
     return WhiteBalance(gains, matrix, now.luminance * (wanted.luminance / now.luminance) ** share)
 
 
-GREY_LEVEL = 0.4  # brightest channel of rendered grey areas, as a fraction of full scale; well trained in every table
-MAX_GAIN = 8.0  # largest gain of a channel; a channel that needs a higher gain contains mostly noise
-SURFACES = 64  # number of measured reflectances used to fit the colour correction for an illuminant
-UNSURE = 1e-3  # expected error of rendered colours; its square is the ridge penalty in the fit of the colour correction
-MIN_WEIGHT_LUMINANCE = 0.05  # darker surfaces have the same weight as a surface with this relative luminance
+GREY_LEVEL = 0.4  # brightest channel of rendered grey areas, as a fraction of full scale; every table is well trained there
+MAX_GAIN = 8.0  # largest channel gain; a channel that needs more contains mostly noise
+SURFACES = 64  # number of measured reflectances to which the colour correction is fitted
+UNSURE = 1e-3  # expected error of rendered colours; its square is the ridge penalty of this fit
+MIN_WEIGHT_LUMINANCE = 0.05  # darker surfaces are weighted like a surface of this relative luminance
 MAX_DUV = 0.03  # largest plausible distance of an illuminant from the black-body locus in CIE 1960 uv
-SAME_WHITE = 5e-4  # distance in CIE 1960 uv below which two white points count as equal; users enter rounded values
-MAX_MISFIT = 0.12  # largest plausible RMS misfit of the logarithms of the signals; the misfit of real lamps is at most half
-NEAR_WHITE = 0.02  # distance in CIE 1976 u′v′ above which two white points belong to different illuminants
+SAME_WHITE = 5e-4  # white points closer than this in CIE 1960 uv count as equal, because users enter rounded values
+MAX_MISFIT = 0.12  # largest plausible RMS misfit of the log channel signals; real lamps reach at most half of it
+NEAR_WHITE = 0.02  # white points farther apart than this in CIE 1976 u′v′ belong to different illuminants
 COOLEST, WARMEST = 24_000.0, 1_700.0  # range of plausible colour temperatures, in K
 
 
 @dataclass(frozen=True)
 class SceneWhite:
-    """The white point of a scene: the probable illuminant, and the white balance that makes grey objects neutral."""
+    """White point of a scene: its most probable illuminant, and the white balance that makes grey objects neutral."""
 
     balance: WhiteBalance
     light: CorrelatedLight  # most probable illuminant with this white point
@@ -287,7 +285,7 @@ class SceneWhite:
 
     @property
     def plausible(self) -> bool:
-        """Whether daylight, shade or a real lamp can have this white point."""
+        """Whether daylight, shade or a real lamp could have this white point."""
         return _is_plausible(self.light)
 
     def __str__(self) -> str:
@@ -298,11 +296,12 @@ class SceneWhite:
 
 
 class Whites:
-    """Computes the white balance of frames that are rendered with a table.
+    """Computes white balances for one table.
 
-    If the table records its camera and its training illuminant, channel gains give grey objects the same channel ratios as
-    under the training illuminant. Without these gains, highlights and the edges of grey objects would be coloured. If the
-    table records its camera and the scene illuminant is plausible, the output matrix also corrects the colours of surfaces.
+    The channel gains bring grey objects to the channel ratios of the training illuminant. Otherwise highlights and the edges
+    of grey objects would be coloured. This requires that the table contains its camera and its training illuminant.
+
+    If the table contains its camera and the scene illuminant is plausible, the output matrix also corrects surface colours.
     """
 
     def __init__(self, table: TransformTable) -> None:
@@ -314,9 +313,9 @@ class Whites:
 
     @functools.cached_property
     def trained(self) -> NDArray[np.float64] | None:
-        """Signal of a perfect white in each channel under the training illuminant.
+        """Channel signals of a perfect white under the training illuminant, in relative units.
 
-        The value is None if the table does not contain both its camera and its training illuminant.
+        None if the table does not contain both its camera and its training illuminant.
         """
         camera, light = self.table.camera, self.table.light
         if camera is None or light is None:
@@ -324,7 +323,7 @@ class Whites:
         return camera.signal_weights @ spectra.resample(light.radiance, light.wavelength, camera.wavelength)
 
     def of_neutral(self, neutral: Array) -> SceneWhite:
-        """Return the white point of a scene from the signals of a grey object.
+        """Return the white point of a scene in which a grey object has the given channel signals.
 
         Parameters
         ----------
@@ -334,12 +333,12 @@ class Whites:
         Raises
         ------
         InputFileError
-            If the signals are not finite or none is positive, or if a rendered X, Y or Z is not positive.
+            If a signal is not finite, if no signal is positive, or if the table renders a non-positive X, Y or Z.
         """
         if not (np.isfinite(neutral).all() and neutral.max() > 0):
             shown = ", ".join(f"{each:g}" for each in neutral)
             raise InputFileError(
-                f"the channel signals of the white are {shown}, but must be finite and not all zero; set another ‹white›"
+                f"the white has the channel signals {shown}, which must be finite and not all zero; set another ‹white›"
             )
         camera = self.table.camera
         if camera is None:
@@ -363,11 +362,11 @@ class Whites:
         return SceneWhite(self._balance(camera.signal_weights @ radiance, light), light, True)
 
     def of_chromaticity(self, white: Array) -> SceneWhite:
-        """Return the white point of a scene from the XYZ of a white object.
+        """Return the white point of a scene in which a white object has the given XYZ.
 
-        The illuminant is assumed to be the nearest black body or daylight, with a green or magenta tint. In three cases the
-        white balance has no gains and only adapts the outputs: this illuminant is not plausible, the XYZ equals the white
-        point of the training illuminant, or the table does not record its camera.
+        The illuminant is assumed to be the nearest black body or daylight with a green or magenta tint. As in `of_xyz`,
+        there are no gains if this illuminant is implausible, if `white` is the table's own white point, or if the table does
+        not contain its camera.
         """
         camera = self.table.camera
         if camera is None or np.linalg.norm(uv(white) - uv(self.table.white_point[:3])) < SAME_WHITE:
@@ -379,33 +378,32 @@ class Whites:
         return SceneWhite(self._balance(camera.signal_weights @ light.radiance, light), light, True)
 
     def of_xyz(self, white: Array) -> SceneWhite:
-        """Return the white point of a scene from the XYZ of a white object.
+        """Return a white point without gains, for a scene in which a white object has the given XYZ.
 
-        The white balance has no gains and only adapts the outputs.
+        The white balance only adapts the outputs.
         """
         return SceneWhite(plain_balance(white, len(self.table.channels)), light_of(white), False)
 
     def of_greys(self, frame: RawFrame, greys: Sequence[Grey]) -> SceneWhite:
-        """Return the white point that makes several grey areas of a frame as neutral as possible.
+        """Return the white point that makes several grey areas as neutral as possible.
 
-        The sum of the squared chroma C*ab over the grey areas is minimised.
+        It approximately minimises the sum of squared chroma C*ab over the areas.
 
         Raises
         ------
         InputFileError
-            If a grey area is clipped, too dark or not uniform, or contains too few pixels of a channel.
+            If a grey area is clipped, too dark, not uniform, or too small.
         """
         signals = np.array([self.grey.signals(frame, grey) for grey in greys])
         share = signals.mean(axis=1) / signals.mean(axis=1).max()
-        weights = share ** (2 / 3) / share  # for a given colour cast, C*ab is proportional to the cube root of luminance
+        weights = share ** (2 / 3) / share  # for a given cast, C*ab is proportional to the cube root of luminance
         made = self.of_neutral(weights @ signals)
         even = balanced(frame, self.table, made.balance.gains)
-        # Grey areas that remain unclipped after the gains.
-        whole = [number for number, grey in enumerate(greys) if self.grey.usable(even, grey)]
+        whole = [number for number, grey in enumerate(greys) if self.grey.usable(even, grey)]  # unclipped after the gains
         if not whole:
             return made
         shown = weights[whole] @ np.array([self.grey.of_part(even, greys[number].where) for number in whole])
-        left = made.balance.adaptation @ _white(shown)  # remaining colour cast of the rendered grey areas
+        left = made.balance.adaptation @ _white(shown)  # cast that remains in the rendered grey areas
         return replace(made, balance=replace(made.balance, adaptation=adaptation(left) @ made.balance.adaptation))
 
     def _balance(self, neutral: Array, light: CorrelatedLight) -> WhiteBalance:
@@ -418,22 +416,21 @@ class Whites:
         return WhiteBalance(gains, matrix, float(before / after / raised))
 
     def _gains(self, neutral: Array) -> NDArray[np.float64]:
-        """Return gains of at least 1 that give a grey object the same channel ratios as under the training illuminant."""
+        """Return channel gains (at least 1) that bring a grey object to its channel ratios under the training illuminant."""
         if self.trained is None:
             return np.ones(len(neutral))
-        seen = (neutral > 0) & (self.trained > 0)  # an infrared channel may receive no light from some lamps
+        seen = (neutral > 0) & (self.trained > 0)  # under some lamps, an infrared channel receives no light
         ratio = np.where(seen, self.trained / np.where(seen, neutral, 1.0), 0.0)
         return np.clip(ratio / ratio.min(where=seen, initial=np.inf), 1.0, MAX_GAIN)
 
     def _shown(self, neutral: Array) -> NDArray[np.float64]:
-        """Render a grey object with the given channel signals, and return X, Y and Z."""
+        """Render a grey object with the given channel signals to X, Y and Z."""
         return _white(self.grey.outputs_of(GREY_LEVEL * neutral[None] / neutral.max())[0])
 
     def _correction(self, radiance: Array, gains: Array) -> NDArray[np.float64]:
-        """Return a matrix (3, 3) that corrects the colours of surfaces after white balance, and preserves white.
+        """Return a matrix (3, 3) that corrects surface colours after white balance, and preserves white.
 
-        The matrix is fitted to measured reflectances. `radiance` is the radiance of the illuminant on the wavelength grid
-        of the camera.
+        It is fitted to measured reflectances under the illuminant `radiance`, on the camera's wavelength grid.
         """
         camera = self.table.camera
         assert camera is not None
@@ -443,7 +440,7 @@ class Whites:
         shown = self.grey.outputs_of(signals * (GREY_LEVEL / signals[-1].max()))
         true = with_white @ spectra.xyz_weights(camera.wavelength).T
         ours, ideal = (of[:-1] / of[-1, 1] @ adaptation(_white(of[-1])).T for of in (shown, true))
-        weights = 1.0 / np.maximum(ideal[:, 1:2], MIN_WEIGHT_LUMINANCE)  # just visible errors are proportional to luminance
+        weights = 1.0 / np.maximum(ideal[:, 1:2], MIN_WEIGHT_LUMINANCE)  # the eye perceives errors relative to luminance
         through = display_white(), display_white()
         return np.asarray(fit_through(ours * weights, ideal * weights, *through, UNSURE**2), np.float64)
 
@@ -454,17 +451,17 @@ def _is_plausible(light: CorrelatedLight) -> bool:
 
 @functools.lru_cache(1)
 def _surfaces(wavelength: tuple[float, ...]) -> Array:
-    """Return the reflectances (surface, wavelength) of `SURFACES` measured surfaces from the library."""
+    """Select the reflectances (surface, wavelength) of `SURFACES` surfaces from the reflectance library."""
     library = spectra.reflectance_library(np.array(wavelength))
     return np.asarray(library[np.linspace(0, len(library) - 1, SURFACES).round().astype(int)])
 
 
 def _white(outputs: Array) -> NDArray[np.float64]:
-    """Return the outputs of a grey area as float64. Raise an InputFileError unless all outputs are finite and positive."""
+    """Return the XYZ of a grey area as float64. Raises InputFileError unless all three are finite and positive."""
     if not (np.isfinite(outputs).all() and outputs.min() > 0):
         shown = ", ".join(f"{each:.3g}" for each in outputs)
         raise InputFileError(
-            f"the table renders the grey area with the XYZ {shown}, which cannot be a white; use a table for this camera"
+            f"the table renders the grey area to XYZ {shown}, which must be positive; use a table for this camera"
         )
     return np.asarray(outputs, np.float64)
 
@@ -473,26 +470,26 @@ def _white(outputs: Array) -> NDArray[np.float64]:
 
 
 def far_from_training(asked: str, white: SceneWhite, table: TransformTable) -> str:
-    """Return a warning if the white point set by the user is probably far from the training illuminants, otherwise ""."""
+    """Return a warning if the user's white point is probably far from the training illuminants, otherwise ""."""
     if (white.modelled and "," not in asked) or _alike(white.light.xyz, table.white_point[:3]):
         return ""
     x, y = table.white_point[:2] / table.white_point[:3].sum()
     how = (
-        "l3 only adapts the colours; set ‹white› to the name of the scene's illuminant, or train with this illuminant in "
-        "the scene recipe"
+        "l3 only adapts the colours; set ‹white› to the name of the scene's illuminant, or add this illuminant to the "
+        "scene recipe and train again"
     )
     if white.modelled:
         how = (
             "l3 assumes a black body or daylight; for a fluorescent or LED lamp, set ‹white› to the name of the "
-            "illuminant or to the ROW,COL of a grey"
+            "illuminant or to the ROW,COL of a grey area"
         )
-    return f"‹white› {asked} is far from the mean illuminant of the training (x,y = {x:.4f},{y:.4f}), so {how}"
+    return f"‹white› {asked} is far from the mean training illuminant (x,y = {x:.4f},{y:.4f}), so {how}"
 
 
 def implausible(what: str, white: SceneWhite) -> str:
-    """Return a warning if no plausible illuminant has this white point, otherwise an empty string.
+    """Return a warning if no plausible illuminant has this white point, otherwise "".
 
-    The warning begins with `what`, a description of the white point.
+    `what` describes the white point at the start of the warning.
     """
     if white.plausible:
         return ""
@@ -503,16 +500,16 @@ def implausible(what: str, white: SceneWhite) -> str:
 
 
 def unlike_stated(name: str, white: SceneWhite, stated: SceneWhite) -> str:
-    """Return a warning if the white point stored in a file differs from the white point of the chart, otherwise ""."""
+    """Return a warning if the file's white point differs from the one measured on the chart, otherwise ""."""
     if _alike(white.light.xyz, stated.light.xyz):
         return ""
     return (
-        f"{name}: the file states a white of {stated.light.kelvin:.0f} K, but the chart has a white of "
-        f"{white.light.kelvin:.0f} K; l3 uses the white of the chart, because ‹white› camera would leave a colour cast"
+        f"{name}: the white balance in the file is {stated.light.kelvin:.0f} K, but the chart measures "
+        f"{white.light.kelvin:.0f} K; l3 uses the chart, because ‹white› camera would leave a colour cast"
     )
 
 
 def _alike(one: Array, other: Array) -> bool:
-    """Return whether two white points (XYZ) are close enough to belong to the same illuminant."""
+    """Whether two white points (XYZ) are close enough for the same illuminant."""
     difference = (uv(one) - uv(other)) * (1.0, 1.5)  # CIE 1976 u′v′
     return float(np.linalg.norm(difference)) <= NEAR_WHITE

@@ -1,8 +1,8 @@
-"""Methods for finding the white point of a scene (docs/method.md#scene-white).
+"""Finds the white point of a scene (docs/method.md#scene-white).
 
-The white point can be read from the file, measured on a grey object or on a ColorChecker in the frame, or estimated from
-the whole frame. The estimate averages the results of the grey-edge and white-patch methods. l3 then selects the most
-probable illuminant near daylight or a black body.
+The white point is read from the file, measured on a grey object or a ColorChecker in the frame, or estimated from the whole
+frame. The estimate is the mean of the grey-edge and white-patch methods, replaced by the most probable illuminant on a grid
+around daylight and black bodies.
 """
 
 import re
@@ -28,26 +28,26 @@ from l3cli.system.text import NoSuchNumber, Quantity
 
 Array = NDArray[np.floating]
 EDGE_NORM = 6  # order of the Minkowski norm over the edges; a high order emphasises strong edges
-PATCH_PERCENTILE = 99  # percentile of each cone response that is taken as the response to white
-MIN_SAMPLES = 24  # smallest number of usable samples (neither clipped nor dark) for an estimate
+PATCH_PERCENTILE = 99  # percentile of each cone response that counts as the response to white
+MIN_SAMPLES = 24  # an estimate needs at least this many samples that are neither clipped nor dark
 MIREDS = np.arange(80.0, 521.0, 20.0)  # reciprocal colour temperatures in mired (10^-6/K), 12 500 K to 1920 K
 GREENS = np.linspace(-0.2, 0.4, 7)  # green (positive) or magenta (negative) tints, in the unit of correlated_lights.GREENS
-SEARCH_POINTS = (111, 31)  # numbers of points along MIREDS and GREENS in the search for the white point
-LIKELY_ERROR = 0.1  # assumed standard deviation of the estimated logarithms of cone ratios
-LIKELY_GREEN = 0.1  # assumed standard deviation of the tints of illuminants
+SEARCH_POINTS = (111, 31)  # size of the search grid along MIREDS and GREENS
+LIKELY_ERROR = 0.1  # assumed standard deviation of the estimated log cone ratios
+LIKELY_GREEN = 0.1  # assumed standard deviation of an illuminant's tint
 
 
 class AutoWhite:
     """Estimates the white point of a frame from about 1500 pixels.
 
-    These pixels are rendered on the CPU, so the estimate does not depend on the OpenCL device.
+    The pixels are rendered on the CPU, so the estimate does not depend on the OpenCL device.
 
     Parameters
     ----------
     whites : Whites
-        Computes the white points for the table that renders the pixels.
+        White points of the table that renders these pixels.
     balanced_by : Whites, optional
-        Computes the white balance from the estimated white point. [default: `whites`]
+        White points of the table that renders the picture. It determines the white balance. [default: `whites`]
     """
 
     about, held = "estimated from the frame", False
@@ -60,7 +60,7 @@ class AutoWhite:
         self._made: dict[tuple[int, int], SceneWhite] = {}
 
     def white(self, frame: RawFrame) -> SceneWhite | None:
-        """Return the white point of a frame, or None if too many of the pixels are clipped or dark."""
+        """Return the estimated white point, or None if too many pixels are clipped or dark."""
         estimate = estimated(*self._samples(frame))
         if estimate is None:
             return None
@@ -71,14 +71,14 @@ class AutoWhite:
         return self._made[place]
 
     def _nearest(self, estimate: Array) -> tuple[int, int]:
-        """Return the indices of the most probable illuminant on the fine grid, for estimated logarithms of L/M and S/M."""
+        """Return the grid indices of the most probable illuminant for the estimate (log L/M, log S/M)."""
         green = np.linspace(GREENS[0], GREENS[-1], SEARCH_POINTS[1])
         error = ((self._places - estimate) ** 2).sum(axis=-1) / LIKELY_ERROR**2 + (green / LIKELY_GREEN) ** 2
         row, col = np.unravel_index(int(error.argmin()), error.shape)
         return int(row), int(col)
 
     def _neutral(self, row: int, col: int) -> Array:
-        """Return the signal of a grey object in each channel, under the illuminant at these indices of the fine grid."""
+        """Return the channel signals of a grey object under the illuminant at these grid indices."""
         places = (
             np.array([place * (count - 1) / (fine - 1)])
             for place, count, fine in zip((row, col), self._neutrals.shape[:2], SEARCH_POINTS, strict=True)
@@ -86,7 +86,7 @@ class AutoWhite:
         return np.asarray(_between(self._neutrals, *places)[0, 0])
 
     def _samples(self, frame: RawFrame) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the cone responses of a grid of pixels, and a mask of the pixels that are neither clipped nor dark."""
+        """Return the cone responses (row, col, 3) of a grid of pixels, and a mask of those neither clipped nor dark."""
         table, rule = self._table, self._table.first.rule
         patches, site, labels = self._spread.of(frame)
         classes, signal = rule.on_site(labels, site), self._spread.signal(patches)
@@ -98,7 +98,7 @@ class AutoWhite:
         return cones.reshape(*shape, 3), usable.reshape(shape)
 
     def _log_ratios(self) -> Array:
-        """Natural logarithms of L/M and S/M for grey objects, on a fine grid of illuminants with the axes (mired, green)."""
+        """Return log L/M and log S/M of a grey object under each illuminant of the search grid, (mired, green, 2)."""
         shown = self._neutrals.reshape(-1, self._neutrals.shape[-1])
         if self._table.camera:
             shown = self._whites.grey.outputs_of(GREY_LEVEL * shown)
@@ -108,24 +108,23 @@ class AutoWhite:
 
 
 def estimated(cones: Array, usable: NDArray[np.bool_]) -> Array | None:
-    """Estimate the white point of a scene from a grid of pixels.
+    """Estimate the white point of a scene by the grey-edge and white-patch methods.
 
-    The result is the mean of two estimates. The grey-edge method assumes that large differences between neighbouring pixels
-    are grey on average (van de Weijer, Gevers and Gijsenij, 2007). The white-patch method assumes that the largest response
-    of each cone is the response to white (Land, 1977).
+    The result is the mean of both methods. The grey-edge method assumes that large differences between neighbouring pixels
+    are grey on average (van de Weijer, Gevers and Gijsenij, 2007). The white-patch method assumes that white produces the
+    largest response of each cone (Land, 1977).
 
     Parameters
     ----------
     cones : ndarray, (row, col, 3)
-        Cone responses.
+        Cone responses L, M and S on a grid of pixels.
     usable : ndarray of bool, (row, col)
         Mask of the pixels to use.
 
     Returns
     -------
     ndarray, (2,), or None
-        Natural logarithms of L/M and S/M for white, where L, M and S are the cone responses. None if too few pixels are
-        usable.
+        Natural logarithms of L/M and S/M for white, or None if too few pixels are usable.
     """
     if int(usable.sum()) < MIN_SAMPLES:
         return None
@@ -140,10 +139,10 @@ def estimated(cones: Array, usable: NDArray[np.bool_]) -> Array | None:
 
 
 def _neutrals(table: TransformTable) -> Array:
-    """Return the signals of a grey object under illuminants from a grid around daylight and black bodies.
+    """Return a grey object's channel signals for a grid of illuminants around daylight and black bodies.
 
-    The result has the axes (mired, green, channel). If the table does not contain its camera, the result contains the XYZ of
-    the illuminants instead of signals. The table is then assumed to render all white points correctly.
+    The result has the axes (mired, green, channel). Without a camera in the table, it contains the XYZ of each illuminant
+    instead, assuming that the table renders every white point correctly.
     """
     camera = table.camera
     grid = camera.wavelength if camera else correlated_lights.WAVELENGTH
@@ -154,12 +153,12 @@ def _neutrals(table: TransformTable) -> Array:
 
 
 def _ratios(cones: Array) -> Array:
-    """Return the natural logarithms of L/M and S/M for cone responses L, M and S, along the last axis."""
+    """Return the natural logarithms of L/M and S/M for cone responses (…, 3)."""
     return np.log(cones[..., [0, 2]] / cones[..., 1:2])
 
 
 def _between(values: Array, rows: Array, cols: Array) -> Array:
-    """Interpolate linearly along the first two axes of `values`, at the fractional indices `rows` and `cols`."""
+    """Interpolate `values` bilinearly along its first two axes, at fractional indices `rows` and `cols`."""
     low_row = np.clip(rows.astype(int), 0, values.shape[0] - 2)
     low_col = np.clip(cols.astype(int), 0, values.shape[1] - 2)
     down, across = (rows - low_row)[:, None, None], (cols - low_col)[None, :, None]
@@ -170,19 +169,19 @@ def _between(values: Array, rows: Array, cols: Array) -> Array:
 
 
 NEUTRALS = range(18, 24)  # indices of the neutral patches, from white to black
-CORE = 0.25  # half the side of the measured square, relative to the side of a patch, so that the patch borders are avoided
-WAVELENGTH = np.arange(400.0, 701.0, 10.0)  # in nm
-# Smallest R² for which l3 accepts a chart. In tests, R² was at most 0.83 for 48 pictures without a chart, and 0.998 for two
-# pictures with a chart.
+CORE = 0.25  # half the side of the measured square, as a fraction of the patch side; the square avoids the patch edges
+WAVELENGTH = np.arange(400.0, 701.0, 10.0)  # nm
+# Smallest R² of the fit at which a chart counts as found. In tests, R² was at most 0.83 in 48 pictures without a chart, and
+# 0.998 in two pictures with a chart.
 MIN_R_SQUARED = 0.95
 
 
 @dataclass(frozen=True)
 class ChartSceneWhite(SceneWhite):
-    """The white point of a scene, measured on a ColorChecker."""
+    """White point measured on a ColorChecker."""
 
-    place: str  # rows and columns of the chart in the upright picture, as text
-    stated: SceneWhite | None  # white point stored in the file; None if the file contains no white balance
+    place: str  # position of the chart in the upright picture, for messages
+    stated: SceneWhite | None  # white point recorded in the file, if any
 
     def __str__(self) -> str:
         return f"{super().__str__()}; {self.place}"
@@ -198,20 +197,20 @@ class ChartWhite:
         self._reflectance = charts.chart("classic", WAVELENGTH)[1]
 
     def white(self, frame: RawFrame) -> ChartSceneWhite:
-        """Return the white point of a frame.
+        """Find the chart in a frame, and measure the white point on its grey patches.
 
         Raises
         ------
         InputFileError
-            If no chart is found, or if none of the grey patches can be measured.
+            If no chart is found, or if no grey patch can be measured.
         """
         table, (rows, cols) = self._table, charts.CLASSIC
         mosaic = frame.shading_corrected().values - (frame.black_level + frame.dark)
         located = locate(mosaic, shifted_cfa(table.cfa, frame.phase), self._reflectance, charts.CLASSIC)
         if located is None or located.fit < MIN_R_SQUARED:
             raise InputFileError(
-                f"{frame.name}: no ColorChecker with {rows}×{cols} patches found; set ‹white› to the ROW,COL of a grey, "
-                "or take a photo in which the chart is larger, sharp and evenly lit"
+                f"{frame.name}: no ColorChecker with {rows}×{cols} patches found; set ‹white› to the ROW,COL of a grey "
+                "area, or take a photo with a larger, sharp and evenly lit chart"
             )
         greys = list(_greys(frame, located))
         usable = [grey for grey in greys if self._whites.grey.usable(frame, grey)]
@@ -221,7 +220,7 @@ class ChartWhite:
 
 
 def _greys(frame: RawFrame, located: Located) -> Iterator[Grey]:
-    """Yield a square area in the middle of each neutral patch."""
+    """Yield the central square of each neutral patch."""
     for patch in NEUTRALS:
         row, col = divmod(patch, charts.CLASSIC[1])
         middle = np.array([col + 0.5, row + 0.5])
@@ -233,7 +232,7 @@ def _greys(frame: RawFrame, located: Located) -> Iterator[Grey]:
 
 
 def _place(frame: RawFrame, located: Located) -> str:
-    """Describe the position of a chart in the upright picture, such as "rows 10–90, columns 20–140"."""
+    """Describe where a chart is in the upright picture, for example "rows 10–90, columns 20–140"."""
     corners = through(located.to_pixels, corner_cells(*charts.CLASSIC))
     cols, rows = (_turned(corners[:, axis], frame, axis) for axis in (0, 1))
     if frame.orientation & 4:
@@ -242,31 +241,31 @@ def _place(frame: RawFrame, located: Located) -> str:
 
 
 def _turned(places: NDArray[np.floating], frame: RawFrame, axis: int) -> NDArray[np.floating]:
-    """Mirror column numbers (axis 0) or row numbers (axis 1) if the orientation of the frame requires it."""
+    """Mirror column numbers (axis 0) or row numbers (axis 1) if the frame's orientation requires it."""
     return frame.values.shape[1 - axis] - 1 - places if frame.orientation & (1, 2)[axis] else places
 
 
 TABLE, CAMERA, AUTO, CHART = "table", "camera", "auto", "chart"
 DEFAULT_SIZE = 32  # side of the measured square, in pixels
 PLACE, SIZE = Quantity(0, 1_000_000, "pixels", whole=True), Quantity(2, 1000, "pixels", whole=True)
-MULTIPLIER = Quantity(0.05, 20)  # range of the multiplier of a channel
+MULTIPLIER = Quantity(0.05, 20)  # allowed range of a channel multiplier
 
 
 class WhiteSource(Protocol):
-    """A method for finding the white point of each frame."""
+    """A way to find the white point of each frame."""
 
     @property
     def about(self) -> str:
-        """Description of the method for messages, such as "measured on a ColorChecker"."""
+        """How the white point is found, for messages, such as "measured on a ColorChecker"."""
         ...
 
     @property
     def held(self) -> bool:
-        """Whether the white point of the first frame is used for the whole sequence."""
+        """Whether the whole sequence uses the white point of its first frame."""
         ...
 
     def white(self, frame: RawFrame) -> SceneWhite | None:
-        """Return the white point of a frame, or None if the white point is unknown.
+        """Find the white point of a frame. The result is None if it is unknown.
 
         Raises
         ------
@@ -279,11 +278,11 @@ class WhiteSource(Protocol):
 class CameraWhite:
     """Reads the white balance that the camera recorded in the file.
 
-    For a file without a white balance, `white` raises an InputFileError if `asked` is true. If `asked` is false, `white`
-    returns None, and the caller uses the white point of the table.
+    If the file has no white balance, `white` returns None, unless the user has requested this method (`asked`). It then
+    raises an InputFileError.
     """
 
-    about, held = "stated in the file", False
+    about, held = "from the file", False
 
     def __init__(self, table: TransformTable, asked: bool = True) -> None:
         self._whites, self._asked = Whites(table), asked
@@ -294,8 +293,8 @@ class CameraWhite:
             if not self._asked:
                 return None
             raise InputFileError(
-                f"{frame.name} states no white balance; set ‹white› to auto, chart, the ROW,COL of a grey, or the name "
-                "of an illuminant"
+                f"{frame.name} contains no white balance; set ‹white› to auto, chart, the ROW,COL of a grey area, or the "
+                "name of an illuminant"
             )
         if frame.neutral not in self._made:
             self._made[frame.neutral] = self._whites.of_neutral(np.array(frame.neutral))
@@ -303,7 +302,7 @@ class CameraWhite:
 
 
 class SquareWhite:
-    """Measures the white point in a square of the frame that shows a grey object."""
+    """Measures the white point on a grey object, in a square of the picture."""
 
     held = True
 
@@ -318,28 +317,29 @@ class SquareWhite:
 def white_source(
     text: str | None, table: TransformTable, photos: bool = False, estimated_by: TransformTable | None = None
 ) -> WhiteSource | None:
-    """Return the method that finds the white point of each frame, or None if all frames have the same white point.
+    """Parse the option ‹white› as a way to find the white point of each frame.
 
     Parameters
     ----------
     text : str or None
-        Value of the option ‹white›. The values "camera", "auto", "chart" and "ROW,COL[,SIZE]" select a method. Every other
-        value is a fixed white point, which `given_white` parses.
+        Value of the option. "camera", "auto", "chart" and "ROW,COL[,SIZE]" are ways to find the white point. Any other value
+        is a fixed white point, which `given_white` parses.
     table : TransformTable
         Table that renders the frames.
     photos : bool
         Whether to use the white balance recorded in the files if `text` is None.
     estimated_by : TransformTable, optional
-        Table that renders the pixels for "auto" (docs/method.md#several-illuminants). [default: `table`]
+        Table that renders the sampled pixels for "auto" (docs/method.md#several-illuminants). [default: `table`]
 
     Returns
     -------
     WhiteSource or None
+        None if all frames have the same white point.
 
     Raises
     ------
     RecipeError
-        If `text` selects a method, but the table renders monochrome pictures, which need no white point.
+        If the table renders monochrome pictures, which need no white point, but `text` specifies how to find one.
     """
     if table.shows_grey:
         if text in (CAMERA, AUTO, CHART) or _square(text) is not None:
@@ -358,7 +358,7 @@ def white_source(
 
 
 def _square(text: str | None) -> Square | None:
-    """Parse "ROW,COL[,SIZE]" as a square. Return None if `text` does not have this form.
+    """Parse "ROW,COL[,SIZE]" as a square, or return None if `text` has another form.
 
     Raises
     ------
@@ -374,34 +374,34 @@ def _square(text: str | None) -> Square | None:
         size = int(SIZE.read(parts[2])) if len(parts) == 3 else DEFAULT_SIZE
     except NoSuchNumber as error:
         raise RecipeError(
-            f'white "{shortened(text)}" is not a valid position of a grey: {error}; set ROW,COL or ROW,COL,SIZE in pixels'
+            f'white "{shortened(text)}" is not a valid grey area: {error}; use ROW,COL or ROW,COL,SIZE in pixels'
         ) from None
     return Square(row, col, size)
 
 
 def _is_place(parts: list[str]) -> bool:
-    """Return whether `parts` are ROW,COL or ROW,COL,SIZE in whole numbers.
+    """Whether `parts` are ROW,COL or ROW,COL,SIZE in whole numbers.
 
-    The size 1 is not allowed, so "1,1,1" is parsed as three multipliers.
+    A size of 1 is excluded, because "1,1,1" means three multipliers.
     """
     return 2 <= len(parts) <= 3 and all(re.fullmatch(r"[+-]?\d+", part) for part in parts) and parts[2:] != ["1"]
 
 
 def given_white(text: str | None, table: TransformTable) -> SceneWhite | None:
-    """Parse a fixed white point, which is the same for all frames.
+    """Parse the option ‹white› as a fixed white point for all frames.
 
     Parameters
     ----------
     text : str or None
         The name of an illuminant, a chromaticity "x,y", or one multiplier per channel, such as "2.1,1,1.4". "table" and
-        None select the white point of the table.
+        None mean the table's own white point.
     table : TransformTable
-        The table that renders the frames.
+        Table that renders the frames.
 
     Returns
     -------
     SceneWhite or None
-        None for the white point of the table.
+        None for the table's own white point.
 
     Raises
     ------
@@ -426,14 +426,14 @@ def _multipliers(text: str, channels: Sequence[str]) -> Array:
     parts, names = text.split(","), ", ".join(channels)
     if len(parts) != len(channels):
         raise RecipeError(
-            f'white "{shortened(text)}" has {len(parts)} multipliers, but the channels are {names}; set one for each channel'
+            f'white "{shortened(text)}" has {len(parts)} multipliers; set one for each of the channels {names}'
         )
     try:
         return np.array([MULTIPLIER.read(part) for part in parts])
     except NoSuchNumber as error:
         raise RecipeError(
-            f'white "{shortened(text)}" must be one multiplier per channel ({names}), or ROW,COL,SIZE in whole pixels of a '
-            f"grey area: {error}"
+            f'white "{shortened(text)}" is invalid: {error}; set one multiplier per channel ({names}), or ROW,COL,SIZE of a '
+            "grey area in whole pixels"
         ) from None
 
 
