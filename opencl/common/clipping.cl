@@ -55,7 +55,7 @@ INLINE void store_blocks(__global float *row, int x, int columns, floats value) 
 #endif
 }
 
-// Rows and columns of a block of the mosaic. The block is inside the frame.
+// Rows and columns of a block inside the frame.
 typedef struct {
     int top, bottom, left, right;
 } Block;
@@ -77,8 +77,8 @@ INLINE int brightest_of(Block block, __global const ushort *restrict raw, int fi
     return brightest;
 }
 
-// Computes the means of the channels as fractions of full scale, and the largest range of a channel. The range of a block without pixels
-// of every channel is -1. Such a block is ignored.
+// Computes the channel means of a block and the largest range of any channel, as fractions of full scale. A block that lacks a channel has a
+// range of -1 and is ignored.
 INLINE void measure_block(float made[MEANS], Block block, __global const ushort *restrict raw, __global const uchar *restrict cfa,
                           float black_level, float span, int phase_row, int phase_column, int first, int frame_columns) {
     int sum[CHANNELS] = {0}, count[CHANNELS] = {0}, lowest[CHANNELS], highest[CHANNELS] = {0}, widest = 0;
@@ -123,8 +123,7 @@ INLINE floats grey_level(const floats *signal, __global const float *white) {
     return mean + every * (most - mean);
 }
 
-// Adds the corrections of the outputs for clipped channels. The weight of each correction is `factor` times the degree to which the channel
-// clips.
+// Adds the corrections of X, Y and Z for clipped channels, weighted by `factor` times the degree to which each channel clips.
 INLINE void add_clipped(floats added[3], const floats *signal, floats factor, __global const float *response) {
     for (int c = 0; c < CHANNELS; c++) {
         const floats weight = factor * smooth_step(signal[c], BEGINS, CLIPS);
@@ -380,14 +379,14 @@ INLINE void spread_at(int y, int x, __global const float *restrict means, __glob
     store_float8(maps + 8 * at, x, columns, 4, hue, 3);
 }
 
-// Position of a quad between two blocks along one axis.
+// Position of a quad between two block centres along one axis.
 typedef struct {
-    int low, high;  // block before the quad, and next block
-    float share;    // weight of the next block
+    int low, high;  // the two blocks
+    float share;    // weight of the block `high`
 } Between;
 
 INLINE Between between(int pixel, int side, int blocks) {
-    // The position is in half pixels and shifted by `side`, so that it is a positive integer.
+    // In half pixels, and shifted by one block so that it is positive.
     const int place = 2 * pixel + 2 + side, low = place / (2 * side) - 1;
     Between made = {WITHIN(low, 0, blocks - 1), WITHIN(low + 1, 0, blocks - 1), (float)(place % (2 * side)) / (2 * side)};
     return made;

@@ -1,18 +1,17 @@
-// Converts outputs to the values of a picture, for as many pixels as there are lanes in `floats`. The float64 reference is
-// l3cli/rendering/display.py.
+// Converts outputs to picture values, for the number of pixels in `floats`. The float64 reference is l3cli/rendering/display.py.
 //
-// The host sets macros. With PLANES, outputs are written unchanged. Otherwise a matrix and the transfer curve of a colour space convert
-// X, Y, Z to three integers per pixel, with the type CODE and a maximum of TOP.
+// Macros from the host select the result. With PLANES, outputs are written unchanged. Otherwise a matrix, gamut mapping and the transfer curve
+// of a colour space convert X, Y, Z to three integers per pixel of type CODE, up to TOP.
 
 #ifdef FIXED_POINT
 
-// Converts a fixed-point sum to the value of a plane, by rounding and clamping (l3cli/classes/planes.py).
+// Rounds and clamps a fixed-point sum to a plane value (l3cli/classes/planes.py).
 INLINE ints plane_value(ints sum, ints fraction) {
     const ints top = PLANE_TOP, value = (sum + ((ints)1 << fraction >> 1)) >> fraction, below = value < top ? value : top;
     return below > -top ? below : -top;
 }
 
-// Reduces the value of a plane to 16 bits, for all layers except the first and the last.
+// Reduces a plane value to 16 bits, the input of all layers except the first and the last.
 INLINE ints coarse(ints plane) {
     const ints top = COARSE_TOP, value = (plane + (1 << COARSE >> 1)) >> COARSE, below = value < top ? value : top;
     return below > -top ? below : -top;
@@ -21,17 +20,17 @@ INLINE ints coarse(ints plane) {
 #endif
 #ifdef TOP
 
-// The following functions move colours outside the gamut into the gamut, along lines of constant hue. The float64 reference is
+// The following functions move out-of-gamut colours into the gamut, along lines of constant hue. The float64 reference is
 // l3cli/physics/gamut.py.
 
-// Product of a row of a matrix and a vector of three values.
+// Product of a matrix row and a vector.
 #define GAMUT_SUM(m, row, v) ((m)[3 * (row)] * (v)[0] + (m)[3 * (row) + 1] * (v)[1] + (m)[3 * (row) + 2] * (v)[2])
 
 INLINE floats least_of(floats a, floats b) { return a < b ? a : b; }
 INLINE floats most_of(floats a, floats b) { return a > b ? a : b; }
 
-// Computes x^(1/3) for x ≥ LEAST_CONE with Newton's method for y = x^(-1/3). The bit pattern of a float, read as an integer, is nearly
-// linear in the logarithm of the float. An initial guess computed from the bit pattern is therefore accurate to 4 %.
+// Computes x^(1/3) for x ≥ LEAST_CONE with Newton's method for y = x^(-1/3). The bit pattern of a float, read as an integer, is nearly linear
+// in its logarithm, so an initial guess computed from the bit pattern is accurate to 4 %.
 INLINE floats cube_root(floats x) {
     floats y = SAME_BITS(CONVERT(CONVERT(SAME_BITS(x, ints), floats) * (-1.0f / 3.0f) + (float)0x54a2fa8c, ints), floats);
     #pragma unroll
@@ -40,7 +39,7 @@ INLINE floats cube_root(floats x) {
 }
 
 // Moves a colour towards the grey of the same lightness until no value is negative. The distance is the smallest root of three cubic
-// polynomials in t, found with one step of Halley's method.
+// polynomials in t, approximated by one step of Halley's method.
 INLINE void less_chromatic(floats *linear) {
     const float cones[] = {GAMUT_CONES}, back[] = {GAMUT_LINEAR}, light[] = {GAMUT_LIGHTNESS};
     floats chroma[3], squares[3], cubes[3], ends[3], lowest = (floats)0.0f, least = (floats)1.0f;
@@ -81,7 +80,7 @@ INLINE void less_chromatic(floats *linear) {
 }
 
 #ifndef TONE_A
-// Limits values to 1 by a mixture of darkening and clipping. The closer a colour is to white, the more it is clipped.
+// Limits values to 1 by a mixture of darkening and clipping: the brighter the colour, the more clipping.
 INLINE void darker(floats *linear) {
     const float luminance[] = {GAMUT_LUMINANCE};
     const floats most = most_of(most_of(linear[0], linear[1]), linear[2]), share = 1.0f / most;
@@ -115,7 +114,7 @@ INLINE bool any_negative(floats value) {
 #endif
 }
 
-// Colours inside the gamut do not change. Few colours are outside, so the mapping is a function call that is skipped if no lane needs it.
+// Colours inside the gamut do not change. The mapping is a separate function, because it is skipped unless a lane is outside, which is rare.
 static __attribute__((noinline)) void brought_into_gamut(floats *linear) {
     if (any_negative(least_of(least_of(linear[0], linear[1]), linear[2]))) less_chromatic(linear);
 #ifndef TONE_A
@@ -146,9 +145,9 @@ INLINE floats toned(floats linear) {
 
 #if defined(CURVE_PIECES) && LANES == 16 && defined(__AVX512F__)
 
-// Encodes 8-bit values on processors that can look up 16 lanes in a table of 32 entries with one instruction. The curve times TOP consists of 32
-// parabolas, four per octave of u, where u is the linear value plus 2^-8 (layout.curve_pieces). The upper bits of the float u are the
-// number of the parabola. The lookup reads the lowest five of these bits.
+// Encodes 8-bit values on processors that can look up 16 lanes in a table of 32 entries with one instruction. The curve times TOP consists of
+// 32 parabolas in u = 2^-8 + CURVE_SHARE · linear value, four per octave (layout.curve_pieces). The upper bits of u as a float select the
+// parabola, and the lookup uses the lowest five of them.
 #define PIECE_BITS 21
 __constant float curve_pieces[] = {CURVE_PIECES};  // coefficients of the parabolas, (power of u, parabola)
 
@@ -157,7 +156,7 @@ INLINE floats term_of(int power, ints piece) {
     return __builtin_ia32_vpermi2varps512(table[0], piece, table[1]);
 }
 
-// Converts linear values of one channel to the integers of the picture.
+// Encodes linear values of one channel as integers.
 INLINE uints encode(floats linear) {
     const floats start = 0x1p-8f, end = 0x1.fffffep-1f;
     floats u = toned(linear) * CURVE_SHARE + start;
@@ -169,10 +168,9 @@ INLINE uints encode(floats linear) {
 
 #else
 
-// Calls of library functions would prevent vectorisation. Instead, y = x^(-1/4) is computed with CURVE_STEPS steps of Newton's iteration.
-// The error of the first guess is below 3 %, because the bits of a float are nearly its logarithm. The power part of the curve is then a
-// polynomial in z = x y^3 = x^(1/4) with the coefficients CURVE_TERMS, lowest power first. 8-bit pictures need fewer steps and terms than
-// 16-bit pictures (layout.curve_macros).
+// Library functions would prevent vectorisation. Instead, CURVE_STEPS steps of Newton's method compute y = x^(-1/4). The bit pattern of a float
+// is nearly its logarithm, so the initial guess is accurate to 3 %. The power part of the curve is a polynomial in z = x y^3 = x^(1/4) with the
+// coefficients CURVE_TERMS, lowest power first. 8-bit pictures use fewer steps and terms than 16-bit pictures (layout.curve_macros).
 INLINE floats curve(floats linear) {
     const float term[] = {CURVE_TERMS};
     const floats x = linear > 0.003f ? linear : (floats)0.003f, part = x * -0.25f;
@@ -194,7 +192,7 @@ INLINE floats clip(floats linear) {
     return linear < 1.0f ? linear : (floats)1.0f;
 }
 
-// Converts linear values of one channel to the integers of the picture.
+// Encodes linear values of one channel as integers.
 INLINE uints encode(floats linear) {
     return SAME_BITS(CONVERT(curve(clip(toned(linear))) * (float)TOP + 0.5f, ints), uints);
 }

@@ -1,6 +1,6 @@
-// Samples outside a frame, which are mirrored about the outermost samples.
+// Mirrors samples outside a frame about its outermost samples.
 
-// Returns the index of the sample that replaces sample `wanted`. Indices outside 0 … length - 1 are mirrored.
+// Returns the index `wanted`, mirrored into 0 … length - 1.
 INLINE int mirrored(int wanted, int length) {
     const int mirror = wanted < 0 ? -wanted : wanted >= length ? 2 * (length - 1) - wanted : wanted;
     return min(max(mirror, 0), length - 1);
@@ -8,7 +8,7 @@ INLINE int mirrored(int wanted, int length) {
 
 #if LANES > 1
 
-// Reads LANES values of a row, starting at column x. Columns outside 0 … columns - 1 are mirrored.
+// Reads LANES values of a row from column x, mirrored into 0 … columns - 1.
 INLINE floats read_across(__global const float *row, int x, int columns) {
     if (x >= 0 && x + LANES <= columns) return LOAD_GLOBAL(floats, row + x);
     float value[LANES];

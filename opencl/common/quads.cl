@@ -1,6 +1,6 @@
-// Maps of quads, which are groups of 2 × 2 pixels (l3cli/classes/clipping.py). Map 0 is the replaced fraction of the outputs, and maps 1 to 3
-// are the values added to X, Y and Z. Map 4 is the degree to which the hue changes, and maps 5 and 6 are X/Y and Z/Y of the new hue multiplied
-// by map 4. Rows are longer than needed, so that vectors may read beyond the last quad.
+// Maps for clipped areas, with one value per quad of 2 × 2 pixels (l3cli/classes/clipping.py). Map 0 is the fraction by which outputs are
+// replaced, and maps 1 to 3 are added to X, Y and Z. Map 4 is the degree of the hue change, and maps 5 and 6 are X/Y and Z/Y of the new hue,
+// times map 4. Rows are padded, so that vectors may read beyond the last quad.
 
 #define QUADS(length) (((length) + 1) / 2)
 #define QUADS_STRIDE(columns) (QUADS(columns) + 16)

@@ -1,9 +1,9 @@
-// Processor variant: computes the ratio taps of the last layer for a row of a tile. Two taps are the chroma that shading alone would cause.
-// If RATIO_TAPS is 4, the other two taps are the chroma of similar pixels (l3cli/classes/refinement.py).
+// Processor variant: computes the last layer's ratio taps for one row of a tile (l3cli/classes/refinement.py). The first two taps are the
+// chroma difference that a pure change in illumination would cause. If RATIO_TAPS is 4, the other two are the chroma of similar pixels.
 
 #if SOURCES > 1
 typedef struct {
-    tap of[SOURCES][SPAN];  // one row of each plane
+    tap of[SOURCES][SPAN];  // a row of each plane
 } Row;
 #endif
 
@@ -18,11 +18,10 @@ INLINE floats ratio_of(floats luminance, floats total) {
     return below > -1.0f ? below : (floats)-1.0f;
 }
 
-// Computes the taps of a row of the tile. to[t][x] is tap t of column x. The window of the row consists of the PATCH stored rows. The first of
-// these rows is row[first % PATCH].
+// Computes tap t of column x as to[t][x]. The window consists of the PATCH stored rows, of which the first is row[first % PATCH].
 INLINE void taps_behind(float (*to)[SPAN], const Row *row, int first, int width) {
     const Row *r[PATCH];
-    float sum[SOURCES][SPAN];  // sum of each column over the rows of the window
+    float sum[SOURCES][SPAN];  // column sums over the rows of the window
     for (int j = 0; j < PATCH; j++) r[j] = row + (first + j) % PATCH;
     for (int s = 0; s < SOURCES; s++)
         for (int p = 0; p < WHOLE(width, LANES) + 2 * RADIUS; p += LANES) {

@@ -1,10 +1,10 @@
-// Computes the class of a pixel from the sums over its patch, for both variants and as many pixels as there are lanes in `uints`. The
-// features are combined as in ClassRule and l3cli/classes/decide.py. Unsigned arithmetic may wrap around, but the results are exact.
+// Computes the class of each pixel from sums over its patch, for both variants and for the number of pixels in `uints`. Features are combined
+// as in ClassRule and l3cli/classes/decide.py. Unsigned arithmetic may wrap around, but the results are exact.
 
-// CFA phase of padded row or column p, which is row or column p - RADIUS of the frame. The frame begins at the phase `start`.
+// CFA phase of padded row or column p, which is row or column p - RADIUS of a frame that begins at the phase `start`.
 #define PADDED_PHASE(p, start, period) (((p) + (start) + ((period) - 1) * RADIUS) % (period))
 
-// Constants of the features as parameters of a function and as arguments of a call, in the order of l3cli/classes/plane_kernel.py.
+// Constants of the features, in the order of l3cli/classes/plane_kernel.py: as parameters of a function, and as arguments of a call.
 #define BASIC_CONSTANTS LEVEL_CONSTANTS, CONTRAST_CONSTANTS, SATURATION_CONSTANTS, CHROMA_CONSTANTS
 #define BASIC level_tops, contrast_edges, case_of_code, chroma_weights
 #ifdef EACH_WINDOW
@@ -15,7 +15,7 @@
 #define RULE BASIC
 #endif
 
-// Number of the set of transforms for a pixel: as a parameter of functions, as a parameter of kernels, and as arguments. The macros are empty
+// Index of each pixel's set of transforms: as a parameter of functions, as a parameter of kernels, and as arguments. These macros are empty
 // if the table has a single set.
 #ifdef SETS
 #define SET_VALUE uints set,
@@ -35,7 +35,7 @@ INLINE uints set_values(__global const uchar *at) { return CONVERT(LOAD_GLOBAL(b
 #endif
 
 typedef struct {
-    uints level_sum, variance_sum;  // sums over the channels added so far
+    uints level_sum, variance_sum;  // sums over channels
     Colour colour;
 #ifdef EACH_WINDOW
     ints window_sum[WINDOW_SUMS];   // for optional features of the class recipe
@@ -50,8 +50,7 @@ INLINE void no_evidence(Evidence *e, RULE_CONSTANTS) {
 #endif
 }
 
-// Adds channel c to the evidence. `count`, `sum` and `square` are the number, the sum and the sum of squares of the channel's pixels in the
-// patch.
+// Adds channel c, from the number, sum and sum of squares of its pixels in the patch.
 INLINE void add_evidence(Evidence *e, int c, uints count, uints sum, uints square, uints mean_reciprocal,
                          uints variance_reciprocal, RULE_CONSTANTS) {
     const uints scaled = sum * mean_reciprocal;
@@ -60,7 +59,7 @@ INLINE void add_evidence(Evidence *e, int c, uints count, uints sum, uints squar
     add_colour(&e->colour, c, scaled, chroma_weights);
 }
 
-// Returns the kind: the chroma or, if a pixel nearby is saturated, the saturation case. Saturation cases are numbered after the chromas.
+// Returns the kind: the chroma, or the saturation case if a nearby pixel is saturated. Saturation cases are numbered after the chromas.
 INLINE uints kind_of(const Evidence *e, uints site, patterns code, RULE_CONSTANTS) {
     const uints chroma = chroma_of(&e->colour, site, chroma_weights);
     if (!any_case(code, case_of_code)) return chroma;
@@ -68,11 +67,11 @@ INLINE uints kind_of(const Evidence *e, uints site, patterns code, RULE_CONSTANT
     return saturation > 0 ? CHROMAS - 1 + saturation : chroma;
 }
 
-// Returns the class of pixels at CFA site `site`. `code` is the set of channels that are saturated near the pixel. The level is found by
-// comparison with every level edge, because a table lookup is slow in vectors. The same loop selects the contrast edges of the level.
+// Returns the class of pixels at CFA site `site`. `code` is the set of channels that saturate near the pixel. The level is found by comparison
+// with every level edge, because table lookups are slow in vectors. The same loop selects the contrast thresholds of the level.
 //
-// With several SETS of transforms (l3cli/rendering/conditions.py), pixels are compared with the edges of their `set`. The edges of all
-// sets are stored one after the other, and the sites of the sets are numbered consecutively.
+// With several SETS of transforms (l3cli/rendering/conditions.py), pixels are compared with the thresholds of their `set`. The arrays of all
+// sets are concatenated, and sites are numbered through all sets.
 INLINE uints class_of(const Evidence *e, uints site, patterns code, SET_VALUE RULE_CONSTANTS) {
     const uints kind = kind_of(e, site, code, RULE);
     uints level = 0, edge[CONTRASTS];

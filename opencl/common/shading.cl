@@ -1,8 +1,8 @@
-// Corrects colour shading, the difference in shading between channels, in raw values. The reference is l3cli/frames/shading.py.
+// Corrects colour shading (the difference in shading between channels) in raw values. The reference is l3cli/frames/shading.py.
 //
-// The raw values are corrected in place, before any other kernel reads them. Each work-item corrects RUN pixels with integer arithmetic,
-// so that all devices have the same results. `colour` is the gain minus 1, applied to the difference from the black level. Clipped pixels
-// do not change, and no other pixel becomes clipped.
+// The raw values are corrected in place, before any other kernel reads them. Each work-item corrects RUN pixels, in integers, so that all
+// devices have the same results. `colour` is the gain minus 1, which applies to the signal above black. Clipped pixels do not change, and no
+// other pixel becomes clipped.
 
 INLINE ints corrected(ints value, ints colour, int black, int clipped) {
     const ints gained = value + (((value - black) * colour + (1 << FRACTION >> 1)) >> FRACTION), zero = 0, top = clipped - 1;

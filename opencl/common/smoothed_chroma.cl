@@ -1,11 +1,11 @@
-// Smooths chroma by averaging a pixel with similar neighbours, without changing the luminance. Then raises pixels that are darker than the raw
-// values around them. The reference is l3cli/rendering/reference.py. The eight neighbours are at (±1, ±1), (±CHROMA_REACH, 0) and
+// Smooths chroma by averaging a pixel with similar neighbours, without changing the luminance. Then raises pixels that are much darker than
+// the raw values around them. The reference is l3cli/rendering/reference.py. The eight neighbours are at (±1, ±1), (±CHROMA_REACH, 0) and
 // (0, ±CHROMA_REACH).
 
-// A pixel, scaled so that the weight of a neighbour needs few operations. A neighbour has no weight if the sum of its squared scaled differences
-// in luminance, X and Z is at least 1.
+// A pixel, scaled so that computing the weight of a neighbour takes few operations. The weight is zero if the squared scaled differences in
+// luminance, X and Z sum to at least 1.
 typedef struct {
-    floats luminance, of_luminance;                        // the scaled luminance, and its scale
+    floats luminance, of_luminance;                        // scaled luminance, and its scale
     floats x, z, luminance_of_x, luminance_of_z;           // X, Z and luminance, times the scales of X and Z
 } Scaled;
 
@@ -15,8 +15,7 @@ INLINE Scaled scaled_pixel(const floats *own, float by_luminance, float by_x, fl
     return (Scaled){own[1] * of_luminance, of_luminance, own[0] * of_x, own[2] * of_z, own[1] * of_x, own[1] * of_z};
 }
 
-// Adds a neighbour to the sums. `there` contains X, Y and Z of the neighbour. sums[0] and sums[2] are the scaled changes of X and Z, and sums[1]
-// is the divisor of the changes.
+// Adds a neighbour with the XYZ `there` to the sums. sums[0] and sums[2] are the scaled changes of X and Z, and sums[1] is their divisor.
 INLINE void add_neighbour(floats *sums, Scaled own, const floats *there) {
     const floats brighter = there[1] * own.of_luminance - own.luminance;
     const floats x = there[0] * own.luminance_of_x - own.x * there[1], z = there[2] * own.luminance_of_z - own.z * there[1];
@@ -27,7 +26,7 @@ INLINE void add_neighbour(floats *sums, Scaled own, const floats *there) {
     sums[2] += weight * z;
 }
 
-// Applies the changes to `own`, the X, Y and Z of the pixel. `by_x` and `by_z` are the arguments of `scaled_pixel`.
+// Applies the changes to `own`, the pixel's XYZ. `by_x` and `by_z` are the arguments of `scaled_pixel`.
 INLINE void change_chroma(floats *own, const floats *sums, float by_x, float by_z) {
     const floats bright = own[1] > DARKEST ? own[1] : (floats)0.0f, divisor = own[1] > DARKEST ? own[1] + sums[1] : (floats)1.0f;
     const floats share = bright * bright / divisor;
@@ -37,13 +36,13 @@ INLINE void change_chroma(floats *own, const floats *sums, float by_x, float by_
 
 #ifdef LEAST_REACH
 #define LEAST_PARAMETERS \
-    __global const ushort *restrict raw,   /* (row, col) DN of the band, with all rows that are read */ \
-    __global const float *restrict scale,  /* (CFA row, SCALE_PERIOD) luminance of a white per DN, for each channel */ \
-    float black_level, int raw_first,      /* black level in DN, and the frame's row of the first raw row */ \
+    __global const ushort *restrict raw,   /* (row, col) raw values in DN, with all rows that the band reads */ \
+    __global const float *restrict scale,  /* (CFA row, SCALE_PERIOD) luminance of a white object per DN */ \
+    float black_level, int raw_first,      /* black level in DN, and index of the first raw row in the frame */ \
     int phase_row, int phase_column,       /* CFA site of the frame's first pixel */
 #define LEAST_READ raw, scale, black_level, raw_first, phase_row, phase_column,
 
-// Least luminance of a pixel, from the smallest of the raw values around the pixel.
+// Lower limit of a pixel's luminance, from the smallest raw value around it.
 INLINE floats least_luminance(floats smallest) { return smallest * (smallest > 0.0f ? (floats)LEAST_OF_POSITIVE : (floats)LEAST_OF_NEGATIVE); }
 
 INLINE floats within_change(floats change, floats most) {
@@ -51,8 +50,8 @@ INLINE floats within_change(floats change, floats most) {
     return below > -most ? below : -most;
 }
 
-// Raises the luminance of a pixel to `least`. X and Z move towards the chroma of the diagonal neighbours. `own` contains X, Y and Z of the
-// pixel. `diagonal` contains the sums of X, Y and Z over the diagonal neighbours.
+// Raises the luminance of a pixel with the XYZ `own` to `least`. X and Z move towards the chroma of the diagonal neighbours, which have the
+// XYZ sums `diagonal`.
 INLINE void raise_luminance(floats *own, const floats *diagonal, floats least) {
     const floats raised = own[1] > least ? own[1] : least, most = RAISED_CHROMA * (raised - own[1]);
     const floats brighter = diagonal[1] > raised ? diagonal[1] : raised, divisor = brighter > DARKEST ? brighter : (floats)DARKEST;

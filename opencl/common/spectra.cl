@@ -1,6 +1,6 @@
-// Smooths spectra over the neighbourhood without changing the brightness of pixels. The reference is l3cli/rendering/reference.py.
+// Smooths spectra without changing the brightness of pixels. The reference is l3cli/rendering/reference.py.
 
-// Weight of a neighbour, from its difference in brightness. `inverse` is the reciprocal of the difference at which the weight becomes zero.
+// Weight of a neighbour by its difference in brightness. `inverse` is the reciprocal of the difference at which the weight reaches zero.
 INLINE floats nearness(floats difference, floats inverse) {
     const floats share = difference * inverse, left = 1.0f - share * share;
     const floats positive = left > 0.0f ? left : (floats)0.0f;
@@ -12,7 +12,8 @@ INLINE floats inverse_of(floats brightness, float reach) {
     return 1.0f / (reach * above);
 }
 
-// Factor for the mean spectrum, which restores the brightness of the pixel. `brighter` is the mean amount by which neighbours are brighter.
+// Factor by which the mean spectrum is multiplied to restore the pixel's brightness. `brighter` is the mean excess brightness of the
+// neighbours.
 INLINE floats brightness_ratio(floats brightness, floats brighter) {
     return brightness > DARKEST ? brightness / (brightness + brighter) : (floats)1.0f;
 }

@@ -1,4 +1,4 @@
-// Structure of a pixel for both variants, with the formula of l3cli/classes/structure.py.
+// Class feature structure, for both variants (l3cli/classes/structure.py).
 
 #define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict strength_edges
 #define STRUCTURE_READ label_words, strength_edges
@@ -7,7 +7,7 @@
 
 INLINE uints size_of(ints value) { return SAME_BITS(value > 0 ? value : -value, uints); }
 
-// Returns the structure. xx, yy and xy are weighted sums of products of gradients, and `turns` is the gradient word.
+// Returns the structure of a pixel from weighted sums of gradient products (xx, yy, xy) and the gradient word `turns`.
 INLINE uints structure_of(uints xx, uints yy, ints xy, uints turns, __global const uint *strength_edges) {
     const uints trace = xx + yy;
     uints strength = 0;

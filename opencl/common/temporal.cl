@@ -1,18 +1,18 @@
-// Types and functions for temporal_motion.cl and temporal_blend.cl, which blend a mosaic with the history, the blend of the previous
-// mosaics. The reference is l3cli/rendering/temporal/reference.py.
+// Temporal filter: types and functions for temporal_motion.cl and temporal_blend.cl, which blend a mosaic with the history, the filtered
+// previous mosaic. The reference is l3cli/rendering/temporal/reference.py.
 //
-// All computations use integers, so that all devices have the same results. A work-item processes a strip of STRIP blocks in a row of
-// blocks. Frames consist of whole blocks and are `columns` wide. Values are u = DN << free_bits and have at most 16 bits.
+// All computations are exact, so that all devices have the same results. A work-item processes STRIP adjacent blocks. Frames consist of
+// whole blocks and are `columns` wide. Values are u = DN << free_bits, with at most 16 bits.
 
 #define CELL_ROWS (BLOCK_ROWS / CELL_DOWN)
 #define CELL_COLUMNS (BLOCK_COLUMNS / CELL_ACROSS)
 #define SITES (CELL_ROWS * CELL_COLUMNS)
 #define PERIOD_SITES (PERIOD_ROWS * PERIOD_COLUMNS)
-#define UNITS_DOWN (BLOCK_ROWS / PERIOD_ROWS)  // number of CFA periods (samples of the finest plane) in a block along each axis
+#define UNITS_DOWN (BLOCK_ROWS / PERIOD_ROWS)  // CFA periods per block along each axis, which are samples of the finest plane
 #define UNITS_ACROSS (BLOCK_COLUMNS / PERIOD_COLUMNS)
 
-// CELL_LANES cells are processed in a vector. Sums over cells exceed 32 bits. Vectors use doubles for these sums, because doubles represent
-// integers up to 2^53 exactly and can be divided in vectors.
+// Vectors contain CELL_LANES cells. Sums over cells exceed 32 bits, so vectors use doubles, which represent integers up to 2^53 exactly and
+// can be divided in vectors.
 #if LANES == 1
 #define CELL_LANES 1
 typedef int cell_ints;
@@ -50,9 +50,9 @@ VECTOR(double, wholes, CELL_LANES);
 #define READ_CELLS(type, p) LOAD_GLOBAL(type, p)
 #define READ_PRIVATE_CELLS(type, p) LOAD_PRIVATE(type, p)
 #define WRITE_CELLS(type, p, value) (STORE_GLOBAL(type, p) = CONVERT(value, type))
-#define ALL_IF(condition) (condition)  // sets all bits of the lanes in which the condition is true
-#define TRUE_CELLS(condition) CONVERT(condition, cell_ints)  // the same as ALL_IF, for conditions on doubles
-#define FLOOR(value) CONVERT(value, cell_ints)  // for values that are not negative
+#define ALL_IF(condition) (condition)  // all bits set in the lanes in which the condition is true
+#define TRUE_CELLS(condition) CONVERT(condition, cell_ints)  // like ALL_IF, for conditions on doubles
+#define FLOOR(value) CONVERT(value, cell_ints)  // for non-negative values
 #define FETCH_NEXT(p) FETCH(p)
 
 // Mask with all bits set in the first `count` lanes.
@@ -79,5 +79,5 @@ INLINE ints most_of(ints a, int b) {
     return a > other ? a : other;
 }
 
-// Converts DN to the unit u, which has `free_bits` fractional bits.
+// Converts DN to u, which has `free_bits` fractional bits.
 INLINE ints units(ints value, int free_bits) { return least_of(value, (1 << (16 - free_bits)) - 1) << free_bits; }

@@ -1,20 +1,20 @@
 // Temporal filter: evidence of motion, weights of cells, and blending with the history (l3cli/rendering/temporal/reference.py).
 
-// Arrays of cells are padded with zeros: PADDING columns on each side, a row above and a row below.
+// Arrays of cells are padded with zeros: PADDING columns on each side, and one row above and below.
 INLINE int cell_row_length(int columns) { return columns + 2 * PADDING; }
 
 INLINE int cell_place(int row, int column, int cell_columns) {
     return (row + 1) * cell_row_length(cell_columns) + PADDING + column;
 }
 
-// Converts the displacement of a cell's centre from pixels to cells.
+// Returns by how many cells the centre of a cell moves if it is displaced by `vector` pixels.
 INLINE int2 cells_on(int2 vector) {
-    const int2 side = (int2)(CELL_ROWS, CELL_COLUMNS), far = 4096;  // in cells; larger than any displacement, so that the dividend is positive
+    const int2 side = (int2)(CELL_ROWS, CELL_COLUMNS), far = 4096;  // cells; larger than any displacement, so that the dividend is positive
     return (side / 2 + vector + far * side) / side - far;
 }
 
-// Computes four values for each cell in a strip of STRIP blocks: the power of the residuals, the sum of the residuals, the variance expected
-// from noise alone, and the noise that remains in the history. This noise is read at the previous position of the centre of the cell.
+// Computes, for each cell in STRIP blocks, the sum of squared residuals, the sum of residuals, the variance of noise alone, and the noise
+// fraction of the history at the previous position of the cell's centre. Residuals are differences between the frame and the history.
 __kernel void evidence(__global const ushort *restrict raw, __global const ushort *restrict history,
                        __global const int2 *restrict vectors, __global const ushort *restrict left,
                        __global uint *restrict powers, __global int *restrict sums, __global uint *restrict variances,
@@ -26,7 +26,7 @@ __kernel void evidence(__global const ushort *restrict raw, __global const ushor
     const wholes most = MOST_VARIANCE;
     for (int down = 0; down < CELL_DOWN; down++) {
         const int cell_row = block_row * CELL_DOWN + down;
-        int square_of[STRIP_COLUMNS], sum_of[STRIP_COLUMNS], light_of[STRIP_COLUMNS];  // square_of contains unsigned 32-bit values
+        int square_of[STRIP_COLUMNS], sum_of[STRIP_COLUMNS], light_of[STRIP_COLUMNS];  // square_of must be read as uint
         int lefts[STRIP_CELLS], moved[STRIP_CELLS];
         for (int block = begin; block < last; block++) {
             const int2 vector = vectors[block_row * block_columns + block] * (int2)(PERIOD_ROWS, PERIOD_COLUMNS);
@@ -58,7 +58,7 @@ __kernel void evidence(__global const ushort *restrict raw, __global const ushor
         uint squares[STRIP_CELLS];
         int residuals[STRIP_CELLS], signals[STRIP_CELLS];
         const int rest = CELL_COLUMNS / PAIRED(CELL_COLUMNS), rest_of_squares = SITES > 16 ? CELL_COLUMNS : rest;
-        if (SITES <= 16) add_columns(square_of, count, CELL_COLUMNS);  // these sums also fit 32 bits
+        if (SITES <= 16) add_columns(square_of, count, CELL_COLUMNS);  // these sums fit into 32 bits, too
         add_columns(sum_of, count, CELL_COLUMNS);
         add_columns(light_of, count, CELL_COLUMNS);
         for (int i = 0; i < count; i++) {
@@ -96,8 +96,8 @@ __kernel void evidence(__global const ushort *restrict raw, __global const ushor
     }
 }
 
-// Computes the weight and the remaining noise of every cell, and the number of cells in STRIP blocks that show another scene. At the start,
-// `weights` contains the previous remaining noise, which the weights overwrite.
+// Computes the weight and the new noise fraction of every cell in STRIP blocks, and counts the cells in which the scene has changed. `weights`
+// initially contains the noise fractions of the history, which the weights overwrite.
 __kernel void weigh(__global const uint *restrict powers, __global const int *restrict sums,
                     __global const uint *restrict variances, __global ushort *restrict weights,
                     __global ushort *restrict new_left, __global int *restrict cuts, int block_columns) {
@@ -137,8 +137,8 @@ __kernel void weigh(__global const uint *restrict powers, __global const int *re
     cuts[block_row * get_global_size(0) + get_global_id(0)] = SUM_CELLS(others);
 }
 
-// Blends the frame with the history. Writes the new history as u (new_kept), the blended frame as DN (made), and the means of the new
-// history over CFA periods (plane). If `restart` is true, the history is ignored.
+// Blends the frame with the history. Writes the new history in u (new_kept), the filtered frame in DN (made), and the means of the new history
+// over CFA periods (plane). With `restart`, the history is ignored.
 __kernel void blend(__global const ushort *restrict raw, __global const ushort *restrict history,
                     __global const int2 *restrict vectors, __global const ushort *restrict weights,
                     __global const int *restrict cuts, __global ushort *restrict new_kept,

@@ -1,8 +1,8 @@
-// Temporal filter: motion of each block relative to the history (l3cli/rendering/temporal/motion.py). The kernels compute planes of means
-// and search for the motion in these planes.
+// Temporal filter: motion of each block relative to the history (l3cli/rendering/temporal/motion.py). The kernels compute an image pyramid and
+// search for motion in its planes.
 
-// Planes have a margin of MARGIN rows and columns that repeats the edge. Rows have PADDING additional columns, so that windows, and
-// vectors that begin in a window, may extend beyond the edge.
+// Planes have a margin of MARGIN rows and columns that repeats the edge, and PADDING additional columns. Windows, and vectors that begin in a
+// window, may therefore extend beyond the edge.
 INLINE int row_length(int columns) { return columns + 2 * MARGIN + PADDING; }
 
 INLINE void fill_margin(__global ushort *row, int columns, bool left, bool right) {
@@ -10,7 +10,7 @@ INLINE void fill_margin(__global ushort *row, int columns, bool left, bool right
     for (int x = MARGIN + columns; right && x < row_length(columns); x++) row[x] = row[MARGIN + columns - 1];
 }
 
-// Fills the margin next to samples `first` to `last` of a row, if the samples are at an edge of the plane.
+// Fills the margin next to samples `first` to `last` of a row, if they are at an edge of the plane.
 INLINE void fill_beside(__global ushort *plane, int row, int rows, int columns, int first, int last) {
     const int length = row_length(columns), from = first ? MARGIN + first : 0, to = last < columns ? MARGIN + last : length;
     __global ushort *line = plane + (MARGIN + row) * length;
@@ -26,9 +26,9 @@ INLINE void fill_beside(__global ushort *plane, int row, int rows, int columns, 
 #if LANES == 1
 #define PAIRED(columns) 1
 #else
-#define PAIRED(columns) ((columns) % 4 == 0 ? 4 : (columns) % 2 == 0 ? 2 : 1)  // number of neighbouring columns that vectors add up
+#define PAIRED(columns) ((columns) % 4 == 0 ? 4 : (columns) % 2 == 0 ? 2 : 1)  // number of adjacent columns that vectors add up
 
-// Replaces 2 · count values with the sums of `count` pairs of neighbours.
+// Replaces 2 · count values with the sums of `count` adjacent pairs.
 INLINE void add_neighbours(int *values, int count) {
     for (int i = 0; i < count; i += LANES) {
         const ints a = LOAD_PRIVATE(ints, values + 2 * i), b = LOAD_PRIVATE(ints, values + 2 * i + LANES);
@@ -39,8 +39,7 @@ INLINE void add_neighbours(int *values, int count) {
 #endif
 #define STRIP_COLUMNS (STRIP * BLOCK_COLUMNS + 2 * LANES)
 
-// Replaces values with sums of neighbouring columns. Afterwards, each of the `count` groups of `columns` values consists of columns /
-// PAIRED(columns) values.
+// Replaces values with sums of adjacent columns. This reduces each of `count` groups from `columns` values to columns / PAIRED(columns) values.
 INLINE void add_columns(int *values, int count, int columns) {
 #if LANES > 1
     if (PAIRED(columns) > 1) add_neighbours(values, count * columns / 2);
@@ -48,7 +47,7 @@ INLINE void add_columns(int *values, int count, int columns) {
 #endif
 }
 
-// Computes `count` means over CFA periods. `columns` contains the sum of each column over the rows of a period, and is overwritten.
+// Computes `count` means over CFA periods. `columns` contains the column sums over the rows of a period, and is overwritten.
 INLINE void means_of(int *columns, __global ushort *plane, int count) {
     const int rest = PERIOD_COLUMNS / PAIRED(PERIOD_COLUMNS);
     add_columns(columns, count, PERIOD_COLUMNS);
@@ -59,13 +58,13 @@ INLINE void means_of(int *columns, __global ushort *plane, int count) {
     }
 }
 
-#define DEEPEST (1 << (PLANES - 1))  // samples of the finest plane per sample of the coarsest plane, along each axis
+#define DEEPEST (1 << (PLANES - 1))  // ratio of resolutions of the finest and coarsest planes
 
 INLINE int2 size_of(int level, int block_rows, int block_columns) {
     return (int2)(block_rows * UNITS_DOWN, block_columns * UNITS_ACROSS) >> level;
 }
 
-// Offset of a plane in the array of all planes, which are stored one after the other.
+// Offset of a plane in the array of the whole pyramid.
 INLINE int begin_of(int level, int block_rows, int block_columns) {
     int begin = 0;
     for (int finer = 0; finer < level; finer++) {
@@ -75,7 +74,7 @@ INLINE int begin_of(int level, int block_rows, int block_columns) {
     return begin;
 }
 
-// Computes samples `first` to `last` of a row of the finest plane, which contains means over CFA periods.
+// Computes samples `first` to `last` in a row of the finest plane, which contains means over CFA periods.
 INLINE void means(__global const ushort *values, __global ushort *plane, int row, int first, int last, int free_bits, int across) {
     const int columns = across * PERIOD_COLUMNS, count = (last - first) * PERIOD_COLUMNS;
     int sums[STRIP_COLUMNS];
@@ -91,8 +90,7 @@ INLINE void means(__global const ushort *values, __global ushort *plane, int row
     means_of(sums, plane + (MARGIN + row) * row_length(across) + MARGIN + first, last - first);
 }
 
-// Computes samples `first` to `last` of a row of a coarser plane, which contains means of 2 × 2 samples of the finer plane. `wide` is the
-// number of columns of the finer plane.
+// Computes samples `first` to `last` in a row of a coarser plane, as means of 2 × 2 samples of the finer plane, which has `wide` columns.
 INLINE void halve(__global const ushort *fine, __global ushort *coarse, int row, int first, int last, int wide, int across) {
     __global const ushort *above = fine + (2 * row + MARGIN) * row_length(wide) + MARGIN, *below = above + row_length(wide);
     coarse += (MARGIN + row) * row_length(across) + MARGIN;
@@ -102,8 +100,8 @@ INLINE void halve(__global const ushort *fine, __global ushort *coarse, int row,
     }
 }
 
-// Computes the planes of all levels. Each work-item processes STRIP blocks across, and DEEPEST rows of the finest plane. The first half of
-// the work-items computes the planes of the frame. The second half computes the planes of the history, whose finest plane already exists.
+// Computes both image pyramids. Each work-item processes STRIP blocks across, and DEEPEST rows of the finest plane. The first half of the
+// work-items computes the pyramid of the frame. The second half computes the coarser planes of the history, whose finest plane already exists.
 __kernel void planes(__global const ushort *restrict raw, __global ushort *restrict now, __global ushort *restrict before,
                      int free_bits, int block_rows, int block_columns) {
     const int parts = get_global_size(1) / 2, part = get_global_id(1) % parts;
@@ -129,18 +127,18 @@ __kernel void planes(__global const ushort *restrict raw, __global ushort *restr
     }
 }
 
-// Windows in the frame and in the history, for the search of a block.
+// Windows of a block in the frame and in the history.
 typedef struct {
-    __global const ushort *now, *before;  // first sample of the window in the frame and in the history
-    int2 window;                          // number of rows and columns of the window
-    int length;                           // length of a row of the planes
+    __global const ushort *now, *before;  // first sample of the window in the frame, and in the history without motion
+    int2 window;                          // rows and columns of the window
+    int length;                           // row length of the planes
 #if LANES > 1
-    const ushort *tiles, *most;  // values of the window, tile by tile, and limits of differences, which are zero outside the window
+    const ushort *tiles, *most;  // window values tile by tile, and the limits of differences, which are zero outside the window
 #endif
 } Search;
 
 #if LANES == 1
-// Returns the sum of the values in the window.
+// Sums the values in the window.
 INLINE int light_in(const Search *s) {
     int sum = 0;
     for (int y = 0; y < s->window.x; y++)
@@ -148,8 +146,7 @@ INLINE int light_in(const Search *s) {
     return sum;
 }
 
-// Returns the sum of absolute differences, each limited to MOST_DIFFERENCE. If the sum is not below `limit`, the result may be any value
-// from `limit` upwards.
+// Returns the sum of absolute differences, each limited to MOST_DIFFERENCE. Stops early once the sum reaches `limit`.
 INLINE int cost(const Search *s, int2 vector, int limit) {
     __global const ushort *now = s->now, *before = s->before + vector.x * s->length + vector.y;
     int sum = 0;
@@ -158,10 +155,10 @@ INLINE int cost(const Search *s, int2 vector, int limit) {
     return sum;
 }
 #else
-// Windows are read in tiles of TILE_ROWS = 4 rows and 8 columns. The 32 values of 16 bits fill an AVX-512 register.
+// Windows are read in tiles of TILE_ROWS = 4 rows and 8 columns: 32 values of 16 bits fill an AVX-512 register.
 #define TILE_COLUMNS 8
 #define TILE (TILE_ROWS * TILE_COLUMNS)
-#define MOST_SIDE 16  // longest side of a window
+#define MOST_SIDE 16  // maximum side of a window
 VECTOR(ushort, sixteen_shorts, 16);
 VECTOR(ushort, tile_shorts, TILE);
 VECTOR(int, tile_ints, TILE);
@@ -191,7 +188,7 @@ INLINE void fill_most(ushort *most, int2 window) {
             }
 }
 
-// Reads the tiles of the window, and returns the sum of the values in the window.
+// Reads the tiles of the window, and returns the sum of its values.
 INLINE int fill_tiles(const Search *s, ushort *tiles) {
     const ushort *most = s->most;
     eight_ints light = 0;
@@ -213,7 +210,7 @@ INLINE int cost(const Search *s, int2 vector, int limit) {
     const ushort *now = s->tiles, *most = s->most;
     eight_ints sums = 0;
     for (int x = 0; x < s->window.y; x += TILE_COLUMNS) {
-        tile_shorts columns = 0;  // sums over rows fit 16 bits, because a window has at most 16 rows
+        tile_shorts columns = 0;  // these sums fit into 16 bits, because a window has at most 16 rows
         for (int y = 0; y < s->window.x; y += TILE_ROWS, now += TILE, most += TILE) {
             const tile_shorts a = LOAD_PRIVATE(tile_shorts, now), b = tile_at(before + y * s->length + x, s->length);
             const tile_shorts difference = (a > b ? a : b) - (a < b ? a : b), limits = LOAD_PRIVATE(tile_shorts, most);
@@ -238,8 +235,8 @@ INLINE Best better(const Search *s, Best best, int2 vector, int reluctance) {
     return best;
 }
 
-// Finds the motion vector of every block at a level. A vector is a number of samples in the planes of this level. The search starts at the
-// vectors of the coarser level. `root` is 16 times the square root of the number of samples in a window.
+// Finds the motion vector of every block at one level of the pyramid, in samples of this level. The search starts from the vectors of the next
+// coarser level. `root` is 16 times the square root of the number of samples in a window.
 __kernel void search(__global const ushort *restrict now, __global const ushort *restrict before,
                      __global const int2 *restrict parents, __global int2 *restrict vectors,
                      __global const int *restrict spread, int level, int window_rows, int window_columns, int root,

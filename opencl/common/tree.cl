@@ -1,6 +1,6 @@
-// Numerators and denominators of the tests of a tree for both variants, with the formulas of l3cli/classes/tree.py.
+// Numerators and denominators of a decision tree's tests, for both variants (l3cli/classes/tree.py).
 
-// Weighted sums over the neighbourhood of a pixel. u and v are the chroma planes.
+// Weighted sums over a pixel's neighbourhood. u and v are the chroma planes.
 typedef struct {
     ints xx, yy, xy, chroma_xx, chroma_yy, u_along, v_along;                    // products of gradients over 5 × 5 pixels
     ints chroma_bend_xx, chroma_bend_yy;                                        // squared second differences of chroma over 5 × 5 pixels
@@ -22,7 +22,7 @@ INLINE floats signed_square(ints value) { return CONVERT(value * size_of(value),
 #define MIRRORED_DOWN 16
 #define SWAP_WHERE(condition, a, b) { const ints swapped = a; a = (condition) ? b : a; b = (condition) ? swapped : b; }
 
-// Turns the sums to the orientation in which the site was trained.
+// Turns or mirrors the sums to the orientation in which the site was trained.
 INLINE void turn(Sums *s, uints turns) {
     const ints transposed = (turns >> TRANSPOSED & 1) != 0, across = (turns >> MIRRORED_ACROSS & 1) != 0;
     const ints down = (turns >> MIRRORED_DOWN & 1) != 0;
@@ -37,7 +37,7 @@ INLINE void turn(Sums *s, uints turns) {
     s->xy = across != down ? -s->xy : s->xy;
 }
 
-// Only quantities that a node of the tree uses are computed.
+// Only quantities that some node of the tree uses are computed.
 #define USED(test) (TESTS_USED >> (test) & 1)
 #define SLOPES_USED (USED(16) || USED(17))
 #define CHROMA_BENDS_USED (USED(21) || USED(22))

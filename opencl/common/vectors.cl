@@ -1,12 +1,12 @@
-// Vector types of all kernels. The processor variant processes LANES pixels or taps in a vector. 16 lanes fill an AVX-512 register, and 8
-// lanes fill an AVX2 register. In the graphics variant, LANES is 1, because the device itself processes many pixels at the same time.
+// Vector types of all kernels. In the processor variant, a vector contains LANES pixels or taps: 16 lanes fill an AVX-512 register, and 8
+// lanes fill an AVX2 register. In the graphics variant, LANES is 1, because the device itself processes many pixels in parallel.
 //
-// vloadN and convert_T are function calls in PoCL 3.0. Instead, vectors are read through pointers to a type with the alignment of a
-// single element, and converted with a builtin of clang. Each of these operations compiles to one instruction.
+// Because vloadN and convert_T are function calls in PoCL 3.0, vectors are read through pointers to a type with the alignment of a single
+// element, and converted with a clang builtin. Each of these operations compiles to one instruction.
 
 #define INLINE static inline __attribute__((always_inline))
 
-#define GAIN_NODES(columns) (((columns) + GAIN_STEP - 1) / GAIN_STEP + 1)  // nodes in a row of gains (l3cli/frames/shading.py)
+#define GAIN_NODES(columns) (((columns) + GAIN_STEP - 1) / GAIN_STEP + 1)  // nodes per row of shading gains (l3cli/frames/shading.py)
 
 #if LANES == 1
 typedef uint uints;
@@ -58,25 +58,25 @@ INLINE bool any_lane(ints mask) {
     return (four.x | four.y | four.z | four.w) != 0;
 }
 
-// Vector that starts at p. LOAD is for reading, and STORE is the left side of an assignment.
+// The vector that starts at p: LOAD to read it, STORE to assign to it.
 #define LOAD_PRIVATE(type, p) (*(const type##_unaligned *)(p))
 #define STORE_PRIVATE(type, p) (*(type##_unaligned *)(p))
 #define LOAD_GLOBAL(type, p) (*(__global const type##_unaligned *)(p))
 #define STORE_GLOBAL(type, p) (*(__global type##_unaligned *)(p))
 
-// Kernels with one work-item per group only call a function that does the work. PoCL compiles each kernel three times, once as written
-// and twice in the code that starts work-groups, but compiles the function only once.
+// Kernels with one work-item per group only call a function that does the work. PoCL compiles each kernel three times (once as written, and
+// twice in the code that starts work-groups), but the function only once.
 #define COMPILED_ONCE static __attribute__((noinline)) void
 #define KERNEL_OF_ONE __kernel __attribute__((reqd_work_group_size(1, 1, 1))) void
 #define GROUP_COLUMN ((int)get_group_id(0) * TILE)  // first column of the tile
 #define GROUP_ROW ((int)get_group_id(1) * BAND)
 
-// Precedes a loop over the few pixels at an edge that do not fill a vector. Such a loop is neither vectorised nor unrolled, because it rarely
-// runs and its compilation would take time.
+// Marks a loop over the few edge pixels that do not fill a vector. It is neither vectorised nor unrolled, to save compilation time for code
+// that rarely runs.
 #define AT_EDGE _Pragma("clang loop vectorize(disable) unroll(disable)")
 
-// Writes the first `count` lanes of a vector to to[0], to[1] … . The lanes are copied to an array first, because compilers generate much
-// code for the selection of a lane by a variable.
+// Writes the first `count` lanes of a vector to to[0], to[1] …. They are copied to an array first, because compilers generate a lot of code
+// for selecting a lane by a variable.
 #define WRITE_FIRST(element, type, to, value, count) do { \
     element lane[LANES]; \
     STORE_PRIVATE(type, lane) = value; \
@@ -88,14 +88,14 @@ INLINE bool any_lane(ints mask) {
 } while (0)
 
 // Prefetches the cache line at p, which is read one row later, because processors do not predict where the next row of a tile begins. One
-// line is prefetched for every LANES pixels, because many prefetches at the same time would delay one another.
+// line is prefetched per LANES pixels, because many simultaneous prefetches would delay one another.
 #ifdef __NVPTX__ // NVIDIA's compiler rejects the address space, and graphics cards hide the latency themselves
 #define FETCH(p)
 #else
 #define FETCH(p) __builtin_prefetch((const void *)(size_t)(p))
 #endif
 
-// Multiplies 16-bit values, and adds the two products of each pair to `sum`. This is a single instruction on most processors.
+// Multiplies 16-bit values, and adds the two products of each pair to `sum`, with a single multiply instruction on most processors.
 INLINE ints add_pairs(ints sum, pairs a, pairs b) {
 #if LANES == 16 && defined(__AVX512BW__)
     return sum + SAME_BITS(__builtin_ia32_pmaddwd512(a, b), ints);
@@ -108,8 +108,8 @@ INLINE ints add_pairs(ints sum, pairs a, pairs b) {
 }
 #endif
 
-// Types of the values and sums of a layer. The last layer uses floating point. Other layers use 16-bit values with 32-bit sums and two
-// products per lane, so that planes are the same on every device.
+// Types of a layer's values and sums. The last layer uses floating point. All other layers use 16-bit values with 32-bit sums, two products
+// per lane, so that planes are the same on every device.
 #if LANES == 1
 #ifdef FIXED_POINT
 typedef int tap;

@@ -2,7 +2,7 @@
 //
 // A work-item processes a tile of TILE columns and BAND rows, row by row.
 
-// Parameters of all functions that compute classes. CLASSES_READ passes them on as arguments.
+// Parameters of all functions that compute classes, which CLASSES_READ passes on.
 #define CLASSES_PARAMETERS \
     __global const ushort *restrict raw,                /* (row, col) DN */ \
     __global const int *restrict row_source,            /* (padded row) */ \
@@ -17,13 +17,13 @@
 #define CLASSES_READ raw, row_source, column_source, member, channel_bit, count, mean_reciprocal, variance_reciprocal, site_column, \
     RULE SET_READ
 
-// Statistics of the latest rows of a tile. The arrays are declared separately, so that the compiler knows that they do not overlap.
+// Statistics of the latest rows of a tile. The caller declares the arrays separately, so that the compiler knows that they do not overlap.
 typedef struct {
     ushort (*ring)[SPAN];  // PATCH + 1 rows; padded row k of the tile is in slot k % (PATCH + 1)
     Columns *window;
     Runs *runs;
 #ifdef BOX_ROWS
-    box (*boxes)[SPAN];    // sums over boxes; a box whose last row is padded row k is in slot k % (PATCH + 1)
+    box (*boxes)[SPAN];    // sums over boxes; boxes with the last padded row k are in slot k % (PATCH + 1)
 #endif
 } Seen;
 
@@ -50,10 +50,10 @@ INLINE void see_nothing(Seen *seen) {
 // Number of columns that a tile reads, rounded up to whole vectors.
 INLINE int span_of(int width) { return WHOLE(WHOLE(width, LANES) + 2 * RADIUS, 2 * LANES); }
 
-// Adds padded row k of the tile at (y0, x0) to the statistics. `width` columns of the tile are inside the frame.
+// Adds padded row k of the tile at (y0, x0) to the statistics. The frame contains `width` columns of the tile.
 INLINE void see_row(Seen *seen, int k, int x0, int y0, int width, int phase_row, int phase_column, int columns, CLASSES_PARAMETERS) {
     const int span = span_of(width), padded_phase = PADDED_PHASE(x0, phase_column, CFA_COLUMNS);
-    // The slot after the newest row contains the row that leaves the patch, or zeros until the first patch is complete.
+    // The slot after the newest row contains the row that leaves the patch, or zeros before the first patch is complete.
     ushort *entering = seen->ring[k % (PATCH + 1)], *leaving = seen->ring[(k + 1) % (PATCH + 1)];
     ingest(entering, raw + (size_t)row_source[y0 + k] * columns, column_source, x0, columns);
     const int row_phase = PADDED_PHASE(y0 + k, phase_row, CFA_ROWS);
@@ -62,14 +62,14 @@ INLINE void see_row(Seen *seen, int k, int x0, int y0, int width, int phase_row,
 #ifdef BOX_ROWS
     add_boxes(seen->boxes[k % (PATCH + 1)], seen->ring, k % (PATCH + 1), span);
 #endif
-    const int late = k - (RADIUS - SATURATION_RADIUS);  // saturation is tested in fewer rows than a patch has
+    const int late = k - (RADIUS - SATURATION_RADIUS);  // saturation is tested in fewer rows than the patch has
     if (late >= 0)
         saturated_row(seen->window->saturated[late % SPREAD], seen->ring[late % (PATCH + 1)],
                       channel_bit + PADDED_PHASE(y0 + late, phase_row, CFA_ROWS) * PERIOD, padded_phase, span);
 }
 
-// Returns the classes of LANES pixels in a row of the tile, starting at column x. The first pixel is pixel `at` of the frame and has the CFA
-// column `phase`. The last row of the patches is padded row k.
+// Returns the classes of LANES pixels in a row of the tile from column x. The first of them is pixel `at` of the frame and has the CFA column
+// `phase`. The last row of their patches is padded row k.
 INLINE uints classes_at(const Seen *seen, int k, int x, size_t at, int site_row, int phase, CLASSES_PARAMETERS) {
     Evidence evidence;
     no_evidence(&evidence, RULE);

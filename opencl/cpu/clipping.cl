@@ -1,12 +1,11 @@
-// Processor variant: computes the means of blocks from the mosaic, the maps of blocks from the means, and the maps of quads from the maps
-// of blocks. A work-item processes a tile of blocks or quads. Most parts of a frame are dark, not uniform, or not clipped. Vector code
-// finds these parts, which are then skipped.
+// Processor variant: computes block means from the mosaic, block maps from the means, and quad maps from the block maps (common/clipping.cl). A
+// work-item processes a tile of blocks or quads. Most parts of a frame are dark, textured or unclipped. Vector code finds and skips them.
 
 #define EACH_OF_TILE \
     for (int y = GROUP_ROW; y < min(GROUP_ROW + BAND, rows); y++) \
         for (int x = GROUP_COLUMN; x < min(GROUP_COLUMN + TILE, columns); x += LANES)
 
-// Measures a tile of blocks. `raw` contains a band of raw rows, which begins at row `first` of the frame. Blocks outside the band are ignored.
+// Measures a tile of blocks. `raw` contains the raw rows of a band from row `first` of the frame. Blocks outside the band are ignored.
 COMPILED_ONCE measure_tile(int x0, int y0, __global const ushort *restrict raw, __global const uchar *restrict cfa,
                            __global float *restrict means, int bright, float black_level, float span, int phase_row,
                            int phase_column, int first, int raw_rows, int frame_rows, int frame_columns, int rows, int columns) {
@@ -67,7 +66,7 @@ KERNEL_OF_ONE spread_estimates(__global const float *restrict means, __global co
     EACH_OF_TILE spread_at(y, x, means, response, uniformity, from, to, maps, last, rows, columns);
 }
 
-// Number of blocks in a row from which the maps of LANES quads are interpolated.
+// Number of blocks per row from which LANES quads are interpolated.
 #define BLOCKS_ACROSS (2 * LANES / BLOCK_COLUMNS + 2)
 
 COMPILED_ONCE read_maps_of_tile(int x0, int y0, __global const float8 *restrict maps, __global float *restrict to, int first,

@@ -1,5 +1,5 @@
-// Processor variant: converts the outputs X, Y, Z of a frame to the same picture that the kernel `transform` writes. The kernel is used for
-// frames whose exposure is computed from the outputs. The host reads the number of LANES from the name of the kernel.
+// Processor variant: encodes the outputs X, Y, Z of a frame as the same picture that the kernel `transform` writes. It is used if the exposure
+// is computed from the outputs. The kernel's name contains LANES for the host.
 //
 // A work-item processes a tile of TILE columns and BAND rows.
 
@@ -9,7 +9,7 @@
 #define ENCODE encode_8
 #endif
 
-// Reads LANES pixels, or only the first `count` pixels if there are fewer.
+// Reads LANES pixels, or the first `count` if there are fewer.
 INLINE floats read_pixels(__global const float *from, int count) {
     if (count >= LANES) return LOAD_GLOBAL(floats, from);
     float pixel[LANES] = {0};
@@ -20,7 +20,7 @@ INLINE floats read_pixels(__global const float *from, int count) {
 
 COMPILED_ONCE encode_tile(int x0, int y0,
                           __global const float *restrict outputs,  // (output, row, col)
-                          __global const float *restrict matrix,   // (3, 3) from X, Y, Z to linear picture values
+                          __global const float *restrict matrix,   // (3, 3) from XYZ to linear picture values
                           __global CODE *restrict picture,         // (row, col, 3)
                           int rows, int columns) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);

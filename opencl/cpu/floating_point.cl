@@ -1,26 +1,26 @@
-// Processor variant of floating-point layers: computes the weighted sums of patches, for any number of outputs.
+// Processor variant: computes weighted sums over patches in floating-point layers, for any number of outputs.
 //
-// The side of a patch is odd, so a patch of one plane has 8n + 1 taps. All taps except the last fill VECTORS whole vectors. With 16 lanes,
-// half of the weights in the last vector may be zero. The last tap is processed together with the intercept, in a vector of four lanes for
-// all outputs of a group.
+// The side of a patch is odd, so a patch of one plane has 8n + 1 taps. All taps but the last fill VECTORS whole vectors. With 16 lanes, half of
+// the weights in the last vector may be zero. The last tap is processed together with the intercept, in a vector of four lanes for all outputs
+// in a group.
 
 #ifndef SIDE_BY_SIDE
 
 #define VECTORS ((TAPS - 1 + LANES - 1) / LANES)
-#define GROUPS ((OUTPUTS + 3) / 4)               // number of groups of at most four outputs; the sums of a group stay in registers
-#define GROUP ((OUTPUTS + GROUPS - 1) / GROUPS)  // number of outputs in a group
-#define LAST_TAP (VECTORS * GROUP * LANES)       // offset of the last tap's weights in a group; the intercepts follow these weights
+#define GROUPS ((OUTPUTS + 3) / 4)               // groups of at most four outputs, so that the sums of a group stay in registers
+#define GROUP ((OUTPUTS + GROUPS - 1) / GROUPS)  // outputs per group
+#define LAST_TAP (VECTORS * GROUP * LANES)       // offset in a group of the last tap's weights, which precede the intercepts
 #ifdef RATIO_TAPS
-#define TAPS_OF_RATIOS RATIO_TAPS  // number of ratio taps, whose weights follow the intercepts
+#define TAPS_OF_RATIOS RATIO_TAPS  // number of ratio taps, with weights after the intercepts
 #else
 #define TAPS_OF_RATIOS 0
 #endif
 #define GROUP_STRIDE WHOLE(LAST_TAP + 8 + 4 * TAPS_OF_RATIOS, 16)
 #define CLASS_STRIDE (GROUPS * GROUP_STRIDE)
 #define PLANES_MADE (GROUPS * GROUP)
-#define READ_AHEAD (VECTORS * LANES)  // number of taps that may be read beyond the end of a patch
+#define READ_AHEAD (VECTORS * LANES)  // taps that may be read beyond the end of a patch
 
-// Adds the groups of four lanes of each vector, lane by lane. Group n of the result is the sum of the groups of v[n].
+// Adds the groups of four lanes within each vector, lane by lane. Group n of the result is the sum for v[n].
 INLINE totals fold_all(const totals v[LANES / 4]) {
 #if LANES == 16
     const totals ab = JOIN(v[0], v[1], 0, 4) + JOIN(v[0], v[1], 8, 12);
@@ -32,8 +32,8 @@ INLINE totals fold_all(const totals v[LANES / 4]) {
 #endif
 }
 
-// Returns the initial sums of a pixel. Lane o contains the intercept of output o, plus the weighted last tap of the window and the
-// weighted ratio taps.
+// Returns the initial sums of a pixel: the intercept of output o in lane o, plus the weighted last tap of the window and the weighted ratio
+// taps.
 INLINE four_totals last_taps(const tap *patch, const float *ratios, __global const tap *weights) {
     four_totals sum = LOAD_GLOBAL(four_totals, weights + LAST_TAP) * patch[TAPS - 1] + LOAD_GLOBAL(four_totals, weights + LAST_TAP + 4);
     #pragma unroll
@@ -41,8 +41,7 @@ INLINE four_totals last_taps(const tap *patch, const float *ratios, __global con
     return sum;
 }
 
-// Multiplies the patches of a pair of pixels by the weights of their classes. For each output, fold_two combines the partial sums of both
-// pixels in one vector.
+// Multiplies the patches of a pair of pixels by the weights of their classes. The partial sums of both pixels share one vector per output.
 INLINE void apply_pair(totals sum[GROUP], const tap *first, const tap *second, const float *ratios, __global const tap *first_weights,
                        __global const tap *second_weights) {
     const four_totals first_last = last_taps(first, ratios, first_weights);
@@ -67,8 +66,7 @@ INLINE void apply_pair(totals sum[GROUP], const tap *first, const tap *second, c
     for (int o = 0; o < GROUP; o++) sum[o] = fold_two(one[o], other[o]);
 }
 
-// Computes the outputs of LANES pixels, starting at column x. Output o of group g is made[g * GROUP + o]. `ratios` (tap, column) contains the
-// ratio taps, which do not belong to a window.
+// Computes the outputs of LANES pixels from column x. Output o of group g is made[g * GROUP + o]. `ratios` contains the ratio taps (tap, column).
 INLINE void apply(totals *made, const tap *patches, const float *ratios, const uint *label, __global const tap *weights, int x) {
     for (int g = 0; g < GROUPS; g++) {
         __global const tap *group = weights + g * GROUP_STRIDE;
@@ -83,7 +81,7 @@ INLINE void apply(totals *made, const tap *patches, const float *ratios, const u
                 const tap *patch = patches + (x + first) * COLUMN;
                 __global const tap *row = group + (size_t)class * CLASS_STRIDE;
                 const float *its = ratios + x + first;
-#ifndef PLANES  // linear outputs are usually rendered for one frame, so a shorter compilation saves more time than a faster kernel
+#ifndef PLANES  // linear outputs are usually rendered for a single frame, so compilation time matters more than speed
                 if (class == other)
                     apply_pair(pair[i], patch, patch + PAIR * COLUMN, its, row, row);
                 else

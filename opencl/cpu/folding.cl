@@ -1,21 +1,20 @@
-// Processor variant: helpers that process pixels in pairs and add up the lanes of vectors.
+// Processor variant: processes pixels in pairs, and adds up the lanes of vectors.
 //
-// The distance between the two pixels of a pair is PAIR columns. If the width of the CFA allows, both pixels have the same site, and
-// therefore the same class in uniform areas. The weights, which are most of the data, are then read once for both pixels.
+// The two pixels of a pair are PAIR columns apart. If the CFA width allows, they have the same CFA site, and therefore the same class in
+// uniform areas. The weights, which are most of the data, are then read once for both.
 
-// Number of unrolled loop iterations. Each iteration processes four pixels. A loop that is not unrolled compiles in half the time. Such a loop
-// is up to 4 % slower in the last layer, and equally fast in other layers. PLANES uses the slower loop, because linear outputs are usually
-// rendered for a single frame, to find its exposure.
+// Number of unrolled loop iterations of four pixels each. A loop that is not unrolled compiles in half the time, but is up to 4 % slower in the
+// last layer. With PLANES, compilation time matters more, because linear outputs are usually rendered for a single frame, to find its exposure.
 #if defined(FIXED_POINT) || defined(PLANES)
 #define UNROLLED 1
 #else
 #define UNROLLED (LANES / 4)
 #endif
 
-#define COLUMN (PATCH * SOURCES)  // number of values in each column of the ring (transform.cl)
+#define COLUMN (PATCH * SOURCES)  // values per column of the ring (transform.cl)
 #define TAPS (PATCH * COLUMN)
 
-// Selects the arrangement of the weights (layout.py), and with it the file that applies them: side_by_side.cl or floating_point.cl.
+// Selects the format of the weights (layout.py), and the file that applies them: side_by_side.cl or floating_point.cl.
 #if defined(FIXED_POINT) || (OUTPUTS >= 3 && OUTPUTS <= 4 && TAPS <= 25 && !defined(RATIO_TAPS))
 #define SIDE_BY_SIDE
 #endif
@@ -26,11 +25,11 @@
 #define PAIR (LANES / 2)
 #endif
 #define PAIR_FIRST(n) ((n) / PAIR * 2 * PAIR + (n) % PAIR)                     // first pixel of pair n among LANES pixels
-#define PAIR_PLACE(x) (2 * ((x) / (2 * PAIR) * PAIR + (x) % PAIR) + (x) / PAIR % 2)  // index of pixel x if pixels are sorted by pair
+#define PAIR_PLACE(x) (2 * ((x) / (2 * PAIR) * PAIR + (x) % PAIR) + (x) / PAIR % 2)  // index of pixel x if sorted by pair
 
-// The following functions add up the lanes of several vectors together. Each step halves the number of vectors. A vector consists of groups
-// of four lanes. Brackets such as [a b a b] show which vector each lane of a group belongs to. Every group in the result of SHUFFLE_FOURS
-// consists of the lanes i, j, k and l of the corresponding groups of u and v.
+// The following functions add up the lanes of several vectors together, halving the number of vectors in each step. Vectors consist of groups of
+// four lanes. In brackets such as [a b a b], letters tell which vector each lane of a group comes from. SHUFFLE_FOURS combines lanes i, j, k and
+// l of corresponding groups in u and v.
 #if LANES == 16
 #define SHUFFLE_FOURS(u, v, i, j, k, l) __builtin_shufflevector(u, v, i, j, k, l, i + 4, j + 4, k + 4, l + 4, \
     i + 8, j + 8, k + 8, l + 8, i + 12, j + 12, k + 12, l + 12)
@@ -38,17 +37,16 @@
 #define SHUFFLE_FOURS(u, v, i, j, k, l) __builtin_shufflevector(u, v, i, j, k, l, i + 4, j + 4, k + 4, l + 4)
 #endif
 
-// Adds lanes 0 and 2, and lanes 1 and 3, of each group of a and of b. The partial sums of a and b alternate in the result: [a b a b].
+// Adds lanes 0 and 2, and lanes 1 and 3, in each group of a and b. The partial sums alternate in the result: [a b a b].
 INLINE totals fold_two(totals a, totals b) {
     return SHUFFLE_FOURS(a, b, 0, LANES, 1, LANES + 1) + SHUFFLE_FOURS(a, b, 2, LANES + 2, 3, LANES + 3);
 }
-// Completes the sums of two results of fold_two, [a b a b] and [c d c d]. Each group of the result contains the four sums [a b c d].
+// Completes the sums from two results of fold_two, [a b a b] and [c d c d]. Each group of the result contains the sums [a b c d].
 INLINE totals fold_four(totals ab, totals cd) {
     return SHUFFLE_FOURS(ab, cd, 0, 1, LANES, LANES + 1) + SHUFFLE_FOURS(ab, cd, 2, 3, LANES + 2, LANES + 3);
 }
 #if LANES == 16
-// Concatenates four groups of four lanes: two groups of u, then the same two groups of v. `low` and `high` are the first lanes of these
-// groups.
+// Concatenates two groups of four lanes from u and the same two groups from v. `low` and `high` are the first lanes of these groups.
 #define JOIN(u, v, low, high) __builtin_shufflevector(u, v, low, low + 1, low + 2, low + 3, high, high + 1, high + 2, high + 3, \
     low + 16, low + 17, low + 18, low + 19, high + 16, high + 17, high + 18, high + 19)
 #endif

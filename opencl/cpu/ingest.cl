@@ -1,14 +1,14 @@
 // Processor variant: copies raw rows to the rows of a tile.
 //
-// A tile is TILE columns wide. Including the margins of the patches, SPAN columns are read, which begin RADIUS columns to the left of the tile.
-// These columns are numbered p. The padded frame has RADIUS additional rows and columns on every side. row_source and column_source contain
-// the raw row or column that a padded row or column repeats (frame.mirrored_indices). Padding preserves the phase of the CFA.
+// A tile is TILE columns wide. With the margins of the patches, SPAN columns are read from RADIUS columns to the left of the tile, and numbered
+// p. The padded frame has RADIUS additional rows and columns on every side. row_source and column_source contain the index of the raw row or
+// column for each padded one (frame.mirrored_indices). Padding preserves the CFA phase.
 
 #define SPAN ((TILE + 2 * RADIUS + 4 * LANES - 1) / (2 * LANES) * (2 * LANES) + LANES)  // with space for reads beyond the last patch
 #define WHOLE(n, size) (((n) + (size) - 1) / (size) * (size))  // n, rounded up to a multiple of `size`
 
-// CFA phase after n columns. Arrays with a `period` axis repeat a row of the CFA, so that a vector can be read at any phase. If the number of
-// lanes is a multiple of the width of the CFA, the phase does not change, and the compiler keeps these vectors in registers.
+// CFA phase after n columns. Arrays with a `period` axis repeat a CFA row, so that a vector can be read at any phase. If LANES is a multiple of
+// the CFA width, the phase does not change, and the compiler keeps these vectors in registers.
 #if LANES % CFA_COLUMNS == 0
 #define PHASE_AFTER(phase, n) (phase)
 #else
@@ -22,8 +22,8 @@ INLINE void ingest_vector(ushort *row, __global const ushort *from) {
     STORE_PRIVATE(full_shorts, row) = v < top ? v : top;
 }
 
-// Copies a raw row to row[p], clamped to MAX_RAW. The tile begins at column x0. The last vector inside the frame overlaps the previous
-// vector, so that no pixels remain.
+// Copies a raw row to row[p], clamped to MAX_RAW, for a tile that begins at column x0. The last vector inside the frame overlaps the previous
+// one, so that no pixels remain.
 INLINE void ingest(ushort *row, __global const ushort *raw_row, __global const int *column_source, int x0, int columns) {
     const int first = max(0, RADIUS - x0), last = min(TILE + 2 * RADIUS, columns - x0 + RADIUS);
     const int end = min(TILE + 2 * RADIUS, columns - x0 + 2 * RADIUS);

@@ -1,5 +1,5 @@
-// Processor variant: writes the outputs of a row, LANES pixels at a time. The stores and the transfer curve then run in parallel with the
-// sums of the next pixels.
+// Processor variant: writes the outputs of a row, LANES pixels at a time, so that stores and the transfer curve overlap with the sums of the
+// next pixels.
 
 #ifdef SHADED
 #define GAIN_PARAMETER , __global const float *restrict gain  // (row, grid node) shading gains of the outputs
@@ -7,8 +7,8 @@
 
 #define LANE(i) (float)(i)
 
-// Gains of LANES pixels, starting at column x. `gain` contains the gains of a row at grid nodes that are GAIN_STEP columns apart. Between
-// the nodes, gains are interpolated linearly.
+// Shading gains of LANES pixels from column x. `gain` contains the gains of a row at grid nodes every GAIN_STEP columns, between which gains are
+// interpolated linearly.
 INLINE floats gains_at(__global const float *gain, int x) {
     const int node = x / GAIN_STEP;
     const floats part = ((float)(x % GAIN_STEP) + (floats)(ALL_LANES(LANE))) * (1.0f / GAIN_STEP);
@@ -26,8 +26,8 @@ INLINE void even_pixels(floats *made, __global const float *gain, int x) {
 #endif
 
 #if defined(WHITE_FROM) && !defined(FIXED_POINT)
-// Limits the luminance of X, Y and Z, which are made[0] to made[2], to the luminance of the clipped white (l3cli/classes/clipping.py). The
-// XYZ of this white follows the matrix.
+// Limits the luminance of XYZ in made[0] to made[2] to the luminance of the clipped white (l3cli/classes/clipping.py). The XYZ of this white
+// follow the matrix.
 INLINE void limit_to_white(floats *made, __global const float *matrix) {
     const float limit = matrix[10];
     const floats luminance = made[1] > limit ? made[1] : (floats)limit, over = (luminance - limit) * (1.0f / (WHITE_FROM - 1.0f)) / limit;
@@ -39,11 +39,11 @@ INLINE void limit_to_white(floats *made, __global const float *matrix) {
 #define limit_to_white(made, matrix)
 #endif
 
-// Every variant of write_pixels writes only the first `count` pixels, because the others are outside the frame.
+// All versions of write_pixels write only the first `count` pixels, because the others are outside the frame.
 #if defined(FIXED_POINT)
 
-// Writes made[o] to planes (output, pixel) for the next layer. If the vectors are aligned with cache lines, the stores bypass the caches,
-// because the planes are too large for the caches, and are read only after all planes are complete.
+// Writes made[o] to planes (output, pixel) for the next layer. Aligned vectors bypass the caches, because planes do not fit into them and are
+// read only after all planes are complete.
 INLINE void write_pixels(__global int *picture, const ints *made, __global const float *matrix, size_t at, int count,
                          size_t pixels) {
     #pragma unroll
@@ -57,7 +57,7 @@ INLINE void write_pixels(__global int *picture, const ints *made, __global const
 
 #elif defined(PLANES)
 
-// Writes made[o], output o of up to LANES pixels, to the picture (output, pixel) as floats.
+// Writes made[o], output o of up to LANES pixels, as floats (output, pixel).
 INLINE void write_pixels(__global float *picture, const floats *made, __global const float *matrix, size_t at, int count,
                          size_t pixels) {
     for (int o = 0; o < OUTPUTS; o++) {
@@ -69,7 +69,7 @@ INLINE void write_pixels(__global float *picture, const floats *made, __global c
 
 #elif defined(NOT_ENCODED)
 
-// Writes only the sum of three outputs, to measure the time without encoding.
+// Writes only the sum of three outputs, so that the transforms can be timed without encoding.
 INLINE void write_pixels(__global float *picture, const floats *made, __global const float *matrix, size_t at, int count,
                          size_t pixels) {
     const floats sum = made[0] + made[1] + made[2];
@@ -91,9 +91,9 @@ typedef uchar four_bytes __attribute__((ext_vector_type(4 * LANES)));
 #define TWICE_LANES(index, i) EIGHT(index, i), EIGHT(index, i + 8)
 #endif
 
-// Interleaves the values a, b and c of LANES pixels, so that the three values of each pixel are consecutive.
+// Interleaves the values a, b and c of LANES pixels, so that each pixel's three values are consecutive.
 #if TOP == 255
-// The three bytes of a pixel are combined to a 32-bit word. Then every fourth byte is removed.
+// A pixel's three bytes are packed in a 32-bit word. Then every fourth byte is removed.
 #define PLACE(i) ((i) / 3 * 4 + (i) % 3)
 INLINE void interleave(two_codes *low, codes *high, uints a, uints b, uints c) {
     const four_bytes words = SAME_BITS(a | b << 8 | c << 16, four_bytes);
@@ -111,7 +111,7 @@ INLINE void interleave(two_codes *low, codes *high, uints a, uints b, uints c) {
 }
 #endif
 
-// Converts X, Y and Z, which are made[0] to made[2], to picture values and writes them to the picture (pixel, 3).
+// Encodes XYZ in made[0] to made[2], and writes the pixels to the picture (pixel, 3).
 INLINE void write_pixels(__global CODE *picture, const floats *made, __global const float *matrix, size_t at, int count,
                          size_t pixels) {
     __global CODE *to = picture + 3 * at;

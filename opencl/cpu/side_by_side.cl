@@ -1,28 +1,27 @@
-// Processor variant that computes all outputs of a pixel in the same vector. This variant is used for fixed-point layers, which have 16-bit
-// values and 32-bit sums, and for floating-point layers with small patches.
+// Processor variant: computes all outputs of a pixel in the same vector, for fixed-point layers (16-bit values, 32-bit sums), and for
+// floating-point layers with small patches.
 //
 // A vector of weights contains ONCE taps for each output, and the sums of an output occupy four lanes. ONCE taps of the patch are read at a
-// time and repeated for every output. All sums of a pixel then fit into one vector of 16 lanes or two vectors of 8 lanes. With this layout,
-// adding up the lanes takes a third of the time that it takes with one vector per output.
+// time and repeated for every output. All sums of a pixel then fit into one vector of 16 lanes or two vectors of 8 lanes. Adding up the lanes
+// takes a third of the time that it would take with one vector per output.
 //
-// If there are three outputs, the weights of the fourth output are zero. In fixed point, the intercept of the fourth output is the number of
-// fractional bits of the class.
+// With three outputs, the weights of the fourth output are zero. In fixed point, its intercept is the number of fractional bits of the class.
 //
-// In floating point, a vector contains only half as many taps. For large patches, the additional reads would cost more time than is saved by
-// the simpler sums over lanes.
+// In floating point, a vector contains only half as many taps. For large patches, the additional reads would cost more than the simpler sums
+// over lanes save.
 
 #ifdef SIDE_BY_SIDE
 
-#define AT_ONCE_OUTPUTS (LANES / 4)         // number of outputs in a vector
-#define SUMS (4 / AT_ONCE_OUTPUTS)          // number of vectors for four outputs
-#define ONCE (TAP_LANES / AT_ONCE_OUTPUTS)  // number of taps per output in a vector
+#define AT_ONCE_OUTPUTS (LANES / 4)         // outputs per vector
+#define SUMS (4 / AT_ONCE_OUTPUTS)          // vectors for four outputs
+#define ONCE (TAP_LANES / AT_ONCE_OUTPUTS)  // taps per output in a vector
 #define VECTORS ((TAPS + ONCE - 1) / ONCE)
-#define CLASS_STRIDE (TAP_LANES * SUMS * (1 + VECTORS))  // number of weights per class; the intercepts come first
+#define CLASS_STRIDE (TAP_LANES * SUMS * (1 + VECTORS))  // weights per class, after the intercepts
 #define PLANES_MADE OUTPUTS
 #define READ_AHEAD ONCE
 
-// Whether the weights are read only once for both pixels of a pair. Fixed-point layers always read the weights twice. The classes change so
-// often that mispredicted branches would take longer than reading some weights twice.
+// Whether the weights are read only once for both pixels of a pair. Fixed-point layers always read them twice, because classes change so often
+// that mispredicted branches would take longer.
 #ifdef FIXED_POINT
 #define SHARED(class, other) false
 #else
@@ -42,8 +41,7 @@ typedef tap some_taps __attribute__((ext_vector_type(ONCE), aligned(sizeof(tap))
 #define REPEATED(v) __builtin_shufflevector(v, v, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3)
 #endif
 
-// Multiplies the patches of a pair of pixels by the weights of their classes. fold_two combines the partial sums of both pixels in SUMS
-// vectors.
+// Multiplies the patches of a pair of pixels by the weights of their classes. The partial sums of both pixels share SUMS vectors.
 INLINE void apply_pair(totals sum[SUMS], const tap *first, const tap *second, __global const tap *first_weights,
                        __global const tap *second_weights) {
     totals one[SUMS], other[SUMS];
@@ -66,7 +64,7 @@ INLINE void apply_pair(totals sum[SUMS], const tap *first, const tap *second, __
     for (int s = 0; s < SUMS; s++) sum[s] = fold_two(one[s], other[s]);
 }
 
-// Sorts groups of four lanes by output: output[o] contains output o of LANES pixels.
+// Sorts groups of four lanes by output, so that output[o] contains output o of LANES pixels.
 INLINE void part_outputs(totals output[4], totals folded[SUMS][LANES / 4]) {
 #if LANES == 16
     const totals *v = folded[0];
@@ -85,7 +83,7 @@ INLINE void part_outputs(totals output[4], totals folded[SUMS][LANES / 4]) {
 #endif
 }
 
-// Computes made[o], which is plane or output o of LANES pixels, starting at column x.
+// Computes plane or output o of LANES pixels from column x as made[o].
 INLINE void apply(totals *made, const tap *patches, const float *ratios, const uint *label, __global const tap *weights, int x) {
     totals folded[SUMS][LANES / 4], output[4];
     #pragma clang loop unroll_count(UNROLLED)

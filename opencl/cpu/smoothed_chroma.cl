@@ -1,8 +1,8 @@
-// Processor variant: smooths the chroma of X, Y and Z in a band of rows, and encodes the result (common/smoothed_chroma.cl).
+// Processor variant: smooths the chroma of a band, and encodes the result (common/smoothed_chroma.cl).
 //
 // A work-item processes a tile of TILE columns and BAND rows.
 
-// Reads LANES values of X, Y and Z, starting at column x. If `inside` is false, columns outside the frame are mirrored.
+// Reads X, Y and Z of LANES pixels from column x. Unless `inside` is set, columns outside the frame are mirrored.
 INLINE void read_three(floats *value, __global const float *row, size_t stride, int x, int columns, bool inside) {
     #pragma unroll
     for (int o = 0; o < 3; o++) value[o] = inside ? LOAD_GLOBAL(floats, row + o * stride + x) : read_across(row + o * stride, x, columns);
@@ -25,7 +25,7 @@ INLINE void smooth_pixels(floats *own, __global const float *const *row, size_t 
 #ifdef LEAST_REACH
 #define MARGIN_COLUMNS (LEAST_REACH > CHROMA_REACH ? LEAST_REACH : CHROMA_REACH)
 
-// Luminances of LANES raw values, starting at column x, as if they belonged to a white. Columns outside the frame repeat the outermost pixels.
+// Luminances of white objects with the raw values of LANES pixels from column x. Columns outside the frame repeat the outermost pixels.
 INLINE floats levels_of(__global const ushort *raw, __global const float *scale, float black_level, int phase, int x, int columns,
                         bool inside) {
     if (inside) {
@@ -41,7 +41,7 @@ INLINE floats levels_of(__global const ushort *raw, __global const float *scale,
     return LOAD_PRIVATE(floats, level);
 }
 
-// Raises pixels that are darker than the raw values around them. Most pixels are much brighter than their own raw value requires, and are
+// Raises pixels that are much darker than the raw values around them. Most pixels are brighter than their own raw value requires, and are
 // skipped.
 INLINE void raise_pixels(floats *own, __global const float *const *row, size_t stride, LEAST_PARAMETERS floats gain, int y, int x,
                          int frame_rows, int columns, bool inside) {
@@ -70,12 +70,12 @@ INLINE void raise_pixels(floats *own, __global const float *const *row, size_t s
 
 COMPILED_ONCE smooth_chroma_tile(int x0, int y0,
                                  __global const float *restrict made,    // (output, row of `made`, col)
-                                 __global const float *restrict matrix,  // (3, 3) from X, Y, Z to linear picture values
+                                 __global const float *restrict matrix,  // (3, 3) from XYZ to linear picture values
                                  __global CODE *restrict picture         // (row, col, 3), or (output, row, col)
                                  GAIN_PARAMETER, LEAST_PARAMETERS
                                  float by_luminance, float by_x, float by_z,
                                  int made_rows, int top,                 // number of rows in `made`, and index of its first row in the frame
-                                 int first, int frame_rows,              // index of the first written row, and number of rows of the frame
+                                 int first, int frame_rows,              // index of the first row to write, and number of rows in the frame
                                  int rows, int columns) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const size_t stride = (size_t)made_rows * columns, pixels = (size_t)rows * columns;

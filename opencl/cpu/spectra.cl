@@ -1,7 +1,7 @@
-// Processor variant: smooths the spectra of the outputs of a band of rows (common/spectra.cl).
+// Processor variant: smooths the spectra of a band (common/spectra.cl).
 //
-// A work-item processes a tile of TILE columns and BAND rows. A ring contains the brightness of the latest rows, because every pixel of a
-// window needs it. The weights of neighbours are computed once for all outputs.
+// A work-item processes a tile of TILE columns and BAND rows. A ring buffer contains the brightness of the latest rows, which many windows
+// share. The weights of neighbours are computed once for all outputs.
 
 #define REACHED (TILE + 2 * RADIUS)
 #define NEIGHBOURS (WINDOW * WINDOW)
@@ -11,7 +11,7 @@ COMPILED_ONCE smooth_tile(int x0, int y0,
                           __global float *restrict smoothed,    // (output, row, col)
                           float reach,
                           int made_rows, int top,               // number of rows in `made`, and index of its first row in the frame
-                          int first, int frame_rows,            // index of the first written row, and number of rows of the frame
+                          int first, int frame_rows,            // index of the first row to write, and number of rows in the frame
                           int rows, int columns) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const size_t stride = (size_t)made_rows * columns, pixels = (size_t)rows * columns;

@@ -1,10 +1,10 @@
-// Processor variant: computes sums, sums of squares and saturation of each channel over the patch of every pixel, from the rows of a tile.
+// Processor variant: computes each channel's sum, sum of squares and saturation over the patch of every pixel.
 //
-// The sums are separable. The sum of a column is updated from row to row: the row that enters the patch is added and the row that leaves the
-// patch is subtracted, each masked with its CFA row. Sums over RUN columns are computed once and shared by several patches.
+// The sums are separable. Column sums are updated from row to row: the row that enters the patch is added, and the row that leaves it is
+// subtracted, each masked with its CFA row. Sums over RUN columns are computed once and shared by several patches.
 
-#define RUN (PATCH < 3 ? PATCH : 3)         // number of columns in a shared sum
-#define SPREAD (2 * SATURATION_RADIUS + 1)  // number of rows and of columns in which saturation is tested
+#define RUN (PATCH < 3 ? PATCH : 3)         // columns per shared sum
+#define SPREAD (2 * SATURATION_RADIUS + 1)  // rows and columns in which saturation is tested
 
 typedef struct {
     ushort sum[CHANNELS][SPAN];      // over the rows of a patch; at most 15 · 4095
@@ -17,7 +17,7 @@ typedef struct {
     ushort saturated[SPAN];                            // bitwise or over SPREAD rows of this column
 } Runs;
 
-// Masks for a CFA row. All bits are set if a pixel belongs to channel c.
+// Masks for a CFA row, with all bits set where pixels belong to channel c.
 #define MEMBER(member, c, phase) LOAD_GLOBAL(full_shorts, (member) + (c) * CFA_ROWS * PERIOD + (phase))
 #define WIDE_MEMBER(member, c, phase) \
     SAME_BITS(CONVERT(LOAD_GLOBAL(signed_shorts, (member) + (c) * CFA_ROWS * PERIOD + (phase)), ints), uints)
@@ -35,7 +35,7 @@ INLINE void slide(Columns *columns, const ushort *entering, __global const ushor
             STORE_PRIVATE(full_shorts, sum) = LOAD_PRIVATE(full_shorts, sum) + change;
         }
     }
-#if CONTRASTS > 1  // with a single contrast, squares are not needed
+#if CONTRASTS > 1  // a single contrast needs no squares
     for (int p = 0, at = phase; p < span; p += LANES, at = PHASE_AFTER(at, LANES)) {
         const uints in = CONVERT(LOAD_PRIVATE(shorts, entering + p) >> SHIFT, uints);
         const uints out = CONVERT(LOAD_PRIVATE(shorts, leaving + p) >> SHIFT, uints);
@@ -51,7 +51,7 @@ INLINE void slide(Columns *columns, const ushort *entering, __global const ushor
 #endif
 }
 
-// Marks the saturated pixels of a row. `channel_bit` contains 1 << channel for the CFA row.
+// Marks the saturated pixels in a row. `channel_bit` contains 1 << channel for the CFA row.
 INLINE void saturated_row(ushort *saturated, const ushort *row, __global const ushort *channel_bit, int phase, int span) {
     for (int p = 0, at = phase; p < span; p += 2 * LANES, at = PHASE_AFTER(at, 2 * LANES)) {
         const full_shorts v = LOAD_PRIVATE(full_shorts, row + p), bit = LOAD_GLOBAL(full_shorts, channel_bit + at);
@@ -89,8 +89,7 @@ INLINE void add_runs(Runs *runs, const Columns *columns, int span) {
     }
 }
 
-// Sums of a channel over the patches that begin at column p, p + 1 …. Each sum consists of sums over RUN columns, which neighbouring patches
-// share, and of the remaining columns.
+// Sums of channel c over the patches that begin at columns p, p + 1 …, composed of shared sums over RUN columns and of the remaining columns.
 INLINE uints patch_sum(const Runs *runs, const Columns *columns, int c, int p) {
     uints total = LOAD_PRIVATE(uints, runs->sum[c] + p);
     #pragma unroll
@@ -110,8 +109,8 @@ INLINE uints patch_square(const Runs *runs, const Columns *columns, int c, int p
 }
 
 #ifdef BOX_ROWS
-// All windows are boxes of the same size, and many pixels share a box. The sums over all boxes that end with a row are computed once.
-#if BOX_ROWS * BOX_COLUMNS <= 16  // the sums of 12-bit values fit 16 bits
+// The windows of all features are boxes of the same size, and many pixels share a box. All boxes with the same last row are summed together.
+#if BOX_ROWS * BOX_COLUMNS <= 16  // sums of 12-bit values fit into 16 bits
 typedef ushort box;
 #define LOAD_BOX(p) CONVERT(LOAD_PRIVATE(shorts, p), ints)
 #define BOX_OF(total) CONVERT(total, shorts)
@@ -123,7 +122,7 @@ typedef uint box;
 #define STORE_BOX(p) STORE_PRIVATE(uints, p)
 #endif
 
-// Computes the sums over all boxes whose last row is in slot `newest` of the ring. boxes[p] is the sum of the box with the first column p.
+// Sums over all boxes with their last row in slot `newest` of the ring. boxes[p] is the sum of the box that begins at column p.
 INLINE void add_boxes(box *boxes, ushort ring[PATCH + 1][SPAN], int newest, int span) {
     ushort down[SPAN];
     for (int p = 0; p < span; p += 2 * LANES) {
@@ -142,8 +141,8 @@ INLINE void add_boxes(box *boxes, ushort ring[PATCH + 1][SPAN], int newest, int 
     }
 }
 #elif defined(EACH_WINDOW)
-// Sums over a window of the patches that begin at column p, p + 1 …. The first row of the patches is in slot `first` of the ring. The sum
-// of a row fits 16 bits.
+// Sums over a window in the patches that begin at columns p, p + 1 …. The first row of the patches is in slot `first` of the ring. Row sums fit
+// into 16 bits.
 INLINE ints window_sum(ushort ring[PATCH + 1][SPAN], int first, int top, int left, int rows, int columns, int p) {
     ints total = (ints)0;
     for (int j = 0; j < rows; j++) {
@@ -157,7 +156,7 @@ INLINE ints window_sum(ushort ring[PATCH + 1][SPAN], int first, int top, int lef
 }
 #endif
 
-// Channels that are saturated near the centres of the patches that begin at column p, p + 1 …, one bit per channel.
+// Channels that saturate near the centres of the patches that begin at columns p, p + 1 …, one bit per channel.
 INLINE shorts patch_saturated(const Runs *runs, int p) {
     shorts channels = 0;
     #pragma unroll

@@ -1,7 +1,7 @@
-// Processor variant: computes the classes of a refinement layer from the luminance of the previous layer and the classes of the first layer.
+// Processor variant: computes the classes of a refinement layer from the luminance plane and the classes of the first layer.
 //
-// A work-item processes a tile of TILE columns and BAND rows, row by row. The structure tensors are separable: the products of gradients in
-// the latest five rows are weighted over the rows, and then over the columns.
+// A work-item processes a tile of TILE columns and BAND rows, row by row. The structure tensors are separable: products of gradients in the
+// latest five rows are summed over the rows and then over the columns, with weights.
 
 #define WINDOW 5
 
@@ -20,13 +20,13 @@ INLINE void multiply(Products *products, const int *above, const int *middle, co
     }
 }
 
-// a + 2 b + 3 c + 2 d + e, computed with additions, because 32-bit multiplications take twice as long.
+// a + 2 b + 3 c + 2 d + e by additions, because 32-bit multiplications take twice as long.
 INLINE ints weigh(ints a, ints b, ints c, ints d, ints e) {
     const ints middle = b + c + d;
     return (middle + middle) + ((a + e) + c);
 }
 
-// Weighted sums over five rows. The first row is rows[first % WINDOW].
+// Weighted sums over five rows, of which the first is rows[first % WINDOW].
 INLINE void weigh_rows(Products *sum, const Products *rows, int first, int span) {
     const Products *r[WINDOW];
     for (int i = 0; i < WINDOW; i++) r[i] = rows + (first + i) % WINDOW;
@@ -45,7 +45,7 @@ INLINE ints across(const int *at) {
                  LOAD_PRIVATE(ints, at + 4));
 }
 
-#ifndef TRANSFORM_ONLY  // with TRANSFORM_ONLY, another program contains this kernel
+#ifndef TRANSFORM_ONLY  // another program contains this kernel if TRANSFORM_ONLY is set
 COMPILED_ONCE structures_of_tile(int x0, int y0, STRUCTURES_PARAMETERS) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const int span = width + 2 * STRUCTURE_REACH;

@@ -1,13 +1,13 @@
 // Processor variant: applies the transform of each pixel's class to its patch, and writes the outputs of a layer.
 //
-// A work-item processes a tile of TILE columns and BAND rows, row by row. A layer reads SOURCES planes: the mosaic, or the planes of the
+// A work-item processes a tile of TILE columns and BAND rows, row by row. A layer reads SOURCES planes: the mosaic, or the planes from the
 // previous layer.
 //
 // Column-major ring: a patch should fill as few vectors as possible, instead of one short vector per row. For each padded column, the ring
-// therefore contains the latest PATCH rows one after the other. The value of padded row k, column p and source s is
+// therefore contains the latest PATCH rows consecutively. The value at padded row k, column p and source s is
 // ring[p * COLUMN + k * SOURCES + s], so a patch consists of PATCH * COLUMN consecutive values. In the next row, every patch begins SOURCES
-// values later. The new value of column p then overwrites the oldest value of column p + 1, which is no longer needed. Each value is
-// stored once and never moved.
+// values later. The new value of column p then overwrites the oldest value of column p + 1, which is no longer needed. Values are stored once
+// and never moved.
 
 #define RING (SPAN * COLUMN + (BAND + 2 * RADIUS) * SOURCES + READ_AHEAD)
 
@@ -15,7 +15,7 @@
 #define SOURCE ushort
 
 // Stores the newest row in the ring. `to` is the slot of column 0. Floating-point layers subtract the black level here. Fixed-point layers
-// do not subtract the black level, because their intercepts include the black level.
+// include the black level in their intercepts.
 INLINE void row_into_ring(tap *to, const ushort *row, float black_level, int span) {
     tap signal[SPAN];
     for (int p = 0; p < span; p += LANES)
@@ -58,7 +58,7 @@ INLINE void into_ring(tap *to, __global const int *planes, __global const int *c
         int p = first;
         for (; p + LANES <= last; p += LANES)
             STORE_PRIVATE(signals, signal + p) = signal_of(LOAD_GLOBAL(ints, planes + x0 - RADIUS + p));
-        if (last - first >= LANES) {  // the last vector overlaps the previous vector
+        if (last - first >= LANES) {  // the last vector overlaps the previous one
             p = last;
             STORE_PRIVATE(signals, signal + p - LANES) = signal_of(LOAD_GLOBAL(ints, planes + x0 - RADIUS + p - LANES));
         }
@@ -80,7 +80,7 @@ INLINE void into_ring(tap *to, __global const int *planes, __global const int *c
 #define LOW(i) (((i) + 2) / 4)
 #define HIGH(i) (((i) + 2) / 4 + 1)
 
-// Interpolates the change of chroma plane s by coarse chroma, for `width` pixels of a row that begin at x0 (l3cli/classes/coarse_chroma.py).
+// Interpolates the change of plane s by the coarse chroma filter, for `width` pixels in a row from x0 (l3cli/classes/coarse_chroma.py).
 INLINE void coarse_row(float *to, int s, int row, int x0, int width, int rows, int columns COARSE_PARAMETERS) {
     const size_t stride = BLOCKS_STRIDE(columns);
     const size_t at = s * BLOCKS_PLANE(rows, columns) + (NEAREST(row) + MARGIN) * stride + MARGIN + x0 / 4 - 1;
@@ -113,7 +113,7 @@ INLINE floats of_quads(__global const float *map) {
     return __builtin_shufflevector(quads, quads, ALL_LANES(OF_QUAD));
 }
 
-// Replaces the outputs of LANES pixels in uniform clipped areas, then changes the hue in all clipped areas (l3cli/classes/clipping.py).
+// Replaces outputs of LANES pixels in uniform clipped areas, then changes the hue in all clipped areas (l3cli/classes/clipping.py).
 INLINE void replace_clipped(floats *made, int row, int x, int rows, int columns CLIPPING_PARAMETER) {
     const size_t quads = QUADS_PLANE(rows, columns);
     __global const float *map = maps + (size_t)(row / 2) * QUADS_STRIDE(columns) + x / 2;
@@ -139,12 +139,12 @@ INLINE void replace_clipped(floats *made, int row, int x, int rows, int columns 
 
 #if !defined(JOINED) && !defined(CLASSES_ONLY)
 #define TRANSFORM_PARAMETERS \
-    __global const SOURCE *restrict source,      /* (source, row, col) DN of the mosaic, or planes */ \
+    __global const SOURCE *restrict source,      /* (source, row, col) the mosaic in DN, or planes */ \
     __global const int *restrict row_source,     /* (padded row) */ \
     __global const int *restrict column_source,  /* (padded col) */ \
     __global const uint *restrict labels,        /* (row, col) */ \
     __global const tap *restrict weights,        /* (class, …) per unit of the source, packed by layout.py */ \
-    __global const float *restrict matrix,       /* (3, 3) from X, Y, Z to linear picture values, then XYZ of the clipped white */ \
+    __global const float *restrict matrix,       /* (3, 3) from XYZ to linear picture values, then the XYZ of the clipped white */ \
     __global CODE *restrict picture GAIN_PARAMETER COARSE_PARAMETERS CLIPPING_PARAMETER CORRECTED_PARAMETER, \
     float black_level, int source_rows, int rows, int columns
 

@@ -1,12 +1,11 @@
-// Processor variant: computes the classes of a refinement layer with a tree, from the planes of the previous layer and the classes of the
-// first layer.
+// Processor variant: computes the classes of a refinement layer with a decision tree, from its planes and the classes of the first layer.
 //
 // A work-item processes a tile of TILE columns and BAND rows, row by row, and stores the first and second differences of the latest five
-// rows. Sums are separable: they are weighted over the rows, and then over the columns.
+// rows. Weighted sums are separable: over the rows, and then over the columns.
 
 #define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict tests
 #define STRUCTURE_READ label_words, tests
-#define ROWS 5  // number of stored rows of gradients
+#define ROWS 5  // stored rows of gradients
 #define PLANE_ROWS 5
 
 typedef struct {
@@ -18,7 +17,7 @@ typedef struct {
     int u[REACHED], luminance[REACHED], v[REACHED];
 } Planes;
 
-// Sums that are weighted over rows: products over five rows or over the middle three rows, and planes over three rows.
+// Weighted sums over rows: products over five rows or the middle three, and planes over three rows.
 typedef struct {
     int xx[REACHED], yy[REACHED], xy[REACHED], chroma_xx[REACHED], chroma_yy[REACHED], u_along[REACHED], v_along[REACHED];
     int chroma_bend_xx[REACHED], chroma_bend_yy[REACHED], narrow_strength[REACHED], bend_xx[REACHED], bend_yy[REACHED], slope_x[REACHED], slope_y[REACHED];
@@ -63,7 +62,7 @@ INLINE void multiply(Products *to, const Planes *above, const Planes *middle, co
 #define FIVE_OF(f) (f(0) + 2 * f(1) + 3 * f(2) + 2 * f(3) + f(4))
 #define THREE_OF(f) (f(1) + 2 * f(2) + f(3))
 
-// Computes the weighted sums over rows r[0] to r[4] of products and rows q[1] to q[3] of planes. r[2] and q[2] belong to the same row.
+// Computes weighted sums over the product rows r[0] to r[4] and the plane rows q[1] to q[3]. r[2] and q[2] are the same image row.
 INLINE void weigh_rows(Columns *to, const Products *r[ROWS], const Planes *q[PLANE_ROWS], int span) {
     for (int p = 1; p < span; p += LANES) {
 #define WIDE_ROWS(name) { const ints one = AT(r[0]->name, p) + AT(r[4]->name, p), two = AT(r[1]->name, p) + AT(r[3]->name, p); \
@@ -91,7 +90,7 @@ INLINE void weigh_rows(Columns *to, const Products *r[ROWS], const Planes *q[PLA
     }
 }
 
-// Weighted sums over five columns, starting at `at`, and over the middle three of these columns.
+// Weighted sums over five columns from `at` (wide), and over the middle three of them.
 INLINE ints wide(const int *at) { return AT(at, 0) + AT(at, 4) + 2 * (AT(at, 1) + AT(at, 3)) + 3 * AT(at, 2); }
 INLINE ints narrow(const int *at) { return AT(at, 1) + AT(at, 3) + 2 * AT(at, 2); }
 
@@ -105,17 +104,16 @@ INLINE void look(Evidence *e, const Columns *c, const Products *middle, uints tu
     weigh(e, &sums);
 }
 
-// A tree is split into PARTS parts (subtrees) of at most 32 leaves. The kernel first finds the part of each pixel, and then evaluates only the
-// parts that contain pixels. Within a part, all tests are applied to all pixels, without branches. Leaves are numbered from left to right. If a
-// pixel passes a test, the leaves below the first branch of the test are excluded. The first remaining leaf is the leaf of the pixel. Parts are
-// found in the same way, 32 at a time.
+// The tree is split into PARTS subtrees (parts) of at most 32 leaves. The kernel first finds the part of each pixel, and then evaluates only the
+// parts that occur. Within a part, all tests are applied to all pixels, without branches. Leaves are numbered from left to right. If a pixel
+// passes a test, the leaves below the test's first branch are excluded. The pixel's leaf is the first one that remains. Parts are found in the
+// same way, 32 at a time.
 //
-// `tests` contains: the indices at which the tests begin that choose one of 32 parts, the indices at which the tests of each part begin, the
-// index after the last test, the first leaf of each part, and the tests. A test has three words: the bits of its threshold; the index of its
-// numerator and, from bit 8, of its denominator; and the leaves or parts that it excludes. Products and comparisons of float32 are the same on
-// every device.
+// `tests` contains five arrays: where the tests for each group of 32 parts begin, where the tests within each part begin, the end of the last
+// test, the first leaf of each part, and the tests. A test has three words: the bits of its threshold, the indices of its numerator and (from
+// bit 8) denominator, and the leaves or parts that it excludes. Products and comparisons in float32 are the same on every device.
 #define WORDS ((PARTS + 31) / 32)
-#define AT_ONCE 2  // AT_ONCE times LANES pixels are processed together, so that each test is read once for all of them
+#define AT_ONCE 2  // vectors of pixels that are processed together, so that each test is read once for all of them
 
 // Returns the index of the lowest set bit.
 INLINE uints lowest_bit(uints bits) {
@@ -132,7 +130,7 @@ INLINE bool some(ints mask) {
     return all != 0;
 }
 
-// Finds the leaves or parts that remain after the tests of a group.
+// Finds the leaves or parts that remain after a group of tests.
 INLINE void rule_out(uints left[AT_ONCE], const Evidence e[AT_ONCE], __global const uint *tests, int group) {
     for (int i = 0; i < AT_ONCE; i++) left[i] = (uints)0xffffffffu;
     for (uint t = tests[group]; t < tests[group + 1]; t += 3) {
@@ -171,7 +169,7 @@ INLINE void leaves_of(uints leaf[AT_ONCE], const Evidence e[AT_ONCE], __global c
     }
 }
 
-#ifndef TRANSFORM_ONLY  // with TRANSFORM_ONLY, another program contains this kernel
+#ifndef TRANSFORM_ONLY  // another program contains this kernel if TRANSFORM_ONLY is set
 COMPILED_ONCE structures_of_tile(int x0, int y0, STRUCTURES_PARAMETERS) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0), span = width + 2 * STRUCTURE_REACH;
     const size_t stride = (size_t)source_rows * columns;

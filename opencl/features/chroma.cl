@@ -1,19 +1,19 @@
-// Class feature chroma, with the formula of l3cli/classes/chroma.py.
+// Class feature chroma (l3cli/classes/chroma.py).
 
 #define CHROMA_PAIRS ((CHANNELS + 1) / 2)
-// One row for each chroma, and a last row for the sum of all channels. A row contains 32768 times the sum of the weights, the width for
-// dither, and the weights, with two channels per word.
+// One row per chroma, and a last row for the sum of all channels. A row contains the start value of the score (32768 times the sum of the
+// weights), the dither width, and the weights, two channels per word.
 #define CHROMA_CONSTANTS __global const int *restrict chroma_weights  // (chroma + 1, 2 + CHROMA_PAIRS)
 #define START_OF(k) chroma_weights[(k) * (2 + CHROMA_PAIRS)]
 #define WIDTH_OF(k) chroma_weights[(k) * (2 + CHROMA_PAIRS) + 1]
 #define SCORES (CHROMAS + 1)
 
-// Scores of the chromas, or the signals from which the scores are computed.
+// The colour of the patch: scores of all chromas (one pixel), or the signals from which scores are computed (vectors).
 typedef struct {
 #if LANES == 1
-    ints score[SCORES];        // score of each chroma, then the sum of all channels; the chroma with the lowest score is chosen
+    ints score[SCORES];        // score of each chroma, of which the lowest wins, then the sum of all channels
 #else
-    uints pair[CHROMA_PAIRS];  // signals minus 32768 in 16 bits, two channels per word
+    uints pair[CHROMA_PAIRS];  // signals minus 32768, two 16-bit channels per word
 #endif
 } Colour;
 
@@ -26,7 +26,7 @@ INLINE void no_colour(Colour *colour, __global const int *chroma_weights) {
 #endif
 }
 
-// Adds channel c. `scaled` is the mean of the channel times 65536.
+// Adds channel c. `scaled` is the channel mean times 65536.
 INLINE void add_colour(Colour *colour, int c, uints scaled, __global const int *chroma_weights) {
 #if CHROMAS > 1
     const ints above_black = SAME_BITS(scaled >> (16 - CHROMA_FRACTION), ints) - CHROMA_BLACK_LEVEL, top = CHROMA_TOP;
@@ -56,8 +56,8 @@ INLINE ints score_of(const Colour *colour, int k, __global const int *chroma_wei
 #endif
 }
 
-// Returns the chroma with the lowest score. If several scores are equal, the first is chosen. With dither, some sites use the chroma with the
-// second lowest score if the two scores are close.
+// Returns the chroma with the lowest score, or the first of several. With dither, some sites use the second-lowest score instead, if both
+// are close.
 INLINE uints chroma_of(const Colour *colour, uints site, __global const int *chroma_weights) {
     uints chroma = 0;
 #if CHROMAS > 1

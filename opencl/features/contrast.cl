@@ -1,21 +1,20 @@
-// Class feature contrast, with the formula of l3cli/classes/contrast.py.
+// Class feature contrast (l3cli/classes/contrast.py).
 
 #define CONTRAST_CONSTANTS __global const uint *restrict contrast_edges  // (contrast edge, level)
 
-// Term of a channel in the variance sum. `count`, `sum` and `square` are the number, the sum and the sum of squares of the channel's pixels in
-// the patch.
+// A channel's term in the variance sum, from the number, sum and sum of squares of its pixels in the patch.
 INLINE uints variance_part(uints count, uints sum, uints square, uints mean, uints variance_reciprocal) {
     const uints cap = 0xffffffffu / CHANNELS;
     const uints deviation = square - mean * (sum + sum - mean * count), variance = deviation * variance_reciprocal;
     return variance > cap ? cap : variance;
 }
 
-// Reads the contrast edges of the darkest level.
+// Reads the contrast thresholds of the darkest level.
 INLINE void first_contrast_edges(uints *edge, __global const uint *contrast_edges) {
     for (int k = 0; k < CONTRASTS - 1; k++) edge[k] = contrast_edges[k * LEVELS];
 }
 
-// Replaces the edges with the contrast edges of `level` if the pixel reaches this level.
+// Replaces them with the thresholds of `level` if the pixel reaches this level.
 INLINE void next_contrast_edges(uints *edge, ints reached, int level, __global const uint *contrast_edges) {
     for (int k = 0; k < CONTRASTS - 1; k++) edge[k] = reached ? (uints)contrast_edges[k * LEVELS + level] : edge[k];
 }

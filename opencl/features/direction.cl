@@ -1,4 +1,4 @@
-// Class feature direction, with the formula of l3cli/classes/direction.py.
+// Class feature direction (l3cli/classes/direction.py).
 
 INLINE uints direction_of(const ints *sum, uints level, __global const int *constants) {
     ints size[4];

@@ -1,4 +1,4 @@
-// Class feature saturation case, with the formula of l3cli/classes/saturation.py.
+// Class feature saturation case (l3cli/classes/saturation.py).
 
 #define SATURATION_CONSTANTS __global const ushort *restrict case_of_code  // (code)
 
@@ -9,7 +9,7 @@ INLINE bool any_case(patterns code, __global const ushort *case_of_code) { retur
 #else
 typedef shorts patterns;
 
-// Reads the saturation cases of LANES pixels from a table, pixel by pixel.
+// Looks up the saturation cases of LANES pixels, one by one.
 INLINE uints case_of(patterns code, __global const ushort *case_of_code) {
     uint saturation[LANES];
     ushort pattern[LANES];
@@ -19,7 +19,7 @@ INLINE uints case_of(patterns code, __global const ushort *case_of_code) {
     return LOAD_PRIVATE(uints, saturation);
 }
 
-// Whether any of LANES pixels may have a saturation case other than 0. Such pixels are rare, so the slow lookup is usually skipped.
+// Whether any of LANES pixels may have a saturation case other than 0. This is rare, so the slow lookup is usually skipped.
 INLINE bool any_case(patterns code, __global const ushort *case_of_code) {
     ulong word[LANES / 4], all = 0;
     *(shorts_unaligned *)word = code;

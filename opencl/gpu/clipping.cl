@@ -1,12 +1,12 @@
-// Graphics variant: computes the means of blocks from the mosaic, the maps of blocks from the means, and the maps of quads from the maps of
-// blocks. A work-item processes a block or a quad.
+// Graphics variant: computes block means from the mosaic, block maps from the means, and quad maps from the block maps (common/clipping.cl). A
+// work-item processes a block or a quad.
 
 #define KERNEL_OF_TILE __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1))) void
 #define ITS_PLACE \
     const int x = get_global_id(0), y = get_global_id(1); \
     if (x >= columns || y >= rows) return
 
-// Measures a block. `raw` contains a band of raw rows, which begins at row `first` of the frame. Blocks outside the band are ignored.
+// Measures a block. `raw` contains the raw rows of a band from row `first` of the frame. Blocks outside the band are ignored.
 KERNEL_OF_TILE measure_blocks(__global const ushort *restrict raw, __global const uchar *restrict cfa, __global float *restrict means,
                               int bright, float black_level, float span, int phase_row, int phase_column, int first, int raw_rows,
                               int frame_rows, int frame_columns, int rows, int columns) {

@@ -1,9 +1,9 @@
-// Graphics variant: converts the outputs X, Y, Z of a frame to the same picture that the kernel `transform` writes (see cpu/encode.cl). A
+// Graphics variant: encodes the outputs X, Y, Z of a frame as the same picture that the kernel `transform` writes (see cpu/encode.cl). A
 // work-item processes a pixel.
 
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void encode_1(__global const float *restrict outputs,  // (output, row, col)
-              __global const float *restrict matrix,   // (3, 3) from X, Y, Z to linear picture values
+              __global const float *restrict matrix,   // (3, 3) from XYZ to linear picture values
               __global CODE *restrict picture,         // (row, col, 3)
               int rows, int columns) {
     const int x = get_global_id(0), y = get_global_id(1);

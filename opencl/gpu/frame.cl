@@ -1,20 +1,20 @@
-// Graphics variant: the kernels for classes and for transforms. A work-item processes a pixel. A work-group processes TILE × BAND pixels, and
-// copies these pixels and their neighbourhood to local memory. For classes, local memory also contains the sums over the rows of the patch. Weights
-// are read from global memory through the caches.
+// Graphics variant: computes classes and transforms. A work-item processes a pixel. A work-group processes TILE × BAND pixels and copies them,
+// with their neighbourhood, to local memory. For classes, local memory also contains the column sums of the patches. Weights are read from
+// global memory through the caches.
 //
-// Adjacent work-items run together, and are fastest if they read the weights of the same class. Adjacent work-items therefore process pixels
-// with the same CFA column. TILE is a multiple of CFA_COLUMNS.
+// Adjacent work-items run together, and are fastest if they read the weights of the same class. They therefore process pixels with the same CFA
+// column. TILE is a multiple of CFA_COLUMNS.
 
-#define SPREAD (2 * SATURATION_RADIUS + 1)  // number of rows and of columns in which saturation is tested
+#define SPREAD (2 * SATURATION_RADIUS + 1)  // rows and columns in which saturation is tested
 #define TILE_COLUMNS (TILE + 2 * RADIUS)
 #define TILE_ROWS (BAND + 2 * RADIUS)
 #define OF_ONE_SITE (TILE / CFA_COLUMNS)
 #define ITEMS (TILE * BAND)
 
-// Returns the column, within the tile, of the work-item with the local number i.
+// Returns the tile column of the work-item with the local number i.
 INLINE int column_of(int i) { return i % OF_ONE_SITE * CFA_COLUMNS + i / OF_ONE_SITE; }
 
-// Returns the index in `raw` of padded pixel i of the tile at (y0, x0). For a pixel outside the padded frame, the index is arbitrary but valid.
+// Returns the index in `raw` of padded pixel i in the tile at (y0, x0). Outside the padded frame, the index is arbitrary but valid.
 INLINE size_t source_of(int i, int y0, int x0, __global const int *row_source, __global const int *column_source, int rows,
                         int columns) {
     const int row = min(y0 + i / TILE_COLUMNS, rows + 2 * RADIUS - 1);
@@ -28,7 +28,7 @@ __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void classes(__global const ushort *restrict raw,                // (row, col) DN
              __global const int *restrict row_source,            // (padded row)
              __global const int *restrict column_source,         // (padded col)
-             __global const ushort *restrict member,             // (channel, CFA row, period) all bits set if a pixel has the channel
+             __global const ushort *restrict member,             // (channel, CFA row, period) all bits set where a pixel has the channel
              __global const ushort *restrict channel_bit,        // (CFA row, period) 1 << channel
              __global const uint *restrict count,                // (channel, CFA row, period) number of taps of the channel
              __global const uint *restrict mean_reciprocal,      // (channel, CFA row, period) round(65536 / count)
@@ -97,7 +97,7 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
 
 #endif
 
-#define FOURS ((OUTPUTS + 3) / 4)  // number of vectors, each of which contains four outputs
+#define FOURS ((OUTPUTS + 3) / 4)  // vectors of four outputs
 #ifdef RATIO_TAPS
 #define TAPS_OF_RATIOS RATIO_TAPS
 
@@ -125,7 +125,7 @@ INLINE void write(__global int *picture, const tap *output, __global const float
 INLINE void write(__global float *picture, const float *output, __global const float *matrix, size_t at, size_t pixels) {
     for (int o = 0; o < OUTPUTS; o++) picture[o * pixels + at] = output[o];
 }
-#elif defined(NOT_ENCODED)  // writes the sum of three outputs, to measure the time without encoding
+#elif defined(NOT_ENCODED)  // writes only the sum of three outputs, so that the transforms can be timed without encoding
 INLINE void write(__global float *picture, const float *output, __global const float *matrix, size_t at, size_t pixels) {
     picture[at] = output[0] + output[1] + output[2];
 }
@@ -140,12 +140,12 @@ INLINE void write(__global CODE *picture, const float *output, __global const fl
 #endif
 
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
-void transform(__global const SOURCE *restrict source,      // (source, row, col) DN of the mosaic, or planes
+void transform(__global const SOURCE *restrict source,      // (source, row, col) the mosaic in DN, or planes
                __global const int *restrict row_source,     // (padded row)
                __global const int *restrict column_source,  // (padded col)
                __global const uint *restrict labels,        // (row, col)
                __global const tap4 *restrict weights,       // (class, intercept and taps column by column, output)
-               __global const float *restrict matrix,       // (3, 3) from X, Y, Z to linear picture values, then XYZ of the clipped white
+               __global const float *restrict matrix,       // (3, 3) from XYZ to linear picture values, then the XYZ of the clipped white
                __global CODE *restrict picture,             // (output, row, col), or (row, col, 3)
 #ifdef SHADED
                __global const float *restrict gain,         // (row, node) shading gains of the outputs, every GAIN_STEP columns
@@ -195,7 +195,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
         }
     }
 #ifdef RATIO_TAPS
-    // Two taps follow the window: the chroma that shading alone would cause (l3cli/classes/refinement.py).
+    // Two taps follow the window: the chroma difference that a pure change in illumination would cause (l3cli/classes/refinement.py).
     float sum[SOURCES] = {0};
     for (int i = 0; i < PATCH; i++)
         for (int j = 0; j < PATCH; j++)
@@ -205,7 +205,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
     for (int f = 0; f < FOURS; f++) total[f] += sum[0] * share * *weight++;
     for (int f = 0; f < FOURS; f++) total[f] += sum[SOURCES - 1] * share * *weight++;
 #if RATIO_TAPS > 2
-    // Two more taps: the mean difference in chroma between similar pixels and this pixel.
+    // Two more taps: the mean chroma difference between similar pixels and this pixel.
     __local const tap *own = signal[line + RADIUS][column + RADIUS];
     float reach = 0.0f, weighed = 0.0f, first = 0.0f, third = 0.0f;
     for (int n = 0; n < PATCH * PATCH; n++) reach += square_between(signal[line + n % PATCH][column + n / PATCH], own);
@@ -222,7 +222,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
 #endif
 #endif
 #ifdef COARSE_CHROMA
-    // Add the change by coarse chroma (l3cli/classes/coarse_chroma.py).
+    // Add the change by the coarse chroma filter (l3cli/classes/coarse_chroma.py).
     const int row = row_source[y + RADIUS];
     for (int n = 0; n < 4; n++) {
         const size_t there = (size_t)(NEAREST(row) + MARGIN + n / 2) * BLOCKS_STRIDE(columns) + NEAREST(x) + MARGIN + n % 2;
@@ -233,7 +233,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
     }
 #endif
 #ifdef CLIPPING
-    // Replace the outputs in uniform clipped areas, then change the hue in all clipped areas (l3cli/classes/clipping.py).
+    // Replace outputs in uniform clipped areas, then change the hue in all clipped areas (l3cli/classes/clipping.py).
     const size_t quads = QUADS_PLANE(source_rows, columns);
     __global const float *map = maps + (size_t)(row / 2) * QUADS_STRIDE(columns) + x / 2;
     total[0].xyz = (1.0f - map[0]) * total[0].xyz + (float3)(map[quads], map[2 * quads], map[3 * quads]);
@@ -251,7 +251,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
         output[o] += corrected[((size_t)o * source_rows + row_source[y + RADIUS]) * columns + x];
 #endif
 #if defined(WHITE_FROM) && !defined(FIXED_POINT)
-    // Limit the luminance to the luminance of the clipped white, whose XYZ follows the matrix (l3cli/classes/clipping.py).
+    // Limit the luminance to that of the clipped white (l3cli/classes/clipping.py). The XYZ of this white follow the matrix.
     const float limit = matrix[10], luminance_of_pixel = max(output[1], limit);
     const float faded = min((luminance_of_pixel - limit) / ((WHITE_FROM - 1.0f) * limit), 1.0f);
     for (int o = 0; o < 3; o++)

@@ -1,9 +1,8 @@
-// Graphics variant: smooths the chroma of X, Y and Z in a band of rows, and encodes the result (common/smoothed_chroma.cl). A work-item
-// processes a pixel.
+// Graphics variant: smooths the chroma of a band, and encodes the result (common/smoothed_chroma.cl). A work-item processes a pixel.
 
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void smooth_chroma(__global const float *restrict made,    // (output, row of `made`, col)
-                   __global const float *restrict matrix,  // (3, 3) from X, Y, Z to linear picture values
+                   __global const float *restrict matrix,  // (3, 3) from XYZ to linear picture values
                    __global CODE *restrict picture,        // (row, col, 3), or (output, row, col)
 #ifdef SHADED
                    __global const float *restrict gain,    // (row of `made`, node) shading gains of the outputs, every GAIN_STEP columns
@@ -11,7 +10,7 @@ void smooth_chroma(__global const float *restrict made,    // (output, row of `m
                    LEAST_PARAMETERS
                    float by_luminance, float by_x, float by_z,
                    int made_rows, int top,                 // number of rows in `made`, and index of its first row in the frame
-                   int first, int frame_rows,              // index of the first written row, and number of rows of the frame
+                   int first, int frame_rows,              // index of the first row to write, and number of rows in the frame
                    int rows, int columns) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= columns || y >= rows) return;

@@ -1,4 +1,4 @@
-// Graphics variant: smooths the spectra of the outputs of a band of rows (common/spectra.cl). A work-item processes a pixel.
+// Graphics variant: smooths the spectra of a band (common/spectra.cl). A work-item processes a pixel.
 
 #define NEIGHBOURS (WINDOW * WINDOW)
 
@@ -13,7 +13,7 @@ void smooth_spectra(__global const float *restrict made,   // (output, row of `m
                     __global float *restrict smoothed,     // (output, row, col)
                     float reach,
                     int made_rows, int top,                // number of rows in `made`, and index of its first row in the frame
-                    int first, int frame_rows,             // index of the first written row, and number of rows of the frame
+                    int first, int frame_rows,             // index of the first row to write, and number of rows in the frame
                     int rows, int columns) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= columns || y >= rows) return;

@@ -1,7 +1,7 @@
-// Graphics variant: computes the classes of a refinement layer from the luminance of the previous layer and the classes of the first layer.
-// A work-item processes a pixel.
+// Graphics variant: computes the classes of a refinement layer from the luminance plane and the classes of the first layer. A work-item
+// processes a pixel.
 
-#ifndef TRANSFORM_ONLY  // with TRANSFORM_ONLY, another program contains this kernel
+#ifndef TRANSFORM_ONLY  // another program contains this kernel if TRANSFORM_ONLY is set
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void structures(STRUCTURES_PARAMETERS) {
     const int x = get_group_id(0) * TILE + get_local_id(0), y = get_group_id(1) * BAND + get_local_id(1);

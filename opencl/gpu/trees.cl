@@ -1,18 +1,18 @@
-// Graphics variant: computes the classes of a refinement layer with a tree, from the planes of the previous layer and the classes of the
-// first layer. A work-item processes a pixel.
+// Graphics variant: computes the classes of a refinement layer with a decision tree, from its planes and the classes of the first layer. A
+// work-item processes a pixel.
 
-// A node has two words. The first word contains the bits of the threshold. The second word contains the index of the numerator, the index of
-// the denominator (from bit 6) and the number of the first of two consecutive branches (from bit 8). The branch of a leaf is the leaf itself,
-// and no value exceeds the threshold of a leaf.
+// A node has two words. The first contains the bits of the threshold. The second contains the index of the numerator, the index of the
+// denominator (from bit 6) and the number of the first of two consecutive child nodes (from bit 8). A leaf is its own child, and no value
+// exceeds its threshold.
 #define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict nodes, __global const uint *restrict leaf_of_node
 
-// Returns the next node, chosen by a product and a comparison in float32, whose results are the same on every device.
+// Returns the child node. One product and one comparison in float32 select it, which gives the same result on every device.
 INLINE uint next_node(uint node, const Evidence *e, __global const uint *nodes) {
     const uint word = nodes[2 * node + 1];
     return (word >> 8) + (e->numerator[word & 0x3f] > as_float(nodes[2 * node]) * e->denominator[word >> 6 & 3]);
 }
 
-#ifndef TRANSFORM_ONLY  // with TRANSFORM_ONLY, another program contains this kernel
+#ifndef TRANSFORM_ONLY  // another program contains this kernel if TRANSFORM_ONLY is set
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void structures(STRUCTURES_PARAMETERS) {
     const int x = get_group_id(0) * TILE + get_local_id(0), y = get_group_id(1) * BAND + get_local_id(1);
