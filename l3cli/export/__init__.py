@@ -1,1 +1,1 @@
-"""Export to other software: camera models as profiles, and tables as C source or as plain arrays."""
+"""Export to other software: camera models as profiles, and transform tables as C source or plain arrays."""

@@ -1,4 +1,4 @@
-"""Write the constant arrays in the C source of a table, and the structs that refer to the arrays of refinement layers."""
+"""Write a table's constant arrays as C source, and the structs of its refinement layers."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from l3cli.export.wordlengths import ShortWords
 from l3cli.rendering.opencl import layout
 from l3cli.rendering.reference import white_scale
 
-TAP_GROUP = 16  # weights are padded with zeros to a multiple of this number of taps, so that loops have no remainder
+TAP_GROUP = 16  # taps are padded with zeros to a multiple of this number, so that loops have no remainder
 TYPES = {  # dtype → C type
     "int8": "int8_t",
     "uint8": "uint8_t",
@@ -31,11 +31,11 @@ TYPES = {  # dtype → C type
     "float32": "float",
 }
 PER_LINE = 20  # numbers per line of an array
-PER_STRING = 4000  # bytes per string literal; C99 compilers must support 4095 bytes
-# The text of each byte in a string literal: printable ASCII characters are unchanged, and all other bytes are octal. "?" is
-# also octal, because two question marks start a trigraph.
+PER_STRING = 4000  # bytes per string literal; C99 compilers must support 4095
+# How each byte is written in a string literal: printable ASCII characters unchanged, all others as octal escapes. "?" is
+# escaped, too, because two question marks start a trigraph.
 CHARACTERS = tuple(chr(b) if 32 <= b < 127 and chr(b) not in '"\\?' else f"\\{b:03o}" for b in range(256))
-SHORT_TOP = 2**15 - 1  # largest weight in a 16-bit word
+SHORT_TOP = 2**15 - 1  # largest 16-bit weight
 
 
 @dataclass(frozen=True)
@@ -45,18 +45,18 @@ class Array:
     name: str
     values: NDArray
     axes: str  # comment above the array: its meaning, and its axes in parentheses
-    # Whether the array is flattened, and its bytes are written as string literals. Long arrays are packed, because compilers
-    # parse strings fifty times faster than numbers.
+    # Whether the array is flattened and written as string literals of its bytes, because compilers parse strings fifty times
+    # faster than numbers.
     packed: bool = False
 
     @property
     def local(self) -> bool:
-        """Whether the array is static in l3_table.c because no other file uses it."""
+        """Whether the array is static, because only l3_table.c uses it."""
         return not self.name.startswith("l3_")
 
     @property
     def declaration(self) -> str:
-        """C declaration of the array. A packed array is declared as a union of its bytes and its values."""
+        """C declaration. A packed array is a union of its bytes and its values."""
         kind = TYPES[self.values.dtype.name]
         if not self.packed:
             return f"const {kind} {self.name}{''.join(f'[{length}]' for length in self.values.shape)}"
@@ -66,11 +66,11 @@ class Array:
 
     @property
     def alias(self) -> list[str]:
-        """A line with a macro that maps the name of a packed array to its values. Other arrays need no line."""
+        """Macro that maps the name of a packed array to its values. The list is empty for other arrays."""
         return [f"#define {self.name} {self.name}_data.value"] if self.packed else []
 
     def public(self) -> list[str]:
-        """Return the lines that declare the array in l3_table.h."""
+        """Return the lines for the array in l3_table.h."""
         return [f"extern {self.declaration};", *self.alias]
 
     def lines(self) -> Iterator[str]:
@@ -84,15 +84,14 @@ class Array:
 
 
 def filled(taps: int) -> int:
-    """Round a number of taps up to a multiple of TAP_GROUP."""
+    """Round up to a multiple of TAP_GROUP."""
     return -(-taps // TAP_GROUP) * TAP_GROUP
 
 
 def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[Array], list[str]]:
-    """Return the arrays of l3_table.c, and the lines of C that follow the arrays.
+    """Return the arrays of l3_table.c, and the C lines that follow them.
 
-    If `short` is None, the weights of the last layer are written as floats. Otherwise, the integer weights in `short` are
-    written as 16-bit words.
+    The last layer has float weights, or the 16-bit weights in `short`, if any.
     """
     rule, neighbours = table.first.rule, neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
     arrays = [
@@ -152,9 +151,9 @@ def _last_floats(table: TransformTable) -> list[Array]:
 
 
 def _ratio_weights(taps: NDArray) -> list[Array]:
-    """Return a list with the array of the weights for the colour ratios and for the bilateral chroma.
+    """Return the weights of the taps after the window taps: colour ratios and bilateral chroma.
 
-    These taps follow the window taps. If the layer has no such taps, the list is empty.
+    The list is empty if the layer has no such taps.
     """
     return [Array("l3_ratio_weights", taps, "(class, output, tap)", packed=True)] if taps.size else []
 
@@ -182,7 +181,7 @@ def _last_words(table: TransformTable, words: ShortWords) -> list[Array]:
 
 
 def _layers(table: TransformTable) -> tuple[list[Array], list[str]]:
-    """Return the arrays of the refinement layers, and the lines of C with the structs that refer to these arrays."""
+    """Return the arrays of the refinement layers, and the C lines with the structs that refer to them."""
     basis = planes_basis(table)
     arrays = _fixed("l3_", layout.first_plane_weights(fixed_point(table), table.bits))
     structs, entries = [], []
@@ -236,7 +235,7 @@ def _structure(prefix: str, rule: StructureRule) -> tuple[list[Array], str]:
 
 
 def _tree(prefix: str, rule: TreeRule) -> tuple[list[Array], str]:
-    """Return the arrays and the struct of a tree. Each quantity in the constants of opencl/cpu/trees.cl becomes an array."""
+    """Return the arrays and the struct of a decision tree, with one array per quantity in opencl/cpu/trees.cl."""
     parts = int(rule_macros(rule)["PARTS"])
     (words,) = rule_constants(rule, "processor")
     groups = -(-parts // 32) + parts
@@ -268,19 +267,19 @@ def _fill(taps: NDArray) -> NDArray:
 
 
 def _some(edges: NDArray) -> NDArray:
-    """Return `edges`. If `edges` is empty, return an array with one unused edge, because C has no empty arrays."""
+    """Return `edges`, or one unused edge if there are none, because C has no empty arrays."""
     return edges if edges.size else np.zeros((1, *edges.shape[1:]), edges.dtype)
 
 
 def _strings(values: NDArray) -> Iterator[str]:
-    """Yield the little-endian bytes of an array as C string literals with at most PER_STRING bytes."""
+    """Yield an array's little-endian bytes as C string literals of at most PER_STRING bytes."""
     data = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes()
     for start in range(0, len(data), PER_STRING):
         yield f'"{"".join(map(CHARACTERS.__getitem__, data[start : start + PER_STRING]))}",'
 
 
 def _rows(values: NDArray) -> Iterator[str]:
-    """Yield lines of C with the numbers of an array. Braces enclose the elements of all axes except the first axis."""
+    """Yield C lines with the numbers of an array, without the outermost braces."""
     if values.ndim > 1:
         for each in values:
             rows = list(_rows(each))

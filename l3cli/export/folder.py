@@ -1,4 +1,4 @@
-"""Export a table as a folder of arrays: one little-endian file per array, and table.json, which describes the arrays."""
+"""Export a table as a folder with one little-endian file per array, and table.json, which describes them."""
 
 import json
 from typing import Any
@@ -26,7 +26,7 @@ from l3cli.system.text import printable
 
 FORMAT, VERSION = "l3 table as arrays", 2
 TABLE_FIELDS = ("bits", "black_level", "white_level", "outputs", "output_unit", "white_point", "channels", "cfa")
-LEFT_OUT = ("samples", "condition")  # fields of layers that document the training and are not used for rendering
+LEFT_OUT = ("samples", "condition")  # fields of layers that only document the training
 
 FORMULAS = {
     "class": "(((site * levels + level) * contrasts + contrast) * combinations + combination) * kinds + kind",
@@ -140,9 +140,9 @@ LEAST_DOC = (
 
 
 def folder_files(table: TransformTable) -> dict[str, bytes]:
-    """Return the content of each file of an exported table. The keys are file names.
+    """Return a table as a folder of arrays: file names and contents.
 
-    Raises InputFileError if the table has layers that this version of l3 does not support.
+    Raises RecipeError if the table has too many layers.
     """
     require_known_layers(table)
     arrays = _Arrays()
@@ -186,7 +186,7 @@ def folder_files(table: TransformTable) -> dict[str, bytes]:
 
 
 def _set(arrays: "_Arrays", table: TransformTable) -> dict[str, Any]:
-    """Add the arrays of a set of transforms to `arrays`, and return the description of the set for table.json.
+    """Add a set of transforms to `arrays`, and return its description for table.json.
 
     The description contains the scalar parameters of each layer, and the accuracy with short word lengths.
     """
@@ -201,14 +201,12 @@ def _set(arrays: "_Arrays", table: TransformTable) -> dict[str, Any]:
 
 
 class _Arrays:
-    """Collects files with arrays, and the descriptions of these files for table.json."""
+    """Collects array files and their descriptions for table.json."""
 
     def __init__(self) -> None:
         self.files: dict[str, bytes] = {}
         self.entries: list[dict[str, Any]] = []
-        # Prefix of the array names. Each additional set of transforms has its own prefix. An array of an additional set is
-        # omitted if the array equals the array of the main set.
-        self.prefix = ""
+        self.prefix = ""  # of the array names in an additional set of transforms, which omits arrays equal to the main set's
 
     def add(self, name: str, values: NDArray, axes: tuple[str, ...], unit: str, doc: str) -> None:
         little = values.astype(values.dtype.newbyteorder("<"))
@@ -223,9 +221,9 @@ class _Arrays:
         )  # fmt: skip
 
     def add_fields(self, prefix: str, instance: Any, names: tuple[str, ...] | None = None) -> dict[str, Any]:
-        """Add the arrays of a dataclass. Return its scalars and texts, each with its unit and its description.
+        """Add the arrays of a dataclass, and return its scalars and texts with their units and descriptions.
 
-        `names` selects the fields. If `names` is None, all fields are included.
+        `names` selects the fields. None means all.
         """
         values = {}
         for name, spec in declared(type(instance)):
@@ -246,7 +244,7 @@ def _file(name: str) -> str:
 
 
 def _layer(arrays: _Arrays, number: int, layer: Any) -> dict[str, Any]:
-    """Add the arrays of a layer and of its class rule. Return the scalars of the layer and of the rule for table.json."""
+    """Add the arrays of a layer and its class rule, and return their scalars for table.json."""
     prefix, rule = f"layer{number}/", layer.rule
     kind = next(iter(rule_fields(rule))) if number else "mosaic"
     entry: dict[str, Any] = {"reads": "planes" if number else "mosaic", "rule": kind}
@@ -267,7 +265,7 @@ def _layer(arrays: _Arrays, number: int, layer: Any) -> dict[str, Any]:
 
 
 def _derived(arrays: _Arrays, table: TransformTable) -> None:
-    """Add the arrays that l3 computes from a table before rendering, such as the number of taps of each channel."""
+    """Add the arrays that l3 derives from a table before rendering, such as the number of taps per channel."""
     neighbours = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
     for name, values, doc in (
         ("count", neighbours.count, "number of taps of each channel in the patch of a site"),
@@ -319,18 +317,12 @@ def _study(words: Words, costs: tuple[Cost, ...]) -> dict[str, Any]:
 
 
 def _clipped_white(table: TransformTable) -> dict[str, Any]:
-    """Return the entry of table.json with the XYZ of the darkest white that clips every channel.
-
-    The result is empty if the table does not contain this white.
-    """
+    """Return an entry for table.json with the XYZ of the darkest white that clips all channels, if the table contains it."""
     return {} if table.clipped_white is None else {"clipped_white": table.clipped_white.tolist()}
 
 
 def _white_scale(table: TransformTable) -> dict[str, Any]:
-    """Return the entry of table.json with the factors that convert DN of each channel to the luminance of a white.
-
-    The result is empty if the table does not contain the signals of white.
-    """
+    """Return an entry for table.json with the factors from DN in each channel to the luminance of white, if known."""
     return {} if table.white_signals is None else {"white_scale": white_scale(table).tolist()}
 
 

@@ -1,7 +1,7 @@
-"""Export a camera model for other software (docs/method.md#colour-matrices).
+"""Export a camera model to other software (docs/method.md#colour-matrices).
 
-The exported files are the responsivities as CSV and as JSON for rawtoaces, a DCP profile in the JSON format of dcamprof,
-tuning files for libcamera, and a data sheet as CSV.
+The exported files are the responsivities (as CSV, and as JSON for rawtoaces), a DCP profile in the JSON format of dcamprof,
+tuning files for libcamera, and a data sheet (CSV).
 """
 
 import csv
@@ -25,20 +25,20 @@ from l3cli.physics.display import SRGB_FROM_XYZ, delta_e_2000, fit_through, lab,
 from l3cli.system.text import printable
 
 TEMPERATURES = {"A": 2856, "D50": 5003, "D65": 6504}  # illuminant → correlated colour temperature in K
-STEP_NM = 5.0  # spacing of the wavelengths from which colour matrices are computed, in nm
+STEP_NM = 5.0  # wavelength spacing for computing colour matrices, in nm
 VISIBLE = (380.0, 780.0)  # visible range in nm
-# Minimum response of each channel to grey, as a fraction of the response of the most sensitive channel. Below this limit,
-# the signal of a channel is almost only noise, and no colour matrices are computed.
+# If a channel's response to grey is below this fraction of the most sensitive channel's, it is almost only noise, and no
+# colour matrices are computed.
 DIMMEST = 1e-4
-TYPICAL = 0.2  # signal, as a fraction of white, for which the matrices are optimised with respect to noise and colour errors
-DIGITS = 5  # number of decimals of the matrices in files
-BLACK_BODIES = (2200, 2500, 2856, 3200, 3600)  # colour temperatures, in K, of the white-balance curve for black bodies
-DAYLIGHTS = (4500, 5000, 5500, 6500, 7500, 8600)  # colour temperatures, in K, of the white-balance curve for daylight
-NOISE_LEVELS = 64  # number of signals, from 1 DN (at 16 bits) to the white level, to which a noise profile is fitted
-MIN_COLOURS = 3  # colour matrices require at least this many channels with different responsivities
-# The responsivities of each channel are scaled to a sum of 1. The number of different responsivities is the number of
-# singular values above this fraction of the largest singular value. For equal channels whose curves have measurement errors
-# of 5 %, the smaller singular values reach 0.03. For RCCG, the third singular value is 0.2.
+TYPICAL = 0.2  # signal, as a fraction of white, at which the matrices balance noise against colour errors
+DIGITS = 5  # decimals of the matrices in files
+BLACK_BODIES = (2200, 2500, 2856, 3200, 3600)  # colour temperatures (K) of black bodies in the white-balance curve
+DAYLIGHTS = (4500, 5000, 5500, 6500, 7500, 8600)  # colour temperatures (K) of daylight in the white-balance curve
+NOISE_LEVELS = 64  # a noise profile is fitted to this number of signals, from 1 DN (at 16 bits) to the white level
+MIN_COLOURS = 3  # colour matrices require at least this number of channels with different responsivities
+# Responsivities, scaled to a sum of 1 per channel, count as different as often as they have a singular value above this
+# fraction of the largest one. For equal channels measured with errors of 5 %, the smaller singular values reach 0.03. For
+# RCCG, the third one is 0.2.
 DIFFERENT = 0.05
 RGB = ({"r", "red"}, {"g", "green"}, {"b", "blue"})  # names of red, green and blue channels
 SIGNAL_BITS = 16  # bit depth of the signals in tuning files
@@ -54,26 +54,25 @@ NOISE = (
     "column PRNU",
 )  # fmt: skip
 Row = tuple[str, str, float | str, str, str]
-# Files that are written for every camera.
+# Files for every camera.
 CURVES, RAWTOACES_JSON, DATASHEET = "responsivity.csv", "rawtoaces.json", "datasheet.csv"
-# Files that are written only for cameras with suitable channels.
+# Files for cameras with suitable channels.
 DCP, RASPBERRY_PI, PI_5, SIMPLE = "dcp.json", "libcamera_rpi.json", "libcamera_pisp.json", "libcamera_simple.yaml"
 
-ILLUMINANTS = {"A": "StdA", "D65": "D65"}  # illuminants of a DCP in order of colour temperature → names in dcamprof
+ILLUMINANTS = {"A": "StdA", "D65": "D65"}  # illuminants of a DCP, in order of colour temperature → names in dcamprof
 SIMPLE_DARKEST = 2**15 - 1  # maximum black level in a tuning file for the simple pipeline
 RAWTOACES = np.arange(380.0, 781.0, 5.0)  # wavelengths of the curves for rawtoaces, in nm
-ALSC_TEMPERATURE = 5000  # colour temperature of the shading tables in K; libcamera uses a single table at all temperatures
-SMOOTHNESS = 0.003  # weight of the squared second differences in the fit of a shading table, relative to the squared errors
+ALSC_TEMPERATURE = 5000  # nominal colour temperature (K) of the shading tables; libcamera uses a single table for all
+SMOOTHNESS = 0.003  # weight of squared second differences, relative to squared errors, in the fit of shading tables
 Array = NDArray[np.floating]
 
 
 class Target(NamedTuple):
-    """An image signal processor (ISP) of Raspberry Pi computers."""
+    """Image signal processor (ISP) of a Raspberry Pi."""
 
     name: str  # name in libcamera
     cells: tuple[int, int]  # rows and columns of the shading tables
-    # Maximum rows and columns of the grid between whose points the ISP interpolates. The grid spans the whole frame.
-    vertices: tuple[int, int]
+    vertices: tuple[int, int]  # maximum rows and columns of the grid, over the whole frame, on which the ISP interpolates
 
 
 VC4, PISP = Target("bcm2835", (12, 16), (49, 64)), Target("pisp", (32, 32), (33, 33))
@@ -81,11 +80,11 @@ VC4, PISP = Target("bcm2835", (12, 16), (49, 64)), Target("pisp", (32, 32), (33,
 
 @dataclass(frozen=True)
 class Matrix:
-    """A colour matrix, rounded as in the exported files, and its colour errors for measured surfaces."""
+    """A colour matrix and its colour errors for measured surfaces."""
 
-    values: Array  # (row, column), rounded to DIGITS decimals
+    values: Array  # (row, column), rounded to DIGITS decimals as in the exported files
     errors: Array  # (surface,) CIEDE2000
-    worst: Array  # (3,) correct L*a*b* of the surface with the largest error
+    worst: Array  # (3,) true L*a*b* of the surface with the largest error
 
 
 @dataclass(frozen=True)
@@ -93,16 +92,16 @@ class LightMatrices:
     """Colour matrices of a camera with n channels for one illuminant."""
 
     neutral: Array  # (n,) signals of a grey surface, scaled to a maximum of 1
-    colour: Matrix  # (n, 3) converts XYZ under the illuminant (white: Y = 1) to channels (white: maximum of 1)
-    forward: Matrix  # (3, n) converts white-balanced channels to the XYZ of the surface under D50
-    correction: Matrix  # (3, n) converts white-balanced channels to the linear sRGB of the surface under D65
+    colour: Matrix  # (n, 3) from XYZ under the illuminant (Y = 1 for white) to channels (maximum 1 for white)
+    forward: Matrix  # (3, n) from white-balanced channels to XYZ of the surface under D50
+    correction: Matrix  # (3, n) from white-balanced channels to linear sRGB of the surface under D65
 
 
 def light_matrices(camera: CameraModel, light: str) -> LightMatrices | None:
     """Fit the colour matrices of a camera for a named illuminant.
 
-    The result is None if fewer than three channels have different responsivities, or if the response of a channel to grey is
-    less than DIMMEST times the response of the most sensitive channel.
+    The result is None if fewer than three channels have different responsivities, or if a channel's response to grey is
+    below DIMMEST times that of the most sensitive channel.
     """
     neutral, balanced = _responses(camera, light)
     if neutral.min() < DIMMEST or _colours_of(camera) < MIN_COLOURS:
@@ -120,9 +119,9 @@ def light_matrices(camera: CameraModel, light: str) -> LightMatrices | None:
 
 
 def _colours_of(camera: CameraModel) -> int:
-    """Return the number of channels with different responsivities. Scaled copies of a responsivity do not count.
+    """Count the channels with different responsivities, apart from a scale factor.
 
-    For example, the number is 1 for a monochrome camera with four polarisers, and 3 for a Bayer array with two exposures.
+    For example, the result is 1 for a monochrome camera with four polarisers, and 3 for a Bayer array with two exposures.
     """
     curves = camera.electron_weights
     values = np.linalg.svd(curves / np.maximum(curves.sum(axis=1, keepdims=True), 1e-30), compute_uv=False)
@@ -130,7 +129,7 @@ def _colours_of(camera: CameraModel) -> int:
 
 
 def _colour_matrix(xyz: Array, white: Array, channels: Array, neutral: Array) -> Matrix:
-    """Fit the ColorMatrix (n, 3) so that its pseudo-inverse, which raw converters apply, has small colour errors."""
+    """Fit a ColorMatrix (n, 3) whose pseudo-inverse, which raw converters apply, has small colour errors."""
     start = fit_through(xyz, channels, white, neutral)
     ours = refinement(channels @ np.linalg.pinv(start).T, xyz, white)
     values = np.round(start @ np.linalg.inv(ours), DIGITS)
@@ -138,14 +137,14 @@ def _colour_matrix(xyz: Array, white: Array, channels: Array, neutral: Array) ->
 
 
 def _matrix_to(space: Array, balanced: Array, noise: Array, wanted: Array, white: Array) -> Matrix:
-    """Fit the matrix (3, n) that converts white-balanced channels to a linear colour space.
+    """Fit the matrix (3, n) from white-balanced channels to a linear colour space. White is converted exactly.
 
-    The matrix `space` (3, 3) converts XYZ to this colour space. White is converted exactly.
+    `space` (3, 3) is the matrix from XYZ to this colour space.
     """
     start = fit_through(balanced, wanted, np.ones(balanced.shape[1]), white, noise)
     values = np.round(space @ refinement(balanced @ start.T, wanted, white) @ start, DIGITS)
     largest = np.abs(values).argmax(axis=1)
-    # Rounding changes the sums of the rows. The largest value in each row is corrected so that white remains exact.
+    # Rounding changes the row sums. Correct the largest value in each row, so that white remains exact.
     values[np.arange(3), largest] += np.round(space @ white, DIGITS) - values.sum(axis=1)
     values = np.round(values, DIGITS)
     return _judged(values, balanced @ values.T @ np.linalg.inv(space).T, wanted, white)
@@ -157,20 +156,20 @@ def _judged(values: Array, xyz: Array, wanted: Array, white: Array) -> Matrix:
 
 
 def _grid(camera: CameraModel) -> Array:
-    """Return a wavelength grid in nm that covers the visible range and the wavelength range of the camera."""
+    """Return a wavelength grid in nm that covers the visible range and the camera's range."""
     low, high = min(camera.wavelength[0], VISIBLE[0]), max(camera.wavelength[-1], VISIBLE[1])
     return np.arange(STEP_NM * np.floor(low / STEP_NM), high + STEP_NM / 2, STEP_NM)
 
 
 def _responses(camera: CameraModel, light: str) -> tuple[Array, Array]:
-    """Return the responses of a camera with n channels under an illuminant.
+    """Return the responses of a camera with n channels to white and to measured surfaces under an illuminant.
 
     Returns
     -------
     white : ndarray, (n,)
-        Signals of white, scaled to a maximum of 1. All signals are 0 if the camera does not respond to the illuminant.
+        Signals of white, scaled to a maximum of 1, or all 0 if the camera does not respond to the illuminant.
     balanced : ndarray, (surface, n)
-        Signals of measured surfaces, divided by the signals of white.
+        Signals of the surfaces, divided by the signals of white.
     """
     grid = _grid(camera)
     weights = spectra.average(camera.responsivity, camera.wavelength, grid) * spectra.illuminant(light, grid)
@@ -180,7 +179,7 @@ def _responses(camera: CameraModel, light: str) -> tuple[Array, Array]:
 
 
 def _colours(camera: CameraModel, library: Array, light: str) -> tuple[Array, Array]:
-    """Return the XYZ of surfaces (surface, 3) and of white (3,) under an illuminant, where white has Y = 1."""
+    """Return the XYZ of surfaces (surface, 3) and white (3,) under an illuminant, scaled to Y = 1 for white."""
     grid = _grid(camera)
     weights = spectra.xyz_weights(grid) * spectra.illuminant(light, grid)
     white = weights.sum(axis=1)
@@ -188,10 +187,10 @@ def _colours(camera: CameraModel, library: Array, light: str) -> tuple[Array, Ar
 
 
 def errors(matrices: LightMatrices) -> dict[str, dict[str, Any]]:
-    """Return the matrices and their colour errors as JSON types. The keys are the names of the matrices.
+    """Return colour matrices and their errors as JSON types, by matrix name.
 
-    The errors are the mean, the 95th percentile and the maximum of CIEDE2000 over measured surfaces. The result also
-    contains the L*a*b* of the surface with the largest error.
+    The errors are the mean, 95th percentile and maximum of CIEDE2000 over measured surfaces, and the L*a*b* of the surface
+    with the largest error.
     """
     kinds = {"CCM": matrices.correction, "ForwardMatrix": matrices.forward, "ColorMatrix": matrices.colour}
     return {
@@ -210,7 +209,7 @@ def errors(matrices: LightMatrices) -> dict[str, dict[str, Any]]:
 
 
 def temperature_curve(camera: CameraModel, order: tuple[int, int, int]) -> Array | None:
-    """Return the channel ratios of a grey surface as a function of the colour temperature.
+    """Return the channel ratios of a grey surface as a function of colour temperature.
 
     Parameters
     ----------
@@ -222,8 +221,8 @@ def temperature_curve(camera: CameraModel, order: tuple[int, int, int]) -> Array
     Returns
     -------
     ndarray, (temperature, 3), or None
-        Temperature in K, r/g and b/g, for black bodies and daylight. None if the signal in g is almost 0, or if r/g does not
-        decrease and b/g does not increase monotonically with temperature, because libcamera searches along the curve.
+        Temperature in K, r/g and b/g, for black bodies and daylight. None if the signal in g is almost 0. Also None unless
+        r/g decreases and b/g increases monotonically with temperature, because libcamera searches along the curve.
     """
     names = [f"{kelvin}K" for kelvin in BLACK_BODIES] + [f"D{kelvin}K" for kelvin in DAYLIGHTS]
     greys = np.array([_responses(camera, name)[0] for name in names])
@@ -236,15 +235,15 @@ def temperature_curve(camera: CameraModel, order: tuple[int, int, int]) -> Array
 
 
 def noise_profile(camera: CameraModel) -> tuple[float, float]:
-    """Fit the noise model of libcamera, standard deviation = constant + slope · √signal, to the noise of a camera.
+    """Fit libcamera's noise model to a camera: standard deviation = constant + slope · √signal.
 
-    The standard deviation and the signal are in DN at 16 bits. The least-squares fit uses signals whose square roots are
-    evenly spaced.
+    Standard deviation and signal are in DN at 16 bits. The square roots of the signals in the least-squares fit are evenly
+    spaced.
 
     Returns
     -------
     constant : float
-        Standard deviation without signal. It is never negative.
+        Standard deviation without signal, at least 0.
     slope : float
         Increase of the standard deviation with √signal.
     """
@@ -258,17 +257,16 @@ def noise_profile(camera: CameraModel) -> tuple[float, float]:
 
 
 def black_level_16(camera: CameraModel) -> int:
-    """Return the black level in DN at 16 bits, rounded to an integer, for tuning files."""
+    """Return the black level for tuning files: in DN at 16 bits, rounded to an integer."""
     return round(camera.black_level * 2 ** (SIGNAL_BITS - camera.bits))
 
 
 def shading_tables(field: FlatField, order: tuple[int, int, int], target: Target) -> tuple[Array, Array, Array]:
-    """Fit the shading tables of a Raspberry Pi to a flat field.
+    """Fit a Raspberry Pi's shading tables to a flat field.
 
-    The image signal processor (ISP) assigns the values of a table to the centres of the cells, and interpolates between the
-    centres. From the outermost centres to the edges of the frame, the values are constant. Tables with the gains at the
-    centres would be inaccurate: for a lens that halves the light in the corners, the error in the corners would be 4 %. The
-    tables are therefore smooth least-squares fits that include the interpolation of the ISP.
+    The ISP interpolates between the centres of the table's cells, and uses constant values from the outermost centres to the
+    edges of the frame. Simply storing the gains at the centres would be inaccurate: for a lens that halves the light in the
+    corners, the error there would be 4 %. The tables are therefore smooth least-squares fits that model this interpolation.
 
     Parameters
     ----------
@@ -277,12 +275,12 @@ def shading_tables(field: FlatField, order: tuple[int, int, int], target: Target
     order : tuple of int
         Indices of the channels r, g and b.
     target : Target
-        The ISP, which determines the size of the tables.
+        ISP, which determines the size of the tables.
 
     Returns
     -------
     green, red, blue : ndarray, (row, col)
-        Gain of g, and the gains of r and b relative to the gain of g. The smallest value in each table is 1.
+        Gain of g, and the gains of r and b relative to g. The smallest value in each table is 1.
     """
     ends = field.grid_row[-1] + 1, field.grid_col[-1] + 1
     fine = [length * _middles(4 * vertices) - 0.5 for length, vertices in zip(ends, target.vertices, strict=True)]
@@ -294,9 +292,9 @@ def shading_tables(field: FlatField, order: tuple[int, int, int], target: Target
 
 
 def _fit(cells: int, vertices: int) -> Array:
-    """Return the matrix (cell, sample) that fits the values of cells to gains along one axis of the frame.
+    """Return the matrix (cell, sample) that fits cell values to gains along one axis, by regularised least squares.
 
-    The gains are sampled at four points per vertex of the ISP's grid. The fit is a regularised least-squares fit.
+    The gains are sampled at four points per vertex of the ISP's grid.
     """
     places, middles = _middles(4 * vertices), _middles(cells)
     corners = np.linspace(0, 1, vertices)
@@ -307,12 +305,12 @@ def _fit(cells: int, vertices: int) -> Array:
 
 
 def _middles(count: int) -> Array:
-    """Return the centres of `count` equal parts of the interval from 0 to 1."""
+    """Return the centres of `count` equal parts of the interval 0 to 1."""
     return (np.arange(count) + 0.5) / count
 
 
 def rgb_order(channels: Sequence[str]) -> tuple[int, int, int] | None:
-    """Return the indices of the channels r, g and b. Return None if the camera has other channels."""
+    """Return the indices of r, g and b, or None if these are not the camera's channels."""
     colours = [next((index for index, each in enumerate(RGB) if name.casefold() in each), None) for name in channels]
     if len(colours) != len(RGB) or set(colours) != {0, 1, 2}:
         return None
@@ -320,7 +318,7 @@ def rgb_order(channels: Sequence[str]) -> tuple[int, int, int] | None:
 
 
 def bayer_order(channels: Sequence[str], cfa: NDArray[np.integer]) -> tuple[int, int, int] | None:
-    """Return the indices of r, g and b if the CFA is a 2×2 Bayer array with g on a diagonal. Otherwise, return None."""
+    """Return the indices of r, g and b for a 2×2 Bayer array with g on a diagonal, or None for other arrays."""
     order = rgb_order(channels)
     if order is None or cfa.shape != (2, 2):
         return None
@@ -330,10 +328,10 @@ def bayer_order(channels: Sequence[str], cfa: NDArray[np.integer]) -> tuple[int,
 
 
 def datasheet(camera: CameraModel) -> list[Row]:
-    """Return the rows of the data sheet of a camera: quantity, channel, value, unit and source.
+    """Return the rows of a camera's data sheet: quantity, channel, value, unit and source.
 
-    If a quantity applies to the whole camera, the channel is empty. The source of a value is "measured", "declared" (stated
-    by the user in the measurement file) or "recipe".
+    The channel is empty for quantities of the whole camera. The source is "measured", "declared" (from the user's
+    measurement file) or "recipe".
     """
     optics, source = camera.optics, "recipe" if camera.fit is None else "measured"
     given = "recipe" if camera.fit is None else "declared"
@@ -365,10 +363,10 @@ def datasheet(camera: CameraModel) -> list[Row]:
 
 
 def _polariser_rows(camera: CameraModel, peaks: NDArray[np.integer], given: str) -> list[Row]:
-    """Return the rows of the data sheet with the angles and the finite extinction ratios of the polarisers.
+    """Return the data sheet rows with the polarisers' angles and finite extinction ratios.
 
-    `peaks` contains the index of the peak wavelength of each channel. `given` is the source of values that were not
-    measured. Measured values have 95 % bands. If the camera has no polarisers, the result is empty.
+    `peaks` contains the index of each channel's peak wavelength. `given` is the source of values that were not measured.
+    Measured values have 95 % bands.
     """
     polarisers, fit = camera.polarisers, camera.fit.polarisers if camera.fit else None
     rows: list[Row] = []
@@ -389,7 +387,7 @@ def _polariser_rows(camera: CameraModel, peaks: NDArray[np.integer], given: str)
 
 
 def _declared(name: str, camera: CameraModel) -> bool:
-    """Return whether a quantity was copied from a data sheet or assumed to be 0, instead of being measured."""
+    """Whether a quantity was copied from a data sheet or assumed to be 0, not measured."""
     known = DECLARED_AS.get(name, name)
     return known in camera.declared or (name in NOISE and "noise" in camera.declared)
 
@@ -398,16 +396,15 @@ class Exported(NamedTuple):
     """Files that describe a camera to other software."""
 
     files: dict[str, str]  # file name → content
-    errors: dict[str, dict[str, dict[str, Any]]]  # illuminant → name of a matrix → its colour errors (see `errors`)
-    note: str | None  # message about files that could not be created, with the reason; None if all files are included
+    errors: dict[str, dict[str, dict[str, Any]]]  # illuminant → matrix name → colour errors (see `errors`)
+    note: str | None  # which files are missing, and why; None if there are all
 
 
 def export(camera: CameraModel) -> Exported:
-    """Create files that describe a camera to other software: responsivities, data sheet, DCP profile and tuning files.
+    """Export a camera to other software, as responsivities, data sheet, DCP profile and tuning files.
 
     The DCP profile and the tuning files contain colour matrices, which require at least three channels with different
-    responsivities. Tuning files also require a Bayer array. If a file cannot be created, the note in the result states the
-    reason.
+    responsivities. Tuning files also require a Bayer array. The note in the result explains why files are missing.
     """
     camera = replace(camera, name=printable(camera.name))  # the name may contain unprintable bytes
     files = {**_curves(camera), DATASHEET: _datasheet_csv(camera)}
@@ -436,9 +433,9 @@ def export(camera: CameraModel) -> Exported:
 
 
 def _curves(camera: CameraModel) -> dict[str, str]:
-    """Return two files with the relative responsivities per energy: a CSV file, and a JSON file for rawtoaces.
+    """Return the relative responsivities per energy as two files: CSV, and JSON for rawtoaces.
 
-    The CSV file has the wavelengths of the camera. The responsivities are scaled to a maximum of 1.
+    They are scaled to a maximum of 1. The CSV file contains the camera's own wavelengths.
     """
     curves = camera.responsivity * camera.wavelength
     curves = curves / curves.max()
@@ -463,11 +460,11 @@ def _curves(camera: CameraModel) -> dict[str, str]:
 
 
 def _dcp_json(camera: CameraModel, known: Mapping[str, LightMatrices]) -> str:
-    """Return a DCP in the JSON format of `dcamprof json2dcp`, with matrices for ILLUMINANTS.
+    """Return a DCP with matrices for ILLUMINANTS, in the JSON format of `dcamprof json2dcp`.
 
-    Two additional keys are not part of a DCP. "Channels" lists the channel names: r, g, b if the camera has exactly these
-    channels, otherwise all channels in the order of the camera. "AsShotNeutral" contains the signals of a grey surface under
-    each illuminant, for use in DNG files.
+    Two additional keys are not part of a DCP. "Channels" lists the channel names: r, g, b if these are the camera's
+    channels, otherwise all channels in the camera's order. "AsShotNeutral" contains the signals of a grey surface under each
+    illuminant, for use in DNG files.
     """
     planes = list(rgb_order(camera.channels) or range(len(camera.channels)))
     lights = [known[light] for light in ILLUMINANTS]
@@ -484,7 +481,7 @@ def _dcp_json(camera: CameraModel, known: Mapping[str, LightMatrices]) -> str:
 def _raspberry_pi_json(
     camera: CameraModel, corrections: Mapping[int, Array], curve: Array | None, order: tuple[int, int, int], target: Target
 ) -> str:
-    """Return a tuning file (version 2.0, JSON) for the Raspberry Pi pipelines of libcamera.
+    """Return a tuning file (version 2.0, JSON) for libcamera's Raspberry Pi pipelines.
 
     libcamera and picamera2 expect the file name SENSOR.json.
 
@@ -495,13 +492,13 @@ def _raspberry_pi_json(
     corrections : mapping of int to ndarray, (3, 3)
         Colour temperature in K, in increasing order → colour correction matrix.
     curve : ndarray, (temperature, 3), or None
-        Result of `temperature_curve`. If `curve` is None, the file contains no white-balance curve.
+        White-balance curve from `temperature_curve`. None omits it from the file.
     order : tuple of int
         Indices of the channels r, g and b.
     target : Target
-        Image signal processor. It determines the size of the shading tables, which require a flat field.
+        ISP, which determines the size of the shading tables. These require a flat field.
     """
-    flat = {"priors": [{"lux": 0, "prior": [2000, 0.0, 13000, 0.0]}]}  # a flat prior, because the illuminance is unknown
+    flat = {"priors": [{"lux": 0, "prior": [2000, 0.0, 13000, 0.0]}]}  # flat prior, because the illuminance is unknown
     awb: dict[str, Any] = {"bayes": 0}
     missing = ["missing: ct_curve of rpi.awb, because the colour of greys does not change monotonically with temperature"]
     if curve is not None:
@@ -541,7 +538,7 @@ def _raspberry_pi_json(
 
 
 def _simple_yaml(camera: CameraModel, corrections: Mapping[int, Array]) -> str:
-    """Return the tuning file SENSOR.yaml for the simple pipeline of libcamera, the software ISP of laptops and phones."""
+    """Return the tuning file SENSOR.yaml for libcamera's simple pipeline, the software ISP of laptops and phones."""
     black_level = black_level_16(camera)
     lines = [
         "# " + json.dumps(f"{camera.name}, l3cli {__version__}")[1:-1],
@@ -563,7 +560,7 @@ def _simple_yaml(camera: CameraModel, corrections: Mapping[int, Array]) -> str:
 
 
 def _datasheet_csv(camera: CameraModel) -> str:
-    """Return the data sheet as CSV, with a row of headings."""
+    """Return the data sheet as CSV with column headings."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     for row in (("quantity", "channel", "value", "unit", "source"), *datasheet(camera)):
@@ -572,7 +569,7 @@ def _datasheet_csv(camera: CameraModel) -> str:
 
 
 def _json(value: Any, indent: int = 0) -> str:
-    """Convert a value to ASCII JSON, indented by two spaces per level. A list of numbers is written on one line."""
+    """Format a value as ASCII JSON, indented by two spaces per level, with each list of numbers on one line."""
     inner = " " * (indent + 2)
     if isinstance(value, dict):
         lines = [f"{inner}{json.dumps(key)}: {_json(each, indent + 2)}" for key, each in value.items()]

@@ -1,7 +1,7 @@
 """Export a table as C99 source.
 
-The source consists of files from c/, and of macros and constant arrays with the numbers of the table. The OpenCL code of
-optional class features is converted to C by renaming its types.
+The source consists of files from c/, and of macros and constant arrays with the numbers of the table. The code for optional
+class features is converted from OpenCL to C by renaming types.
 """
 
 import json
@@ -51,12 +51,12 @@ from l3cli.rendering.white.source import usual_balance
 from l3cli.system.text import printable
 
 PIECES = Path(__file__).parent / "c"
-Words = Literal["float32", "int16"]  # type of the outputs, and of the weights and inputs of the last layer
+Words = Literal["float32", "int16"]  # type of the outputs, and of the last layer's weights and inputs
 PREFIX = "l3"  # default prefix of symbols and file names
-MIN_BLOCK = 128  # minimum number of pixels per block that a loop processes
-CODES = 256  # number of values of an 8-bit picture
+MIN_BLOCK = 128  # loops process at least this number of pixels per block
+CODES = 256  # number of codes in an 8-bit picture
 SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
-LINEAR_BINS = 4096  # number of bins of linear values; no bin contains more than one threshold between 8-bit sRGB values
+LINEAR_BINS = 4096  # bins of linear values, none of which contains more than one threshold between 8-bit sRGB codes
 DATA = (
     "/* The arrays of a transform table. l3_table.h declares them. Long arrays are strings of their bytes. */",
     '#include "l3_table.h"',
@@ -73,7 +73,7 @@ GUARD = ("#ifndef L3_TABLE_H", "#define L3_TABLE_H", "", "#include <stdint.h>", 
 def c_files(
     table: TransformTable, words: Words = "float32", balance: WhiteBalance | None = None, prefix: str = PREFIX
 ) -> dict[str, bytes]:
-    """Return the content of each C source file of a table. The keys are file names.
+    """Return a table as C source: file names and contents.
 
     Parameters
     ----------
@@ -82,17 +82,16 @@ def c_files(
     words : {"float32", "int16"}
         Type of the outputs.
     balance : WhiteBalance, optional
-        White balance of the pictures. It applies only to tables with the outputs X, Y, Z. [default: the white of the table
-        becomes neutral]
+        White balance of pictures, for tables with the outputs X, Y, Z. [default: the table's white becomes neutral]
     prefix : str
-        Prefix of C symbols and file names: a lower-case letter and up to 30 lower-case letters, digits and "_".
+        Prefix of C symbols and file names: a lower-case letter, and up to 30 lower-case letters, digits and "_".
 
     Raises
     ------
     InputFileError
-        If the C source does not support the table, or supports the table only with `words` float32.
+        If the C source supports the table only with `words` float32.
     RecipeError
-        If the prefix is invalid.
+        If the prefix is invalid, or if the table has too many layers.
     """
     require_known_layers(table)
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", prefix):
@@ -105,8 +104,8 @@ def c_files(
     floats = "smooths spectra" if table.spectra else "corrects bands" if _corrects(table) else ""
     if floats and words == "int16":
         raise InputFileError(
-            f"the table {floats}, which the C source can only compute in floats; remove ‹words› int16, or export the table "
-            "as a folder"
+            f"the table {floats}, which the C source supports only in floating point; remove ‹words› int16, or export the "
+            "table as a folder"
         )
     short = short_words(table) if words == "int16" else None
     arrays, layers = table_arrays(table, short)
@@ -137,9 +136,9 @@ def c_files(
 
 
 def _named(text: str, prefix: str) -> str:
-    """Replace "l3" by the prefix in the symbols, macros, types and file names of a text.
+    """Replace "l3" by the prefix in symbols, macros, types and file names.
 
-    Lines that start with a string literal are unchanged, because they contain the bytes of an array.
+    Lines that start with a string literal remain unchanged, because they contain the bytes of an array.
     """
     if prefix == PREFIX:
         return text
@@ -156,7 +155,7 @@ def _piece(name: str) -> str:
 
 
 def _computation(table: TransformTable, words: Words) -> str:
-    """Return the text of l3.c. It is composed of the files in c/ that the table needs."""
+    """Return the text of l3.c, concatenated from the files in c/ that the table needs."""
     coarse = "coarse_chroma.c" if _coarse_chroma(table) else "no_coarse_chroma.c"
     clips = "clipping.c" if table.later and table.later[-1].clipping else "no_clipping.c"
     corrections = "corrections.c" if _corrects(table) else "no_corrections.c"
@@ -171,7 +170,7 @@ def _computation(table: TransformTable, words: Words) -> str:
 
 
 def _features(rule: ClassRule) -> str:
-    """Return C code for the optional features of a class rule. The C code is converted from the OpenCL code."""
+    """Return the C code for a class rule's optional features, converted from OpenCL."""
     modules = features_of(rule)
     if not modules:
         return _piece("no_features.c")
@@ -189,10 +188,7 @@ def _features(rule: ClassRule) -> str:
 
 
 def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
-    """Return the macros of l3_table.h: the sizes of loops and arrays, and the constants in formulas.
-
-    The names lack the prefix that they have in the file.
-    """
+    """Return the macros of l3_table.h, without their prefix: the sizes of loops and arrays, and constants in formulas."""
     rule, columns = table.first.rule, table.cfa.shape[1]
     group = math.lcm(columns, TAP_GROUP)
     values: dict[str, int | str] = {
@@ -252,9 +248,9 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
 
 
 def _test_steps(table: TransformTable) -> int:
-    """Return the largest permitted difference, in output steps, between a 16-bit output and the reference.
+    """Return by how many output steps a 16-bit output may differ from the reference.
 
-    The limit is higher for tables that smooth chroma, because the weights of the smoothing amplify rounding errors.
+    The limit is higher for tables that smooth chroma, because the smoothing weights amplify rounding errors.
     """
     worst = short_cost(table, short_words(table))[1]
     return max(4, math.ceil(3 * worst)) if table.chroma_smoothing else max(1, math.ceil(worst))
@@ -269,10 +265,9 @@ def _coarse_chroma(table: TransformTable) -> CoarseChroma | None:
 
 
 def _clipped_white(table: TransformTable, fraction: int) -> dict[str, int | str]:
-    """Return the macros for the step that limits the outputs to the clipped white.
+    """Return the macros for limiting outputs to the clipped white, if the table contains it.
 
-    The result is empty if the table has no clipped white. `fraction` is the number of fractional bits of an output, or 0 if
-    outputs are floats.
+    `fraction` is the number of fractional bits of an output, or 0 for float outputs.
     """
     if table.clipped_white is None:
         return {}
@@ -284,7 +279,7 @@ def _clipped_white(table: TransformTable, fraction: int) -> dict[str, int | str]
 
 
 def _clipping_known(table: TransformTable) -> dict[str, float | int]:
-    """Return the constants in the formulas for uniform clipped areas. The keys are the names of the constants."""
+    """Return the constants for clipped areas, by name."""
     rows, columns = clipping.block_sides(table.cfa)
     return {
         "clip_rows": rows,
@@ -443,7 +438,7 @@ def _words_known(table: TransformTable, short: ShortWords) -> dict[str, str | in
 def _picture_source(table: TransformTable, balance: WhiteBalance | None, text: str) -> str:
     """Insert the constants of a table with the outputs X, Y, Z into `text`, the template picture.c.
 
-    If `balance` is None, the white of the table becomes neutral.
+    If `balance` is None, the table's white becomes neutral.
     """
     balance = balance or usual_balance(table)
     matrix, gamut = linear_matrix(shown_adaptation(table, balance.adaptation), 1.0, SRGB), gamut_of(SRGB)
@@ -471,18 +466,17 @@ def _picture_source(table: TransformTable, balance: WhiteBalance | None, text: s
 
 
 def _page_facts(table: TransformTable, balance: WhiteBalance | None) -> str:
-    """Return the properties of a table that the browser page needs, as JSON.
+    """Return the properties of a table for the browser page, as JSON.
 
-    `neutral` contains the signals of a grey surface under the training illuminant. The page uses these signals to compute
-    the white balance that a file states. If the user set a white for the export, or if the signals are unknown, `neutral` is
-    null.
+    `neutral` contains the signals of a grey surface under the training illuminant, with which the page applies the white
+    balance in a file. It is null if these signals are unknown, or if the user set a white for the export.
     """
     codes, trained = channel_codes(table.channels), Whites(table).trained
     facts = {
         "camera": printable(table.camera_name),
         "cfa": table.cfa.tolist(),
-        "codes": codes.tolist(),  # colour codes; channels without a TIFF/EP code have codes that TIFF/EP does not define
-        "names": [code_of(name) for name in table.channels],  # TIFF/EP colour codes; null for channels without a code
+        "codes": codes.tolist(),  # TIFF/EP colour codes, and unused codes for channels without one
+        "names": [code_of(name) for name in table.channels],  # TIFF/EP colour codes, and null for channels without one
         "black": table.black_level,
         "white": table.white_level,
         "layers": len(table.layers),
@@ -493,7 +487,7 @@ def _page_facts(table: TransformTable, balance: WhiteBalance | None) -> str:
 
 
 def _thresholds(curve: Curve) -> NDArray[np.float64]:
-    """Return, for each 8-bit value from 1 to 255, the smallest linear value that is encoded as this value."""
+    """Return the smallest linear value that is encoded as each 8-bit code from 1 to 255."""
     encoded = (np.arange(1, CODES) - 0.5) / (CODES - 1)
     power = ((encoded + curve.offset) / curve.gain) ** (1 / curve.exponent)
     return np.where(encoded <= curve.slope * curve.knee, encoded / curve.slope, power)

@@ -1,11 +1,11 @@
-"""Convert the weights of the last layer to fixed point, and measure how much the outputs of a synthetic mosaic change.
+"""Convert the last layer's weights to fixed point, and measure the effect on a synthetic mosaic.
 
     weight ≈ whole · 2^−F
 
-`whole` is a signed integer with a given number of bits. F is the number of fractional bits. F is as large as the largest
-weight of a class, or of the whole table, permits.
+`whole` is a signed integer with a given word length. The number of fractional bits, F, is as large as the largest weight of
+the class or of the whole table permits.
 
-Intercepts are not converted. All layers before the last layer always use 16-bit weights (docs/method.md#planes).
+Intercepts are not converted. All layers before the last one always use 16-bit weights (docs/method.md#planes).
 """
 
 import dataclasses
@@ -33,37 +33,37 @@ from l3cli.rendering.reference import (
     smoothed_chroma,
 )
 
-# Rows and columns of the test vector. The test vector is wider than a block of pixels in the C source. Its width is not a
-# multiple of common CFA periods.
+# Rows and columns of the test vector. It is wider than a block of pixels in the C source, and its width is not a multiple of
+# common CFA periods.
 VECTOR_SHAPE = (40, 150)
 VECTOR_SEED = 3
-MOST_OUTPUT_FRACTION = 12  # maximum number of fractional bits of a 16-bit output, for a range of ±8
+MOST_OUTPUT_FRACTION = 12  # maximum number of fractional bits in a 16-bit output, for a range of ±8
 OUTPUT_TOP = 2**15 - 1  # largest 16-bit output
-HIGH_BITS = 12  # number of bits in the high part of a value, including the sign
-# Maximum of a weight before rounding, and maximum of a sum of products. The maximum of the sum leaves a margin for the low
-# part of the value and for the rounding constant, which are added later.
+HIGH_BITS = 12  # bits in the high part of a value, including the sign
+# Limits of a weight before rounding, and of a sum of products. The latter leaves room for the low part of the value and the
+# rounding constant, which are added later.
 MAX_WEIGHT, MAX_SUM = 2.0**15 - 8, 2.0**31 - 2**26
 MAX_FRACTION = 24
-# Assumed correlation R between the values of two taps: exp(−distance / REACH), with the distance in pixels. For taps of
-# different channels, R is multiplied by OTHER. NOISE is added to the correlation of a tap with itself.
+# Assumed correlation R between the values of two taps: exp(−distance / REACH), with the distance in pixels, times OTHER for
+# taps of different channels. NOISE is added to a tap's correlation with itself.
 REACH, OTHER, NOISE = 8.0, 0.8, 0.2
-LENGTHS = (8, 10, 12, 14, 16)  # word lengths, in bits, for which the accuracy is measured
-SHAPE, SEED = (64, 256), 4  # (rows, columns) and seed of the mosaic with which the accuracy is measured
-ENOUGH_PSNR_DB = 60.0  # sufficient PSNR; corresponds to an RMS error of 0.001 for a peak of 1
-Scale = Literal["class", "table"]  # whether each class or the whole table has a binary point
+LENGTHS = (8, 10, 12, 14, 16)  # word lengths to compare, in bits
+SHAPE, SEED = (64, 256), 4  # (rows, columns) and seed of the mosaic for the comparison
+ENOUGH_PSNR_DB = 60.0  # sufficient PSNR, an RMS error of 0.001 for a peak of 1
+Scale = Literal["class", "table"]  # whether each class has its own binary point, or the whole table has one
 
 
 @dataclass(frozen=True)
 class Vector:
-    """A test vector: a mosaic, its classes in all layers, and its outputs."""
+    """Test vector: a mosaic, its class maps in all layers, and its outputs."""
 
-    raw: NDArray[np.uint16]  # (row, col) mosaic in DN, with the black level and the white level of the table
+    raw: NDArray[np.uint16]  # (row, col) mosaic in DN, at the table's black and white levels
     phase: tuple[int, int]  # CFA row and CFA column of the first pixel
     labels: Integers  # (layer, row, col) classes
     outputs: NDArray[np.float32]  # (output, row, col)
 
     def files(self) -> dict[str, bytes]:
-        """Return the arrays as the content of little-endian files in row-major order. The keys are file names."""
+        """Return file names and contents: the arrays in row-major order, little-endian."""
         return {
             "test_raw.bin": self.raw.astype("<u2").tobytes(),
             "test_labels.bin": self.labels.astype("<u4").tobytes(),
@@ -72,9 +72,9 @@ class Vector:
 
 
 def drawn_mosaic(table: TransformTable, shape: tuple[int, int], seed: int) -> NDArray[np.uint16]:
-    """Generate a random mosaic (row, col) with the black level and the white level of a table.
+    """Generate a random mosaic (row, col) at the table's black and white levels.
 
-    The mosaic contains uniform and textured areas. Its brightness increases from dark at the left to saturated at the right.
+    It contains uniform and textured areas, and gets brighter from the left (dark) to the right (saturated).
     """
     rng = np.random.default_rng(seed)
     level = np.geomspace(0.002, 1.5, shape[1]) * (table.white_level - table.black_level)
@@ -86,7 +86,7 @@ def drawn_mosaic(table: TransformTable, shape: tuple[int, int], seed: int) -> ND
 def make_vector(table: TransformTable) -> Vector:
     """Compute the test vector of a table.
 
-    The CFA phase of the mosaic is not (0, 0) if the period permits this, so that the test detects phase errors.
+    If the CFA period permits, the phase is not (0, 0), so that the test detects phase errors.
     """
     phase = (1 % table.cfa.shape[0], 1 % table.cfa.shape[1])
     raw = drawn_mosaic(table, VECTOR_SHAPE, VECTOR_SEED)
@@ -98,26 +98,24 @@ def make_vector(table: TransformTable) -> Vector:
 
 @dataclass(frozen=True)
 class ShortWords:
-    """Transforms of the last layer as 16-bit words. The taps are in the same order as in the table."""
+    """Last layer's transforms as 16-bit words, with the taps in the table's order."""
 
-    # (class, output, tap) integer weights. All have at most 16 bits, except the largest weight of a window.
-    whole: NDArray[np.int32]
+    whole: NDArray[np.int32]  # (class, output, tap) at most 16 bits, except for the largest weight of each window
     intercept: NDArray[np.int32]  # (class, output)
     fraction: NDArray[np.uint8]  # (class, output) number of fractional bits of the weights, minus `split`
     split: int  # number of bits in the low part of an input value
 
     def in_floats(self, table: TransformTable) -> NDArray[np.float32]:
-        """Convert the words back to float weights (class, output, tap) for the last layer of the table."""
+        """Convert the words back to the table's float weights (class, output, tap)."""
         shift = -(self.fraction.astype(np.int32) + self.split + output_fraction(table))
         return np.ldexp(self.whole.astype(np.float64) / _value_step(table), shift[..., None]).astype(np.float32)
 
 
 def output_fraction(table: TransformTable) -> int:
-    """Return the number of fractional bits in the 16-bit outputs of a table, at most 12.
+    """Return the number of fractional bits in 16-bit outputs: 12, or fewer if clipped white is much brighter than white.
 
-    The clipped white may use at most half of the range of an output, because pixels next to edges can be brighter than the
-    clipped white. The clipped white is much brighter than white if some channels clip much later than other channels, for
-    example in arrays with unfiltered pixels.
+    Clipped white may use half of the output range, because pixels next to edges can be brighter. It is much brighter than
+    white if some channels clip much later than others, for example in arrays with unfiltered pixels.
     """
     if table.clipped_white is None:
         return MOST_OUTPUT_FRACTION
@@ -125,10 +123,7 @@ def output_fraction(table: TransformTable) -> int:
 
 
 def split_of(table: TransformTable) -> int:
-    """Return the number of bits in the low part of an input value.
-
-    The last layer splits each value into a low and a high part.
-    """
+    """Return the number of bits in the low part, when the last layer splits input values into high and low parts."""
     return PLANE_TOP.bit_length() + 1 - HIGH_BITS if table.later else max(0, table.bits - HIGH_BITS)
 
 
@@ -138,21 +133,21 @@ def offset_of(table: TransformTable) -> int:
 
 
 def short_words(table: TransformTable) -> ShortWords:
-    """Convert the transforms of the last layer of a table to 16-bit words.
+    """Convert the last layer's transforms to 16-bit words.
 
-    Each class and output has the largest number of fractional bits for which its weights fit into 16 bits and its sums fit
-    into 32 bits. Raises InputFileError if the transforms are too large.
+    Each class and output has as many fractional bits as possible, with weights in 16 bits and sums in 32 bits. Raises
+    InputFileError if the transforms are too large.
     """
     split, offset = split_of(table), offset_of(table)
     layer, black = table.layers[-1], 0.0 if table.later else table.black_level - offset
-    # These weights are in output steps per step of an input value.
+    # Weights in output steps per input step.
     steps = 2 ** output_fraction(table)
     weights = layer.weights.astype(np.float64) * (_value_step(table) * steps)
     intercept = layer.intercept.astype(np.float64) * steps - black * weights.sum(axis=-1)
     values = PLANE_TOP if table.later else max(2**table.bits - 1 - offset, offset)
     size = np.abs(weights)
     windows = weights.shape[-1] - (table.later[-1].ratio_taps if table.later else 0)
-    # Bilateral chroma is the difference between two values, and can therefore be twice as large as a value.
+    # Bilateral chroma is a difference of two values, so it can be twice as large as a value.
     twice = size[..., windows + RATIO_TAPS[1] :].sum(axis=-1)
     sums = (size.sum(axis=-1) + twice) * values + np.abs(intercept)
     second = np.sort(size[..., :windows], axis=-1)[..., -2:].min(axis=-1)
@@ -161,7 +156,7 @@ def short_words(table: TransformTable) -> ShortWords:
     fraction = np.minimum(MAX_FRACTION + split, np.floor(np.log2(most)))
     if fraction.min() < split:
         raise InputFileError(
-            "the transforms of the last layer are too large for 16-bit words; export the table with ‹words› float32"
+            "the last layer's transforms are too large for 16-bit words; export the table with ‹words› float32"
         )
     scaled = weights * 2.0 ** fraction[..., None]
     of_windows = [_rounded(scaled[members, :, :windows], likeness) for members, likeness in _likenesses(table)]
@@ -175,15 +170,15 @@ def short_words(table: TransformTable) -> ShortWords:
 
 
 def _value_step(table: TransformTable) -> float:
-    """Return the size of one step of the last layer's integer inputs, in the unit of its float inputs."""
+    """Return the step of the last layer's integer inputs, in the unit of its float inputs."""
     return PLANE_STEP if table.later else 1 / (table.white_level - table.black_level)
 
 
 def _likenesses(table: TransformTable) -> list[tuple[NDArray[np.bool_], NDArray[np.float64]]]:
-    """Return the assumed correlation R (tap, tap) between window taps, for each group of classes in the last layer.
+    """Return the groups of classes with the same assumed correlation R (tap, tap) between window taps.
 
-    In the first layer, the classes of each CFA site are a group. In a refinement layer, all classes are one group. Each item
-    of the result is a tuple: a mask of the classes in the group, and the matrix R of the group.
+    Each item is a mask of classes, and R. If the last layer is the first one, each CFA site is a group. In a refinement
+    layer, all classes are one group.
     """
     layer = table.layers[-1]
     if table.later:
@@ -195,10 +190,9 @@ def _likenesses(table: TransformTable) -> list[tuple[NDArray[np.bool_], NDArray[
 
 
 def _likeness(source: NDArray[np.int64], other: float) -> NDArray[np.float64]:
-    """Return the assumed correlation R (tap, tap) between the taps of square windows.
+    """Return the assumed correlation R (tap, tap) between the taps of a square window.
 
-    `source` contains the channel or the plane of each tap. If two taps have different sources, their correlation is
-    multiplied by `other`.
+    `source` is the channel or plane of each tap. Between different sources, the correlation is multiplied by `other`.
     """
     side = math.isqrt(len(source) if other else np.count_nonzero(source == source[0]))
     row, column = np.divmod(np.arange(len(source)) % side**2, side)
@@ -208,17 +202,17 @@ def _likeness(source: NDArray[np.int64], other: float) -> NDArray[np.float64]:
 
 
 def _rounded(weights: NDArray[np.float64], likeness: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Round weights (class, output, tap) to integers so that the error eᵀ R e is small.
+    """Round weights (class, output, tap) to integers with a small error eᵀ R e.
 
-    e is the vector of the rounding errors of all taps, and R is `likeness`. The function starts with the nearest integers.
-    In each step, it changes the weight that reduces the error most.
+    e is the vector of rounding errors, and R is `likeness`. Starting from the nearest integers, each step changes the weight
+    that reduces the error most.
     """
     flat = weights.reshape(-1, weights.shape[-1])
     whole = np.rint(flat)
     slope = (whole - flat) @ likeness  # half of the derivative of eᵀ R e with respect to each weight
     own = np.diag(likeness)
     for _ in range(2 * flat.shape[1]):
-        change = own - 2 * np.abs(slope)  # change of eᵀ R e if a weight changes by 1 in the direction that reduces the error
+        change = own - 2 * np.abs(slope)  # change of eᵀ R e if a weight changes by 1 in the better direction
         tap = change.argmin(axis=1)
         moved = np.flatnonzero(change[np.arange(len(flat)), tap] < -1e-9)
         if not moved.size:
@@ -232,7 +226,7 @@ def _rounded(weights: NDArray[np.float64], likeness: NDArray[np.float64]) -> NDA
 
 @dataclass(frozen=True)
 class Words:
-    """Fixed-point weights of the last layer."""
+    """Last layer's weights in fixed point, with a given word length."""
 
     whole: NDArray[np.int16]  # (class, output, tap)
     fraction: NDArray[np.int8]  # (class,) number of fractional bits, F
@@ -241,13 +235,13 @@ class Words:
 
     @property
     def weights(self) -> NDArray[np.float32]:
-        """The fixed-point weights (class, output, tap), converted to floats."""
+        """Weights (class, output, tap), converted back to floats."""
         return np.ldexp(self.whole.astype(np.float32), -self.fraction[:, None, None].astype(np.int32))
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Accuracy of the outputs with fixed-point weights, compared with the outputs with float weights."""
+    """Accuracy of outputs from fixed-point weights, relative to float weights."""
 
     bits: int  # word length
     scale: Scale
@@ -255,7 +249,7 @@ class Cost:
 
 
 def in_words(weights: NDArray[np.float32], bits: int, scale: Scale) -> Words:
-    """Convert weights (class, output, tap) to fixed point with a word length of `bits`, at most 16."""
+    """Convert weights (class, output, tap) to fixed point with a word length of up to 16 bits."""
     largest = np.abs(weights).max(axis=(1, 2)).astype(np.float64)
     if scale == "table":
         largest[:] = largest.max()
@@ -266,10 +260,7 @@ def in_words(weights: NDArray[np.float32], bits: int, scale: Scale) -> Words:
 
 
 def word_costs(table: TransformTable) -> tuple[Cost, ...]:
-    """Measure the accuracy of fixed-point weights for each word length in LENGTHS, and for both types of `Scale`.
-
-    The outputs of a random mosaic with fixed-point weights are compared with the outputs with float weights.
-    """
+    """Measure the accuracy of fixed-point weights on a random mosaic, for each word length in LENGTHS and each `Scale`."""
     weights = table.layers[-1].weights
     outputs = _outputs(table)
     expected = outputs(weights)
@@ -283,16 +274,16 @@ def word_costs(table: TransformTable) -> tuple[Cost, ...]:
 
 
 def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
-    """Measure the accuracy of 16-bit words.
+    """Measure the accuracy of 16-bit words on a random mosaic.
 
     Returns
     -------
     psnr : float
-        PSNR of the rounded outputs in dB, for a peak of 1. The errors include all steps after the last layer: the
-        replacement of clipped areas, the limit of the luminance, and the smoothing of chroma. If the table has coarse
-        chroma, the errors also include the rounding of coarse chroma, which affects two of the three outputs.
+        PSNR of the rounded outputs in dB, for a peak of 1. It includes all steps after the last layer: replacing clipped
+        areas, limiting the luminance, and smoothing chroma. It also includes the rounding of coarse chroma, if any, in two
+        of the three outputs.
     worst : float
-        Largest error of an output before rounding, in steps of a rounded output.
+        Largest error before rounding, in output steps.
     """
     outputs, step = _outputs(table), 2.0 ** -output_fraction(table)
     expected, short = outputs(table.layers[-1].weights), outputs(words.in_floats(table))
@@ -316,9 +307,9 @@ def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
 
 
 def chosen_words(table: TransformTable, costs: tuple[Cost, ...]) -> Words:
-    """Convert the weights of the last layer to the shortest words with a PSNR of at least ENOUGH_PSNR_DB.
+    """Convert the last layer's weights to the shortest words with a PSNR of at least ENOUGH_PSNR_DB.
 
-    Each class has its own binary point. If no word length in `costs` reaches this PSNR, the longest word length is used.
+    Each class has its own binary point. If no word length reaches this PSNR, the longest one is used.
     """
     enough = [cost.bits for cost in costs if cost.scale == "class" and cost.psnr >= ENOUGH_PSNR_DB]
     return in_words(table.layers[-1].weights, min(enough, default=LENGTHS[-1]), "class")
@@ -329,7 +320,7 @@ def _drawn_frame(table: TransformTable) -> RawFrame:
 
 
 def _outputs(table: TransformTable) -> Callable[[NDArray[np.float32]], NDArray[np.float64]]:
-    """Return a function that converts weights of the last layer to the outputs (output, row, col) of a random mosaic."""
+    """Return a function that renders a random mosaic to outputs (output, row, col) with given last-layer weights."""
     frame, reference = _drawn_frame(table), ReferenceRenderer(table)
     labels = reference.labels(frame, len(table.layers) - 1)
     if not table.later:

@@ -197,7 +197,7 @@ def test_any_mosaic_gets_the_classes_and_outputs_of_the_reference(built: Built, 
 
 
 def test_words_of_smoothed_spectra_are_refused() -> None:
-    with pytest.raises(InputFileError, match="smooths spectra, which the C source can only compute in floats"):
+    with pytest.raises(InputFileError, match="smooths spectra, which the C source supports only in floating point"):
         c_files(TABLES["smoothed spectra"](), "int16")
 
 
