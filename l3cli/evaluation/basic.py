@@ -2,10 +2,9 @@
 
 Its steps are white balance, demosaicking and a colour matrix.
 
-Each channel clips at its own full scale, so clipped highlights can be coloured. If all channels were clipped together at the
-signal at which the first channel clips, highlights would be neutral, but the colour error of faces would increase by 0.6
-ΔE00 (mean over three light levels). The pipeline therefore clips each channel separately, because a baseline should be as
-good as possible.
+Each channel clips at its own full scale, so clipped highlights can be coloured. Clipping all channels as soon as the first
+one clips would make highlights neutral, but increase the colour error of faces by 0.6 ΔE00 (mean over three light levels). A
+baseline should be as good as possible, so the pipeline does not do this.
 """
 
 from collections.abc import Callable
@@ -21,39 +20,38 @@ from l3cli.evaluation.demosaic import Demosaic, interpolate
 from l3cli.physics import spectra
 
 Array = NDArray[np.floating]
-# Function that merges several exposures of the same colour filter. The first argument and the result are white-balanced
-# planes (channel, row, col). The last argument contains one white-balance factor per channel.
+# Merges channels with the same colour filter but different exposures or gains. The first argument and the result are
+# white-balanced planes (channel, row, col). The last argument contains the white-balance factors (channel,).
 Merge = Callable[[Array, TrainingPair, CameraModel, Array], Array]
-CLIPPED = 0.985  # raw values at or above this fraction of full scale are clipped
-TOUCHED = 0.02  # an interpolated value is clipped if clipped raw values contribute more than this fraction
-# Ridge parameter, relative to the mean square of the channel differences. A larger value reduces noise but increases colour
-# errors. This value increases the colour error of a chart by 1.7 ΔE.
+CLIPPED = 0.985  # raw values at or above this fraction of full scale count as clipped
+TOUCHED = 0.02  # interpolated values count as clipped if clipped raw values contribute more than this fraction
+# Ridge parameter, relative to the mean square of the channel differences. Larger values reduce noise but increase colour
+# errors. This one increases the colour error of a chart by 1.7 ΔE.
 RIDGE = 0.05
-BLIND = 1e-6  # channels whose response to white is less than this fraction of the largest response are ignored
-# Ends of the wavelength range of the CIE observers. Each entry contains the function that extends the range to the
-# wavelengths of cameras, the wavelength in nm, and the index of this end in an array of wavelengths.
+BLIND = 1e-6  # channels with a response to white below this fraction of the largest response are ignored
+# First and last wavelengths of the CIE observers in nm, with the function that extends them to the range of cameras, and the
+# index of this end in an array of wavelengths.
 ENDS = ((min, 360.0, 0), (max, 830.0, -1))
-UNNAMED = ("A", "D50", "D55", "D65", "D75", "E", "FL2", "FL11")  # candidates if only the white point of a frame is known
+UNNAMED = ("A", "D50", "D55", "D65", "D75", "E", "FL2", "FL11")  # candidates if only a frame's white point is known
 
 
 @dataclass(frozen=True)
 class Colour:
     """White balance and colour matrix of a camera for one illuminant.
 
-    The white balance and the matrix convert photo-electrons per second to outputs. A perfect white of 1 cd/m² is 1 in all
-    outputs.
+    Together they convert photo-electrons per second to outputs. A perfect white of 1 cd/m² becomes 1 in all outputs.
     """
 
-    balance: Array  # (channel,): white-balance factors; 0 for channels that do not respond to white
-    matrix: Array  # (output, channel): each row sums to 1
+    balance: Array  # (channel,) white-balance factors; 0 for channels that do not respond to white
+    matrix: Array  # (output, channel) each row sums to 1
 
 
 def fit_colour(
     camera: CameraModel, light: LightSpectrum, wanted: LightSpectrum | None = None, channel_noise: float = 0.0
 ) -> Colour:
-    """Fit a white balance and a colour matrix of a camera for an illuminant.
+    """Fit a camera's white balance and colour matrix for an illuminant.
 
-    The matrix is fitted by ridge regression over measured reflectances. The matrix reproduces a perfect white exactly.
+    The matrix is a ridge regression over measured reflectances, which reproduces a perfect white exactly.
 
     Parameters
     ----------
@@ -64,9 +62,8 @@ def fit_colour(
     wanted : LightSpectrum, optional
         Illuminant of the target XYZ. [default: `light`]
     channel_noise : float
-        Standard deviation of the noise of each channel, relative to white. The regression takes this noise into account, so
-        that the matrix does not amplify the noise. This matters if several channels respond almost equally, for example
-        behind polarisers with different angles.
+        Standard deviation of each channel's noise, relative to white, which the matrix should not amplify. This matters if
+        several channels respond almost equally, for example behind polarisers at different angles.
 
     Raises
     ------
@@ -91,14 +88,14 @@ def fit_colour(
 
 
 def electrons_of(camera: CameraModel, light: LightSpectrum, radiances: Array) -> Array:
-    """Return the photo-electrons per second that radiance spectra cause in a pixel of each channel.
+    """Return the signals of pixels of each channel under given radiance spectra, in photo-electrons per second.
 
     Parameters
     ----------
     camera : CameraModel
         The camera.
     light : LightSpectrum
-        Illuminant that determines the wavelengths of `radiances`.
+        Illuminant with the same wavelengths as `radiances`.
     radiances : ndarray, (sample, wavelength)
         Radiance spectra.
 
@@ -111,14 +108,14 @@ def electrons_of(camera: CameraModel, light: LightSpectrum, radiances: Array) ->
 
 
 def lit_library(light: LightSpectrum) -> tuple[Array, Array]:
-    """Return measured reflectances at the wavelengths of an illuminant, and the radiance of a perfect white.
+    """Return measured reflectances at an illuminant's wavelengths, and the radiance of a perfect white.
 
     Returns
     -------
     reflectances : ndarray, (sample, wavelength)
-        A perfect white, followed by the measured surfaces.
+        A perfect white, then the measured surfaces.
     radiance : ndarray, (wavelength,)
-        Radiance of the perfect white, scaled to a luminance of 1 cd/m².
+        Radiance of the perfect white, scaled to 1 cd/m².
 
     Raises
     ------
@@ -128,17 +125,16 @@ def lit_library(light: LightSpectrum) -> tuple[Array, Array]:
     radiance = light.radiance.astype(np.float64)
     if not spectra.xyz_weights(light.wavelength)[1] @ radiance > 0:
         raise InputFileError(
-            "the illuminant of a frame contains no visible light; simulate the frame under a different illuminant"
+            "a frame's illuminant contains no visible light; simulate the frame under a different illuminant"
         )
     library = np.vstack([np.ones(light.wavelength.size), spectra.reflectance_library(light.wavelength)])
     return library, spectra.at_luminance(radiance, light.wavelength, 1.0)
 
 
 def white_preserving_ridge(channels: Array, outputs: Array, channel_noise: float = 0.0) -> Array:
-    """Fit a matrix that converts white-balanced channels to outputs and preserves white.
+    """Fit a matrix from white-balanced channels to outputs that preserves white.
 
-    For each sample, the mean over the channels is subtracted from the channels and from the outputs. The matrix for these
-    differences is then fitted by ridge regression.
+    It is a ridge regression on the differences of channels and outputs from the channel mean of each sample.
 
     Parameters
     ----------
@@ -147,7 +143,7 @@ def white_preserving_ridge(channels: Array, outputs: Array, channel_noise: float
     outputs : ndarray, (sample, output)
         Outputs relative to white.
     channel_noise : float
-        Standard deviation of noise in each channel, relative to white.
+        Standard deviation of each channel's noise, relative to white.
 
     Returns
     -------
@@ -158,7 +154,7 @@ def white_preserving_ridge(channels: Array, outputs: Array, channel_noise: float
     differences = channels - mean
     gram = differences.T @ differences
     ridge = (RIDGE * np.trace(gram) / len(gram) + channel_noise**2 * len(channels)) * np.eye(len(gram))
-    # lstsq instead of solve, because the equation is 0 = 0 if there is only one channel.
+    # lstsq instead of solve, because with a single channel the equation is 0 = 0.
     matrix = np.linalg.lstsq(gram + ridge, differences.T @ (outputs - mean))[0].T
     return matrix - matrix.mean(axis=1, keepdims=True) + 1.0 / len(gram)
 
@@ -171,15 +167,15 @@ def develop(
     Parameters
     ----------
     frame : TrainingPair
-        Raw frame, with the white of its target.
+        Raw frame with its target.
     camera : CameraModel
-        Camera of the frame.
+        Camera that took the frame.
     colour : Colour
-        White balance and colour matrix for the illuminant of the frame.
+        White balance and colour matrix for the frame's illuminant.
     demosaic : callable
         Demosaicking method.
     merge : callable, optional
-        Function that merges exposures, if the channels of the camera have different exposures or gains.
+        Merges channels with different exposures or gains, if the camera has any.
 
     Returns
     -------
@@ -197,19 +193,19 @@ def develop(
 
 
 def develop_bands(frame: TrainingPair, camera: CameraModel, relit: bool, demosaic: Demosaic) -> Array:
-    """Demosaick a raw frame to the bands of its camera (docs/method.md#baselines-for-bands).
+    """Demosaick a raw frame to the camera's bands (docs/method.md#baselines-for-bands).
 
-    The steps are: subtraction of the black level and the dark signal, white balance, demosaicking, and multiplication by the
-    white of the target.
+    The steps are subtracting black level and dark signal, white balance, demosaicking, and multiplying by the target's
+    white.
 
     Parameters
     ----------
     frame : TrainingPair
-        Raw frame, with the white of its target.
+        Raw frame with its target.
     camera : CameraModel
-        Camera of the frame.
+        Camera that took the frame.
     relit : bool
-        Whether the illuminant of the target differs from the illuminant of the frame.
+        Whether the target has another illuminant than the frame.
     demosaic : callable
         Demosaicking method.
 
@@ -223,23 +219,23 @@ def develop_bands(frame: TrainingPair, camera: CameraModel, relit: bool, demosai
     InputFileError
         If the illuminant is invisible to the camera.
     """
-    share = camera.saturation_exposure / camera.full_scale  # increase of a band in the target per electron per second
+    share = camera.saturation_exposure / camera.full_scale  # value of a target band per electron per second
     white = white_electrons(frame, camera) if relit else frame.white / (share * camera.channel_gains)
     return balanced_bands(frame, camera, white, demosaic) * frame.white[:, None, None]
 
 
 def develop_stokes(frame: TrainingPair, camera: CameraModel, demosaic: Demosaic) -> Array:
-    """Demosaick a raw frame of a monochrome polarisation camera, and compute S1, S0 and S2 of each pixel.
+    """Compute S1, S0 and S2 of each pixel from a raw frame of a monochrome polarisation camera.
 
-    The channels are demosaicked as in `develop_bands`. The Stokes parameters are the least-squares solution, given the
-    angles and the extinction ratios of the polarisers.
+    After demosaicking as in `develop_bands`, the Stokes parameters are the least-squares solution for the polarisers' angles
+    and extinction ratios.
 
     Parameters
     ----------
     frame : TrainingPair
-        Raw frame, with the white of its target. The second output of the target must be S0.
+        Raw frame with its target. The target's second output must be S0.
     camera : CameraModel
-        Camera of the frame.
+        Camera that took the frame.
     demosaic : callable
         Demosaicking method.
 
@@ -254,10 +250,7 @@ def develop_stokes(frame: TrainingPair, camera: CameraModel, demosaic: Demosaic)
 
 
 def stokes_response(frame: TrainingPair, camera: CameraModel) -> Array:
-    """Return the response of each channel to S0, S1 and S2, relative to its response to S0: (channel, stokes).
-
-    The light has the spectrum of the frame's illuminant.
-    """
+    """Return the response (channel, stokes) to S0, S1 and S2 relative to S0, for light with the illuminant's spectrum."""
     light = light_of(frame, camera)
     radiance = spectra.sampling_matrix(light.wavelength, camera.wavelength) @ light.radiance
     response = (camera.stokes_weights @ radiance).T
@@ -265,25 +258,25 @@ def stokes_response(frame: TrainingPair, camera: CameraModel) -> Array:
 
 
 def white_electrons(frame: TrainingPair, camera: CameraModel) -> Array:
-    """Return the photo-electrons per second that a perfect white causes in each channel under the frame's illuminant."""
+    """Return each channel's signal from a perfect white under a frame's illuminant, in photo-electrons per second."""
     light = light_of(frame, camera)
     falling = spectra.at_luminance(light.radiance.astype(np.float64), light.wavelength, frame.luminance)
     return electrons_of(camera, light, falling[None])[0]
 
 
 def balance_of(white: Array, exposure: float, camera: CameraModel) -> Array:
-    """Return the white-balance factor of each channel, by which photo-electrons are multiplied so that a perfect white is 1.
+    """Return the factors (channel,) by which photo-electrons are multiplied so that a perfect white becomes 1.
 
-    The factor is 0 for channels that do not respond to white.
+    They are 0 for channels that do not respond to white.
 
     Parameters
     ----------
     white : ndarray, (channel,)
-        Signal of a perfect white in electrons per second.
+        Signals of a perfect white in electrons per second.
     exposure : float
         Exposure time in s.
     camera : CameraModel
-        The camera, for the error message.
+        Camera to name in the error message.
 
     Raises
     ------
@@ -300,16 +293,16 @@ def balance_of(white: Array, exposure: float, camera: CameraModel) -> Array:
 
 
 def balanced_bands(frame: TrainingPair, camera: CameraModel, white: Array, demosaic: Demosaic) -> Array:
-    """Demosaick a raw frame to bands in which a perfect white is 1: (channel, row, col).
+    """Demosaick a raw frame to bands (channel, row, col) in which a perfect white is 1.
 
-    `white`, (channel,), is the signal of a perfect white in electrons per second.
+    `white` (channel,) contains the signals of a perfect white in electrons per second.
     """
     balance = balance_of(white, frame.exposure, camera)
     return demosaic(_electrons(frame, camera) * balance[camera.channel_map(frame.raw.shape)], camera.cfa)
 
 
 def _electrons(frame: TrainingPair, camera: CameraModel) -> Array:
-    """Convert raw values to photo-electrons, without dark signal: (row, col)."""
+    """Convert raw values to photo-electrons (row, col), without dark signal."""
     signal = (frame.raw - camera.black_level) / camera.gain
     dark = camera.noise.dark_current * frame.dark_time
     if camera.readout is None:
@@ -319,11 +312,13 @@ def _electrons(frame: TrainingPair, camera: CameraModel) -> Array:
 
 
 def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:
-    """Return the spectrum of a frame's illuminant. The first available spectrum in this list is used:
+    """Return the spectrum of a frame's illuminant.
+
+    This is the first available spectrum of:
 
     1. the spectrum that is stored with the frame;
-    2. the standard illuminant with the name that is stored with the frame;
-    3. the illuminant in UNNAMED whose white point is nearest to the white of the frame.
+    2. the standard illuminant with the stored name;
+    3. the illuminant in UNNAMED with the white point nearest to the frame's white.
     """
 
     def distance(white: Array) -> float:
@@ -340,7 +335,7 @@ def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:
 
 
 def named_light(name: str, *cameras: CameraModel) -> LightSpectrum:
-    """Return a standard illuminant in steps of 1 nm, over all wavelengths of the CIE observers and of the cameras."""
+    """Return a standard illuminant in steps of 1 nm, over the wavelength ranges of the CIE observers and the cameras."""
     first, last = (bound(end, *(camera.wavelength[at] for camera in cameras)) for bound, end, at in ENDS)
     grid = np.arange(np.floor(first), last + 1.0)
     light = spectra.at_luminance(spectra.illuminant(name, grid), grid, 1.0)
@@ -351,10 +346,10 @@ def named_light(name: str, *cameras: CameraModel) -> LightSpectrum:
 
 
 def merges(camera: CameraModel) -> dict[str, Merge | None]:
-    """Return the names of the basic pipelines for a camera, with the function that merges exposures in each pipeline.
+    """Return the basic pipelines for a camera: name → function that merges exposures.
 
-    The pipeline "basic" averages the exposures. Two other pipelines use only one of the exposures. If all channels have
-    the same sensitivity, there is only the pipeline "basic", with the value None.
+    "basic" averages the exposures, and two more pipelines use only one of them. If all channels have the same sensitivity,
+    there is only "basic", with None.
     """
     if camera.readout is None or np.ptp(camera.sensitivity) == 0:
         return {"basic": None}
@@ -363,10 +358,9 @@ def merges(camera: CameraModel) -> dict[str, Merge | None]:
 
 
 def merged(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
-    """Average the exposures of each colour filter, weighted by the inverse of their noise variances.
+    """Average the exposures of each colour filter, weighted by their inverse noise variances.
 
-    At each pixel, exposures that clip nearby are ignored. If all exposures of a filter clip near a pixel, the least
-    sensitive exposure is used.
+    Exposures that clip near a pixel are ignored there. If all exposures of a filter clip, the least sensitive one is used.
     """
     span, channels = camera.white_level - camera.black_level, np.arange(len(camera.channels))
     clipped = interpolate((frame.raw >= camera.black_level + CLIPPED * span).astype(np.float64), camera.cfa) > TOUCHED
@@ -383,18 +377,12 @@ def merged(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Arr
 
 
 def most_sensitive(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
-    """For each colour filter, copy the plane of the most sensitive channel to all channels with this filter.
-
-    The most sensitive channel has the longest exposure or the highest gain.
-    """
+    """Copy the plane with the longest exposure or highest gain to all channels with the same colour filter."""
     return _chosen(planes, camera, np.argmax)
 
 
 def least_sensitive(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
-    """For each colour filter, copy the plane of the least sensitive channel to all channels with this filter.
-
-    The least sensitive channel has the shortest exposure or the lowest gain.
-    """
+    """Copy the plane with the shortest exposure or lowest gain to all channels with the same colour filter."""
     return _chosen(planes, camera, np.argmin)
 
 
@@ -406,7 +394,7 @@ def _chosen(planes: Array, camera: CameraModel, which: Callable[[Array], np.intp
 
 
 def _groups(camera: CameraModel) -> list[NDArray[np.intp]]:
-    """Group the channels by colour filter, and return the indices of the channels in each group."""
+    """Return the channel indices with each colour filter."""
     assert camera.readout is not None
     first = camera.readout.same_filter
     return [np.flatnonzero(first == one) for one in np.unique(first)]

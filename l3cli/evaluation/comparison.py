@@ -1,4 +1,4 @@
-"""Compares cameras at each scene luminance, and finds the ranges of luminance in which each camera is better."""
+"""Compares cameras at each scene luminance, and finds the luminance ranges in which each camera is better."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -16,13 +16,13 @@ from l3cli.physics.figures import in_words, sign
 from l3cli.system.text import short_names
 
 MAX_METRIC = 1e12  # largest plausible metric, luminance (cd/m²) or exposure time (s)
-CLIPPING = 0.05  # a camera clips if at least this fraction of its pixels is at full scale; highlights usually cover less
+CLIPPING = 0.05  # a camera clips if at least this fraction of pixels is at full scale; highlights usually cover less
 OTHER_SCENES = (
-    "the evaluations show different scenes or illuminants and cannot be compared; "
+    "the evaluations contain different scenes or illuminants and cannot be compared; "
     "simulate all training sets with the same scene recipe and seed"
 )
 UNKNOWN_SCENES = (
-    "the scene or the illuminant of some frames is unknown, so the cameras may not be comparable; "
+    "the scenes or illuminants of some frames are unknown, so the cameras may not be comparable; "
     "simulate the training sets again"
 )
 
@@ -34,15 +34,15 @@ class Curve:
     name: str  # name of the camera
     luminance: tuple[float, ...]  # luminance of a perfect white in cd/m², in increasing order
     value: tuple[float, ...]  # metric at each luminance
-    clipped: tuple[float, ...]  # fraction of pixels at full scale at each luminance
-    exposure: tuple[float, ...]  # longest exposure time at each luminance in s
+    clipped: tuple[float, ...]  # fraction of pixels at full scale, at each luminance
+    exposure: tuple[float, ...]  # longest exposure time in s, at each luminance
 
 
 @dataclass(frozen=True)
 class Comparison:
     """All metrics of several cameras as functions of luminance."""
 
-    curves: dict[str, list[Curve]]  # for each metric key: one curve per camera, in the order of the evaluations
+    curves: dict[str, list[Curve]]  # metric → one curve per camera, in the order of the evaluations
     alike: bool | None  # whether all cameras were evaluated on the same scenes; None if unknown
 
     @property
@@ -51,7 +51,7 @@ class Comparison:
         return next(iter(self.curves.values()))
 
     def sentences(self, figure: str) -> list[str]:
-        """Describe, for each pair of cameras, the luminances at which each camera is better in the metric `figure`.
+        """Describe at which luminances each camera of each pair is better in the metric `figure`.
 
         The result is empty if the scenes differ.
         """
@@ -60,7 +60,7 @@ class Comparison:
 
     @property
     def doubt(self) -> str | None:
-        """Warning if a comparison of the cameras is impossible or doubtful, otherwise None."""
+        """Warning if the cameras cannot or perhaps cannot be compared, otherwise None."""
         return {False: OTHER_SCENES, None: UNKNOWN_SCENES}.get(self.alike) if len(self.cameras) > 1 else None
 
     @property
@@ -69,7 +69,7 @@ class Comparison:
         return list(filter(None, map(clipping, self.cameras)))
 
     def document(self) -> dict[str, Any]:
-        """Return the comparison as a dictionary, ready for JSON."""
+        """Return the comparison as a dictionary for JSON."""
         cameras = [
             {"camera": camera.name, "luminance": list(camera.luminance)}
             | {figure: list(curves[index].value) for figure, curves in self.curves.items()}
@@ -85,16 +85,16 @@ class Comparison:
 
 
 def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
-    """Return a metric of an evaluation as a function of luminance. Frames with the same luminance are averaged.
+    """Return a metric from an evaluation as a function of luminance. Frames with the same luminance are averaged.
 
     Parameters
     ----------
     document : mapping
-        Contents of a file from `l3 evaluate --json`.
+        Content of a file from `l3 evaluate --json`.
     figure : str
-        Key of the metric in the document.
+        Key of the metric.
     file : Path
-        File of the document, for error messages.
+        File to name in error messages.
 
     Raises
     ------
@@ -129,7 +129,7 @@ def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
 
 
 def named_by_files(curves: list[Curve], files: tuple[Path, ...]) -> list[Curve]:
-    """Make the names of curves unique. If several cameras have the same name, the names of their files are appended."""
+    """Make the camera names of curves unique by appending file names to equal ones."""
     names = [curve.name for curve in curves]
     return [
         curve if names.count(curve.name) == 1 else replace(curve, name=f"{curve.name} ({file.removesuffix('.json')})")
@@ -138,10 +138,9 @@ def named_by_files(curves: list[Curve], files: tuple[Path, ...]) -> list[Curve]:
 
 
 def same_scenes(documents: Sequence[Mapping[str, Any]]) -> bool | None:
-    """Return whether all evaluations contain frames of the same scenes under the same illuminants.
+    """Whether all evaluations contain the same scenes under the same illuminants, or None if some are unknown.
 
-    The result is None if the scene or the illuminant of a frame is unknown. Raises InputFileError if a document is not from
-    `l3 evaluate --json`.
+    Raises InputFileError if a document is not from `l3 evaluate --json`.
     """
     try:
         first, *others = map(_shown, documents)
@@ -153,14 +152,14 @@ def same_scenes(documents: Sequence[Mapping[str, Any]]) -> bool | None:
         )
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputFileError(
-            'an evaluation does not describe the scene and luminance of each frame; use the output of "l3 evaluate --json"'
+            'an evaluation does not contain the scene and luminance of each frame; use the output of "l3 evaluate --json"'
         ) from error
 
 
 def _shown(document: Mapping[str, Any]) -> dict[tuple[str, str, str], Any]:
-    """Return the fingerprint of each frame's scene and illuminant, or None if the frame has no fingerprint.
+    """Return the fingerprints of each frame's scene and illuminant, or None for frames without fingerprints.
 
-    The keys are the name of the scene, the name of the illuminant, and the luminance.
+    The keys are (scene, illuminant, luminance).
     """
     return {
         (str(frame.get("scene")), str(frame.get("illuminant")), f"{float(frame['luminance']):.6g}"): frame.get("shown")
@@ -181,12 +180,12 @@ def require_comparable(curves: list[Curve]) -> None:
 def crossings(one: Curve, other: Curve, figure: str) -> list[float]:
     """Return the luminances in cd/m² at which two curves of the metric `figure` cross.
 
-    Between the luminances of the curves, the difference is interpolated over the logarithm of the luminance.
+    Between the measured luminances, the difference is interpolated over log luminance.
     """
     lead = sign(figure) * (np.array(one.value) - np.array(other.value))
     luminances = []
     for at, to in pairwise(np.flatnonzero(lead)):
-        if lead[at] * lead[to] < 0:  # the curves cross between these two luminances
+        if lead[at] * lead[to] < 0:  # the curves cross in between
             to = min(to, at + 1) if lead[at + 1] == 0 else to
             share = lead[at] / (lead[at] - lead[to])
             low, high = np.log(one.luminance[at]), np.log(one.luminance[to])
@@ -195,7 +194,7 @@ def crossings(one: Curve, other: Curve, figure: str) -> list[float]:
 
 
 def verdict(one: Curve, other: Curve, figure: str) -> str:
-    """Describe in which ranges of luminance each of two cameras is better, and the largest difference in each range."""
+    """Describe the luminance ranges in which each of two cameras is better, and by how much at most."""
     lead = sign(figure) * (np.array(one.value) - np.array(other.value))
     if not lead.any():
         return f"{figure}: {one.name} and {other.name} are equal at every luminance."
@@ -217,10 +216,7 @@ def _range(low: float, high: float) -> str:
 
 
 def clipping(curve: Curve) -> str | None:
-    """Return a sentence with the lowest luminance from which a camera clips.
-
-    The result is None if the camera does not clip at the highest luminance.
-    """
+    """Describe from which luminance upwards a camera clips, or return None if it does not clip at the highest luminance."""
     some = [share >= CLIPPING for share in curve.clipped]
     if not some[-1]:
         return None
@@ -232,6 +228,6 @@ def clipping(curve: Curve) -> str | None:
 
 
 def _time(seconds: float) -> str:
-    """Format an exposure time, if possible as a fraction of a second such as 1/60 s."""
+    """Format an exposure time, as a fraction such as 1/60 s if possible."""
     parts = round(1.0 / seconds)
     return f"1/{parts} s" if parts > 1 and abs(parts * seconds - 1.0) < 0.01 else f"{seconds:.3g} s"

@@ -1,6 +1,6 @@
-"""Compares a table with baselines frame by frame, and collects all metrics in one document for JSON.
+"""Compares a table with baselines frame by frame, and collects all metrics in a JSON document.
 
-The document also contains the mean error in each class, so that users can find the classes with the largest errors.
+The document includes mean errors by class, to find the classes with the largest errors.
 """
 
 import dataclasses
@@ -41,15 +41,14 @@ from l3cli.physics.spectra import RADIANCES, REFLECTANCES
 from l3cli.physics.stokes import STOKES, has_stokes
 
 Array = NDArray[np.floating]
-MIN_PIXEL_FRACTION = 1e-3  # classes with a smaller fraction of all pixels are not listed among the worst classes
+MIN_PIXEL_FRACTION = 1e-3  # the worst classes contain at least this fraction of all pixels
 LISTED_CLASSES = 10  # number of worst classes in the document
 
 
 class ClassErrors:
-    """Sums of the pixel errors of each pipeline, for each combination of class features.
+    """Accumulates each pipeline's pixel errors by class, pooled over all CFA sites.
 
-    The features are level, contrast, kind (chroma or saturation case) and additional features such as direction. CFA sites
-    are not distinguished.
+    A class is a combination of level, contrast, kind (chroma or saturation case) and optional features such as direction.
     """
 
     def __init__(self, table: TransformTable, pipelines: tuple[str, ...]) -> None:
@@ -65,7 +64,7 @@ class ClassErrors:
         labels : ndarray, (…)
             Class of each pixel in the first layer.
         errors : dict of str to ndarray, (…)
-            Error of each pipeline at each pixel, by name.
+            Error at each pixel, for each pipeline by name.
         """
         rule = self._rule
         within, classes = rule.within_site(labels.ravel()), rule.classes_per_site
@@ -74,7 +73,7 @@ class ClassErrors:
             self._sums[name] += rule.by_feature(np.bincount(within, weights=error.ravel(), minlength=classes))[0]
 
     def by_feature(self, figure: str) -> dict[str, list[dict[str, Any]]]:
-        """Return the mean error of each pipeline, for each value of each class feature.
+        """Return each pipeline's mean error for each value of each class feature.
 
         Parameters
         ----------
@@ -84,8 +83,8 @@ class ClassErrors:
         Returns
         -------
         dict of str to list of dict
-            For each feature, by name: one entry per value of the feature. An entry contains a description of the value, the
-            number of pixels and the mean error of each pipeline. Values that do not occur are left out.
+            Feature → one entry per value that occurs, with a description of the value, the number of pixels, and the mean
+            error of each pipeline.
         """
         table, rule = self._table, self._rule
         entries_of: dict[str, list[tuple[dict[str, Any], Any]]] = {
@@ -105,10 +104,10 @@ class ClassErrors:
         return {name: [entry for entry in entries if entry["pixels"]] for name, entries in every.items()}
 
     def worst(self, figure: str, pipeline: str) -> list[dict[str, Any]]:
-        """Return the LISTED_CLASSES classes in which a pipeline has the largest mean errors, beginning with the worst.
+        """Return up to LISTED_CLASSES classes with the largest mean errors of a pipeline, the worst first.
 
-        Classes that contain less than the fraction MIN_PIXEL_FRACTION of all pixels are left out. `figure` is the key of the
-        mean error in the entries.
+        Classes with less than MIN_PIXEL_FRACTION of all pixels are omitted. `figure` is the key of the mean error in the
+        entries.
         """
         pixels = np.maximum(self._pixels, 1)
         seen = self._pixels >= max(MIN_PIXEL_FRACTION * self._pixels.sum(), 1)
@@ -131,19 +130,19 @@ class ClassErrors:
         return {**about, "pixels": pixels, **means}
 
 
-FORMAT = 3  # version of the document; it increases when keys change
-OURS = "ours"  # name of the table in the list of pipelines
+FORMAT = 3  # version of the document, which increases when keys change
+OURS = "ours"  # pipeline name of the table
 RESERVED_NAMES = {
     "scene", "illuminant", "luminance", "frames", "pixels", "from", "to", "band", "case", "varies", "ideal", "error",
     *EVERY_FEATURE,
-}  # fmt: skip # names of pipelines must differ from these keys of the document and names of picture files
-MAX_OUTPUT_CD_PER_M2 = 1e24  # cd/m²; largest accepted output of a table, so that sums of squares stay finite
+}  # fmt: skip # pipelines must not have these names of keys and picture files
+MAX_OUTPUT_CD_PER_M2 = 1e24  # cd/m²; larger outputs are rejected, so that sums of squares remain finite
 
 
 class Evaluation:
-    """Metrics of a table, baselines and rivals on the frames of a training set.
+    """Evaluates a table, baselines and rivals on the frames of a training set.
 
-    Frames are added one after the other. Their pictures are not kept in memory.
+    Frames are added one by one, without keeping their pictures in memory.
 
     Parameters
     ----------
@@ -154,19 +153,19 @@ class Evaluation:
     viewing : float
         Picture samples per degree of visual angle, for S-CIELAB.
     border : int, optional
-        Width in pixels of the margin of each frame that is not evaluated. [default: radius of a patch, so that the whole
-        patch of every evaluated pixel is inside the frame]
+        Margin of each frame that is not evaluated, in pixels. [default: the patch radius, so that the patches of all
+        evaluated pixels are inside the frame]
     rivals : sequence of str
-        Names of rivals: pipelines whose pictures the user provides. Pass these pictures to `planes`.
+        Names of pipelines for which the user provides the pictures, to be passed to `planes`.
     drawn : callable, optional
-        Function that simulates training frames for the spectral estimators. [default: no spectral estimators]
+        Simulates training frames for the spectral estimators. [default: no spectral estimators]
 
     Raises
     ------
     InputFileError
-        If the table and the frames have different CFAs or different outputs.
+        If the table and the frames have different CFAs or outputs.
     RecipeError
-        If `rivals` is not empty but the outputs are not XYZ, or if the name of a rival is reserved or not unique.
+        If there are rivals but the outputs are not XYZ, or if a rival's name is reserved or not unique.
     """
 
     def __init__(
@@ -183,8 +182,8 @@ class Evaluation:
         if head.outputs != table.outputs:
             names = f"table: {', '.join(table.outputs)}; training set: {', '.join(head.outputs)}"
             raise InputFileError(
-                f"the table and the training set have different outputs ({names}); use a training set with the outputs of "
-                "the table"
+                f"the table and the training set have different outputs ({names}); use a training set with the table's "
+                "outputs"
             )
         self._table, self._camera, self._wanted, self._viewing = table, camera, head.target_light, viewing
         self._pictures = table.outputs == XYZ
@@ -201,43 +200,42 @@ class Evaluation:
             self._estimates = Estimates(camera, drawn)
         if rivals and not self._pictures:
             raise RecipeError(
-                "‹rival› needs a table with the outputs X, Y, Z, but this table has the outputs "
-                f"{', '.join(table.outputs)}; "
-                "remove ‹rival›"
+                "‹rival› requires a table with the outputs X, Y, Z, but this table has the outputs "
+                f"{', '.join(table.outputs)}; remove ‹rival›"
             )
         self._rivals = tuple(rivals)
         for name in self.pipelines:
             if self.pipelines.count(name) > 1 or name in RESERVED_NAMES:
                 raise RecipeError(
-                    f'the name "{name}" is reserved, or is the name of a second pipeline; choose a different name'
+                    f'the pipeline name "{name}" is reserved or not unique; choose a different name'
                 )
         single = "mean_error" if len(table.outputs) == 1 else "mean_angle"
         single = "mean_dolp_error" if has_stokes(table.outputs) else single
         self._figure = "mean_delta_e" if self._pictures else single
-        self._colours: dict[bytes, Colour] = {}  # white balance and colour matrix for each illuminant
+        self._colours: dict[bytes, Colour] = {}  # illuminant → white balance and colour matrix
         self._frames: list[dict[str, Any]] = []
-        # For each frame: the octave of its level, the type of each uniform patch, and the colour variances of each pipeline.
+        # For each frame: the range of its level, the type of each uniform patch, and each pipeline's colour variances.
         self._patches: list[tuple[tuple[float, float], list[str], dict[str, Array]]] = []
-        self._bands: list[dict[str, list[dict[str, float]]]] = []  # for each frame and pipeline: metrics of each output
+        self._bands: list[dict[str, list[dict[str, float]]]] = []  # for each frame: pipeline → metrics of each output
         self._classes = ClassErrors(table, self.pipelines)
 
     @property
     def pipelines(self) -> tuple[str, ...]:
-        """Names of the pipelines: "ours" (the table), the baselines, the spectral estimators, and the rivals.
+        """Pipeline names: "ours" (the table), the baselines, the spectral estimators, and the rivals.
 
-        There are baselines only if the outputs are XYZ, the bands of the camera or Stokes parameters.
+        Baselines exist if the outputs are XYZ, the camera's bands or Stokes parameters.
         """
         return (OURS, *self._baselines, *(ESTIMATES if self._estimates else ()), *self._rivals)
 
     def planes(self, frame: TrainingPair, outputs: Array, rivals: Mapping[str, Array] | None = None) -> dict[str, Array]:
-        """Return the result of every pipeline for a frame.
+        """Return every pipeline's result for a frame.
 
         Parameters
         ----------
         frame : TrainingPair
             Raw frame with its target.
         outputs : ndarray, (output, row, col)
-            The frame, rendered with the table, in output units.
+            The frame as rendered with the table, in output units.
         rivals : mapping of str to ndarray, (3, row, col), optional
             XYZ planes of each rival in the unit of the target, by name.
 
@@ -249,30 +247,27 @@ class Evaluation:
         Raises
         ------
         InputFileError
-            If the frame is too small for the border, if the white of the frame has no luminance, or if `outputs` are not
-            finite.
+            If the frame is too small for the border, if its white has no luminance, or if `outputs` are not finite.
         """
         border = self._border
         if min(frame.raw.shape) <= 2 * border:
             size = "×".join(map(str, frame.raw.shape))
             raise InputFileError(
-                f"frame {frame.scene} has {size} pixels, which is too small for a border of {border} pixels; use larger "
-                "frames"
+                f"frame {frame.scene} ({size} pixels) is too small for a border of {border} pixels; use larger frames"
             )
         estimated = self._estimates.planes(frame) if self._estimates else {}
         shown = {name: self._as_shown(of, frame) for name, of in (rivals or {}).items()}
         return self.developed(frame, outputs) | estimated | shown
 
     def developed(self, frame: TrainingPair, outputs: Array) -> dict[str, Array]:
-        """Return the results of the table and of the baselines for a frame of any size.
+        """Return the results of the table and the baselines for a frame of any size.
 
-        The parameters and the result are the same as in `planes`, but the spectral estimators and the rivals are not
-        included.
+        Parameters and result are as in `planes`, without spectral estimators and rivals.
 
         Raises
         ------
         InputFileError
-            If the white of the frame has no luminance, or if `outputs` are not finite.
+            If the frame's white has no luminance, or if `outputs` are not finite.
         """
         if self._pictures and not frame.white[1] > 0:
             raise InputFileError(f"the white of frame {frame.scene} has no luminance; simulate the training set again")
@@ -280,7 +275,7 @@ class Evaluation:
             ours = outputs * (self._table.output_unit / frame.exposure)
         if not np.abs(ours).max() <= MAX_OUTPUT_CD_PER_M2:
             raise InputFileError(
-                f"the table renders frame {frame.scene} to implausibly large or infinite values; train the table again"
+                f"the table renders frame {frame.scene} to infinite or implausibly large values; train the table again"
             )
         planes: dict[str, Array] = {OURS: ours}
         for name, demosaic in self._baselines.items():
@@ -293,30 +288,30 @@ class Evaluation:
         return {name: self._as_shown(of, frame) for name, of in planes.items()}
 
     def wanted(self, frame: TrainingPair) -> TrainingPair:
-        """Return the frame with the target that is used for the comparison.
+        """Return a frame with the target for the comparison.
 
-        If the pictures of the table are grey, the target is replaced by a grey of the same luminance, because a camera with
-        one channel cannot distinguish colours. Otherwise the frame is returned unchanged.
+        If the table renders grey pictures, the target becomes a grey of the same luminance, because a camera with one
+        channel cannot distinguish colours.
         """
         return dataclasses.replace(frame, target=self._as_shown(frame.target, frame))
 
     def _as_shown(self, planes: Array, frame: TrainingPair) -> Array:
-        """Replace XYZ planes (3, row, col) by greys of the same luminance if the pictures of the table are grey."""
+        """Replace XYZ planes (3, row, col) by greys of the same luminance, if the table renders grey pictures."""
         if not (self._pictures and self._table.shows_grey and frame.white[1] > 0):
             return planes
         return np.asarray(planes[1] * (frame.white / frame.white[1])[:, None, None], planes.dtype)
 
     def add(self, frame: TrainingPair, planes: dict[str, Array], labels: NDArray[np.integer]) -> None:
-        """Compute the metrics of a frame, and add them to the evaluation.
+        """Add a frame to the evaluation.
 
         Parameters
         ----------
         frame : TrainingPair
-            Frame from the method `wanted`.
+            Frame from `wanted`.
         planes : dict of str to ndarray, (output, row, col)
-            Result of the method `planes`.
+            Result of `planes`.
         labels : ndarray of int, (row, col)
-            Class of each pixel in the first layer of the table.
+            Class of each pixel in the table's first layer.
         """
         border = self._border
         black_level = self._camera.black_level + self._camera.dark_signal(frame.dark_time)
@@ -344,7 +339,7 @@ class Evaluation:
         self._frames.append({**about, **{name: dataclasses.asdict(figures) for name, (figures, _) in judged.items()}})
         if not (self._pictures or has_stokes(self._table.outputs)):
             self._bands.append({name: band_figures(of, **wanted) for name, of in planes.items()})
-        known = np.isfinite(judged[OURS][1])  # only the target determines which errors are finite, so one mask is sufficient
+        known = np.isfinite(judged[OURS][1])  # the same for all pipelines, because it depends only on the target
         self._classes.add(cropped(labels, border)[known], {name: errors[known] for name, (_, errors) in judged.items()})
 
     def document(self, by_gain: Sequence[dict[str, Any]] = ()) -> dict[str, Any]:
@@ -358,12 +353,12 @@ class Evaluation:
         Returns
         -------
         dict
-            Metrics are listed for each pipeline, under the name of the pipeline. The keys are:
+            The metrics of each pipeline are listed under its name. The keys are:
 
-            * format: version of the document, 3. The version increases when keys change.
+            * format: version of the document, 3. It increases when keys change.
             * camera and outputs: name of the camera, and names of the outputs.
             * viewing: picture samples per degree of visual angle for S-CIELAB.
-            * border: number of pixels at each edge that are not evaluated.
+            * border: width of the margin that is not evaluated, in pixels.
             * pipelines: names of the pipelines. "ours" is first, and rivals are last.
             * frames: for each frame, its scene, illuminant, luminance (cd/m²), level (mean signal above dark as a fraction
               of full scale), exposure (s), clipped (fraction of pixels at full scale), shown (fingerprints of the scene and
@@ -371,27 +366,26 @@ class Evaluation:
               ReflectanceQuality for reflectances, StokesQuality for Stokes parameters, SingleQuality for a single output,
               and BandQuality for all other outputs.
             * mean: mean of every metric over the frames.
-            * better: for each pipeline except the table, and for each metric, the number of frames in which the table is
-              better.
-            * by_level: mean metrics for each range (from, to) of frame levels, and the number of frames. A range spans a
-              factor of two.
-            * by_illuminant: mean metrics for each illuminant, and the number of frames.
-            * by_gain: mean metrics for each analog gain, relative to the gain of the camera model. The list is empty unless
-              the table has transforms for several gains. A few frames are simulated at each gain.
-            * by_patch: mottle in uniform patches, for each type of patch and each range (from, to) of frame levels, and the
-              number of patches.
+            * better: for each metric and each pipeline except the table, the number of frames in which the table is better.
+            * by_level: mean metrics and number of frames, for each range (from, to) of frame levels. A range spans a factor
+              of two.
+            * by_illuminant: mean metrics and number of frames, for each illuminant.
+            * by_gain: mean metrics of a few simulated frames, for each analog gain relative to the camera model. The list
+              is empty unless the table has transforms for several gains.
+            * by_patch: mottle and number of uniform patches, for each type of patch and each range (from, to) of frame
+              levels.
             * by_band: mean psnr, output_psnr and ssim of each output. The list is empty if the outputs are XYZ or contain
               Stokes parameters.
-            * by_class: mean error for each value of each class feature, and the number of pixels. Pixels without a spectral
+            * by_class: mean error and number of pixels, for each value of each class feature. Pixels without a spectral
               angle are not counted.
-            * worst_classes: mean error in the classes in which the table has the largest errors, with level, from, to,
-              contrast, chroma (null if saturated), case and the number of pixels.
+            * worst_classes: the classes with the table's largest mean errors, with level, from, to, contrast, chroma (null
+              if saturated), case and the number of pixels.
 
             The caller adds the key standards (see `standards.edge_document` and `standards.grey_document`), with the keys:
 
             * edge: for edges across rows and across columns, the frequencies in cycles/pixel, and mtf and mtf50 of the
               ideal lens and pixel and of each pipeline.
-            * grey: SNR of a grey at each illuminance (in closed form, in raw frames and for each pipeline), and the
+            * grey: SNR of a grey target at each illuminance (in closed form, in raw frames and for each pipeline), and the
               illuminance at which the SNR is 10. Null if the responsivities are not absolute.
             * chart: mean ΔE00 of each pipeline over random cameras. Null if the responsivities have no confidence band.
             * figures: mtf50_rows, mtf50_columns, snr10 and camera_delta_e of each pipeline.
@@ -431,7 +425,7 @@ class Evaluation:
         }
 
     def _by_patch(self) -> list[dict[str, Any]]:
-        """Return the mottle of each pipeline, for each type of uniform patch and each range of frame levels."""
+        """Return each pipeline's mottle, by type of uniform patch and range of frame levels."""
         entries = []
         for bounds, kind in itertools.product(sorted({each for each, _, _ in self._patches}), PATCH_KINDS):
             members = [
@@ -447,7 +441,7 @@ class Evaluation:
         return entries
 
     def _by_band(self) -> list[dict[str, Any]]:
-        """Return the mean metrics of each pipeline for each output."""
+        """Return each pipeline's mean metrics, by output."""
         bands = []
         for index, band in enumerate(self._table.outputs if self._bands else ()):
             of_band = [{name: bands[index] for name, bands in frame.items()} for frame in self._bands]
@@ -455,7 +449,7 @@ class Evaluation:
         return bands
 
     def _better(self, baseline: str, figures: tuple[str, ...]) -> dict[str, int]:
-        """Count the frames in which the table is better than a pipeline, for each metric that is known in all frames."""
+        """Count the frames in which the table is better than `baseline`, for each metric that is known in all frames."""
         values = {of: [(frame[OURS][of], frame[baseline][of]) for frame in self._frames] for of in figures}
         whole = {figure: pairs for figure, pairs in values.items() if (None, None) not in pairs}
         return {figure: sum(sign(figure) * (a - b) > 0 for a, b in pairs) for figure, pairs in whole.items()}
@@ -469,40 +463,39 @@ class Evaluation:
 
 
 def _counted(frame: TrainingPair, border: int) -> NDArray[np.bool_] | None:
-    """Return a mask (row, col) of the pixels at which the scene has data, or None if it has data at all pixels.
+    """Return a mask (row, col) of the pixels for which the scene contains data, or None if it does for all.
 
-    Raises InputFileError if the scene has no data inside the border.
+    Raises InputFileError if there are no data inside the border.
     """
     if not isinstance(frame, TrainingFrame) or frame.ignored is None:
         return None
     counted = frame.ignored.mask == 0
     if not cropped(counted, border).any():
         raise InputFileError(
-            f"scene {frame.scene} has no data inside the border of {border} pixels; remove the scene from the recipe"
+            f"scene {frame.scene} contains no data inside the border of {border} pixels; remove this scene from the recipe"
         )
     return np.asarray(counted)
 
 
 def _octave(level: float) -> tuple[float, float]:
-    """Return the bounds of the range of frame levels that contains a level.
+    """Return the bounds of the octave that contains a level.
 
-    Each range spans a factor of two, and is centred on a power of two. Levels below 2^-12 all belong to the lowest range.
+    Octaves are centred on powers of two. Levels below 2^-12 all belong to the lowest octave.
     """
     power = np.rint(np.log2(max(level, 2.0**-12)))
     return float(2.0 ** (power - 0.5)), float(2.0 ** (power + 0.5))
 
 
 def require_cfa(table: TransformTable, camera: CameraModel) -> None:
-    """Raise InputFileError unless a camera has the channels and the CFA for which a table was trained."""
+    """Raise InputFileError unless a camera has the same channels and CFA as a table."""
     if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
-        raise InputFileError("the training set and the table have different CFAs; use a training set of the table's camera")
+        raise InputFileError("the training set and the table have different CFAs; use a training set for the table's camera")
 
 
 def raw_of(frame: TrainingPair, index: int, camera: CameraModel) -> RawFrame:
-    """Convert a frame of a training set to a raw frame, with the dark signal that rendering subtracts.
+    """Convert a training frame to a raw frame, with the dark signal that rendering subtracts.
 
-    `index` is the number of the frame, for the error message. Raises InputFileError if the raw values or the levels are
-    invalid.
+    `index` is the frame number for the error message. Raises InputFileError if raw values or levels are invalid.
     """
     try:
         return RawFrame(
@@ -513,10 +506,7 @@ def raw_of(frame: TrainingPair, index: int, camera: CameraModel) -> RawFrame:
 
 
 def white_of(frame: TrainingPair) -> NDArray[np.floating]:
-    """Return X, Y, Z of a perfect white under the illuminant of a frame.
-
-    If the spectrum of the illuminant is unknown, the result is the white of the target.
-    """
+    """Return the XYZ of a perfect white under a frame's illuminant, or the target's white if its spectrum is unknown."""
     if frame.light is None:
         return frame.white[:3]
     return spectra.xyz_weights(frame.light.wavelength) @ frame.light.radiance

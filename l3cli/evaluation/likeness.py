@@ -1,12 +1,11 @@
-"""Checks whether two camera models describe the same camera, for example the camera of a table and the camera of frames.
+"""Checks whether two camera models describe the same camera, for example a table's camera and the camera of frames.
 
-The comparison uses the properties that matter for a table, not names or digests. These properties are the colours of
-measured surfaces, the exposure that saturates a pixel (sensitivity), and the noise. The limits are so wide that two
-calibrations of the same camera agree.
+The comparison uses the properties that matter for a table, not names or digests: the colours of measured surfaces, the
+saturation exposure, and the noise. The limits are wide enough for two calibrations of the same camera.
 
 The limit for colours is based on 28 published cameras. Pairs with the same sensor (Nikon D3 and D700, D40 and D50, Canon
-600D and 60D, 500D and 50D) differ by 0.9 to 1.5 ΔE00. Nearly all remaining pairs differ by 2.2 to 40 ΔE00. A wavelength
-error of 1 nm causes 0.5 ΔE00, and an error of 3 % in the gain of one channel causes 1.2 ΔE00.
+600D and 60D, 500D and 50D) differ by 0.9 to 1.5 ΔE00, and nearly all other pairs by 2.2 to 40 ΔE00. A wavelength error of
+1 nm causes 0.5 ΔE00, and an error of 3 % in the gain of one channel causes 1.2 ΔE00.
 """
 
 from dataclasses import replace
@@ -25,34 +24,33 @@ from l3cli.physics.display import delta_e_2000, lab
 Array = NDArray[np.floating]
 LIGHTS = ("D65", "A")
 MAX_DELTA_E = 2.0  # largest mean ΔE00 over measured surfaces
-CHANNEL_NOISE = 0.003  # typical uncertainty of a calibrated channel, relative to white; the matrix should not amplify it
+CHANNEL_NOISE = 0.003  # typical uncertainty of a calibrated channel, relative to white, which the matrix should not amplify
 MAX_SENSITIVITY_RATIO = 1.1  # largest ratio of sensitivities; calibrations of two laboratories agree within 5 %
 MAX_NOISE_RATIO = 1.25  # largest ratio of noise standard deviations
 NOISE_SIGNALS = (0.0, 0.01, 0.1, 0.5)  # fractions of full scale at which noise is compared
 
 
 def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
-    """Describe the differences between two cameras that are too large for two calibrations of the same camera.
+    """Describe differences between two cameras that two calibrations of the same camera would not have.
 
     Parameters
     ----------
     known : TransformTable or CameraModel
-        Reference camera, or a table that was trained for the reference camera. If a table contains no camera model, only
-        channels and sensitivity are compared.
+        Reference camera, or a table for it. For a table without a camera model, only channels and sensitivity are compared.
     camera : CameraModel
         Camera to compare.
 
     Returns
     -------
     str
-        Differences that exceed the limits, separated by commas. The text is empty if no difference exceeds a limit. If the
-        channels have different names, nothing else is compared.
+        Differences beyond the limits, separated by commas, or "" if there are none. If the channels have different names,
+        nothing else is compared.
     """
     if known.channels != camera.channels:
         return f"channels ({', '.join(known.channels)}; {', '.join(camera.channels)})"
     learned = known.camera if isinstance(known, TransformTable) else known
-    # Without a camera model, all channels are assumed to have the same exposure and gain. The output unit of the table is
-    # then the exposure at saturation.
+    # Without a camera model, all channels are assumed to have the same exposure and gain, so that the table's output unit is
+    # the saturation exposure.
     exposure = known.output_unit if learned is None else learned.saturation_exposure
     if learned is not None and equal(replace(learned, fit=None), replace(camera, fit=None)):
         return ""
@@ -68,11 +66,10 @@ def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
 
 
 def colour_difference(one: CameraModel, other: CameraModel) -> float:
-    """Return the mean CIEDE2000 difference between the colours that two cameras record of measured surfaces.
+    """Return the mean CIEDE2000 difference between two cameras' colours of measured surfaces.
 
-    The cameras must have the same channels. The white balance and the colour matrix of `one` are applied to both cameras.
-    Differences in overall sensitivity are ignored. The result is the mean under D65 or the mean under A, whichever is
-    larger.
+    Both cameras, which must have the same channels, use the white balance and colour matrix of `one`. Differences in overall
+    sensitivity are ignored. The result is the larger of the means under D65 and A.
     """
     return max(_colour_difference(one, other, named_light(name, one, other)) for name in LIGHTS)
 
@@ -92,10 +89,10 @@ def _colour_difference(one: CameraModel, other: CameraModel, light: LightSpectru
 
 
 def noise_ratio(one: CameraModel, other: CameraModel) -> float:
-    """Return the standard deviation of the noise of `other`, divided by the standard deviation of the noise of `one`.
+    """Return the ratio of noise standard deviations of two cameras, `other` to `one`.
 
-    Noise and signal are measured as fractions of full scale. The ratio is computed at the signals NOISE_SIGNALS, and the
-    ratio that differs most from 1 is returned.
+    Noise and signal are fractions of full scale. Of the ratios at the signals NOISE_SIGNALS, the result is the one that
+    differs most from 1.
     """
     spreads = []
     for camera in (one, other):

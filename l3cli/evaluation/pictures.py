@@ -1,4 +1,4 @@
-"""Pictures of an evaluated frame (pipelines, target and error map), and displayed colours of chart patches."""
+"""Pictures of an evaluated frame: pipelines, target, error map, and colours of chart patches."""
 
 from dataclasses import dataclass
 
@@ -12,16 +12,16 @@ from l3cli.physics.display import displayed, displayed_delta_e, scene_xyz, srgb_
 Array = NDArray[np.floating]
 Picture = NDArray[np.uint8]
 Region = tuple[slice, slice]  # rows and columns of a patch
-INNER = 0.5  # fraction of the height and width of a patch that is evaluated, because the lens blurs its edges
-MAX_PATCH_SIGMA = 0.01  # largest standard deviation of the target within a chart patch, as a fraction of white
-MAX_PATCH_ERROR = 0.02  # largest difference between the mean and the nominal value of a chart patch, as a fraction of white
+INNER = 0.5  # evaluated fraction of a patch's height and width; the lens blurs the rest
+MAX_PATCH_SIGMA = 0.01  # limit for the target's standard deviation within a chart patch, as a fraction of white
+MAX_PATCH_ERROR = 0.02  # limit for the difference between a chart patch and its nominal value, as a fraction of white
 ERROR_WHITE = 10.0  # ΔE00 that is white in an error map; 0 is black
 # sRGB of the error map, in steps of 2.5 ΔE00
 RAMP = np.array([[0, 0, 0], [70, 10, 110], [190, 40, 90], [245, 140, 30], [255, 255, 255]])
 
 
 def frame_pictures(frame: TrainingPair, planes: dict[str, Array]) -> dict[str, Picture]:
-    """Convert the results of all pipelines to sRGB pictures. All pictures have the display exposure of the target.
+    """Convert the results of all pipelines to sRGB pictures, with the display exposure of the target.
 
     Parameters
     ----------
@@ -33,8 +33,7 @@ def frame_pictures(frame: TrainingPair, planes: dict[str, Array]) -> dict[str, P
     Returns
     -------
     dict of str to ndarray, (row, col, 3)
-        8-bit sRGB picture of each pipeline. The key "ideal" contains the picture of the target, and the key "error" contains
-        the `error_map` of the table.
+        8-bit sRGB picture of each pipeline, of the target ("ideal"), and the `error_map` of the table ("error").
     """
     scale = white_luminance(frame.target[1])
     ideal = displayed(frame.target, frame.white, scale)
@@ -45,15 +44,14 @@ def frame_pictures(frame: TrainingPair, planes: dict[str, Array]) -> dict[str, P
 
 
 def planes_of(picture: Array, frame: TrainingPair) -> Array:
-    """Convert a rival's picture of a frame to XYZ in the unit of the target.
+    """Convert a rival's picture to XYZ in the unit of the target.
 
-    The picture is scaled such that its luminance fits the luminance of the target best (least squares over all pixels that
-    do not clip).
+    The picture is scaled to the luminance of the target by a least-squares fit over all unclipped pixels.
 
     Parameters
     ----------
     picture : ndarray, (row, col, 3)
-        Linear sRGB of any brightness.
+        Linear sRGB, with any exposure.
     frame : TrainingPair
         Frame with its target.
 
@@ -83,24 +81,24 @@ def error_map(difference: Array) -> Picture:
 
 @dataclass(frozen=True)
 class PatchColours:
-    """Displayed colours of chart patches in the ideal picture and in the picture of each pipeline."""
+    """Displayed colours of chart patches, in the ideal picture and for each pipeline."""
 
-    ideal: Array  # (patch, 3): linear sRGB
-    shown: dict[str, Array]  # for each pipeline, (patch, 3): linear sRGB
-    delta_e: dict[str, Array]  # for each pipeline, (patch,): ΔE00 from the ideal
+    ideal: Array  # (patch, 3) linear sRGB
+    shown: dict[str, Array]  # pipeline → (patch, 3) linear sRGB
+    delta_e: dict[str, Array]  # pipeline → (patch,) ΔE00 from the ideal
 
 
 def holds_chart(frame: TrainingPair, light: LightSpectrum | None, regions: list[Region]) -> bool:
-    """Return whether the target of a frame contains the patches of a ColorChecker in the given regions.
+    """Whether a frame's target shows the patches of a ColorChecker in the given regions.
 
     Parameters
     ----------
     frame : TrainingPair
         Frame with its XYZ target.
     light : LightSpectrum or None
-        Illuminant of the target. If it is None, the result is False.
+        Illuminant of the target. With None, the result is False.
     regions : list of (slice, slice)
-        Rows and columns of each patch. If a patch has fewer than 4 rows or columns, the result is False.
+        Rows and columns of each patch. With fewer than 4 rows or columns in a patch, the result is False.
     """
     if light is None or any(min(rows.stop - rows.start, cols.stop - cols.start) < 4 for rows, cols in regions):
         return False
@@ -115,7 +113,7 @@ def holds_chart(frame: TrainingPair, light: LightSpectrum | None, regions: list[
 
 
 def patch_colours(frame: TrainingPair, planes: dict[str, Array], regions: list[Region]) -> PatchColours:
-    """Return the mean displayed colour of each patch, in the target and in the picture of every pipeline.
+    """Average the displayed colours of each patch, in the target and in every pipeline's picture.
 
     All pictures have the display exposure of the target.
 
@@ -136,7 +134,7 @@ def patch_colours(frame: TrainingPair, planes: dict[str, Array], regions: list[R
 
 
 def inner(region: Region) -> Region:
-    """Return the central region of a patch. Its height and width are INNER times the height and width of the patch."""
+    """Return the central part of a patch, INNER times as high and wide."""
     rows, cols = (
         slice(each.start + round(cut), each.stop - round(cut))
         for each in region
@@ -146,6 +144,6 @@ def inner(region: Region) -> Region:
 
 
 def _means(planes: Array, regions: list[Region]) -> Array:
-    """Return the mean of each patch as an image with one row: (3, 1, patch)."""
+    """Return the patch means as an image with one row, (3, 1, patch)."""
     means = [planes[:, rows, cols].mean(axis=(1, 2), dtype=np.float64) for rows, cols in map(inner, regions)]
     return np.array(means).T[:, None]

@@ -1,6 +1,6 @@
-"""Metrics of reflectances, as spectra and as colours under several illuminants (docs/measurement.md#reflectances).
+"""Metrics for reflectances, as spectra and as colours under several illuminants (docs/measurement.md#reflectances).
 
-The module also contains the linear estimators "wiener" and "pinv", which are the baselines for tables with spectral outputs.
+The linear estimators "wiener" and "pinv" are baselines for tables with spectral outputs.
 """
 
 import functools
@@ -19,7 +19,7 @@ from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
 
 Array = NDArray[np.floating]
-# Function that simulates training frames with the illuminant and the exposure time of a given frame.
+# Simulates training frames with a given illuminant, and the exposure time of a given frame.
 Drawn = Callable[[TrainingPair, LightSpectrum], Iterable[TrainingFrame]]
 LIGHTS = {"delta_e_a": "A", "delta_e_d65": "D65", "delta_e_f11": "F11"}  # illuminant of each colour metric
 ESTIMATES = ("wiener", "pinv")  # names of the estimators
@@ -27,9 +27,9 @@ ESTIMATES = ("wiener", "pinv")  # names of the estimators
 
 @dataclass(frozen=True)
 class ReflectanceQuality(BandQuality):
-    """Metrics of one frame whose outputs are reflectances."""
+    """Metrics of one frame with reflectance outputs."""
 
-    delta_e_a: float  # mean CIEDE2000 under illuminant A; the illuminant is the reference white
+    delta_e_a: float  # mean CIEDE2000 under illuminant A, which is also the reference white
     delta_e_d65: float  # mean CIEDE2000 under D65
     delta_e_f11: float  # mean CIEDE2000 under F11
 
@@ -39,7 +39,7 @@ def judge_reflectances(
 ) -> tuple[ReflectanceQuality, Array]:
     """Compare rendered reflectances with a target. The outputs must be spectra.REFLECTANCES.
 
-    The parameters and the second result, the spectral angles, are the same as in `judge_bands`.
+    The parameters are as in `judge_bands`. The second result contains the spectral angles.
     """
     figures, angles = judge_bands(rendered, target, white, border, counted)
     inside = None if counted is None else cropped(counted, border)
@@ -59,21 +59,21 @@ def _lab(reflectance: Array, light: str) -> Array:
 
 @functools.cache
 def _xyz_weights(light: str) -> Array:
-    """Return the matrix (3, output) that converts reflectances at spectra.SAMPLED to XYZ. Y of a perfect white is 1."""
+    """Return the matrix (3, output) from reflectances at spectra.SAMPLED to XYZ, with Y = 1 for a perfect white."""
     grid = np.arange(380.0, 781.0)
     weights = spectra.xyz_weights(grid) * spectra.illuminant(light, grid)
     return np.asarray(weights @ spectra.held_interpolation(spectra.SAMPLED, grid) / weights[1].sum())
 
 
 class Estimates:
-    """Linear estimators that compute the spectrum of each pixel from its demosaicked bands.
+    """Linear estimators, which compute the spectrum of each pixel from its demosaicked bands.
 
-    The bands are demosaicked with `best_of_bands`. The estimators are fitted to training frames that `drawn` simulates, once
-    for each combination of illuminant and exposure time.
+    The bands come from `best_of_bands`. The estimators are fitted to frames that `drawn` simulates, once per illuminant and
+    exposure time.
 
-    Let the columns of Y be the target spectra of all pixels, and let the columns of P be their bands without noise and
-    without mosaicking. The matrix of the estimator "pinv" is Y P⁺, where P⁺ is the pseudo-inverse. The matrix of the
-    estimator "wiener" is Y Pᵀ (P Pᵀ + E Eᵀ)⁻¹, where E is the error that noise causes in the demosaicked bands.
+    Let the columns of Y be the target spectra of all pixels, and the columns of P their bands without noise and mosaicking.
+    The matrix of "pinv" is Y P⁺, with the pseudo-inverse P⁺. The matrix of "wiener" is Y Pᵀ (P Pᵀ + E Eᵀ)⁻¹, where E is the
+    error that noise causes in the demosaicked bands.
     """
 
     def __init__(self, camera: CameraModel, drawn: Drawn) -> None:
@@ -81,9 +81,9 @@ class Estimates:
         self._fitted: dict[tuple[bytes, float], dict[str, Array]] = {}
 
     def planes(self, frame: TrainingPair) -> dict[str, Array]:
-        """Estimate the planes (output, row, col) of a frame, in the unit of the target. The keys are names of estimators.
+        """Return each estimator's planes (output, row, col) for a frame, in the unit of the target.
 
-        Raises InputFileError if the camera does not respond to the illuminant of the frame.
+        Raises InputFileError if the camera does not respond to the frame's illuminant.
         """
         white = white_electrons(frame, self._camera)
         key = white.tobytes(), frame.exposure
@@ -94,11 +94,10 @@ class Estimates:
         return {name: np.einsum("oc,crk->ork", matrix, bands) * unit for name, matrix in self._fitted[key].items()}
 
     def _fit(self, like: TrainingPair) -> dict[str, Array]:
-        """Fit the matrix (output, channel) of each estimator by least squares.
+        """Fit each estimator's matrix (output, channel) by least squares to random scenes.
 
-        The training frames are random scenes with the illuminant and the exposure time of `like`. The Wiener estimator takes
-        the noise of the demosaicked bands into account, and the pseudo-inverse does not. Outputs and bands are fractions of
-        a perfect white.
+        They have the illuminant and exposure time of `like`. Only the Wiener estimator takes noise into account. Outputs and
+        bands are fractions of a perfect white.
         """
         white = white_electrons(like, self._camera)
         balance = balance_of(white, like.exposure, self._camera)[:, None, None]

@@ -229,7 +229,7 @@ def test_wrong_calls_are_one_line(trained: Path, refused: Refused, l3: L3, tmp_p
     assert "4×40" in refused(3, "evaluate", table, tmp_path / "small.h5")
     code, out, err = l3("evaluate", table, frames, "--border", "24")
     assert (code, out) == (3, "")
-    assert "48×56 pixels, which is too small for a border of 24 pixels" in err
+    assert "(48×56 pixels) is too small for a border of 24 pixels" in err
     assert "--border" in refused(2, "evaluate", table, frames, "--border", "-1")
     assert "--viewing" in refused(2, "evaluate", table, frames, "--viewing", "0")
     assert "--backend" in refused(2, "evaluate", table, frames, "--backend", "abacus")

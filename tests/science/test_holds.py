@@ -301,11 +301,11 @@ def test_what_was_shown_is_compared_before_anything_is_claimed(evaluations: Path
     code, out, err = l3("compare", evaluations / "bayer.json", tmp_path / "other.json", "--json")
     assert code == 0
     assert (json.loads(out)["same_scenes"], json.loads(out)["verdicts"]) == (False, [])
-    assert "show different scenes or illuminants" in err
+    assert "contain different scenes or illuminants" in err
     code, _, err = l3("compare", evaluations / "bayer.json", tmp_path / "odd.json")
     assert code == 3
     code, out, err = l3("compare", evaluations / "bayer.json", tmp_path / "silent.json")
-    assert "the scene or the illuminant of some frames is unknown" in err
+    assert "the scenes or illuminants of some frames are unknown" in err
     assert "Bayer (bayer) and Bayer (silent) are equal" in out  # told apart by their files
 
 
