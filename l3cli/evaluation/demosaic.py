@@ -1,9 +1,8 @@
-"""Untrained demosaicking methods, which are baselines for tables.
+"""Untrained demosaicking methods, the baselines for tables.
 
-A method is a function of a mosaic (row, col) and a CFA. The mosaic must begin at CFA site (0, 0). The result is one plane
-per channel, (channel, row, col), with the size of the mosaic. Methods for bands need a mosaic in which a perfect white is 1
-in every band (docs/method.md#baselines-for-bands). At the borders, the mosaic is mirrored such that the CFA pattern
-continues.
+A method converts a mosaic (row, col), which begins at CFA site (0, 0), to one plane per channel (channel, row, col). Methods
+for bands require a mosaic in which a perfect white is 1 in every band (docs/method.md#baselines-for-bands). At the borders,
+mosaics are mirrored so that the CFA pattern continues.
 """
 
 import functools
@@ -29,21 +28,19 @@ CFA = NDArray[np.uint8]
 Demosaic = Callable[[Array, CFA], Array]
 Direction = tuple[int, int]  # row offset and column offset
 DIRECTIONS: tuple[Direction, ...] = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right)
-# Width of the mirrored margin for band methods, in CFA periods. The margin is wider than the support of these methods,
-# because the methods wrap around at the border.
+# Mirrored margin for band methods, in CFA periods: wider than their support, because they wrap around at the border.
 BAND_MARGIN_PERIODS = 4
-CODES = 255.0  # value of a perfect white in PPID; a constant in the weights of PPID is meant for 8-bit values
-# σ of the Gaussian, as a multiple of the mean distance between samples of a channel. This value is best for dead leaves with
-# a five-band CFA.
+CODES = 255.0  # value of a perfect white in PPID, which has a constant for 8-bit values in its weights
+# σ of the Gaussian, relative to the mean distance between a channel's samples; the best value for dead leaves with a
+# five-band CFA.
 SIGMA_SAMPLES = 0.55
-BAYER_MARGIN_PIXELS = 8  # width of the mirrored margin for Bayer methods; even, and wider than the support of these methods
+BAYER_MARGIN_PIXELS = 8  # mirrored margin for Bayer methods: even, and wider than their support
 
 
 def interpolate(mosaic: Array, cfa: CFA) -> Array:
-    """Interpolate each channel of any CFA independently by normalised convolution (Knutsson and Westin 1993).
+    """Interpolate each channel of any CFA independently, by normalised convolution (Knutsson and Westin 1993).
 
-    The result at a pixel is the Gaussian-weighted mean of the samples of the channel around the pixel. Uniform areas are
-    reproduced exactly. The borders are mirrored.
+    The result is the Gaussian-weighted mean of the channel's samples around each pixel, which is exact in uniform areas.
     """
     channel = tiled(cfa, mosaic.shape)
     planes = []
@@ -59,29 +56,29 @@ def interpolate(mosaic: Array, cfa: CFA) -> Array:
 
 
 def malvar(mosaic: Array, cfa: CFA) -> Array:
-    """Demosaick a Bayer mosaic with the method of Malvar, He and Cutler (2004), as implemented in colour-demosaicing."""
+    """Demosaick a Bayer mosaic by the method of Malvar, He and Cutler (2004), using colour-demosaicing."""
     return _by_colour_demosaicing("demosaicing_CFA_Bayer_Malvar2004", mosaic, cfa)
 
 
 def menon(mosaic: Array, cfa: CFA) -> Array:
-    """Demosaick a Bayer mosaic with the method of Menon, Andriani and Calvagno (2007), as in colour-demosaicing."""
+    """Demosaick a Bayer mosaic by the method of Menon, Andriani and Calvagno (2007), using colour-demosaicing."""
     return _by_colour_demosaicing("demosaicing_CFA_Bayer_Menon2007", mosaic, cfa)
 
 
 def baselines(cfa: CFA) -> dict[str, Demosaic]:
-    """Return the installed demosaicking methods that support a CFA, by name.
+    """Return the available baselines for XYZ tables with a CFA, as name → demosaicking method.
 
-    The methods are used for comparison with tables that have the outputs XYZ. "basic" is always included.
+    "basic" is always included.
     """
     return _with_plugins({"basic": interpolate} | _bayer_baselines(cfa), cfa)
 
 
 def band_baselines(cfa: CFA) -> dict[str, Demosaic]:
-    """Return the demosaicking methods, by name, for comparison with tables whose outputs are the bands of the camera.
+    """Return the available baselines for tables with the camera's bands as outputs, as name → demosaicking method.
 
-    If every band occurs once per CFA period, the methods are "bilinear", "sd" and "ppid". For a Bayer CFA, they are
-    "bilinear" and, if colour-demosaicing is installed, "malvar" and "menon". For any other CFA, the only method is "basic".
-    Methods of installed plugins are added.
+    If every band occurs once per CFA period, these are "bilinear", "sd" and "ppid". For a Bayer CFA, they are "bilinear"
+    and, if colour-demosaicing is installed, "malvar" and "menon". For any other CFA, there is only "basic". Methods from
+    plugins are added.
     """
     if occurs_once(cfa):
         return _with_plugins({"bilinear": bilinear, "sd": spectral_difference, "ppid": ppi_difference}, cfa)
@@ -91,15 +88,15 @@ def band_baselines(cfa: CFA) -> dict[str, Demosaic]:
 
 
 def stokes_baselines(cfa: CFA) -> dict[str, Demosaic]:
-    """Return the demosaicking method for a monochrome polarisation camera. The key is the name of the method."""
+    """Return the baseline for a monochrome polarisation camera, as name → demosaicking method."""
     return {"bilinear": bilinear} if occurs_once(cfa) else {"basic": interpolate}
 
 
 def best_of_bands(cfa: CFA) -> Demosaic:
-    """Return the best demosaicking method for the bands of a CFA. Plugins are not considered.
+    """Return the best built-in demosaicking method for the bands of a CFA.
 
-    If every band occurs once per CFA period, the method is PPID. For a Bayer CFA, the method of Menon et al. is used if
-    colour-demosaicing is installed. Otherwise, the method is normalised convolution.
+    This is PPID if every band occurs once per CFA period. For a Bayer CFA, it is the method of Menon et al. if
+    colour-demosaicing is installed. Otherwise, it is normalised convolution.
     """
     if occurs_once(cfa):
         return ppi_difference
@@ -107,9 +104,9 @@ def best_of_bands(cfa: CFA) -> Demosaic:
 
 
 def bayer_roles(cfa: CFA) -> tuple[int, int, int] | None:
-    """Return the indices of the channels that a Bayer method treats as red, green and blue, or None for any other CFA.
+    """Return the channel indices that a Bayer method treats as red, green and blue, or None for any other CFA.
 
-    The green channel is the channel that occurs twice, on a diagonal.
+    Green is the channel that occurs twice, on a diagonal.
     """
     if cfa.shape != (2, 2) or sorted(np.bincount(cfa.ravel()).tolist()) != [1, 1, 2]:
         return None
@@ -127,9 +124,9 @@ def _bayer_baselines(cfa: CFA) -> dict[str, Demosaic]:
 
 
 def _with_plugins(known: dict[str, Demosaic], cfa: CFA) -> dict[str, Demosaic]:
-    """Add the demosaicking methods of installed plugins to `known` (docs/python.md#a-baseline).
+    """Add the methods of installed plugins to `known` (docs/python.md#a-baseline).
 
-    Raises L3Error if a plugin fails, or if its method has the name of a method in `known`.
+    Raises L3Error if a plugin fails, or if it has the name of a method in `known`.
     """
     methods = dict(known)
     for name, entry in plugins(BASELINES).items():
@@ -143,17 +140,12 @@ def _with_plugins(known: dict[str, Demosaic], cfa: CFA) -> dict[str, Demosaic]:
 
 
 def _interpolated_by(entry: EntryPoint, method: Callable[[Array], Array], mosaic: Array, cfa: CFA) -> Array:
-    """Demosaick a mosaic (row, col) with the method of a plugin.
-
-    Raises L3Error if the method fails or its result is invalid.
-    """
+    """Demosaick a mosaic with a plugin's method. Raises L3Error if it fails or returns an invalid result."""
     with blamed(entry):
         planes = np.asarray(method(mosaic), np.float64)
         shape = (int(cfa.max()) + 1, *mosaic.shape)
         if planes.shape != shape or not np.isfinite(planes).all():
-            raise ValueError(
-                f"the result must contain only finite values and have the shape {shape}; its shape is {planes.shape}"
-            )
+            raise ValueError(f"the result has the shape {planes.shape}; return finite values with the shape {shape}")
     return planes
 
 
@@ -166,7 +158,7 @@ def _by_colour_demosaicing(name: str, mosaic: Array, cfa: CFA) -> Array:
         assert roles is not None
         letter = dict(zip(roles, "RGB", strict=True))
         pattern = "".join(letter[int(channel)] for channel in cfa.ravel())
-        # The padding in colour-demosaicing would interrupt the CFA pattern.
+        # The padding of colour-demosaicing would interrupt the CFA pattern.
         padded = pad_mosaic(mosaic, BAYER_MARGIN_PIXELS, cfa.shape)
         planes = cropped(np.moveaxis(getattr(colour_demosaicing, name)(padded, pattern), -1, 0), BAYER_MARGIN_PIXELS)
     return planes[[roles.index(channel) for channel in range(3)]]
@@ -176,14 +168,14 @@ def _by_colour_demosaicing(name: str, mosaic: Array, cfa: CFA) -> Array:
 
 
 def occurs_once(cfa: CFA) -> bool:
-    """Return whether a CFA has at least 2×2 sites and every band occurs exactly once per period."""
+    """Whether every band occurs exactly once per period of a CFA with at least 2×2 sites."""
     return min(cfa.shape) > 1 and int(cfa.max()) + 1 == cfa.size == np.unique(cfa).size
 
 
 def bilinear(mosaic: Array, cfa: CFA) -> Array:
     """Interpolate every band independently by weighted bilinear interpolation (Brauers and Aach 2006).
 
-    The weights decrease linearly with the distance, to zero at one period. For a Bayer CFA, this is ordinary bilinear
+    The weights decrease linearly to zero at a distance of one period. For a Bayer CFA, this is ordinary bilinear
     interpolation.
     """
     return _by_site(mosaic, cfa, lambda padded: lambda site: _interpolated(padded, cfa, site))
@@ -192,8 +184,8 @@ def bilinear(mosaic: Array, cfa: CFA) -> Array:
 def spectral_difference(mosaic: Array, cfa: CFA) -> Array:
     """Interpolate differences between bands (Brauers and Aach, "A color filter array based multispectral camera", 2006).
 
-    At the pixels of band l, the method first interpolates band l bilinearly at all pixels, and subtracts the result from all
-    samples. It then interpolates these differences at the pixels of band l, and adds the samples of band l.
+    To compute all bands at the pixels of band l, the method interpolates band l bilinearly and subtracts it from all
+    samples. It interpolates these differences at the pixels of band l, and adds the samples of band l.
     """
 
     def method(padded: Array) -> Callable[[Direction], Array]:
@@ -210,9 +202,9 @@ def spectral_difference(mosaic: Array, cfa: CFA) -> Array:
 def ppi_difference(mosaic: Array, cfa: CFA) -> Array:
     """Demosaick with PPID, for a CFA in which every band occurs once per period (`occurs_once`).
 
-    The pseudo-panchromatic image is the mean of all bands. The method subtracts this image from all samples, interpolates
-    the differences along edges, and adds the image again (Mihoubi, Losson, Mathon and Macaire, "Multispectral demosaicing
-    using pseudo-panchromatic image", IEEE Trans. Computational Imaging 3, 2017, equations 21 to 34).
+    The pseudo-panchromatic image is an estimate of the mean of all bands. The method subtracts it from all samples,
+    interpolates the differences along edges, and adds it again (Mihoubi, Losson, Mathon and Macaire, "Multispectral
+    demosaicing using pseudo-panchromatic image", IEEE Trans. Computational Imaging 3, 2017, equations 21 to 34).
     """
 
     def method(padded: Array) -> Callable[[Direction], Array]:
@@ -232,8 +224,8 @@ def ppi_difference(mosaic: Array, cfa: CFA) -> Array:
 def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direction, Array]) -> Array:
     """Return the pseudo-panchromatic image (row, col) of a mosaic (equations 23 to 28).
 
-    The mosaic is first averaged over one period around each pixel. At each neighbour at a distance of one period, the sample
-    is subtracted from this average. The result at a pixel is its own sample plus the weighted mean of these differences.
+    The result is each pixel's sample plus a weighted mean over the neighbours one period away: the average over one period
+    around the neighbour, minus the neighbour's sample.
     """
     smooth = values
     for axis, length in enumerate(period):
@@ -248,10 +240,10 @@ def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direc
 
 
 def _edge_weights(values: Array, period: tuple[int, ...]) -> dict[Direction, Array]:
-    """Return the weights (row, col) of the neighbours in each direction (equations 25 to 27).
+    """Return the weights (row, col) of neighbours in each direction (equations 25 to 27).
 
-    The more the samples of a band change over one period in a direction, the smaller is the weight. For the direction (0,
-    0), all weights are 1.
+    The weight is smaller the more the samples of a band change over one period in this direction. For the direction (0, 0),
+    all weights are 1.
     """
     weights: dict[Direction, Array] = {(0, 0): np.ones(values.shape)}
     for down, right in DIRECTIONS:
@@ -271,11 +263,10 @@ def _edge_weights(values: Array, period: tuple[int, ...]) -> dict[Direction, Arr
 
 
 def _interpolated(plane: Array, cfa: CFA, site: Direction, weights: Mapping[Direction, Array] | None = None) -> Array:
-    """Interpolate all bands at the pixels of a CFA site: (band, row, col).
+    """Interpolate all bands (band, row, col) at the pixels of a CFA site.
 
-    Samples of `plane` at a distance of less than one period are used. Their weight decreases linearly with the distance in
-    rows and with the distance in columns. `weights` contains an additional factor for each direction. In the band of the
-    site itself, the result is the sample.
+    The samples of `plane` within one period are weighted by factors that decrease linearly with the distances in rows and
+    columns, and by the `weights` of their direction, if any. The site's own band keeps its samples.
     """
     total = np.zeros((int(cfa.max()) + 1, *_samples(plane, cfa, site).shape))
     norm = np.zeros_like(total)
@@ -292,9 +283,9 @@ def _interpolated(plane: Array, cfa: CFA, site: Direction, weights: Mapping[Dire
 
 
 def _by_site(mosaic: Array, cfa: CFA, method: Callable[[Array], Callable[[Direction], Array]]) -> Array:
-    """Pad a mosaic, demosaick the pixels of each CFA site with a method, and remove the margin.
+    """Pad a mosaic, demosaick the pixels of each CFA site, and remove the margin.
 
-    `method` is a function of the padded mosaic. It returns a function that computes all bands at the pixels of a site.
+    `method` converts the padded mosaic to a function that computes all bands at the pixels of a site.
     """
     margin = BAND_MARGIN_PERIODS * math.lcm(*cfa.shape)
     return cropped(_all_sites(padded := pad_mosaic(mosaic, margin, cfa.shape), cfa, method(padded)), margin)
@@ -308,10 +299,7 @@ def _all_sites(padded: Array, cfa: CFA, at: Callable[[Direction], Array]) -> Arr
 
 
 def _samples(plane: Array, cfa: CFA, site: Direction, offset: Direction = (0, 0)) -> Array:
-    """Return the values of a plane at the pixels of a CFA site, shifted by `offset`.
-
-    The plane wraps around at its borders.
-    """
+    """Return the values of a plane at `offset` from the pixels of a CFA site. The plane wraps around at its borders."""
     rows, cols = (
         (np.arange(first, length, step) + by) % length
         for first, length, step, by in zip(site, plane.shape, cfa.shape, offset, strict=True)
@@ -320,10 +308,10 @@ def _samples(plane: Array, cfa: CFA, site: Direction, offset: Direction = (0, 0)
 
 
 def _moved(plane: Array, by: tuple[int, ...]) -> Array:
-    """Shift a plane such that each pixel contains the value at the offset `by`. The plane wraps around at its borders."""
+    """Shift a plane so that each pixel contains the value at the offset `by`. The plane wraps around at its borders."""
     return np.roll(plane, tuple(-each for each in by), (0, 1))
 
 
 def _step(direction: Direction, period: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the offset, in pixels, of one CFA period in a direction."""
+    """Return the offset of one CFA period in a direction, in pixels."""
     return tuple(sign * length for sign, length in zip(direction, period, strict=True))

@@ -206,9 +206,7 @@ class Evaluation:
         self._rivals = tuple(rivals)
         for name in self.pipelines:
             if self.pipelines.count(name) > 1 or name in RESERVED_NAMES:
-                raise RecipeError(
-                    f'the pipeline name "{name}" is reserved or not unique; choose a different name'
-                )
+                raise RecipeError(f'the pipeline name "{name}" is reserved or not unique; choose a different name')
         single = "mean_error" if len(table.outputs) == 1 else "mean_angle"
         single = "mean_dolp_error" if has_stokes(table.outputs) else single
         self._figure = "mean_delta_e" if self._pictures else single

@@ -1,7 +1,7 @@
 """Metrics for the difference between a rendered frame and its target (docs/method.md#quality-metrics).
 
-XYZ outputs are compared as displayed pictures. All other outputs are compared as spectra. The noise of pictures is measured
-separately in uniform patches, because averages over all pixels would hide it.
+XYZ outputs are compared as displayed pictures, all other outputs as spectra. The noise of pictures is measured separately in
+uniform patches, because averages over all pixels would hide it.
 """
 
 from dataclasses import dataclass
@@ -17,15 +17,15 @@ from l3cli.physics.stokes import angle_difference, aolp, behind, dolp, luminance
 
 Array = NDArray[np.floating]
 BLUR = 4.0  # pixels; σ of the Gaussian that removes grain but keeps blotches
-PATCH_MARGIN_PIXELS = 6  # patches exclude pixels this close to an edge, because edges affect the pictures there
-MAX_UNIFORM_RANGE = 1.0  # a window is uniform if L*, a* and b* of the target each vary by at most this
+PATCH_MARGIN_PIXELS = 6  # patches exclude pixels this close to an edge, which affects the pictures there
+MAX_UNIFORM_RANGE = 1.0  # a window is uniform if L*, a* and b* of the target each vary by at most this value
 MIN_PATCH_AREA_PIXELS = 24 * 24  # smallest area of a patch
-MAX_PATCHES = 64  # if a frame has more patches, only the largest are evaluated
+MAX_PATCHES = 64  # only this number of the largest patches in a frame is evaluated
 # A patch is dark if its L* is below DARK_LIGHTNESS. Otherwise it is coloured if its C*ab is at least GREY_CHROMA. Otherwise
 # it is white if its L* is at least WHITE_LIGHTNESS, and grey if not.
 DARK_LIGHTNESS, WHITE_LIGHTNESS, GREY_CHROMA = 30.0, 85.0, 10.0
-HUES = ((-30.0, "red"), (60.0, "yellow"), (120.0, "green"), (200.0, "blue"))  # hue angle in degrees at which each hue begins
-# Weights of the standard deviations of L*, a* and b*. ISO 15739:2013 defines the weights for L*, u* and v*.
+HUES = ((-30.0, "red"), (60.0, "yellow"), (120.0, "green"), (200.0, "blue"))  # where each hue begins, in degrees
+# Weights for the standard deviations of L*, a* and b*. ISO 15739:2013 defines them for L*, u* and v*.
 VISUAL = np.array([1.0, 0.852, 0.323])
 PATCH_KINDS = ("white", "grey", "dark", *(name for _, name in HUES))
 
@@ -36,7 +36,7 @@ class PlainPatches:
     Parameters
     ----------
     target : ndarray, (row, col, 3)
-        CIELAB of the displayed target.
+        Displayed target in CIELAB.
     counted : ndarray of bool, (row, col), optional
         Mask of the pixels to evaluate. [default: all pixels]
     """
@@ -65,10 +65,10 @@ class PlainPatches:
         return [kind_of(self._target[place][inside].mean(axis=0)) for place, inside in self._patches]
 
     def variances(self, shown: Array) -> Array:
-        """Return the colour variance of a picture in each patch: the variance of a* plus the variance of b*.
+        """Return a picture's colour variance in each patch: the variance of a* plus the variance of b*.
 
-        `shown`, (row, col, 3), is the CIELAB of the displayed picture. The target is subtracted, so that its variation does
-        not count. The difference is then blurred.
+        `shown` (row, col, 3) is the displayed picture in CIELAB. The target is subtracted, so that its variation does not
+        count, and the difference is blurred.
         """
         found = []
         for place, inside in self._patches:
@@ -81,15 +81,15 @@ class PlainPatches:
     def visual_noise(self, seen: Array, wanted: Array) -> float | None:
         """Return the visual noise: the weighted sum of the standard deviations of L*, a* and b*, averaged over the patches.
 
-        `seen` and `wanted`, (row, col, 3), are the CIELAB of the picture and of the target after the S-CIELAB blur. The
-        result is None if there are no patches.
+        `seen` and `wanted` (row, col, 3) are the picture and the target in CIELAB after the S-CIELAB blur. The result is
+        None if there are no patches.
         """
         errors = [(seen[place] - wanted[place])[inside] for place, inside in self._patches]
         return float(np.mean([VISUAL @ each.std(axis=0) for each in errors])) if errors else None
 
 
 def mottle(variances: Array) -> float | None:
-    """Return the mottle: the RMS distance in (a*, b*) from the mean of the patch, or None if there are no patches.
+    """Return the mottle, the RMS distance in (a*, b*) from the patch mean, or None if there are no patches.
 
     `variances` contains the colour variance of each patch, from `PlainPatches.variances`.
     """
@@ -97,7 +97,7 @@ def mottle(variances: Array) -> float | None:
 
 
 def kind_of(lab: Array) -> str:
-    """Return the type of a patch with the mean CIELAB `lab`, one of PATCH_KINDS."""
+    """Return the type of a patch, one of PATCH_KINDS, from its mean CIELAB."""
     chroma, hue = float(np.hypot(lab[1], lab[2])), float(np.degrees(np.arctan2(lab[2], lab[1])))
     if lab[0] < DARK_LIGHTNESS:
         return "dark"
@@ -106,18 +106,17 @@ def kind_of(lab: Array) -> str:
     return [name for start, name in HUES if start <= (hue - HUES[0][0]) % 360 + HUES[0][0]][-1]
 
 
-CODES = 255  # value of a perfect white, for the PSNR of 8-bit values
-MIN_SQUARE_ERROR = 1e-12  # smallest mean square error; the PSNR of equal pictures is therefore 120 dB
+CODES = 255  # 8-bit value of a perfect white, for the PSNR
+MIN_SQUARE_ERROR = 1e-12  # lower limit of the mean square error, so that the PSNR of equal pictures is 120 dB
 WINDOW_SIGMA, WINDOW_REACH = 1.5, 5  # pixels; σ and half width of the 11 × 11 Gaussian window of SSIM
-# spectra with a norm below this fraction of the largest norm count as rounding errors
-MIN_NORM = float(np.finfo(np.float32).eps)
+MIN_NORM = float(np.finfo(np.float32).eps)  # target spectra below this fraction of the largest norm are rounding errors
 STABILISERS = (0.01**2, 0.03**2)  # C1 and C2 of SSIM for values from 0 to 1
-VIEWING = 50.0  # samples per degree of visual angle, for a monitor of 110 dots per inch at a distance of 66 cm
-VIEWED = 2, 1000  # samples per degree; range in which the S-CIELAB filters are valid
+VIEWING = 50.0  # samples per degree of visual angle, for a monitor with 110 dots per inch at 66 cm
+VIEWED = 2, 1000  # samples per degree; validity range of the S-CIELAB filters
 OPPONENT_FROM_XYZ = np.array(
     [[0.2885613, 0.6597617, -0.1305654], [-0.4648864, 0.3262702, 0.0624200], [0.0798787, -0.5547976, 0.4814746]]
 )
-FILTERS = (  # Gaussians (half width at half maximum in degrees, weight) for the luminance, red–green and blue–yellow planes
+FILTERS = (  # sums of Gaussians (half width at half maximum in degrees, weight): luminance, red–green, blue–yellow
     ((0.05, 1.00327), (0.225, 0.114416), (7.0, -0.117686)),
     ((0.0685, 0.616725), (0.826, 0.383275)),
     ((0.0920, 0.567885), (0.6451, 0.432115)),
@@ -128,43 +127,41 @@ FILTERS = (  # Gaussians (half width at half maximum in degrees, weight) for the
 class Quality:
     """Metrics of one XYZ frame.
 
-    For most metrics, the picture and the target are displayed with the same exposure, which is computed from the target, and
-    clipped to the sRGB gamut.
+    Except for `output_psnr`, picture and target are displayed with the exposure of the target and clipped to the sRGB gamut.
     """
 
     mean_delta_e: float  # mean CIEDE2000
     median_delta_e: float  # median of CIEDE2000
     p95_delta_e: float  # 95th percentile of CIEDE2000
     scielab: float  # mean CIEDE2000 after the S-CIELAB blur of both pictures
-    mottle: float | None  # RMS C*ab of blotches in uniform patches; None if the target has no uniform patches
-    # Weighted sum of the σ of L*, a* and b* in uniform patches after the S-CIELAB blur. None without uniform patches.
+    mottle: float | None  # RMS C*ab of blotches in uniform patches; None if there are no such patches
+    # Weighted sum of the σ of L*, a* and b* in uniform patches after the S-CIELAB blur; None if there are no such patches.
     visual_noise: float | None
     psnr: float  # dB; PSNR of the encoded sRGB values
-    output_psnr: float  # dB; PSNR of XYZ before clipping. The peak of each output is its value for display white
+    output_psnr: float  # dB; PSNR of XYZ before clipping, with display white as the peak of each output
     ssim: float  # SSIM of the luma of the encoded sRGB values
 
 
 @dataclass(frozen=True)
 class BandQuality:
-    """Metrics of one frame with several outputs that are not XYZ, such as the bands of a camera."""
+    """Metrics of one frame with several outputs other than XYZ, such as the bands of a camera."""
 
-    mean_angle: float  # degrees; mean spectral angle of all pixels whose target is not zero
+    mean_angle: float  # degrees; mean spectral angle over all pixels with a non-zero target
     median_angle: float  # degrees; median of the spectral angle
     p95_angle: float  # degrees; 95th percentile of the spectral angle
     gfc: float  # goodness-of-fit coefficient: mean absolute cosine of the spectral angle
     rmse: float  # root mean square error over all outputs, as a fraction of a perfect white
-    psnr: float  # dB; PSNR over all outputs of linear 8-bit values, with a perfect white at 255
-    # dB; PSNR over all outputs before clipping. The peak of each output is its value for white at the display exposure.
-    output_psnr: float
-    ssim: float  # SSIM of the outputs as fractions of a perfect white, clipped to 0…1, averaged over the outputs
+    psnr: float  # dB; PSNR over all outputs in linear 8-bit values, with a perfect white at 255
+    output_psnr: float  # dB; PSNR over all outputs before clipping, with white at the display exposure as each peak
+    ssim: float  # mean SSIM over the outputs, as fractions of a perfect white clipped to 0…1
 
 
 @dataclass(frozen=True)
 class SingleQuality:
-    """Metrics of one frame with a single output, such as luminance. A single output has no spectral angle."""
+    """Metrics of one frame with a single output, such as luminance, for which no spectral angle exists."""
 
     mean_error: float  # mean absolute error, as a fraction of a perfect white
-    rmse: float  # this metric and the metrics below are defined as in BandQuality
+    rmse: float  # as in BandQuality, like all metrics below
     psnr: float
     output_psnr: float
     ssim: float
@@ -172,17 +169,15 @@ class SingleQuality:
 
 @dataclass(frozen=True)
 class StokesQuality:
-    """Metrics of one frame with Stokes parameters. The peak of all PSNRs is 1, and S0 of a perfect white is 1.
+    """Metrics of one frame with Stokes parameters.
 
-    DoLP is the degree of linear polarisation, and AoLP is the angle of linear polarisation.
+    DoLP and AoLP are the degree and angle of linear polarisation. S0 is 1 for a perfect white. The peak of all PSNRs is 1.
     """
 
     mean_dolp_error: float  # mean absolute error of the DoLP
     psnr_dolp: float  # dB; PSNR of the DoLP
-    # degrees; RMS error of the AoLP where the target's DoLP exceeds 0.05; None if there are no such pixels
-    aolp_rmse: float | None
-    # mean error of the DoLP where the target's DoLP is below 0.005; None if there are no such pixels
-    dolp_bias: float | None
+    aolp_rmse: float | None  # degrees; RMS error of the AoLP where the target's DoLP exceeds 0.05; None if nowhere
+    dolp_bias: float | None  # mean error of the DoLP where the target's DoLP is below 0.005; None if nowhere
     psnr_intensities: float  # dB; PSNR of the intensities behind ideal polarisers at 0°, 45°, 90° and 135°
     psnr_s0: float  # dB; PSNR of S0 / 2, which is the intensity of unpolarised light behind a polariser
     psnr_s1: float  # dB; PSNR of S1
@@ -190,7 +185,7 @@ class StokesQuality:
 
 
 class Target:
-    """Target of an XYZ frame, prepared for comparisons with several pictures.
+    """Target of an XYZ frame, prepared for comparison with several pictures.
 
     Parameters
     ----------
@@ -199,7 +194,7 @@ class Target:
     white : ndarray, (3,)
         XYZ of a perfect white.
     border : int
-        Width in pixels of the margin that is not evaluated.
+        Margin that is not evaluated, in pixels.
     viewing : float
         Picture samples per degree of visual angle, for S-CIELAB.
     counted : ndarray of bool, (row, col), optional
@@ -217,7 +212,7 @@ class Target:
         self._white, self._border, self._viewing = white, border, viewing
         self._scale = white_luminance(of_counted(target[1], counted))
         self._counted = None if counted is None else cropped(counted, border)
-        # Under deep red light, Z of white is 0 and cannot be the peak. Its peak is then Y of white.
+        # Under deep red light, Z of white is 0 and cannot be a peak. Y of white is then the peak.
         self._peaks = self._scale * np.where(white > 0, white, white[1])[:, None, None] / white[1]
         self._target = cropped(target, border)
         linear = displayed(self._target, white, self._scale)
@@ -225,7 +220,7 @@ class Target:
         self.patches = PlainPatches(self._labs[0], self._counted)
 
     def _labs_of(self, linear: Array) -> tuple[Array, Array]:
-        """Return the CIELAB of a displayed picture before and after the S-CIELAB blur: two arrays (row, col, 3)."""
+        """Convert a displayed picture to CIELAB, without and with the S-CIELAB blur: two arrays (row, col, 3)."""
         xyz = displayed_xyz(linear)
         return lab(xyz, daylight()), _blurred_lab(xyz, daylight(), self._viewing)
 
@@ -242,8 +237,7 @@ class Target:
         quality : Quality
             Metrics of the frame.
         difference : ndarray, (row, col)
-            ΔE00 between the displayed picture and the displayed target, inside the border. NaN for pixels that are not
-            evaluated.
+            ΔE00 between displayed picture and target, inside the border. NaN for pixels that are not evaluated.
         variances : ndarray, (patch,)
             Colour variance in each uniform patch.
         """
@@ -273,10 +267,7 @@ class Target:
 
 
 def quality(rendered: Array, target: Array, white: Array, border: int = 0, viewing: float = VIEWING) -> Quality:
-    """Return the metrics of XYZ planes (3, row, col), compared with a target.
-
-    The other parameters are the same as in `Target`.
-    """
+    """Compare XYZ planes (3, row, col) with a target. The other parameters are as in `Target`."""
     return Target(target, white, border, viewing).judge(rendered)[0]
 
 
@@ -288,11 +279,11 @@ def judge_bands(
     Parameters
     ----------
     rendered, target : ndarray, (output, row, col)
-        Rendered planes and target, both in the same unit.
+        Rendered planes and target, in the same unit.
     white : ndarray, (output,)
         Outputs of a perfect white.
     border : int
-        Width in pixels of the margin that is not evaluated.
+        Margin that is not evaluated, in pixels.
     counted : ndarray of bool, (row, col), optional
         Mask of the pixels to evaluate. [default: all pixels]
 
@@ -301,8 +292,7 @@ def judge_bands(
     quality : BandQuality
         Metrics of the frame. If the whole target is black, all spectral angles are 0.
     angles : ndarray, (row, col)
-        Spectral angle in degrees, inside the border. NaN if the target of a pixel is black, or if the pixel is not
-        evaluated.
+        Spectral angle in degrees, inside the border. NaN for pixels with a black target or that are not evaluated.
     """
     angles = spectral_angle(cropped(rendered, border), cropped(target, border))
     whole, counted = counted, None if counted is None else cropped(counted, border)
@@ -325,7 +315,7 @@ def judge_bands(
 def judge_single(
     rendered: Array, target: Array, white: Array, border: int = 0, counted: NDArray[np.bool_] | None = None
 ) -> tuple[SingleQuality, Array]:
-    """Compare a single rendered output (1, row, col) with a target. The parameters are the same as in `judge_bands`.
+    """Compare a single rendered output (1, row, col) with a target. The parameters are as in `judge_bands`.
 
     Returns
     -------
@@ -347,8 +337,9 @@ def judge_single(
     ), error if counted is None else np.where(counted, error, np.nan)
 
 
-POLARISED, UNPOLARISED = 0.05, 0.005  # degrees of polarisation above which the angle, and below which the bias, is evaluated
-ANGLES = (0.0, 45.0, 90.0, 135.0)  # degrees; angles of the polarisers whose intensities are compared
+# The angle is evaluated above the first degree of polarisation, and the bias below the second.
+POLARISED, UNPOLARISED = 0.05, 0.005
+ANGLES = (0.0, 45.0, 90.0, 135.0)  # degrees; polarisers for which intensities are compared
 
 
 def judge_stokes(
@@ -364,13 +355,13 @@ def judge_stokes(
     Parameters
     ----------
     rendered, target : ndarray, (output, row, col)
-        Rendered planes and target, both in the same unit.
+        Rendered planes and target, in the same unit.
     white : ndarray, (output,)
         Outputs of a perfect white.
     outputs : tuple of str
         Names of the outputs, which must include S1 and S2.
     border : int
-        Width in pixels of the margin that is not evaluated.
+        Margin that is not evaluated, in pixels.
     counted : ndarray of bool, (row, col), optional
         Mask of the pixels to evaluate. [default: all pixels]
 
@@ -404,17 +395,14 @@ def judge_stokes(
 
 
 def band_quality(rendered: Array, target: Array, white: Array, border: int = 0) -> BandQuality:
-    """Return the metrics of rendered planes that are not XYZ. The parameters are the same as in `judge_bands`."""
+    """Compare rendered planes other than XYZ with a target. The parameters are as in `judge_bands`."""
     return judge_bands(rendered, target, white, border)[0]
 
 
 def band_figures(
     rendered: Array, target: Array, white: Array, border: int = 0, counted: NDArray[np.bool_] | None = None
 ) -> list[dict[str, float]]:
-    """Return psnr, output_psnr and ssim for each output separately, as defined in BandQuality.
-
-    The parameters are the same as in `judge_bands`.
-    """
+    """Return psnr, output_psnr and ssim (see BandQuality) of each output. The parameters are as in `judge_bands`."""
     linear, shares = _linear_and_shares(rendered, target, white, border, counted)
     counted = None if counted is None else cropped(counted, border)
     return [
@@ -430,10 +418,10 @@ def band_figures(
 def _linear_and_shares(
     rendered: Array, target: Array, white: Array, border: int, counted: NDArray[np.bool_] | None
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Return two pairs (rendered, target), both without the border.
+    """Return two pairs (rendered, target) without the border.
 
-    The first pair is divided by the peak values for `output_psnr` and is not clipped. The second pair contains fractions of
-    a perfect white, clipped to 0…1.
+    The first pair is divided by the peaks for `output_psnr`. The second contains fractions of a perfect white, clipped to
+    0…1.
     """
     positive = _positive(white)
     peaks = white_luminance(of_counted(target.mean(axis=0), counted)) * (positive / white.mean())
@@ -451,15 +439,12 @@ def _rounded(share: Array) -> Array:
 
 
 def cropped(planes: NDArray[Any], border: int) -> NDArray[Any]:
-    """Remove a margin of `border` pixels from planes with the shape (…, row, col)."""
+    """Remove a margin of `border` pixels from planes (…, row, col)."""
     return planes[..., border : planes.shape[-2] - border, border : planes.shape[-1] - border]
 
 
 def of_counted(planes: NDArray[Any], counted: NDArray[np.bool_] | None) -> NDArray[Any]:
-    """Return the pixels of `planes`, (…, row, col), that lie in the mask `counted`, as an array (…, pixel).
-
-    If there is no mask, return `planes`.
-    """
+    """Select the pixels of planes (…, row, col) in a mask, as (…, pixel). Without a mask, return the planes."""
     return planes if counted is None else planes[..., counted]
 
 
@@ -467,15 +452,14 @@ def of_counted(planes: NDArray[Any], counted: NDArray[np.bool_] | None) -> NDArr
 
 
 def psnr(one: Array, other: Array) -> float:
-    """Return the peak signal-to-noise ratio of two arrays in dB, with a peak of 1. For equal arrays, it is 120 dB."""
+    """Return the peak signal-to-noise ratio of two arrays in dB, for a peak of 1. Equal arrays have 120 dB."""
     return float(-10.0 * np.log10(max(float(np.mean((one - other) ** 2)), MIN_SQUARE_ERROR)))
 
 
 def ssim(one: Array, other: Array, *, counted: NDArray[np.bool_] | None = None) -> float:
     """Return the mean structural similarity of two pictures (Wang et al. 2004).
 
-    The window is a Gaussian of 11 × 11 pixels with σ = 1.5. Only windows inside the picture are used, unless no pixel would
-    be left.
+    The window is a Gaussian of 11 × 11 pixels with σ = 1.5. Only windows inside the picture are used, unless there are none.
 
     Parameters
     ----------
@@ -501,23 +485,23 @@ def ssim(one: Array, other: Array, *, counted: NDArray[np.bool_] | None = None) 
 
 
 def spectral_angle(rendered: Array, target: Array) -> Array:
-    """Return the angle between the rendered spectrum and the target spectrum of each pixel (docs/method.md#quality-metrics).
+    """Return the angle between rendered and target spectrum at each pixel (docs/method.md#quality-metrics).
 
     Parameters
     ----------
     rendered, target : ndarray, (band, row, col)
-        Spectrum of each pixel.
+        Spectra.
 
     Returns
     -------
     ndarray, (row, col)
-        Angle in degrees. The angle is NaN if the target spectrum is zero, or so small that it is only a float32 rounding
-        error of the largest target spectrum. The angle is 90° if only the rendered spectrum is zero.
+        Angle in degrees: NaN if the target spectrum is zero or negligible (a float32 rounding error of the largest one), and
+        90° if only the rendered spectrum is zero.
     """
     cubes = [cube.astype(np.float64) for cube in (rendered, target)]
     lengths = [np.sqrt((cube**2).sum(axis=0)) for cube in cubes]
     units = [cube / np.where(length > 0, length, 1.0) for cube, length in zip(cubes, lengths, strict=True)]
-    # The chord is 2 sin(angle / 2). For small angles, arcsin of the half chord is more precise than arccos of the cosine.
+    # The chord between unit spectra is 2 sin(angle / 2). For small angles, arcsin of it is more precise than arccos.
     chord = np.sqrt(((units[0] - units[1]) ** 2).sum(axis=0))
     angle = np.where(lengths[0] > 0, np.degrees(2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0))), 90.0)
     return np.where(lengths[1] > MIN_NORM * lengths[1].max(), angle, np.nan)
@@ -527,10 +511,10 @@ def spectral_angle(rendered: Array, target: Array) -> Array:
 
 
 def scielab(one: Array, other: Array, white: Array, viewing: float = VIEWING) -> Array:
-    """Return the S-CIELAB colour difference between two pictures for each pixel (Zhang and Wandell 1996): (row, col).
+    """Return the S-CIELAB difference (row, col) between two pictures (Zhang and Wandell 1996).
 
-    Each picture is converted to opponent colours (Poirson and Wandell). Each opponent plane is blurred with a sum of
-    Gaussians. CIEDE2000 is then computed from the blurred pictures.
+    Both pictures are converted to opponent colours (Poirson and Wandell), and each opponent plane is blurred with a sum of
+    Gaussians. CIEDE2000 is then computed between the blurred pictures.
 
     Parameters
     ----------
@@ -549,21 +533,20 @@ def scielab(one: Array, other: Array, white: Array, viewing: float = VIEWING) ->
     Notes
     -----
     The constants are the defaults of ISETCam: the opponent transform for the 10° observer, and the "distribution" widths of
-    Johnson and Fairchild. There are two differences from ISETCam. Pictures are mirrored at their edges, whereas in ISETCam
-    they wrap around. The map of colour differences is aligned with the pictures, whereas in ISETCam it is shifted by one
-    pixel.
+    Johnson and Fairchild. Unlike ISETCam, this function mirrors pictures at their edges instead of wrapping around, and its
+    map of differences is not shifted by one pixel.
     """
     return delta_e_2000(*(_blurred_lab(picture, white, viewing) for picture in (one, other)))
 
 
 def _blurred_lab(xyz: Array, white: Array, viewing: float) -> Array:
     if not VIEWED[0] <= viewing <= VIEWED[1]:
-        raise RecipeError(f"‹viewing› is {viewing:g}; set it to a value from {VIEWED[0]} to {VIEWED[1]} samples per degree")
+        raise RecipeError(f"‹viewing› is {viewing:g}; set a value from {VIEWED[0]} to {VIEWED[1]} samples per degree")
     return lab(np.maximum(blurred(xyz, viewing), 0.0), white)
 
 
 def blurred(xyz: Array, viewing: float) -> Array:
-    """Apply the S-CIELAB blur to XYZ (row, col, 3), with one filter per opponent plane. Filters span about one degree."""
+    """Apply the S-CIELAB blur to XYZ (row, col, 3), with filters of about one degree for each opponent plane."""
     opponent = np.einsum("oc,rkc->ork", OPPONENT_FROM_XYZ, xyz)
     reach = np.arange(-half_size(viewing), half_size(viewing) + 1)
     total = np.zeros_like(opponent)
@@ -579,6 +562,6 @@ def blurred(xyz: Array, viewing: float) -> Array:
 def half_size(viewing: float) -> int:
     """Return the half width of the S-CIELAB filters in samples.
 
-    The full width is one degree. As in ISETCam, the width is rounded up to an integer. An even integer is then reduced by 1.
+    As in ISETCam, the full width is one degree, rounded up to an integer and, if even, reduced by 1.
     """
     return (int(np.ceil(viewing)) - 1) // 2

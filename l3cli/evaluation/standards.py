@@ -1,7 +1,7 @@
 """Metrics from standards: MTF of slanted edges, and SNR of a grey target at several illuminances (docs/measurement.md).
 
-The metrics are measured in pictures. For comparison, theoretical values are computed in closed form from the lens, the pixel
-aperture and the noise model of the camera.
+The metrics are measured in pictures. For comparison, theoretical values are computed from the lens, the pixel aperture and
+the camera's noise model.
 """
 
 import dataclasses
@@ -21,34 +21,31 @@ from l3cli.physics.stokes import luminance_name
 
 Array = NDArray[np.floating]
 BINS_PER_PIXEL = 4  # oversampling of the edge profile
-HALF_PROFILE_PIXELS = 48.0  # pixels; half the length of the edge profile, which must contain the blur of the lens
-TAPER = 8.0  # pixels; length at each end of the profile over which the slope is tapered to zero
-SEARCHED = 6.0  # pixels; each pass of the fit searches for the edge within this distance from the previously fitted line
-MAX_FREQUENCY = 1.0  # cycles/pixel; highest frequency of the MTF curves
-HALF = 0.5  # value of the MTF that defines MTF50
-PROFILE_BINS = int(2 * HALF_PROFILE_PIXELS * BINS_PER_PIXEL)  # number of bins in the edge profile
+HALF_PROFILE_PIXELS = 48.0  # half the length of the edge profile, which must contain the blur of the lens
+TAPER = 8.0  # pixels at each end of the profile over which its slope is tapered to zero
+SEARCHED = 6.0  # pixels; the edge is searched within this distance from the line of the previous fit
+MAX_FREQUENCY = 1.0  # cycles/pixel; highest frequency of MTF curves
+HALF = 0.5  # MTF at the frequency MTF50
+PROFILE_BINS = int(2 * HALF_PROFILE_PIXELS * BINS_PER_PIXEL)
 FREQUENCIES = np.fft.rfftfreq(2 * PROFILE_BINS, 1 / BINS_PER_PIXEL)
-FREQUENCIES = FREQUENCIES[FREQUENCIES <= MAX_FREQUENCY]  # cycles/pixel; frequencies of all MTF curves
+FREQUENCIES = FREQUENCIES[FREQUENCIES <= MAX_FREQUENCY]  # of all MTF curves, in cycles/pixel
 
 
 class EdgeError(ValueError):
-    """Raised if a picture contains no edge whose MTF can be measured."""
+    """Raised if a picture contains no edge that is suitable for an MTF measurement."""
 
 
 @dataclass(frozen=True)
 class Sharpness:
     """Modulation transfer function (MTF) across an edge."""
 
-    frequency: Array  # (sample) cycles/pixel, starting at 0
-    transfer: Array  # (sample) MTF, 1 at frequency 0
-    angle: float  # degrees between the edge and the columns of the plane
+    frequency: Array  # (sample) cycles/pixel, from 0
+    transfer: Array  # (sample) MTF, 1 at the frequency 0
+    angle: float  # degrees between the edge and the picture columns
 
     @property
     def mtf50(self) -> float | None:
-        """Lowest frequency at which the MTF is 0.5, in cycles/pixel.
-
-        None if the MTF is at least 0.5 at all frequencies of the curve.
-        """
+        """Lowest frequency at which the MTF is 0.5, in cycles/pixel, or None if it never falls below 0.5."""
         below = np.flatnonzero(self.transfer < HALF)
         if not below.size:
             return None
@@ -67,13 +64,13 @@ def edge_sharpness(plane: Array) -> Sharpness:
     Raises
     ------
     EdgeError
-        If the picture contains no such edge, or if the picture is too narrow for the edge profile.
+        If the picture contains no such edge, or is too narrow for the edge profile.
 
     Notes
     -----
-    The position of the edge in each row is the centroid of the absolute slope. A straight line is fitted to these positions.
-    To obtain the edge profile, pixels are averaged in bins of a quarter pixel, according to their distance from the line.
-    The MTF is the spectrum of the slope of this profile, corrected for the width of the bins and for the finite differences.
+    A straight line is fitted to the edge position in each row, the centroid of the absolute slope. Pixels are averaged by
+    their distance from this line, in bins of a quarter pixel. The MTF is the spectrum of the slope of this edge profile,
+    corrected for the bin width and for the finite differences.
     """
     plane = np.asarray(plane, np.float64)
     slope = np.abs(np.diff(plane, axis=1))
@@ -91,10 +88,10 @@ def edge_sharpness(plane: Array) -> Sharpness:
     angle = np.arctan(line[0])
     if not 2.0 <= abs(np.degrees(angle)) <= 15.0:
         raise EdgeError(
-            f"the edge is slanted by {abs(np.degrees(angle)):.2g}° from the vertical, but the slant must be 2° to 15°"
+            f"the edge is slanted by {abs(np.degrees(angle)):.2g}° from the vertical, but must be slanted by 2° to 15°"
         )
     turns = int(len(rows) * abs(line[0]))  # number of columns that the edge crosses completely
-    # Use only the rows in which the edge crosses these columns, so that all subpixel positions are equally frequent.
+    # Use only the rows in which it crosses these columns, so that all subpixel positions are equally frequent.
     rows = rows[: round(turns / abs(line[0]))]
     distance = (np.arange(plane.shape[1]) - np.polyval(line, rows)[:, None]) * np.cos(angle)
     inside = np.abs(distance) < HALF_PROFILE_PIXELS
@@ -103,7 +100,7 @@ def edge_sharpness(plane: Array) -> Sharpness:
     if not count.min():
         raise EdgeError(
             f"the picture is too narrow for the edge profile; it must extend at least {HALF_PROFILE_PIXELS:g} "
-            "pixels on both sides of the edge"
+            "pixels beyond the edge on both sides"
         )
     profile = np.bincount(number, plane[: len(rows)][inside], PROFILE_BINS) / count
     ends = np.minimum(np.arange(1, PROFILE_BINS), np.arange(1, PROFILE_BINS)[::-1]) / (TAPER * BINS_PER_PIXEL)
@@ -114,30 +111,30 @@ def edge_sharpness(plane: Array) -> Sharpness:
     )
 
 
-DARK_SIDE, BRIGHT_SIDE = 0.1, 0.4  # reflectances on the two sides of an edge, with the ratio 4:1 of ISO 12233
+DARK_SIDE, BRIGHT_SIDE = 0.1, 0.4  # reflectances on the two sides of an edge, in the ratio 1:4 of ISO 12233
 ANGLE, SIDE = 5.0, 192  # slant of the edge in degrees, and side of the frames in pixels
-EDGE_FRAME_WHITE = 0.8  # signal of a perfect white in frames with an edge, as a fraction of full scale
+EDGE_FRAME_WHITE = 0.8  # signal of a perfect white in edge frames, as a fraction of full scale
 GREY, EXPOSURE = 0.18, 1 / 15  # reflectance of the grey target, and exposure time of its frames in s
 LIGHT = "D65"
 SNR = 10.0  # SNR10 is the illuminance at which the signal-to-noise ratio reaches this value
-OCTAVES = np.arange(-6.0, 3.0)  # illuminances of the grey target, in octaves relative to the SNR10 of the camera
-RAW_SIDE, GREY_SIDE = 400, 160  # pixels; side of the raw frames of the grey target, and side of the area that is rendered
-KNOWN = "lens and pixel"  # name of the MTF curve that is computed for a diffraction-limited lens and the pixel aperture
+OCTAVES = np.arange(-6.0, 3.0)  # illuminances of the grey target, in octaves relative to the camera's SNR10
+RAW_SIDE, GREY_SIDE = 400, 160  # pixels; sides of the raw frames of the grey target, and of the rendered area
+KNOWN = "lens and pixel"  # name of the theoretical MTF curve, for a diffraction-limited lens and the pixel aperture
 DRAWN = 8  # number of random cameras
-CORRELATED = 30.0  # nm; correlation length of the errors in the responsivity curves of the random cameras
+CORRELATED = 30.0  # nm; correlation length of the errors in the random cameras' responsivity curves
 SIGMAS_95 = 1.96  # half width of a 95 % band, in standard deviations
 PATCHES = 4, 6  # rows and columns of the chart that the random cameras photograph
-MARGIN_PIXELS = 24  # width of the margin of a frame that is not evaluated
+MARGIN_PIXELS = 24  # margin of a frame that is not evaluated
 
 
 @dataclass(frozen=True)
 class GreyNoise:
-    """Signal-to-noise ratio of a grey target in each channel of a camera, in closed form.
+    """Theoretical signal-to-noise ratio of a grey target in each channel of a camera.
 
     At a signal of S DN, the noise variance is constant + linear · S + quadratic · S².
     """
 
-    per_lux: Array  # (channel) signal in DN/lux
+    per_lux: Array  # (channel) DN/lux
     constant: Array  # (channel) DN²
     linear: Array  # (channel) DN
     quadratic: float
@@ -145,9 +142,9 @@ class GreyNoise:
 
     @classmethod
     def of(cls, camera: CameraModel, frame: TrainingFrame) -> "GreyNoise":
-        """Compute the noise of a target with the reflectance GREY, for the illuminant and the exposure time of `frame`.
+        """Compute the noise of a target with the reflectance GREY, for a frame's illuminant and exposure time.
 
-        The frame must have an illuminant. Raises ValueError if the dark current alone saturates a pixel.
+        Raises ValueError if the dark current alone saturates a pixel.
         """
         assert frame.light is not None
         white, falling = lit_library(frame.light)
@@ -160,16 +157,16 @@ class GreyNoise:
         return cls(signal, constant * ones, linear * ones, quadratic, span)
 
     def snr(self, lux: Array) -> Array:
-        """Return the signal-to-noise ratios (lux, channel) at the illuminances `lux`."""
+        """Return the signal-to-noise ratios (lux, channel) at illuminances `lux`."""
         signal = np.asarray(lux)[:, None] * self.per_lux
         return np.asarray(signal / np.sqrt(self.constant + (self.linear + self.quadratic * signal) * signal))
 
     def lux(self) -> list[float | None]:
         """Return the illuminance in lux at which each channel reaches the signal-to-noise ratio SNR.
 
-        The signal S is the solution of S² = SNR² · (constant + linear · S + quadratic · S²). The illuminance is None if
-        photo-response nonuniformity limits the ratio to lower values, if the channel saturates first, or if the channel does
-        not respond to the illuminant.
+        The signal S there solves S² = SNR² · (constant + linear · S + quadratic · S²). The result is None if photo-response
+        nonuniformity limits the ratio to lower values, or if the channel saturates first or does not respond to the
+        illuminant.
         """
         found: list[float | None] = []
         for per_lux, constant, linear in zip(self.per_lux, self.constant, self.linear, strict=True):
@@ -181,18 +178,15 @@ class GreyNoise:
 
 
 def measured_snr(plane: Array) -> float:
-    """Return the mean of a picture of a uniform target, divided by the standard deviation.
-
-    If the mean is negative, the result is 0.
-    """
+    """Return the signal-to-noise ratio in a picture of a uniform target: mean divided by standard deviation, at least 0."""
     return max(float(plane.mean() / max(plane.std(), 1e-30)), 0.0)
 
 
 def crossing(lux: Array, snr: Array) -> float | None:
     """Return the illuminance in lux above which measured signal-to-noise ratios are at least SNR.
 
-    The illuminance is interpolated on a logarithmic scale. The result is None if it is outside the measured range, or if no
-    interpolation is possible because the last ratio below SNR is 0.
+    It is interpolated on logarithmic scales. The result is None outside the measured range, or if the last ratio below SNR
+    is 0.
     """
     below = np.flatnonzero(snr < SNR)
     if not below.size or below[-1] == len(lux) - 1 or not snr[below[-1]] > 0:
@@ -202,16 +196,16 @@ def crossing(lux: Array, snr: Array) -> float | None:
 
 
 def known_sharpness(camera: CameraModel, wavelength: Array, weights: Array) -> Sharpness:
-    """Compute the MTF across an edge with the slant ANGLE, for a diffraction-limited lens and the pixel aperture.
+    """Compute the theoretical MTF across an edge with the slant ANGLE, for a diffraction-limited lens and the pixel aperture.
 
     Parameters
     ----------
     camera : CameraModel
-        Camera with the lens and the pixels.
+        The camera.
     wavelength : ndarray, (wavelength,)
-        Wavelengths in nm at which the MTF of the lens is computed.
+        Wavelengths in nm at which the lens MTF is computed.
     weights : ndarray, (wavelength,)
-        Weight of each wavelength in the mean MTF of the lens.
+        Weight of each wavelength in the mean lens MTF.
     """
     lens = diffraction_transfer(FREQUENCIES / camera.pixel_pitch, wavelength, camera.optics.f_number)
     pixel = np.sinc(FREQUENCIES * np.cos(np.radians(ANGLE))) * np.sinc(FREQUENCIES * np.sin(np.radians(ANGLE)))
@@ -219,9 +213,9 @@ def known_sharpness(camera: CameraModel, wavelength: Array, weights: Array) -> S
 
 
 def brightness(planes: Array, outputs: tuple[str, ...]) -> Array:
-    """Return the luminance (row, col) of the outputs `planes` (output, row, col), without the margin of the frame.
+    """Return the brightness (row, col) of outputs (output, row, col), without the margin.
 
-    The luminance is the output Y or S0. If the outputs contain neither, the result is the mean of all outputs.
+    This is Y or S0 if available, otherwise the mean of all outputs.
     """
     name = luminance_name(outputs)
     plane = planes[outputs.index(name)] if name in outputs else planes.mean(axis=0)
@@ -229,12 +223,12 @@ def brightness(planes: Array, outputs: tuple[str, ...]) -> Array:
 
 
 def edge_document(planes: dict[str, Array], known: tuple[CameraModel, Array, Array], across: str) -> dict[str, Any]:
-    """Measure the MTF of each pipeline, and compute the theoretical MTF of the lens and the pixel aperture.
+    """Measure each pipeline's MTF, and compute the theoretical MTF of the lens and the pixel aperture.
 
     Parameters
     ----------
     planes : dict of str to ndarray, (row, col)
-        Brightness of a picture of an edge, for each pipeline.
+        Each pipeline's picture of an edge, as brightness.
     known : tuple
         Arguments of `known_sharpness`: camera, wavelengths and weights.
     across : str
@@ -243,9 +237,9 @@ def edge_document(planes: dict[str, Array], known: tuple[CameraModel, Array, Arr
     Returns
     -------
     dict
-        Keys "frequency" (cycles/pixel), "mtf" and "mtf50" (cycles/pixel). "mtf" and "mtf50" have an entry for each pipeline
-        and for "lens and pixel". An "mtf" entry is None if no edge can be measured. An "mtf50" entry is None in this case,
-        or if the MTF is at least 0.5 at all frequencies.
+        Keys "frequency" (cycles/pixel), "mtf" and "mtf50" (cycles/pixel). The last two have an entry for each pipeline and
+        for "lens and pixel". Both entries are None if no edge can be measured. "mtf50" is also None if the MTF never falls
+        below 0.5.
     """
     curves: dict[str, Sharpness | None] = {KNOWN: known_sharpness(*known)}
     for name, plane in planes.items():
@@ -261,20 +255,20 @@ def edge_document(planes: dict[str, Array], known: tuple[CameraModel, Array, Arr
 
 
 def grey_document(camera: CameraModel, noise: GreyNoise, lux: Array, raw: Array, snr: dict[str, Array]) -> dict[str, Any]:
-    """Collect the signal-to-noise ratios of a grey target and the illuminances at which they reach the value SNR.
+    """Collect the signal-to-noise ratios of a grey target, and the illuminances at which they reach SNR.
 
     Parameters
     ----------
     camera : CameraModel
         Camera that photographs the target.
     noise : GreyNoise
-        Noise of the camera in closed form.
+        Theoretical noise of the camera.
     lux : ndarray, (lux)
         Illuminances in lux.
     raw : ndarray, (lux, channel)
         Signal-to-noise ratios measured in raw frames.
     snr : dict of str to ndarray, (lux)
-        Signal-to-noise ratios of the brightness of rendered pictures, for each pipeline.
+        Signal-to-noise ratios measured in each pipeline's pictures, as brightness.
     """
     closed, names = noise.snr(lux), camera.channels
     return {
@@ -292,10 +286,10 @@ def grey_document(camera: CameraModel, noise: GreyNoise, lux: Array, raw: Array,
 
 
 def drawn_cameras(camera: CameraModel, rng: np.random.Generator) -> list[CameraModel]:
-    """Draw random cameras whose responsivity curves deviate from the curves of `camera` according to their 95 % band.
+    """Draw random cameras with responsivity curves that deviate from those of `camera` according to their 95 % band.
 
-    The deviations are normally distributed, and independent between channels. The correlation of the deviations at two
-    wavelengths that differ by CORRELATED is exp(−1/2).
+    The deviations are normally distributed and independent between channels. Their correlation at a wavelength difference of
+    CORRELATED is exp(−1/2).
     """
     distance = np.subtract.outer(camera.wavelength, camera.wavelength) / CORRELATED
     values, vectors = np.linalg.eigh(np.exp(-0.5 * distance**2))
@@ -306,7 +300,7 @@ def drawn_cameras(camera: CameraModel, rng: np.random.Generator) -> list[CameraM
 
 
 def patch_means(planes: Array) -> Array:
-    """Return the mean (output, patch) over the centre of each patch of a chart that fills `planes` (output, row, col)."""
+    """Average the centre of each patch (output, patch) of a chart that fills `planes` (output, row, col)."""
     rows, cols = PATCHES
     tall, wide = planes.shape[1] // rows, planes.shape[2] // cols
     cells = planes.reshape(len(planes), rows, tall, cols, wide)[:, :, tall // 4 : -(tall // 4), :, wide // 4 : -(wide // 4)]
@@ -314,12 +308,12 @@ def patch_means(planes: Array) -> Array:
 
 
 def colour_differences(xyz: Array, of_camera: Array, white: Array) -> Array:
-    """Return the CIEDE2000 difference between the colours that two cameras record, for each patch.
+    """Return the CIEDE2000 difference (patch,) between two cameras' pictures of a chart.
 
     Parameters
     ----------
     xyz, of_camera : ndarray, (3, patch)
-        XYZ of the patches as each camera records them. `xyz` is first scaled to the mean luminance of `of_camera`.
+        XYZ of the patches in each picture. `xyz` is first scaled to the mean luminance of `of_camera`.
     white : ndarray, (3,)
         XYZ of a perfect white.
     """
@@ -328,10 +322,10 @@ def colour_differences(xyz: Array, of_camera: Array, white: Array) -> Array:
 
 
 def figures_of(document: dict[str, Any]) -> dict[str, dict[str, float | None]]:
-    """Return MTF50 along rows, MTF50 along columns, SNR10 and `camera_delta_e` of each pipeline.
+    """Return each pipeline's MTF50 along rows and columns, SNR10 and `camera_delta_e`.
 
-    `camera_delta_e` is the CIEDE2000 difference that the uncertainty of the responsivity curves causes. This metric is None
-    if the curves have no uncertainty band. SNR10 is None if the curves are not absolute, or if SNR10 cannot be measured.
+    `camera_delta_e` is the CIEDE2000 difference due to the uncertainty of the responsivity curves, or None if the curves
+    have no confidence band. SNR10 is None if the curves are not absolute, or if it cannot be measured.
     """
     edge, grey, chart = document["edge"], document["grey"], document["chart"]
     return {

@@ -1,17 +1,18 @@
-// Areas where channels clip (l3cli/classes/clipping.py). The kernels compute the means and the range of each block of the mosaic. From these
-// statistics they compute seven maps. Maps 0 to 3 replace the outputs in uniform areas: map 0 is the replaced fraction of the outputs, and
-// maps 1 to 3 are the values added to X, Y and Z. Maps 4 to 6 then change the hue of pixels to the hue of unclipped blocks: map 4 is the
-// degree of this change, and maps 5 and 6 are X/Y and Z/Y of the new hue multiplied by map 4. The maps are interpolated at quads
-// (2 × 2 pixels).
+// Replaces colours where channels clip (l3cli/classes/clipping.py). From the mean and range of each block of the mosaic, the kernels compute
+// seven maps, which are interpolated at quads of 2 × 2 pixels:
+// 0        the fraction by which outputs in uniform areas are replaced
+// 1 to 3   the values added to X, Y and Z in these areas
+// 4        the degree to which the hue of a pixel changes to the hue of similar unclipped blocks
+// 5 and 6  X/Y and Z/Y of the new hue, times map 4
 //
-// The statistics, uniformities and estimates of blocks are planes (value, block row, block column). The maps of blocks are float8, whose
-// last value is not used. Functions that take a block (y, x) process the LANES blocks of a row that start at this block.
+// Statistics, uniformities and estimates of blocks are planes (value, block row, block column). Block maps are float8, with an unused last
+// value. Functions with the parameters (y, x) process LANES blocks in row y, beginning at column x.
 
-// Built-in functions are function calls in PoCL 3.0, and therefore slow. These macros and functions replace max, min and clamp.
+// These macros and functions replace max, min and clamp, which are slow function calls in PoCL 3.0.
 #define MORE(a, b) ((a) > (b) ? (a) : (b))
 #define LESS(a, b) ((a) < (b) ? (a) : (b))
 #define WITHIN(value, low, high) LESS(MORE(value, low), high)
-#define MEANS (CHANNELS + 1)  // number of values per block: the mean of each channel, and the largest range of a channel
+#define MEANS (CHANNELS + 1)  // values per block: the mean of each channel, and the largest range of any channel
 
 INLINE floats more_of(floats a, floats b) { return a > b ? a : b; }
 INLINE floats less_of(floats a, floats b) { return a < b ? a : b; }
@@ -21,7 +22,7 @@ INLINE floats smooth_step(floats value, float low, float high) {
     return part * part * (3.0f - 2.0f * part);
 }
 
-// Values of LANES blocks of a row, starting at column x. Outside the row, the values are 0.
+// Values of LANES blocks in a row from column x, with zeros outside the row.
 INLINE floats blocks_at(__global const float *row, int x, int columns) {
 #if LANES == 1
     return x >= 0 && x < columns ? row[x] : 0.0f;
@@ -34,7 +35,7 @@ INLINE floats blocks_at(__global const float *row, int x, int columns) {
 #endif
 }
 
-// The same, but the first and last block of the row repeat outside the row.
+// The same, but with the first and last blocks repeated outside the row.
 INLINE floats repeated_blocks_at(__global const float *row, int x, int columns) {
 #if LANES == 1
     return row[WITHIN(x, 0, columns - 1)];
@@ -108,7 +109,7 @@ INLINE void measure_block(float made[MEANS], Block block, __global const ushort 
     (made)[CHANNELS] = -1.0f; \
 } while (0)
 
-// Estimates the brightness of the signals (channel) of blocks. `white` contains the signals of a white, whose brightness is 1.
+// Estimates the brightness of blocks from their channel signals. `white` contains the signals of white, which has the brightness 1.
 INLINE floats grey_level(const floats *signal, __global const float *white) {
     floats total = 0.0f, weights = 0.0f, most = 0.0f, every = 1.0f;
     for (int c = 0; c < CHANNELS; c++) {
@@ -137,10 +138,9 @@ INLINE void add_clipped(floats added[3], const floats *signal, floats factor, __
     }
 }
 
-// Computes the first four maps and the uniformity of blocks. `response` is (clipped, signal, output), followed by the signals of a white.
-// Blocks whose means are far below BEGINS are skipped, because a uniform area that contains such a block has no bright blocks. Ignored blocks
-// are also skipped, because they differ from neighbours that are not ignored. Blocks without a clipped channel are not skipped, because a
-// grey of the same brightness may clip.
+// Computes the first four maps and the uniformity of blocks. `response` is an array (clipped, signal, output), followed by the signals of
+// white. Blocks with means far below BEGINS are skipped, because uniform areas that contain them are not bright. Ignored blocks are skipped,
+// too. Bright blocks without a clipped channel are not skipped, because a grey of the same brightness may clip.
 INLINE floats replacement_of(floats made[4], int y, int x, __global const float *restrict means, __global const float *restrict response,
                              int rows, int columns) {
     const size_t plane = (size_t)rows * columns, at = (size_t)y * columns;
@@ -182,12 +182,12 @@ INLINE floats replacement_of(floats made[4], int y, int x, __global const float 
     return plain;
 }
 
-// Blocks of which some have at least one channel that clips and at least one channel that does not clip.
+// Signals of blocks, with the degree from 0 to 1 to which their channels clip.
 typedef struct {
     floats own[CHANNELS];      // signals, at least MIN_SIGNAL
     floats inverse[CHANNELS];  // reciprocals of these signals
-    floats open[CHANNELS];     // 1 for a channel that does not clip, 0 for a channel that clips
-    floats most, least;        // degree of clipping of the channel that clips most, and of the channel that clips least
+    floats open[CHANNELS];     // 1 for channels that do not clip, 0 for channels that clip
+    floats most, least;        // highest and lowest degree of clipping among the channels
 } Clipped;
 
 INLINE Clipped clipped_at(__global const float *row, int x, size_t plane, int columns) {
@@ -205,8 +205,7 @@ INLINE Clipped clipped_at(__global const float *row, int x, size_t plane, int co
     return made;
 }
 
-// Returns the factors that scale the signals of other blocks to the signals of clipped blocks, and computes the likeness of the scaled signals
-// to the signals of the clipped blocks.
+// Returns the factors that best scale the signals of other blocks to those of clipped blocks, and computes their likeness after scaling.
 INLINE floats scale_to(const Clipped *block, const floats *signal, floats *likeness) {
     floats ratio[CHANNELS], sum = 0.0f, squares = FAINTEST, difference = 0.0f;
     for (int k = 0; k < CHANNELS; k++) {
@@ -224,8 +223,8 @@ INLINE floats scale_to(const Clipped *block, const floats *signal, floats *liken
     return scale;
 }
 
-// Estimates the signals that clipped blocks would have if no channel clipped, from the mixture of a colour and white that fits the unclipped
-// channels best. The colours are total / likeness. If the likeness is 0, the signals are those of the blocks.
+// Estimates the signals that blocks would have without clipping, as the mixture of a colour (total / likeness) and white that best fits the
+// unclipped channels. If the likeness is 0, the signals do not change.
 INLINE void estimate(floats *made, const Clipped *block, const floats *total, floats likeness, __global const float *white) {
     const ints known = likeness > 0.0f;
     const floats inverse = 1.0f / (known ? likeness : (floats)1.0f);
@@ -255,8 +254,8 @@ INLINE void estimate(floats *made, const Clipped *block, const floats *total, fl
     }
 }
 
-// Estimates the signals of blocks from similar unclipped blocks nearby, and stores the signals and the reliability of the estimate. If no
-// channel of a block clips or all channels clip, the reliability is NOT_ESTIMATED and the signals are not defined.
+// Estimates the unclipped signals of blocks from similar unclipped blocks nearby, and stores them with their reliability. If no channel or
+// every channel of a block clips, the reliability is NOT_ESTIMATED and the signals are undefined.
 #define NOT_ESTIMATED (-1.0f)
 
 INLINE void store_estimates(int y, int x, __global const float *restrict means, __global const float *restrict response,
@@ -297,7 +296,7 @@ INLINE void store_estimates(int y, int x, __global const float *restrict means, 
     store_blocks(estimates + CHANNELS * plane + at, x, columns, reliability);
 }
 
-// Values of LANES blocks that are stored as float8, beginning at value `first`. `made` are `count` of these values.
+// Stores `count` values of LANES blocks in their float8, from value `first`.
 INLINE void store_float8(__global float *restrict maps, int x, int columns, int first, const floats *made, int count) {
 #if LANES == 1
     for (int m = 0; m < count; m++) maps[8 * x + first + m] = made[m];
@@ -309,7 +308,7 @@ INLINE void store_float8(__global float *restrict maps, int x, int columns, int 
 #endif
 }
 
-// Stores the first four maps of blocks, their uniformity, and the estimates of their signals. The hue maps follow in `spread_at`.
+// Stores the first four maps of blocks, their uniformity, and the estimates of their signals. `spread_at` computes the hue maps.
 INLINE void store_maps_of(int y, int x, __global const float *restrict means, __global const float *restrict response,
                           __global float *restrict maps, __global float *restrict uniformity, __global float *restrict estimates, int rows,
                           int columns) {
@@ -321,8 +320,8 @@ INLINE void store_maps_of(int y, int x, __global const float *restrict means, __
     store_estimates(y, x, means, response, estimates, rows, columns);
 }
 
-// Spreads the estimates `from` over uniform areas by one step, and stores the new estimates of blocks in `to`. The last step also stores
-// their hue in `maps`.
+// Spreads the estimates `from` one step farther over uniform areas, and stores the new estimates in `to`. The last step also stores the hue
+// in `maps`.
 INLINE void spread_at(int y, int x, __global const float *restrict means, __global const float *restrict response,
                       __global const float *restrict uniformity, __global const float *restrict from, __global float *restrict to,
                       __global float *restrict maps, int last, int rows, int columns) {
