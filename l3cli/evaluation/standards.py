@@ -196,7 +196,7 @@ def crossing(lux: Array, snr: Array) -> float | None:
 
 
 def known_sharpness(camera: CameraModel, wavelength: Array, weights: Array) -> Sharpness:
-    """Compute the theoretical MTF across an edge with the slant ANGLE, for a diffraction-limited lens and the pixel aperture.
+    """Compute the theoretical MTF of a diffraction-limited lens and the pixel aperture, across an edge with the slant ANGLE.
 
     Parameters
     ----------
