@@ -256,7 +256,7 @@ def _delta_e_2000(one: Array, other: Array) -> Array:
 
 
 def _length(x: Array, y: Array) -> Array:
-    """Return √(x² + y²), without np.hypot's protection against overflow, which makes it five times slower."""
+    """Return √(x² + y²). np.hypot is five times slower, because it guards against overflow."""
     return np.sqrt(x * x + y * y)
 
 

@@ -389,7 +389,7 @@ def _daylight_table(temperature: float) -> tuple[Array, Array]:
 
 
 def at_luminance(radiance: Array, wavelength: Array, luminance: float) -> Array:
-    """Scale a relative photon radiance (wavelength,) to a luminance in cd/m². Raises InputFileError if it is invisible."""
+    """Scale a relative photon radiance (wavelength,) to a luminance in cd/m². Raises InputFileError for invisible light."""
     seen = xyz_weights(wavelength)[1] @ radiance
     if not seen > UNSEEN * (matching_weights(np.ones_like(wavelength), wavelength) @ radiance):
         ends = f"{wavelength.min():g}…{wavelength.max():g} nm"
@@ -424,9 +424,9 @@ def colorchecker(wavelength: Array) -> tuple[tuple[str, ...], Array]:
 
 @functools.cache
 def _reflectance_tables() -> tuple[tuple[Array, Array], ...]:
-    """Return the measured reflectances from colour-science, except the ColorChecker.
+    """Return the sets of measured reflectances in colour-science, except the ColorChecker.
 
-    Each set is a tuple of wavelengths and reflectances (sample, wavelength).
+    Each set consists of its wavelengths and its reflectances (sample, wavelength).
     """
     colour = colour_science()
     from colour.quality.cfi2017 import load_TCS_CIE2017

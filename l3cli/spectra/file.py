@@ -129,7 +129,7 @@ def _separator(lines: Sequence[str]) -> tuple[str | None, bool]:
 
 
 def _split(line: str, separator: str | None) -> Cells:
-    """Split a line into cells at a separator (None for blanks), which may occur inside quotation marks."""
+    """Split a line into cells at a separator (None for blanks). Cells in quotation marks may contain the separator."""
     if separator is None:
         return line.split()
     cells = line.split(separator)
@@ -546,7 +546,7 @@ def _curve_faults(name: str, line: Array, grid: Array) -> Iterator[str]:
 
 
 def _spdx(_: str, path: Path) -> CurveTable:
-    """Read an IES TM-27-14 file, in the unit of its spectral quantity. Raises InputFileError if the file is invalid."""
+    """Read an IES TM-27-14 file. Its spectral quantity determines the unit. Raises InputFileError if it is invalid."""
     read_bounded(path, CURE)
     colour = colour_science()
     try:

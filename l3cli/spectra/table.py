@@ -44,7 +44,7 @@ class CurveTable:
         return f"{self.path}: columns that are not used: {', '.join(self.left_out)}" if self.left_out else None
 
     def counted(self, columns: int) -> "CurveTable":
-        """Return the table itself. Raises InputFileError unless it has the given number of columns."""
+        """Check the number of columns, and return the table unchanged. Raises InputFileError if the number is wrong."""
         if len(self.values) != columns:
             has_commas = len(self.values) == 2 * columns
             cure = "if commas are decimal points, separate columns by semicolons" if has_commas else "add or remove columns"
@@ -422,7 +422,7 @@ def _quantity_per(parsed: units.Unit | None, below: dict[str, int]) -> tuple[str
 
 
 def _without_angle(unit: str) -> tuple[str, float] | None:
-    """Parse a unit of spectral irradiance or flux, such as µW/cm²/nm, with a result as in `_conversion`."""
+    """Parse a unit of spectral irradiance or flux, such as µW/cm²/nm, as `_conversion` does for radiance."""
     parsed = units.parse(unit)
     return _quantity_per(parsed, {"s": -1, "m": -3}) or _quantity_per(parsed, {"s": -1, "m": -1})
 

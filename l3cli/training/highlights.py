@@ -218,7 +218,7 @@ def plain_colours(sums: ClassSums, rule: ClassRule, window: NDArray[np.int64]) -
 
 
 def flat_moments(sums: ClassSums, rule: ClassRule, width: int) -> Array:
-    """Sum the moments (column, column) over all unsaturated classes of the lowest contrast. There are `width` columns."""
+    """Sum the moments over all unsaturated classes of the lowest contrast, as a matrix with `width` columns."""
     return moment_matrix(rule.by_feature(sums.moments)[0, :, 0, :, rule.kinds_of(0)].sum(axis=(0, 1, 2)), width)
 
 

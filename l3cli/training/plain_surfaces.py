@@ -319,7 +319,7 @@ def _seen(reflectances: Array, to_signals: Array, to_outputs: Array) -> tuple[Ar
 
 
 def _nearest(signals: Array, centres: Array) -> NDArray[np.intp]:
-    """Return each sample's chroma, that is the number of the nearest chroma centre."""
+    """Return each sample's chroma: the number of the nearest chroma centre."""
     return np.argmin(((shares(signals)[:, None] - centres[None]) ** 2).sum(axis=2), axis=1)
 
 
@@ -349,7 +349,7 @@ def output_gains(moments: Array, window: NDArray[np.int64]) -> Array | None:
 def single_bands(moments: Array, window: NDArray[np.int64], gains: Array) -> Array:
     """Compute the moments of uniform patches in which each band varies independently around a class's mean colour.
 
-    Each band's standard deviation is `BAND_DEVIATION` times its mean. The moments count as many patches as the class has
+    Each band's standard deviation is `BAND_DEVIATION` times its mean. The patches have the same total weight as the class's
     training patches.
 
     Parameters
@@ -382,5 +382,5 @@ def has_single_bands(rule: ClassRule, index: int) -> bool:
 
 
 def _membership(window: NDArray[np.int64]) -> Array:
-    """Return the indicator matrix (tap, channel) of the channel of each tap."""
+    """Return a matrix (tap, channel) with the value 1 for each tap's own channel, and 0 elsewhere."""
     return (window[:, None] == np.arange(window.max() + 1)).astype(np.float64)

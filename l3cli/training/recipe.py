@@ -94,7 +94,7 @@ class LearningRecipe(Recipe):
     equal_response: bool = True
 
     def orientations(self, camera: CameraModel) -> Allowed:
-        """Return the orientations in which CFA sites may be trained together, or only the identity without `symmetry`."""
+        """Return the orientations in which CFA sites may be trained together: only the identity if `symmetry` is false."""
         return orientations_of_frames(camera) if self.symmetry else IDENTITY_ONLY
 
     @property

@@ -150,7 +150,9 @@ def _solution(moments: Array, noise: Array, noise_weight: float, ridge: float, o
 def _constrained(
     estimates: list[Array], member: Array, copies: list[int], goal: LayerGoal, of: list[int], keeps: bool
 ) -> list[Array]:
-    """Constrain all sites to the response to uniform areas that minimises the squared error and preserves white.
+    """Constrain the taps of all sites to a common response to uniform areas.
+
+    The common response minimises the squared error and preserves white.
 
     Parameters
     ----------

@@ -125,9 +125,9 @@ def sample_weights(
 ) -> Floats:
     """Compute the sample weight of every pixel (docs/method.md#sample-weights, docs/method.md#second-pass).
 
-    The weight decreases with the brightness, and with the squared error after the previous layers. For X, Y, Z, the error is
-    the sum of the squared error without noise and the squared error from noise, averaged over 5 × 5 pixels. For other
-    outputs, the squared error is averaged over the mosaic.
+    The weight decreases with the brightness, and with the squared error after the previous layers. For X, Y, Z, the squared
+    error from noise is averaged over 5 × 5 pixels, and added to the squared error without noise. For other outputs, the
+    squared error is averaged over the mosaic.
 
     Parameters
     ----------
