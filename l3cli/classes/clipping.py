@@ -44,7 +44,7 @@ MIN_SIGNAL = 0.02  # smallest signal used as a divisor, as a fraction of full sc
 HUE_DOUBT, GREY_DOUBT = 0.05, 3.0
 SPREADS = 4  # number of steps in which the estimates of clipped blocks spread over uniform areas
 SPREAD_REACH = 32  # distance in pixels over which one step spreads the estimates
-MAX_CHANGE = 0.6  # mean squared relative difference of the unclipped channels from which estimates do not spread
+MAX_CHANGE = 0.6  # mean squared relative difference of the unclipped channels at which estimates stop spreading
 WHITE_DOUBT = 0.002  # ridge that limits the amount of white in the mixture with the surrounding colour
 MAX_HUE = 10.0  # largest X/Y and Z/Y of a hue
 Array = NDArray[np.float64]
@@ -227,12 +227,12 @@ def block_maps(means: Array, spread: Array, response: Array, white: Array) -> Ar
 
 
 def hue_spacing(side: int) -> int:
-    """Return the spacing, in blocks, of the blocks with which a clipped block is compared, for blocks of `side` pixels."""
+    """Return the spacing, in blocks of `side` pixels, of the blocks with which a clipped block is compared."""
     return max(HUE_REACH // (HUE_STEPS * side), 1)
 
 
 def spread_spacing(side: int) -> int:
-    """Return the distance, in blocks, over which one step spreads the estimates, for blocks of `side` pixels."""
+    """Return the distance, in blocks of `side` pixels, over which one step spreads the estimates."""
     return max(SPREAD_REACH // side, 1)
 
 
@@ -279,7 +279,7 @@ class ClippedBlocks:
         return scale * signal, np.maximum(1 - difference / MAX_DIFFERENCE, 0.0)
 
     def change(self, signal: Array) -> Array:
-        """Return the mean squared relative difference from `signal` over the unclipped channels: (block,)."""
+        """Return each block's mean squared relative difference from `signal` in its unclipped channels: (block,)."""
         unclipped = 1 - self.clipped
         return np.asarray((unclipped * (1 - signal / self.own) ** 2).sum(axis=0) / (unclipped.sum(axis=0) + MIN_WEIGHT))
 

@@ -37,7 +37,7 @@ class DirectionKeys(Recipe):
     """The section [classes.direction] of a class recipe."""
 
     orientations: Literal[4, 8] = 4  # number of distinguished orientations
-    strengths: tuple[float, ...] = (4.0,)  # edges between strengths, in standard deviations of the noise of a difference
+    strengths: tuple[float, ...] = (4.0,)  # edges between strengths, as multiples of the noise in a difference
     # A change is coherent if the difference across the axis is at most this fraction of the difference along it. Without
     # this key, coherence is not used.
     coherence: Share | None = None

@@ -80,7 +80,7 @@ def clipped_mean(share: NDArray[np.floating], sensitivity: NDArray[np.float64]) 
 
 
 def unclipped_level(mean: NDArray[np.floating], sensitivity: NDArray[np.float64]) -> NDArray[np.floating]:
-    """Return the mean signal over all channels that a grey would have without clipping.
+    """Estimate a grey's mean signal over all channels before clipping, from the mean after clipping.
 
     This is the inverse of `clipped_mean`, times the mean sensitivity. If all channels are equally sensitive, the result
     equals `mean`.

@@ -188,8 +188,8 @@ class Level:
 
     name: str
     light: int  # index of the illuminant in `Problem.seen`
-    # signal of white in the brightest filter, as a fraction of full scale, to which automatic exposure is adjusted, or None
-    # for a fixed exposure
+    # target of automatic exposure: signal of white in the brightest filter, as a fraction of full scale; None if the
+    # exposure is fixed
     share: float | None
     luminance: float = 1.0  # luminance of a perfect white in cd/m²
     seconds: float = 0.0  # exposure time in s if `share` is None

@@ -35,7 +35,7 @@ class Table:
 
     @property
     def numeric(self) -> tuple[bool, ...]:
-        """Whether each column, except the first, contains only numbers, and is therefore right-aligned."""
+        """Whether each column contains only numbers and is right-aligned. The first column never is."""
         columns = range(1, len(self.headings))
         return (False, *(all(NUMBER.match(row[column]) for row in self.rows) for column in columns))
 

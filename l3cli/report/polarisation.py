@@ -19,7 +19,7 @@ Array = NDArray[np.floating]
 FIGURE_OF = {"DoLP": "mean_dolp_error", "AoLP": "aolp_rmse", "S0": "psnr_s0"}  # metric in the captions of each map
 TITLES = {"DoLP": "Degree of linear polarisation", "AoLP": "Angle of linear polarisation", "S0": "Intensity"}
 SCALES = (0.1, 0.2, 0.5, 1.0)  # possible upper ends of the DoLP scale
-BRIGHT_QUANTILE = 0.99  # quantile of the ideal picture that fits within the scale
+BRIGHT_QUANTILE = 0.99  # quantile of the ideal picture's values that a scale must cover
 KEY_STEPS = 4  # number of intervals in a colour key
 Maps = dict[str, dict[str, Pixels]]  # pictures by map, then by pipeline or "ideal"
 

@@ -374,8 +374,8 @@ def _stated_unit(line: str) -> str | None:
 MOST_ROWS = 100_000  # maximum number of wavelengths in a text table
 WIDEST_GAP = 20.0  # maximum distance between neighbouring points of a digitised curve, in nm
 PLOT_EDGE_NM = 5.0  # distance from the edge of the plot within which a curve is assumed to continue beyond the edge
-FOOT = 0.05  # fraction of its peak below which a curve that ends inside the plot must end
-JITTER = 0.02  # permitted negative values of a digitised curve, as a fraction of its peak
+FOOT = 0.05  # largest last value of a curve that ends inside the plot, as a fraction of its peak
+JITTER = 0.02  # largest tolerated negative value of a digitised curve, as a fraction of its peak
 # Wavelengths are probably in m if all are below METRES, in µm if all are below MICROMETRES, and in Å if all are above
 # ANGSTROMS.
 METRES, MICROMETRES, ANGSTROMS = 1e-3, 5.0, 2000.0

@@ -13,7 +13,7 @@ from l3cli.classes.clipping import CLIPS, added_terms, grey_level
 from l3cli.training.plain_surfaces import plain_surfaces
 
 Array = NDArray[np.float64]
-EXPOSURES = np.geomspace(0.35, 4.5, 24)  # relative to the exposure at which the first channel of a surface clips
+EXPOSURES = np.geomspace(0.35, 4.5, 24)  # exposures, relative to the exposure at which a surface's first channel clips
 SURFACE_STEP = 7  # use every seventh surface, to save time
 SAMPLE_RIDGE = 1e-3  # absolute ridge when fitting the corrections
 COLOUR_RIDGE = 1e-3  # ridge when fitting the colour matrix, relative to the mean power of the deviations from grey

@@ -25,10 +25,10 @@ MAX_GREY = 1.6  # brightest grey, relative to the grey that just clips the last 
 GREY_RATIO = 1.02  # brightness ratio of successive greys
 # Saturation thresholds for the greys, relative to the class rule's threshold. Noise can clip a slightly darker grey.
 CLIPPING_FRACTIONS = (0.94, 0.97, 1.0)
-# Greys per training patch, times the ratio of clipped to unclipped filters. With a factor of 1, the borders between classes
-# would be visible.
+# Number of greys per training patch, as a multiple of the ratio of clipped to unclipped filters. With a factor of 1, the
+# borders between classes would be visible.
 GREYS_PER_PATCH = 4.0
-MAX_GREYS_PER_PATCH = 30.0  # upper limit, reached if every channel clips
+MAX_GREYS_PER_PATCH = 30.0  # upper limit of this number, reached if every channel clips
 UNCLIPPED_FRACTION = 0.2  # assumed fraction of clipped filters if no filter clips completely, for one grey per patch
 WHITE_TOLERANCE = 0.1  # largest relative difference between the camera model's signals of white and the patches' estimate
 OUTPUT_CUTOFF = 1e-6  # relative cutoff of the singular values in the regression on the outputs

@@ -33,7 +33,7 @@ class Patches:
     signal: Floats  # (patch, tap) as a fraction of full scale
     target: Floats  # (patch, output) in the output unit of the table
     carried: Floats | None = None  # (patch, tap) variance of the noise in measured signals, in full scale²; None for 0
-    colourless: NDArray[np.bool_] | None = None  # (patch) whether colours were replaced by greys; None for no patch
+    colourless: NDArray[np.bool_] | None = None  # (patch) whether colours were replaced by greys; None if nowhere
 
     def possible(self, scale: NDArray[np.float64]) -> NDArray[np.float64]:
         """Limit the factors that scale patches to other levels.

@@ -29,7 +29,7 @@ from l3cli.physics.spectra import BLACKEST, WHITEST, with_saturation, with_titan
 Array = NDArray[np.float64]
 
 MODULATIONS = np.linspace(0.3, 0.95, 8)  # modulation depths of the training stripes
-CENTRE = 0.65  # modulation depth at which stripes have the chroma at the class's centre
+CENTRE = 0.65  # modulation depth of the stripes at a chroma centre
 MAX_STRIPE_CHROMAS = 8
 # Smallest distance between stripes and white, in channel fractions. If it were smaller, noisy greys would count as stripes.
 MIN_STRIPE_CHROMA = 0.1
@@ -135,7 +135,7 @@ def optimal_reflectances(wavelength: Array) -> Array:
 SATURATIONS = (0.2, 0.4, 0.6, 0.8, 1.0)  # saturations of each measured surface, from pale to unchanged
 EDGES = 0.1, 0.2, 0.4  # titanium white's ratio of absorption to scattering (K/S) at 405 nm, as in the training scenes
 WIDTHS = 6.5, 9.5  # width of titanium white's absorption edge, in nm
-BARE = 2  # copies of each surface without titanium white, compared with six copies with titanium white
+BARE = 2  # number of copies of each surface without titanium white; there are six copies with titanium white
 GREYS = np.geomspace(0.03, 0.95, 12)  # reflectances of white and grey paints
 GREY_SHARE = 100.0  # total weight of the paints within a chroma, relative to all other surfaces
 OF_WHITE = 3.0  # extra weight of the chroma of white, where a colour cast is most visible

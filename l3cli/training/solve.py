@@ -117,7 +117,7 @@ def parent_of(index: Any, rule: ClassRule) -> Any:
     return rule.join_cases(place.level, place.contrast, rule.case(place.kind))
 
 
-# Weight of a textured patch, in uniform patches, in the penalty on different responses at different sites.
+# Different responses at different sites are penalised. A textured patch counts as this number of uniform patches.
 UNIFORM_WEIGHT = 0.2
 # If noise has μ times the power of the signal, uniform surfaces have the weight 1 / (1 + 1000 μ + (2000 χ μ)²). χ is 1 for
 # the chroma of white and falls to 0 away from white (docs/method.md#uniform-surfaces).
