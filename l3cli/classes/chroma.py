@@ -145,7 +145,7 @@ def stored_black_level(camera: CameraModel, shift: int) -> int:
 
 
 def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
-    """Return the chroma of each pixel, including saturated pixels, where it does not affect the class."""
+    """Return the chroma of each pixel. Saturated pixels also get a chroma, but it does not affect their class."""
     above_black = np.clip((statistics.scaled >> (16 - CHROMA_FRACTION)) - rule.chroma_black_level, 0, MAX_CHROMA_INPUT)
     # The scores are below 2⁵³ and therefore exact in float64. With floats, numpy uses the faster matrix products of BLAS.
     scores = above_black.astype(np.float64) @ rule.chroma_weights.T.astype(np.float64)

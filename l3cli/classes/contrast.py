@@ -85,7 +85,7 @@ def noise_of_grey(levels: NDArray[np.float64], camera: CameraModel, dark: float)
 def noise_of_means(camera: CameraModel, patch: int, dark: float) -> float:
     """Compute the variance of a patch's channel means due to row and column noise, in DN², averaged over the channels.
 
-    The contrast does not contain this variance, because it is measured relative to the channel means. Independent pixel
+    This variance does not contribute to the contrast, which is measured relative to the channel means. Independent pixel
     noise hardly affects these means and is neglected.
     """
     rows, columns = camera.line_variances(dark)

@@ -223,7 +223,7 @@ def _feature_of(table: TransformTable) -> Feature:
 def entry(table: TransformTable, index: int) -> dict[str, Any]:
     """Describe a direction for reports and JSON: its number, and a text such as "along 90°".
 
-    The values change along this axis. Its angle is measured clockwise from the horizontal.
+    The values change along the axis at this angle, which is measured clockwise from the horizontal.
     """
     return {"direction": index, "varies": _described(_feature_of(table), index)}
 

@@ -120,7 +120,10 @@ def level_of_mean(rule: ClassRule, total: float) -> int:
 
 
 def inner_bounds(rule: ClassRule, black_level: float, white_level: float) -> NDArray[np.float64]:
-    """Return the lower bound of each level except the darkest, as a fraction of full scale. The parameters are in DN."""
+    """Return the lower bound of each level except the darkest, as a fraction of full scale.
+
+    `black_level` and `white_level` are in DN.
+    """
     in_dn = rule.level_edges * 2.0**rule.shift / (2**LEVEL_FRACTION * rule.channels)
     return (in_dn - black_level) / (white_level - black_level)
 

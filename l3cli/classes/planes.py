@@ -193,7 +193,8 @@ def _fixed_point(
 def _distinct(weights: NDArray[np.float32], intercept: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Group classes with equal transforms, so that each transform is converted only once.
 
-    Classes without training patches use a similar class's transform. With many channels, half of all classes do so.
+    Classes without training patches use a similar class's transform. With many channels, this applies to half of all
+    classes.
 
     Returns
     -------

@@ -107,8 +107,8 @@ def first_label_words(rule: PlaneRule, first: ClassRule, *others: PlaneRule) -> 
 
     The lower half contains the gradient factor, the gradient shift (from bit 8) and the site's orientation (from bit 14).
     The upper half contains the first class of the site and level in the refinement layer. If all channels of a colour filter
-    clip, it contains the class of the saturation case instead, and its highest bit is set. The parameters are the same as
-    for `label_planes`.
+    clip, the upper half contains the class of the saturation case instead, and its highest bit is set. The parameters are
+    the same as for `label_planes`.
     """
     every = _of_all_sets(rule, others)
     place = first.split(np.arange(len(every.turns) * first.classes_per_site))

@@ -156,7 +156,7 @@ def _figure(block: Block, label: str, comma: bool, path: Path, default: float | 
 
 
 def _ordinates(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the abscissae and ordinates of XYDATA. Raises InputFileError if values are missing."""
+    """Return the abscissae and ordinates of XYDATA. Raises InputFileError if values are missing or NPOINTS is wrong."""
     lines = [line.replace(",", ".") if comma else line for line in block.lines]
     if any("?" in line for line in lines):
         raise InputFileError(f'{path} contains missing values ("?"); measure the spectrum again')
