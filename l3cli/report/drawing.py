@@ -46,7 +46,7 @@ class Axis:
     def place(self, values: Array | float) -> Array:
         """Convert values to positions along the axis, from 0 at the lower end to 1 at the upper end.
 
-        On a logarithmic axis, smaller values than a thousandth of the lower end, such as 0, are raised to this limit.
+        On a logarithmic axis, values below a thousandth of the lower end, such as 0, are raised to this limit.
         """
         values = np.asarray(values, dtype=np.float64)
         if not self.log:
@@ -115,10 +115,10 @@ def tick_text(value: float) -> str:
 
 
 class Plot:
-    """An SVG plot with an x axis and a y axis, at which all lines and marks are clipped.
+    """An SVG plot with an x axis and a y axis. Lines and marks are clipped to the range of the axes.
 
-    Most drawing methods have an optional argument `series`. It is the name under which the coordinates are added to the
-    figure's data, which the reader of the report can save as CSV.
+    Most drawing methods have an optional argument `series`. Coordinates are added to the figure's data under this name. The
+    reader of the report can save these data as CSV.
     """
 
     def __init__(self, x: Axis, y: Axis, height: int = HEIGHT, square: bool = False) -> None:

@@ -412,7 +412,7 @@ def _class_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
 
 
 def lit_as(luminance: float, at: float | None) -> bool:
-    """Whether a frame's luminance in cd/m² equals `at`, with a tolerance of SAME_LUMINANCE, or `at` is None."""
+    """Whether a frame's luminance in cd/m² equals `at`, with a tolerance of SAME_LUMINANCE. None matches every frame."""
     return at is None or abs(luminance / at - 1) < SAME_LUMINANCE
 
 
@@ -451,7 +451,9 @@ def front_section(
     document: dict[str, Any], pictures: Pictures, title: str, anchor: str, limit: int, jpeg: Jpeg,
     below: tuple[Subsection, ...], at: float | None = None,
 ) -> Section:  # fmt: skip
-    """Build the section at the top of a page: the first frame with the mean metrics, `below`, and the other frames.
+    """Build the section at the top of a page.
+
+    It shows the first frame with the mean metrics, then the subsections `below`, and then the other frames.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The input files of a report, and which training sets each table is evaluated on."""
+"""The input files of a report, and the training sets on which each table is evaluated."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,7 +34,7 @@ class Entry:
 
 
 class Pair(NamedTuple):
-    """A table and a training set with the same CFA on which it is evaluated, but was not trained."""
+    """A table, and a training set on which it is evaluated. They have the same CFA, and the set was not used for training."""
 
     table: Entry
     transforms: TransformTable  # the artifact of `table`

@@ -100,9 +100,9 @@ class Gallery:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Pictures of one frame, two of which the reader can select and compare with a slider.
+    """Pictures of one frame. The reader selects two of them and compares them with a slider.
 
-    Without scripts, the page shows all pictures side by side.
+    If scripts are disabled, the page shows all pictures side by side.
     """
 
     kind: ClassVar[str] = "comparison"

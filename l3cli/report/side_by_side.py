@@ -244,7 +244,7 @@ def _figure_blocks(sides: list[Side], shared: list[Place]) -> tuple[Block, ...]:
 
 
 def _level_figure(sides: list[Side]) -> Figure | None:
-    """Plot the main metric against the class level, with one line per table. None if a table has fewer than two levels."""
+    """Plot the main metric against the class level, one line per table. Return None if a table has only one level."""
     classes = [side.document["by_class"].get("level", []) for side in sides]
     if min(map(len, classes)) < 2:
         return None

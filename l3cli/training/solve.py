@@ -172,9 +172,9 @@ def solve(
 ) -> Solution:
     """Solve the transforms of one canonical site, class by class, by least squares.
 
-    The solution is T = Y Xᵀ (X Xᵀ + Λ)⁻¹. Each column of X contains the taps of a training patch, the same column of Y
-    contains the patch's target, and Λ is the weighted noise covariance. Classes with few patches borrow statistics from
-    neighbouring levels and parents. A class has no solution if neither the class nor its parent has patches.
+    The solution is T = Y Xᵀ (X Xᵀ + Λ)⁻¹. Each column of X contains the taps of a training patch, and the same column of Y
+    contains its target. Λ is the weighted noise covariance. Classes with few patches borrow statistics from neighbouring
+    levels and parents. A class has no solution if neither the class nor its parent has patches.
 
     Parameters
     ----------

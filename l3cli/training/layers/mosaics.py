@@ -57,7 +57,7 @@ class Mosaics:
 
 @dataclass(frozen=True)
 class Exposed:
-    """Settings for cutting mosaics from frames and for exposing the mosaics."""
+    """Settings for cutting mosaics from frames and exposing them."""
 
     camera: CameraModel
     recipe: LearningRecipe

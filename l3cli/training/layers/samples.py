@@ -190,7 +190,7 @@ class _Samples(NamedTuple):
 
 
 class GatheredSamples:
-    """Collects the samples of many mosaics, and multiplies them class by class.
+    """Collects the samples of many mosaics, and accumulates their products class by class.
 
     A mosaic has few samples per class, and large matrix products are more efficient than many small ones. Rounding errors
     depend on which samples are multiplied together, so their grouping must depend only on the frames of a block.
