@@ -34,7 +34,7 @@ class Entry:
 
 
 class Pair(NamedTuple):
-    """A table, and a training set on which it is evaluated. They have the same CFA, and the set was not used for training."""
+    """A table and a training set on which it is evaluated. They have the same CFA. The table was not trained on the set."""
 
     table: Entry
     transforms: TransformTable  # the artifact of `table`
