@@ -1,0 +1,134 @@
+"""Pictures of sensors with row noise, by tables that know the noise of rows, and by tables that take it for pixel noise.
+
+python -m pytest -m slow -s tests/studies/test_line_noise_pictures.py      40 minutes of processor time
+
+For each camera and each row temporal noise, tables are trained on two draws of dead leaves: for the camera
+as it is ("rows"), for a camera without row noise and with the same noise variance of a pixel ("pixels"), and for the camera
+with 16 masked pixels per row ("masked"). The tables render three unseen scenes at a mean signal of 0.02 of full scale.
+The class recipe is `default` with a quarter of its patches. Stripes are the standard deviation of the row means of a uniform
+area at this signal, relative to the mean.
+"""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.store import load
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingPair, open_training_set
+from l3cli.cli import run
+from l3cli.evaluation.evaluation import raw_of
+from l3cli.evaluation.quality import quality
+from l3cli.frames.frame import RawFrame
+from l3cli.rendering.renderer import make_renderer
+from l3cli.simulation.sensor import expose
+from tests.helpers.paths import CONFIGS
+
+RATIOS = (0.5, 1.0, 2.0)  # row temporal noise, relative to the read noise
+BORDER, MASKED = 12, 16
+PATCHES = "patches = 120000", "patches = 30000"
+UNIFORM = (256, 384)
+TRAINING = """
+exposure_share = [0.9]
+[[scene]]
+source = "dead leaves"
+size = [160, 160]
+count = 24
+[[scene]]
+source = "surfaces"
+size = [160, 160]
+count = 4
+patches = [4, 4]
+"""
+UNSEEN = """
+exposure_mean = [0.02]
+[[scene]]
+source = "composition"
+size = [320, 480]
+seed = 7
+[[scene]]
+source = "dead leaves"
+size = [320, 480]
+[[scene]]
+source = "surfaces"
+size = [320, 480]
+"""
+
+
+def recipe_of(name: str, ratio: float, kind: str, folder: Path) -> Path:
+    """Write the recipe of a camera whose row noise is stated ("rows"), removed ("masked") or hidden ("pixels")."""
+    text = (CONFIGS / f"cameras/{name}.toml").read_text()
+    found = re.search(r"read_noise_e = ([0-9.]+)", text)
+    assert found is not None
+    read = float(found[1])
+    if kind == "pixels":
+        text = text.replace(found[0], f"read_noise_e = {read * np.hypot(1.0, ratio):.9g}")
+    else:
+        text = text.replace(found[0], f"{found[0]}\nrow_temporal_noise_e = {read * ratio:g}")
+    path = folder / f"{kind}.toml"
+    path.write_text(text + (f"\n[masked]\nleft = {MASKED}\n" if kind == "masked" else ""))
+    return path
+
+
+def judged(table: Path, unseen: Path, camera: Path) -> tuple[float, float, float]:
+    """Return the mean ΔE00 and the mean PSNR over the unseen scenes, and the stripes of a uniform area in percent."""
+    trained, sensor = load(TransformTable, table), load_camera(camera)
+    renderer = make_renderer("opencl", trained)
+    errors, signal = [], np.zeros(len(sensor.channels))
+    with open_training_set(unseen) as reader:
+        for index in range(len(reader)):
+            frame = reader.frame(index)
+            assert isinstance(frame, TrainingPair)
+            made = renderer.outputs(raw_of(frame, index, sensor)) * (trained.output_unit / frame.exposure)
+            found = quality(made, frame.target, frame.white, BORDER)
+            errors.append((found.mean_delta_e, found.psnr))
+            channel = sensor.channel_map(frame.raw.shape)
+            means = np.bincount(channel.ravel(), frame.raw.ravel()) / np.bincount(channel.ravel())
+            signal += (means - sensor.black_level - sensor.dark_signal(frame.dark_time)) / sensor.gain / len(reader)
+    electrons = signal[sensor.channel_map(UNIFORM)].astype(np.float32)
+    stripes = []
+    for seed in range(8):
+        values = expose(sensor, electrons, 0.0, np.random.default_rng([seed, 3]))
+        light = renderer.outputs(RawFrame("uniform", values, sensor.black_level, sensor.white_level))[1]
+        rows = light[BORDER:-BORDER, BORDER:-BORDER].mean(axis=1)
+        stripes.append(rows.var() / rows.mean() ** 2)
+    return (*np.mean(errors, axis=0).tolist(), 100 * float(np.sqrt(np.mean(stripes))))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", RATIOS)
+@pytest.mark.parametrize("name", ["fiveband", "bayer"])
+@pytest.mark.parametrize("draw", [0, 1])
+def test_row_noise(draw: int, name: str, ratio: float, tmp_path: Path) -> None:
+    for scenes, text in (("training", TRAINING), ("unseen", UNSEEN)):
+        (tmp_path / f"{scenes}.txt").write_text(text)
+    classes = (CONFIGS / "classes/default.toml").read_text()
+    assert PATCHES[0] in classes
+    (tmp_path / "classes.toml").write_text(classes.replace(*PATCHES))
+    cameras = {kind: recipe_of(name, ratio, kind, tmp_path) for kind in ("rows", "pixels", "masked")}
+
+    def simulated(scenes: str, kind: str, seed: int) -> Path:
+        made = tmp_path / f"{scenes}-{kind}.h5"
+        command = ["simulate", tmp_path / f"{scenes}.txt", "--camera", cameras[kind], "-o", made, "--seed", seed]
+        assert run([*map(str, command), "--quiet", "--force"]) == 0
+        return made
+
+    found = {}
+    for kind in cameras:
+        table, seen = tmp_path / f"{kind}.h5", "rows" if kind == "pixels" else kind
+        learn = ["train", simulated("training", kind, draw), "--classes", tmp_path / "classes.toml", "-o", table, "--quiet"]
+        assert run(list(map(str, learn))) == 0
+        found[kind] = judged(table, simulated("unseen", seen, 100 + draw), cameras[seen])
+        error, psnr, stripes = found[kind]
+        print(
+            f"\n{name}, row noise {ratio:g} × read noise, draw {draw}, {kind}: ΔE00 {error:.2f}, PSNR {psnr:.2f} dB, "
+            f"stripes {stripes:.2f} %",
+            end="",
+            flush=True,
+        )
+    for better, worse in (("rows", "pixels"), ("masked", "rows")):
+        for metric, sign in enumerate((1, -1, 1)):
+            assert sign * found[better][metric] < sign * found[worse][metric]
