@@ -4,7 +4,7 @@ The results are stored in the group `fit` of a camera model.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,48 @@ from l3cli.artifacts.schema import data, group
 # Messages list the most probable illuminants until their probabilities sum to GUESSED_PROBABILITY, but not more than
 # MAX_GUESSES illuminants.
 GUESSED_PROBABILITY, MAX_GUESSES = 0.9, 4
+
+
+@dataclass(frozen=True)
+class Nonuniformity:
+    """Spectra, profiles and histograms of DSNU or PRNU, as in EMVA 1288, release 4.0.
+
+    Values of DSNU are in e-, and values of PRNU are fractions of the mean response. The mean of each CFA site is 0.
+    """
+
+    frequency: NDArray[np.float64] = data(
+        "float64", "pattern_frequency", unit="1/pixel", doc="spatial frequency in cycles per pixel", coordinate=True
+    )
+    horizontal_spectrum: NDArray[np.float64] = data(
+        "float64", "pattern_frequency", doc="square root of the power spectrum along rows, without temporal noise"
+    )
+    vertical_spectrum: NDArray[np.float64] = data(
+        "float64", "pattern_frequency", doc="square root of the power spectrum along columns, without temporal noise"
+    )
+    column: NDArray[np.float64] = data(
+        "float64", "pattern_column", unit="pixel", doc="position of the profile", coordinate=True
+    )
+    horizontal_profile: NDArray[np.float64] = data(
+        "float64", "pattern_profile", "column", doc="mean, minimum and maximum over all rows, and the middle row"
+    )
+    row: NDArray[np.float64] = data("float64", "pattern_row", unit="pixel", doc="position of the profile", coordinate=True)
+    vertical_profile: NDArray[np.float64] = data(
+        "float64", "pattern_profile", "row", doc="mean, minimum and maximum over all columns, and the middle column"
+    )
+    histogram_edge: NDArray[np.float64] = data("float64", "pattern_edge", doc="edges of the histogram", coordinate=True)
+    histogram_count: NDArray[np.int64] = data("int64", "pattern_bin", doc="number of pixels in each bin of the histogram")
+    threshold: NDArray[np.float64] = data(
+        "float64", "pattern_threshold", doc="absolute deviation, for the accumulated histogram", coordinate=True
+    )
+    exceeding: NDArray[np.int64] = data(
+        "int64", "pattern_threshold", doc="number of pixels with at least this absolute deviation"
+    )
+    spread: float = data("float64", doc="standard deviation of the pixels in the histogram, without hot and dead pixels")
+
+    def divided_by(self, unit: float) -> "Nonuniformity":
+        """Return the same results in another unit."""
+        keep = ("frequency", "column", "row", "histogram_count", "exceeding")
+        return replace(self, **{name: value / unit for name, value in vars(self).items() if name not in keep})
 
 
 @dataclass(frozen=True)
@@ -123,6 +165,18 @@ class NoiseFit:
     blinking_step: NDArray[np.float64] | None = data(
         "float64", "blinking_pixel", unit="e-", doc="difference between the two levels of each blinking pixel", optional=None
     )
+    dark_current_variance: NDArray[np.float64] | None = data(
+        "float64",
+        "channel",
+        unit="e-/s",
+        doc="dark current from the increase of the temporal variance; None: unknown",
+        optional=None,
+    )
+    dark_current_variance_error: NDArray[np.float64] | None = data(
+        "float64", "channel", unit="e-/s", doc="standard error of dark_current_variance; None: unknown", optional=None
+    )
+    dark_pattern: Nonuniformity | None = group(default=None)  # DSNU in e-; None: not stored
+    response_pattern: Nonuniformity | None = group(default=None)  # PRNU as a fraction; None: not stored
 
     @property
     def pixel_prnu(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

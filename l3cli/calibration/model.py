@@ -327,8 +327,16 @@ def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
         row_prnu_error=sensor.response.rows.error,
         column_prnu=sensor.response.columns.deviation,
         column_prnu_error=sensor.response.columns.error,
+        dark_current_variance=_in_electrons(dark.variance_slope, own**2 * body.channel_exposures),
+        dark_current_variance_error=_in_electrons(dark.variance_slope_error, own**2 * body.channel_exposures),
+        dark_pattern=None if dark.pattern is None else dark.pattern.divided_by(gain),
+        response_pattern=sensor.response.pattern,
         **_blinking(sensor, body),
     )
+
+
+def _in_electrons(values: Array | None, unit: Array) -> Array | None:
+    return None if values is None else values / unit
 
 
 def _blinking(sensor: Sensor, body: Body) -> dict[str, Any]:

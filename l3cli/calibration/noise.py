@@ -14,12 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import QUANTISATION
+from l3cli.artifacts.fit import Nonuniformity
 from l3cli.calibration import agreement
+from l3cli.calibration.nonuniformity import NoiseLeft, centred, describe
 from l3cli.calibration.statistics import (
     LEAST_LOSS,
     Defects,
     Each,
     Level,
+    LineSquares,
     by_site,
     channel_shares,
     joined_defects,
@@ -71,6 +74,10 @@ class DarkNoise:
     fixed_rows: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
     fixed_columns: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
     trials: tuple[int, ...] = ()  # number of frames of each capture
+    # DN²/s; increase of the temporal variance of the pixels per second of exposure, and its standard error
+    variance_slope: Array | None = None
+    variance_slope_error: Array | None = None
+    pattern: Nonuniformity | None = None  # spectra, profiles and histograms in DN of the channels with the lowest gain
 
 
 @dataclass(frozen=True)
@@ -94,6 +101,7 @@ class ResponseNoise:
     columns: LineNoise  # part of the PRNU that all pixels of a column have in common
     dead: Defects  # pixels whose response differs from the local mean by at least 10 %
     slopes: Array  # (row, col): response in DN/s; the values of defective pixels are interpolated
+    pattern: Nonuniformity | None = None  # spectra, profiles and histograms, as fractions
 
 
 @dataclass(frozen=True)
@@ -153,7 +161,7 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
     weights = np.repeat(np.stack([intercept, slope])[..., None], len(body.channels), axis=2)
     offsets, slopes = weighted_sums(captures, weights, body, each)
     hot = joined_defects(outliers(offsets, body.cfa), outliers(slopes, body.cfa))
-    offsets = patched(offsets, body.cfa, hot)
+    unpatched, offsets = offsets, patched(offsets, body.cfa, hot)
     levels = list(each(functools.partial(measure_level, body=body, defects=hot), captures))
     mean = np.array([mean_value(level.counts) for level in levels])
     squares = [level.lines for level in levels]
@@ -171,6 +179,8 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
     fixed = mean_squares([line_squares(offsets, body)], body)
     row_squares = [(each.rows, each.pixels, each.row_freedom) for each in squares]
     column_squares = [(each.columns, each.pixels, each.column_freedom) for each in squares]
+    picture, repaired = (centred(each, offsets, body, relative=False) for each in (unpatched, offsets))
+    temporal = _noise_left(kept, squares, float(kept @ [each.pixels for each in squares]), body)
     return DarkNoise(
         black_level=intercept @ mean,
         slope=slope @ mean,
@@ -184,7 +194,21 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
         fixed_rows=fixed_line_noise((fixed.rows, fixed.pixels, fixed.row_freedom), row_squares, kept, body.cols),
         fixed_columns=fixed_line_noise((fixed.columns, fixed.pixels, fixed.column_freedom), column_squares, kept, body.rows),
         trials=tuple(level.trials for level in levels),
+        variance_slope=slope @ of_pixels,
+        variance_slope_error=np.sqrt(slope**2 @ (2 * of_pixels**2 / ((trials // 2)[:, None] * pixels))),
+        pattern=describe(picture, repaired, picture, temporal),
     )
+
+
+def _noise_left(kept: Array, squares: Sequence[LineSquares], pixels: float, body: Body) -> NoiseLeft:
+    """Return the temporal noise that remains in a mean of captures.
+
+    `kept` is the fraction of the variance of row noise and column noise of each capture that remains, and `pixels` is the
+    remaining variance of the pixels.
+    """
+    rows = float(kept @ [each.rows - each.pixels for each in squares]) / body.cols
+    columns = float(kept @ [each.columns - each.pixels for each in squares]) / body.rows
+    return NoiseLeft(pixels, max(rows, 0.0), max(columns, 0.0))
 
 
 def error_of_root(deviation: Any, error: Any) -> Any:
@@ -411,8 +435,8 @@ def response_noise(
         chosen = used[:, channel]
         weights[chosen, channel] = line_weights(np.array([level.lit for level in levels])[chosen])[1]
     trials = np.array([level.trials for level in levels])
-    slopes = patched(weighted_sums(captures, weights[None], body, each)[0], body.cfa, dark.hot)
-    dead, slopes = dead_pixels(slopes, body.cfa)
+    unpatched = weighted_sums(captures, weights[None], body, each)[0]
+    dead, slopes = dead_pixels(patched(unpatched, body.cfa, dark.hot), body.cfa)
     deviations = [relative_deviation(site) for _, site in by_site(slopes, body.cfa)]
     rows, columns = _response_lines(deviations, levels, weights / trials[:, None] ** 0.5, body)
     lines = any(line.deviation for line in (dark.rows, dark.columns, rows, columns))
@@ -424,7 +448,26 @@ def response_noise(
     found = np.sqrt(np.maximum(spread - temporal * inverse, 0.0) + rows.deviation**2 + columns.deviation**2)
     pixels = channel_shares(body) * body.rows * body.cols
     squares = 2 * spread**2 / pixels + sum((2 * line.deviation * line.error) ** 2 for line in (rows, columns))
-    return ResponseNoise(found, error_of_root(found, np.sqrt(squares)), rows, columns, dead, slopes)
+    error = error_of_root(found, np.sqrt(squares))
+    pattern = _response_pattern(unpatched, slopes, levels, weights / trials[:, None] ** 0.5, body)
+    return ResponseNoise(found, error, rows, columns, dead, slopes, pattern)
+
+
+def _response_pattern(unpatched: Array, slopes: Array, levels: Sequence[Level], weights: Array, body: Body) -> Nonuniformity:
+    """Describe the PRNU. The other parameters are the same as in `_response_lines`.
+
+    The spectra and the profiles contain the shading of the lens, but the histograms contain deviations from local means.
+    """
+    sites = list(by_site(slopes, body.cfa))
+    # relative deviation of the response that is caused by a deviation of 1 DN in a capture: (capture, site)
+    scale = np.stack([weights[:, channel] / site.mean() for channel, site in sites], axis=1)
+    of_pixels = np.stack([[level.pixel_variance[channel] for level in levels] for channel, _ in sites], axis=1)
+    of_lines = (scale * body.channel_gains[[channel for channel, _ in sites]]) ** 2
+    left = _noise_left(
+        of_lines.mean(axis=1), [each.lines for each in levels], float((scale**2 * of_pixels).sum() / len(sites)), body
+    )
+    picture, repaired = (centred(each, slopes, body, relative=True) for each in (unpatched, slopes))
+    return describe(picture, repaired, _over_local_mean(unpatched, slopes, body.cfa), left)
 
 
 def _spread(deviation: Array) -> float:

@@ -16,6 +16,7 @@ from l3cli.physics.mosaic import array_rows
 from l3cli.physics.stokes import malus
 from l3cli.report import colours
 from l3cli.report.drawing import CHARACTER_WIDTH, Plot, box, escape, sheet, spanning
+from l3cli.report.nonuniformity import nonuniformity_figures
 from l3cli.report.parts import Block, Data, Details, Figure, Figures, Section, Subsection, Table, Text
 from l3cli.report.validation import BANDS, photo_lead, photo_subsections, table_of, validation_blocks
 from l3cli.system.text import counted, tidy, unit
@@ -39,10 +40,12 @@ MEANINGS = (
     "responsivities are relative."
 )
 MISSING = (
-    "EMVA 1288, release 4.0, also defines results that this data sheet does not contain. The doubling temperature of the "
-    "dark current would require captures at several sensor temperatures. Spectrograms, profiles and histograms of the "
-    "nonuniformity would require the frames, which are not part of the camera model."
+    "EMVA 1288, release 4.0, also defines results that this data sheet does not contain. The dark current as a function of "
+    "temperature, and its doubling temperature, would require captures at several sensor temperatures. The spectrograms, "
+    "profiles and histograms are computed from the mean dark frame at zero exposure time and from the response of each "
+    "pixel, not from frames at one exposure time. They apply to all channels together."
 )
+MISSING_PATTERNS = " Spectrograms, profiles and histograms of the nonuniformity are not part of this camera model."
 MISSING_PHOTONS = (
     " The quantum efficiency, and the threshold and the saturation capacity in photons, would require captures of charts or "
     "of monochromatic light with known radiance."
@@ -296,8 +299,9 @@ def transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
 def data_sheet(camera: CameraModel, noise: NoiseFit) -> Subsection:
     """Build the EMVA 1288 data sheet: the operation point, the values of each channel, and the plots."""
     plots = (transfer_figure, linearity_figure, deviation_figure, snr_figure)
-    figures = Figures(tuple(plot(camera, noise) for plot in plots))
-    missing = Text(MISSING if camera.absolute else MISSING + MISSING_PHOTONS)
+    figures = Figures((*(plot(camera, noise) for plot in plots), *nonuniformity_figures(noise)))
+    patterns = "" if noise.dark_pattern and noise.response_pattern else MISSING_PATTERNS
+    missing = Text(MISSING + patterns + ("" if camera.absolute else MISSING_PHOTONS))
     blocks = (operation_point(camera, noise), figures_table(camera, noise), Text(MEANINGS), missing, figures)
     return Subsection("EMVA 1288 data sheet", blocks)
 
@@ -362,8 +366,13 @@ def figures_table(camera: CameraModel, noise: NoiseFit) -> Table:
         ("dynamic range DR (bit)", np.log2(capacity / least)),
         *_nonuniformity_rows(noise),
         ("linearity error LE (%)", 100 * noise.linearity_error),
-        ("dark current (e⁻/s)", noise.dark_current),
+        ("dark current from the mean (e⁻/s)", noise.dark_current),
     ]
+    if noise.dark_current_variance is not None and noise.dark_current_variance_error is not None:
+        lines += [
+            ("dark current from the variance (e⁻/s)", noise.dark_current_variance),
+            ("standard error of the dark current from the variance (e⁻/s)", noise.dark_current_variance_error),
+        ]
     rows = tuple((name, *(tidy(float(value), 4) for value in values)) for name, values in lines)
     return Table("EMVA 1288 values per channel", ("quantity", *camera.channels), rows)
 
@@ -395,7 +404,7 @@ def _nonuniformity_rows(noise: NoiseFit) -> list[tuple[str, Array]]:
     dsnu_lines = ((every * noise.row_noise, noise.row_noise_error), (every * noise.column_noise, noise.column_noise_error))
     prnu_lines = ((every * noise.row_prnu, noise.row_prnu_error), (every * noise.column_prnu, noise.column_prnu_error))
     dsnu: tuple[tuple[Array, Any], ...] = (
-        with_lines((noise.dsnu, dsnu_error), *dsnu_lines),
+        total_dsnu(noise),
         *dsnu_lines,
         (noise.dsnu, dsnu_error),
     )
@@ -415,24 +424,12 @@ def _nonuniformity_rows(noise: NoiseFit) -> list[tuple[str, Array]]:
     return rows
 
 
-def with_lines(pixels: tuple[Array, Any], *lines: tuple[Array, Any]) -> tuple[Array, Array]:
-    """Add row and column variances to the pixel variance, and propagate the errors.
-
-    Parameters
-    ----------
-    pixels : (ndarray, ndarray)
-        Standard deviation of each channel, and its standard error.
-    lines : (ndarray, float)
-        Standard deviation of row or column noise, and its standard error.
-
-    Returns
-    -------
-    (ndarray, ndarray)
-        Resulting standard deviation of each channel, and its standard error.
-    """
-    variance, square = pixels[0] ** 2, (pixels[0] * pixels[1]) ** 2
-    for deviation, error in lines:
-        variance, square = variance + deviation**2, square + (deviation * error) ** 2
+def total_dsnu(noise: NoiseFit) -> tuple[Array, Array]:
+    """Return DSNU1288 of each channel in e-, and its standard error. It consists of pixels, rows and columns."""
+    error = np.zeros_like(noise.dsnu) if noise.dsnu_error is None else noise.dsnu_error
+    variance, square = noise.dsnu**2, (noise.dsnu * error) ** 2
+    for line, uncertainty in ((noise.row_noise, noise.row_noise_error), (noise.column_noise, noise.column_noise_error)):
+        variance, square = variance + line**2, square + (line * uncertainty) ** 2
     deviation = np.sqrt(variance)
     return deviation, np.sqrt(square) / np.where(deviation > 0, deviation, 1.0)
 
@@ -504,10 +501,10 @@ def deviation_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
 
 
 def snr_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
-    """Plot the temporal signal-to-noise ratio against the signal in electrons.
+    """Plot the temporal and the total signal-to-noise ratio against the signal in electrons.
 
-    Points are measured, and each channel's line is computed from its read noise and gain. The dotted line is an ideal sensor
-    with photon noise only.
+    The points are measured. The thick lines are computed from the read noise and the gain of each channel. The thin lines
+    also contain DSNU and PRNU. The dotted line is an ideal sensor with photon noise only.
     """
     most = float(noise.saturation_capacity.max())
     electrons = np.geomspace(most * SNR_CURVE_START, most, 60)
@@ -516,11 +513,14 @@ def snr_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
         spanning("signal-to-noise ratio (1)", np.sqrt(electrons[[0, -1]]) * (0.3, 1.0), log=True),
     )
     plot.line(electrons, np.sqrt(electrons), "currentColor", "dotted", 1.2)
-    keys = colours.channel_keys(camera)
+    keys, dsnu = colours.channel_keys(camera), total_dsnu(noise)[0]
     for channel, key in enumerate(keys):
         gain, dark = noise.conversion_gain[channel], noise.read_noise[channel]
         variance = electrons + dark**2 + QUANTISATION / gain**2
-        plot.line(electrons, electrons / np.sqrt(variance), key.colour, key.mark, 1.2)
+        plot.line(electrons, electrons / np.sqrt(variance), key.colour, key.mark, 1.6)
+        fixed = dsnu[channel] ** 2 + (noise.prnu[channel] * electrons) ** 2
+        total = electrons / np.sqrt(variance + fixed)
+        plot.line(electrons, total, key.colour, key.mark, 0.7, series=f"{key.label}, total")
         mean, measured = noise.photon_transfer_mean[:, channel], noise.photon_transfer_variance[:, channel]
         inside = (mean > 0) & (measured > 0) & (mean < LINEAR_RANGE[1] * gain * noise.saturation_capacity[channel])
         snr = mean[inside] / np.sqrt(measured[inside])
@@ -529,5 +529,8 @@ def snr_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
         f"{name} {tidy(10 * np.log10(float(capacity)), 3)} dB"
         for name, capacity in zip(camera.channels, noise.saturation_capacity, strict=True)
     )
-    finding = f"SNR max: {best}. The plot shows temporal noise. The dotted line is an ideal sensor with photon noise only."
+    finding = (
+        f"SNR max: {best}. Points and thick lines contain temporal noise. Thin lines also contain DSNU and PRNU (total "
+        "SNR). The dotted line is an ideal sensor with photon noise only."
+    )
     return plot.figure("Signal-to-noise ratio", finding, keys)

@@ -20,6 +20,8 @@ from tests.helpers.calls import L3
 from tests.helpers.pages import Tags
 
 PLOTS = ["Photon transfer", "Linearity", "Deviation from linearity", "Signal-to-noise ratio"]
+PATTERNS = ["spectrograms", "horizontal profile", "vertical profile", "logarithmic histogram"]
+PATTERNS += ["accumulated logarithmic histogram"]
 SAME = {  # name in the sheet: that of the figures of calibration
     "overall system gain K (DN/e⁻)": "K (DN/e-)",
     "temporal dark noise (e⁻)": "dark noise (e-)",
@@ -41,10 +43,10 @@ def test_the_data_sheet_holds_figures_and_plots(lab_folder: Path, tmp_path: Path
     assert camera.fit.noise is not None
     text = page.read_text()
     Tags(page)
-    assert page.stat().st_size < 300_000
+    assert page.stat().st_size < 400_000
     blocks = data_sheet(camera, camera.fit.noise).blocks
     titles = [figure.title for block in blocks if isinstance(block, Figures) for figure in block.figures]
-    assert titles == PLOTS
+    assert titles == PLOTS + [f"{name} {pattern}" for name in ("DSNU", "PRNU") for pattern in PATTERNS]
     assert all(text.count(f"<h4>{title}</h4>") == 1 for title in titles)
     table = next(block for block in blocks if isinstance(block, Table) and len(block.headings) > 2)
     rows = {row[0]: [float(cell) for cell in row[1:]] for row in table.rows}
@@ -71,7 +73,8 @@ def test_all_values_of_a_virtual_lab_are_right_within_their_uncertainty(bayer: C
     c = true
     body = Body(c.name, c.rows, c.cols, c.pixel_pitch, c.bits, c.channels, c.cfa, c.optics)
     measured = Measurements(body, darks=tuple(captures["dark"]), whites=tuple(captures["white"]))
-    table = figures_table(true, describe_noise(measure_sensor(measured), body))
+    fit = describe_noise(measure_sensor(measured), body)
+    table = figures_table(true, fit)
     rows = {row[0]: np.array([float(cell) for cell in row[1:]]) for row in table.rows}
     noise = true.noise
     expected = {
@@ -93,5 +96,19 @@ def test_all_values_of_a_virtual_lab_are_right_within_their_uncertainty(bayer: C
         assert (np.abs(rows[f"{name} (e⁻)"] - lines[f"{line}_temporal_noise"]) < 4 * error).all(), name
     assert np.abs(rows["overall system gain K (DN/e⁻)"] - true.gain).max() < 4 * rows["standard error of K (DN/e⁻)"].max()
     assert rows["temporal dark noise (e⁻)"] == pytest.approx(noise.dark_noise, rel=0.03)
-    assert rows["dark current (e⁻/s)"] == pytest.approx(noise.dark_current, rel=0.1)
+    assert rows["dark current from the mean (e⁻/s)"] == pytest.approx(noise.dark_current, rel=0.1)
+    current = rows["dark current from the variance (e⁻/s)"]
+    error = rows["standard error of the dark current from the variance (e⁻/s)"]
+    assert (np.abs(current - noise.dark_current) < 4 * error).all()
+    assert fit.dark_pattern is not None
+    assert fit.response_pattern is not None
+    fine = fit.dark_pattern.frequency > 0.1  # the response contains the shading of the lens at low frequencies
+    for spectrum, pixels, line in (
+        (fit.dark_pattern.horizontal_spectrum, noise.dsnu, noise.column_noise),
+        (fit.dark_pattern.vertical_spectrum, noise.dsnu, noise.row_noise),
+        (fit.response_pattern.horizontal_spectrum, noise.prnu, noise.column_prnu),
+        (fit.response_pattern.vertical_spectrum, noise.prnu, noise.row_prnu),
+    ):
+        # The mean power of a spectrum of white noise has the relative error of the variance of the lines.
+        assert (spectrum[fine] ** 2).mean() == pytest.approx(pixels**2 + line**2, rel=0.2)
     assert rows["saturation capacity (e⁻)"] == pytest.approx(min(noise.well_capacity, true.full_scale), rel=0.03)
