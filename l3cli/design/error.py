@@ -159,7 +159,7 @@ Cfa = NDArray[np.integer]  # (row, col): index of the filter at each site
 OPPONENT = np.vstack([[[0, 116 / 3, 0]], CHROMA])  # derivative of (L*, a* / 2, b* / 2) with respect to XYZ / white
 TAP_RIDGE = 1e-6  # ridge, as a fraction of the mean power of the taps
 EMPTY_NOISE = 1.0  # noise variance added in groups without patches, so that their equations have a solution
-CLIPPED_NOISE = 1e6  # noise variance of clipped taps, relative to their power, with which they contribute no information
+CLIPPED_NOISE = 1e6  # noise variance of clipped taps, relative to their power, so that they contribute no information
 
 
 @dataclass(frozen=True)
@@ -224,9 +224,9 @@ def exposure(level: Level, noise: Noise, white: float) -> tuple[float, float]:
 class Seen:
     """Moments of filter signals and outputs under one illuminant, for each group of patches.
 
-    They contain the signals of all filters at all taps, from which the moments for an array are selected. The class also
-    represents moments of the principal spectra, before any filter is applied. The axis "filter" then contains the principal
-    spectra, and `white` is empty.
+    The moments contain the signals of all filters at all taps, from which the moments for an array are selected. The class
+    also represents moments of the principal spectra, before any filter is applied. The axis "filter" then contains the
+    principal spectra, and `white` is empty.
     """
 
     signal: Array  # (filter, filter, group, tap, tap): second moments of the signals

@@ -467,8 +467,8 @@ def with_saturation(reflectance: Array, saturation: float, drawn: NDArray[np.boo
     reflectance : ndarray, (…, band)
         Reflectances.
     saturation : float
-        Exponent of the ratio between each reflectance and the geometric mean of the bands, from 0 (grey) to 1 (unchanged) or
-        more.
+        Exponent of the ratio between each reflectance and the geometric mean of the bands. 0 makes reflectances grey, and 1
+        leaves them unchanged.
     drawn : ndarray of bool, (band,), or slice
         Bands for the geometric mean. [default: all bands]
 

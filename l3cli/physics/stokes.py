@@ -178,7 +178,7 @@ def malus(light_angle: Array, gain: Array, angle: Array, leakage: Array, light_p
     Parameters
     ----------
     light_angle : ndarray, (capture,)
-        Angle of the light's polarisation, which is the transmission axis of the rotating polariser, in degrees.
+        Angle of the rotating polariser's transmission axis in degrees, for each capture.
     gain : ndarray, (channel,)
         Signal for light that is fully polarised along the channel's transmission axis.
     angle : ndarray, (channel,)
