@@ -173,7 +173,7 @@ def turned_axes(turn: int) -> tuple[bool, int, int]:
     transposed : bool
         Whether rows and columns are exchanged.
     across, down : int
-        −1 if the order of the columns or rows, respectively, is reversed, otherwise 1.
+        −1 if the order of the columns (`across`) or rows (`down`) is reversed, otherwise 1.
     """
     taps = np.arange(9).reshape(3, 3)
     row, col = np.divmod(np.rot90(taps.T if turn >= 4 else taps, turn % 4), 3)

@@ -64,7 +64,7 @@ def principal_spectra(power: Array, white: Array) -> NDArray[np.float64]:
     power : ndarray, (wavelength, wavelength)
         Second moment of the photon spectra.
     white : ndarray, (wavelength,)
-        Photon spectrum of a perfect white, whose mean is the scale of the principal spectra.
+        Photon spectrum of a perfect white. The principal spectra are scaled by its mean.
 
     Returns
     -------

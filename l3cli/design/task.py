@@ -199,7 +199,7 @@ class Task:
         Parameters
         ----------
         seed : int
-            Seed of the random numbers.
+            Random seed.
         which : tuple of int
             Index of the pattern, and index of the run. Run 0 starts from repetitions of the best 2×2 array if possible.
             Other runs start from random arrays.
@@ -249,7 +249,7 @@ class Task:
         Parameters
         ----------
         seed : int
-            Seed of the random numbers.
+            Random seed.
         number : int
             Index of the starting point. Starting point 0 is the filters in the recipe. All others are random variations.
 

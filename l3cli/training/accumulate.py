@@ -202,7 +202,7 @@ class _Batch:
         patch : ndarray, (patch)
             Index of each patch in the batch.
         rng : Generator
-            Source of the random numbers.
+            Random number generator.
         """
         clean = self.patches.signal.take(patch, axis=0)
         clean *= scale[:, None]

@@ -27,7 +27,7 @@ def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Ar
     Parameters
     ----------
     camera : CameraModel
-        Camera whose channels clip.
+        The camera.
     light : LightSpectrum or None
         Mean illuminant of the training frames, or None if the illuminant is unknown.
     white : ndarray, (output)

@@ -73,7 +73,7 @@ class LineNoise:
         lacking : ndarray, (patch,)
             Fraction of the noise variance to add to each patch.
         rng : numpy.random.Generator
-            Source of the random numbers.
+            Random number generator.
 
         Returns
         -------

@@ -101,7 +101,7 @@ def patches_of(
     count : int
         Number of patches.
     rng : numpy.random.Generator
-        Source of the random numbers.
+        Random number generator.
     allowed : tuple of int
         Orientations in which patches from real pairs may be read, as in `site_maps`. Patches from simulated frames are read
         in all orientations of `orientations_of_scenes`, because their noise is added later.
@@ -190,7 +190,7 @@ def sample_pair(
     count : int
         Number of patches.
     rng : numpy.random.Generator
-        Source of the random numbers.
+        Random number generator.
     allowed : tuple of int
         Orientations in which patches may be read, as in `site_maps`.
 
@@ -265,7 +265,7 @@ def sample_patches(
     orientations : sequence of ndarray, (tap)
         Tap permutations. Each is used equally often.
     rng : numpy.random.Generator
-        Source of the random numbers.
+        Random number generator.
 
     Returns
     -------
@@ -387,7 +387,7 @@ def expose_patches(
     camera : CameraModel
         Camera with the noise model and the levels.
     rng : numpy.random.Generator
-        Source of the random numbers.
+        Random number generator.
     carried : ndarray, optional
         Noise variance that measured signals already contain, in full scale². Only the remaining noise is added.
         [default: 0]

@@ -175,7 +175,7 @@ class PlainSurfaces:
     white: Array  # (channel) signals of white
     greys: int  # number of white and grey paints, which are the last surfaces
     beyond: Array  # (sample, channel) signals of stripes with impossible colours, followed by optimal colours
-    beyond_outputs: Array  # (sample, 3) targets X, Y, Z of these samples, which are those of white for all stripes
+    beyond_outputs: Array  # (sample, 3) targets X, Y, Z of these samples; the target of all stripes is white
     stripes: int  # number of stripes, which are the first samples of `beyond`
 
     def moments(self, rule: ClassRule, window: NDArray[np.int64]) -> list[Array | None]:

@@ -49,7 +49,7 @@ class LearningRecipe(Recipe):
     brightest: float = 2.5  # highest random level; scaled patches are clipped at the white level
     highlight_share: Share = 0.25  # fraction of the random levels between `highlight_from` and `brightest`
     highlight_from: float = 0.15  # lowest level of the highlights
-    achromatic: Share = 0.0  # fraction of the patches whose colours are replaced by greys (docs/method.md#patches)
+    achromatic: Share = 0.0  # fraction of the patches in which greys replace all colours (docs/method.md#patches)
     rescale: bool = True  # whether patches are scaled to random levels; if false, they keep the level of their frame
     # "analytic" adds the computed noise covariance to the equations; "sampled" adds random noise to the patches, so that
     # luminance_noise and chroma_noise have no effect; "none" trains for noise-free frames
@@ -82,7 +82,7 @@ class LearningRecipe(Recipe):
     # spectral outputs only: width in pixels (odd) of the window for smoothing spectra, or 0 for no smoothing; smoothing
     # preserves the brightness of each pixel (docs/method.md#smoothed-spectra)
     spectral_window: Annotated[int, msgspec.Meta(ge=0, le=WINDOWS[-1])] = 0
-    # smoothing ignores pixels whose brightness differs by at least this fraction from the central pixel's brightness
+    # smoothing ignores pixels that differ by at least this fraction in brightness from the central pixel
     spectral_reach: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.3
     # X, Y, Z only: smoothing averages the chroma of neighbours if their X/Y and Z/Y, relative to white, differ by less than
     # this limit; 0 for no smoothing (docs/method.md#smoothed-chroma)
@@ -117,7 +117,7 @@ class LayerRecipe(Recipe):
     coherence: Share = 0.48  # smallest fraction of the trace along one direction at which an edge has a direction
     # number of training mosaics over all frames
     mosaics: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 5400
-    achromatic: Share = 0.2  # fraction of the mosaics whose colours are replaced by greys
+    achromatic: Share = 0.2  # fraction of the mosaics in which greys replace all colours
     rows: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 900  # approximate number of training samples per mosaic
     # fraction of a mosaic's pixels that become samples; with a smaller fraction, mosaics are larger for the same `rows`
     density: Annotated[float, msgspec.Meta(gt=0, le=1)] = 1.0

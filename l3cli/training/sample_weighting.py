@@ -20,7 +20,7 @@ ERROR_FLOOR = 0.25  # squared error, in ΔE² or degrees², below which all samp
 # Factors that convert errors of the cube roots of X, Y and Z to errors of L*, a* and b*. CIELAB uses 116, 500 and 200. The
 # factors for a* and b* are lower here, because chroma errors are less visible.
 LIGHTNESS, RED_GREEN, YELLOW_BLUE = 116.0, 250.0, 150.0
-PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2))  # output pairs whose noise covariances contribute to the colour error
+PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2))  # output pairs with noise covariances that affect the colour error
 
 
 @dataclass(frozen=True)

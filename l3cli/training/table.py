@@ -84,7 +84,7 @@ def take_pilot(
     recipe : TrainingRecipe
         Class recipe.
     seed : int
-        Seed of the random numbers.
+        Random seed.
 
     Returns
     -------
@@ -143,7 +143,7 @@ def survey(
     recipe : TrainingRecipe
         Class recipe.
     seed : int
-        Seed of the random numbers.
+        Random seed.
 
     Returns
     -------
@@ -377,7 +377,7 @@ def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int
     mosaics : tuple of int, (frame)
         Number of mosaics to draw from each training frame.
     seed : int
-        Seed of the random numbers.
+        Random seed.
 
     Returns
     -------

@@ -153,7 +153,7 @@ class WorkShare:
     """Work of one process in a pass: blocks of frames, and the sites to sum in each block."""
 
     blocks: tuple[tuple[range, tuple[int, ...]], ...]  # frames of each block, and the canonical sites to sum
-    whole: tuple[int, ...]  # sites whose sums are complete after this share, because it contains all their blocks
+    whole: tuple[int, ...]  # sites for which this share contains all blocks, so that their sums are complete
 
     @property
     def sites(self) -> tuple[int, ...]:
@@ -163,8 +163,8 @@ class WorkShare:
 def frame_blocks(patches: Sequence[int], most: int | None = None) -> list[range]:
     """Divide the frames into blocks with about equal numbers of patches.
 
-    All patches of a block are sorted by class at once. Shards and processes receive whole blocks, whose similar sizes keep
-    processes from waiting for each other.
+    All patches of a block are sorted by class at once. Shards and processes receive whole blocks. Blocks have similar sizes,
+    so that processes do not wait for each other.
 
     Parameters
     ----------

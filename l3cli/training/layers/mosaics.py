@@ -62,7 +62,7 @@ class Exposed:
     camera: CameraModel
     recipe: LearningRecipe
     dark: float  # dark signal at the mean exposure time of the training frames, in DN
-    achromatic: float  # fraction of the mosaics whose colours are replaced by greys
+    achromatic: float  # fraction of the mosaics in which greys replace all colours
     noisy: bool  # whether to add the camera's noise
     inner: int  # side of the square of training pixels, if the frame is large enough
     margin: int  # number of pixels that the layers read beyond each side of this square
@@ -94,7 +94,7 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
     exposed : Exposed
         Settings for cutting and exposing mosaics.
     rng : numpy.random.Generator
-        Source of the random numbers.
+        Random number generator.
 
     Yields
     ------
@@ -198,7 +198,7 @@ def _drawn_turn(
     allowed : tuple of int
         Orientations to draw from.
     rng : numpy.random.Generator
-        Source of the random numbers.
+        Random number generator.
 
     Returns
     -------
@@ -264,7 +264,7 @@ def within(planes: NDArray, count: int, margin: int) -> NDArray:
 
 
 def margin_of(side: int) -> int:
-    """Return how many pixels a layer with windows of `side` pixels needs around a pixel, including those for its class."""
+    """Return how many pixels a layer with windows of `side` pixels needs around a pixel, also to determine its class."""
     return max(BORDER_PIXELS, side // 2)
 
 

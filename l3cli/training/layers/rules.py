@@ -268,7 +268,7 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
     first : int
         Index of the first frame.
     every : int
-        Only frames whose index is a multiple of this number are measured.
+        Measure only frames with an index that is a multiple of this number.
 
     Returns
     -------
