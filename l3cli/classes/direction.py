@@ -83,7 +83,7 @@ def inner_span(span: int) -> int:
 
 
 def boxes(patch: int, period: int, inner: int) -> tuple[Window, ...]:
-    """Return the boxes whose differences are taken along the four axes.
+    """Return the boxes between which the differences along the four axes are computed.
 
     If the centre of a box would lie between two pixels, two boxes at the two neighbouring positions replace it.
     """

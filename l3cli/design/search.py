@@ -57,7 +57,7 @@ def symmetries(shape: tuple[int, int]) -> NDArray[np.intp]:
     Returns
     -------
     ndarray, (symmetry, site)
-        Site from which each site takes its filter.
+        Original site of the filter at each site.
     """
     sites = np.arange(math.prod(shape)).reshape(shape)
     turned = [np.rot90(each, turn) for each in (sites, sites.T) for turn in range(4)]

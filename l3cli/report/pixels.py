@@ -159,7 +159,7 @@ def _crop(
     others : {"none", "frame", "all"}
         Additional classes: none, the other classes of the frame, or all other classes of the table, sorted by frequency.
     letters : int
-        Maximum number of characters per layer for weights of additional classes, which are used for the most frequent ones.
+        Maximum number of characters per layer for weights of additional classes, starting with the most frequent class.
     """
     layers = []
     for layer, worded, of in zip(table.layers, words, labels, strict=True):

@@ -65,7 +65,7 @@ class Side:
 def shared_places(sides: list[Side]) -> list[Place]:
     """Find the frames on which all tables were evaluated.
 
-    Frames match if they have the same scene name, illuminant name and luminance, and if their fingerprints belong to the
+    Frames match if they have the same scene name, illuminant name and luminance, and if their fingerprints describe the
     same scene and illuminant. A missing fingerprint matches any fingerprint.
 
     Parameters
@@ -93,7 +93,7 @@ def _shown(sides: list[Side], place: Place) -> list[Any]:
 
 
 def _one_scene(shown: list[Any]) -> bool:
-    """Whether all known fingerprints belong to the same scene and illuminant."""
+    """Whether all known fingerprints describe the same scene and illuminant."""
     known = [each for each in shown if each]
     return all(shown_alike(known[0], each) for each in known[1:])
 

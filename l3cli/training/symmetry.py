@@ -54,7 +54,7 @@ def orientations_of_frames(camera: CameraModel) -> Allowed:
 
 @dataclass(frozen=True)
 class SiteMap:
-    """Canonical site from which a site takes its transforms, and the orientation that relates the two sites.
+    """Canonical site that provides the transforms of a site, and the orientation that relates the two sites.
 
     If ``patch`` is a patch at the site, ``patch[permutation]`` has the CFA layout of the canonical site.
     """
@@ -115,7 +115,7 @@ def stabilisers(window: Indices, patch: int, allowed: Allowed = EVERY_ORIENTATIO
 
 
 def turned_classes(rule: ClassRule, number: int) -> Indices:
-    """Map each class to the class to which its patches belong if they are read in orientation `number`.
+    """Map each class to the class of its patches when they are read in orientation `number`.
 
     Level, contrast, chroma and saturation case are the same in every orientation, because they are independent of the order
     of the taps. Features such as direction can change.
@@ -157,7 +157,7 @@ def turns_of(rule: ClassRule, window: Indices, allowed: Allowed = EVERY_ORIENTAT
 
 
 def turned_structures(rule: StructureRule, number: int) -> Indices:
-    """Map each structure class to the class to which its windows belong if they are read in orientation `number`.
+    """Map each structure class to the class of its windows when they are read in orientation `number`.
 
     Only the direction of edges changes.
     """
