@@ -132,7 +132,7 @@ def steps_back(
         Positions in `clipping` of the classes that can contain a fully clipped grey.
     missing : ndarray
         For each class in `last`, the luminance by which the fully clipped grey is darker than the brightest grey with an
-        unclipped channel. 0 if the fully clipped grey is not darker.
+        unclipped channel. It is 0 if the fully clipped grey is not darker.
     """
     threshold = (rule.saturation - black_level) / (white_level - black_level)
     greys = np.exp(np.arange(np.log(threshold / signal.max()), np.log(threshold / signal.min()), np.log(GREY_RATIO)))
