@@ -506,8 +506,9 @@ def _text_curves(content: str, path: Path) -> CurveTable:
 def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Path) -> CurveTable:
     """Interpolate digitised curves, with points in any order, to steps of 1 nm.
 
-    All curves are extended to the wavelength range of the plot, with the last value if the curve ends at an edge of the
-    plot, and with zeros if it ends inside. Raises InputFileError with a list of all faults in the curves.
+    All curves are extended to the wavelength range of the plot. A curve that ends at an edge of the plot continues with its
+    last value. A curve that ends inside the plot continues with zeros. Raises InputFileError with a list of all faults in
+    the curves.
     """
     wrong = list(faults)
     lines = [np.array(sorted(points), np.float64).reshape(-1, 2).T for _, points in curves]

@@ -149,7 +149,7 @@ class Turn(NamedTuple):
 
 
 def turns_of(rule: ClassRule, window: Indices, allowed: Allowed = EVERY_ORIENTATION) -> list[Turn]:
-    """Return the results of `stabilisers` as permutations of taps and classes, beginning with the identity."""
+    """Return the orientations from `stabilisers` as permutations of taps and classes, beginning with the identity."""
     return [
         Turn(orientations(rule.patch)[number], np.argsort(turned_classes(rule, number)))
         for number in stabilisers(window, rule.patch, allowed)
