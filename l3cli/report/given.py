@@ -19,7 +19,7 @@ A = TypeVar("A", bound=Artifact)
 class Entry:
     """An input file of a report."""
 
-    name: str  # name of the file on the page
+    name: str  # file name shown on the page
     path: Path
     sha256: str
     artifact: Artifact  # content of the file; for a training set, only the description without frames

@@ -416,7 +416,7 @@ def expose_patches(
         noisy += offsets.values * gain
     noisy += signal
     noisy *= np.float32(camera.white_level - camera.black_level)
-    noisy += np.float32(camera.black_level + 0.5)  # + 0.5, because the cast truncates
+    noisy += np.float32(camera.black_level + 0.5)  # rounds to the nearest DN, because the cast truncates
     return np.clip(noisy, 0.0, np.floor(camera.white_level), out=noisy).astype(np.uint32)
 
 
