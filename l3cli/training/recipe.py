@@ -44,11 +44,11 @@ class LearningRecipe(Recipe):
     # lowest random level, except for `dark_share`; levels are log-uniform; with 0, l3 uses the level at which the signal
     # equals its noise
     darkest: float = 0.0
-    # fraction of the random levels between half of `darkest` and `darkest`, for frames taken at a higher gain
+    # fraction of the random levels that are drawn between half of `darkest` and `darkest`, for frames taken at a higher gain
     dark_share: Share = 0.0
     brightest: float = 2.5  # highest random level; scaled patches are clipped at the white level
-    highlight_share: Share = 0.25  # fraction of the random levels between `highlight_from` and `brightest`
-    highlight_from: float = 0.15  # lowest level of the highlights
+    highlight_share: Share = 0.25  # fraction of the random levels that are drawn between `highlight_from` and `brightest`
+    highlight_from: float = 0.15  # lower end of the range for `highlight_share`
     achromatic: Share = 0.0  # fraction of the patches in which greys replace all colours (docs/method.md#patches)
     rescale: bool = True  # whether patches are scaled to random levels; if false, they keep the level of their frame
     # "analytic" adds the computed noise covariance to the equations; "sampled" adds random noise to the patches, so that
