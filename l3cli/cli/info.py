@@ -1,4 +1,4 @@
-"""l3 info: prints the contents of an artifact, or the software versions of this installation."""
+"""l3 info: prints the contents of an artifact or a raw file, or the software versions of this installation."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,18 @@ from l3cli.system.text import figure, printable
 if TYPE_CHECKING:
     from l3cli.stages.information import Verification
 
+NOT_STATED = "not stated"
+OPTIONAL = (  # label, key and unit of properties that are printed only if the raw file states them
+    ("baseline exposure", "baseline_exposure", " EV"),
+    ("camera", "camera", ""),
+    ("lens", "lens", ""),
+    ("date", "date", ""),
+    ("ISO speed", "iso", ""),
+    ("f-number", "f_number", ""),
+    ("focal length", "focal_length", " mm"),
+)
+ORIENTATIONS = {3: "turned by 180°", 5: "turned by 90° to the left", 6: "turned by 90° to the right"}  # LibRaw flip codes
+
 
 @click.command()
 @click.argument("file", type=declared.FILE, required=False, metavar="FILE")
@@ -25,12 +37,15 @@ def info(file: Path | None, inputs: tuple[Path, ...], options: InfoOptions) -> R
     """Print the type, the version, the history and the datasets (axes, type, unit, meaning) of the artifact FILE. For a
     transform table, also print its classes, patches, noise gain, gain of flat areas and noisiest classes.
 
+    If FILE is a raw file with one frame, print what l3 reads from it: size, levels, filter array, white balance, exposure.
+
     With --verify, verify the digest of FILE, read all its data, and compare the INPUTs with the input files in its history
     (artifacts, recipes, frames, spectra). If an INPUT is not in the history, it is the wrong file or has changed (exit code
     3).
 
     \b
     Example: l3 info camera.h5
+             l3 info photo.dng
              l3 info --verify table.h5 training.h5 camera.h5 scenes.toml
     """
     if options.version == (file is not None):
@@ -43,7 +58,7 @@ def info(file: Path | None, inputs: tuple[Path, ...], options: InfoOptions) -> R
 
     files = files_to_read({"artifact": [file]} if file else {})
     document = versions() if file is None else content(file)
-    lines = _version_lines(document) if file is None else _lines(document)
+    lines = _version_lines(document) if file is None else _raw_lines(document) if "size" in document else _lines(document)
     return Result(document, lambda: _show(lines), files=files)
 
 
@@ -89,6 +104,41 @@ def _lines(content: dict[str, Any]) -> list[str]:
 
         lines += learned(content["insight"])
     return lines
+
+
+def _raw_lines(frame: dict[str, Any]) -> list[str]:
+    """Return a line for each property of a raw frame that the file states, and for its size, levels, array and neutral."""
+    values, gains = frame["values"], frame["neutral"]
+    facts = {
+        "size": "{}×{} pixels (rows × columns)".format(*frame["size"]),
+        "values": f"{values['lowest']} to {values['highest']} DN, mean {values['mean']:.6g} DN",
+        "black level": _stated(frame["black_level"], " DN"),
+        "white level": _stated(frame["white_level"], " DN"),
+        "filter array": frame["filter_array"] or NOT_STATED,
+        "grey surface": " : ".join(f"{colour} {figure(signal, '.4g')}" for colour, signal in gains.items())
+        if gains
+        else NOT_STATED,
+        "exposure time": _stated(frame["exposure_time"], " s"),
+    }
+    if frame["saturated"]:
+        facts["white level"] += f", reached by {100 * frame['saturated']:.2g} % of the pixels"
+    for label, key, unit in OPTIONAL:
+        if frame[key] is not None:
+            facts[label] = _stated(frame[key], unit)
+    if frame["orientation"]:
+        facts["orientation"] = ORIENTATIONS.get(frame["orientation"], "mirrored")
+    if frame["masked_pixels"]:
+        facts["masked pixels"] = "{} beside the rows, {} above and below the columns".format(*frame["masked_pixels"])
+    if frame["gain_map"]:
+        facts["gain map"] = "yes"
+    if frame["lens_corrections"]:
+        facts["lens corrections"] = str(frame["lens_corrections"])
+    facts |= {f"note {number}": note for number, note in enumerate(frame["notes"], 1)}
+    return [frame["kind"], *(f"  {name:<17} {text}" for name, text in facts.items())]
+
+
+def _stated(value: Any, unit: str) -> str:
+    return NOT_STATED if value is None else f"{_short(value)}{unit}"
 
 
 def _verified(file: Path, verification: "Verification") -> list[str]:

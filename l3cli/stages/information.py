@@ -22,6 +22,9 @@ from l3cli.artifacts.store import load, open_artifact, read_fields
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, TrainingSetReader
 from l3cli.errors import DeviceError, L3Error
+from l3cli.io.frames import raw_content
+from l3cli.io.raw.cfa_codes import FREE_CODE, LETTERS, written
+from l3cli.io.raw.files import BY_SUFFIX, format_of
 from l3cli.options.commands import BenchOptions
 from l3cli.rendering import benchmark
 from l3cli.rendering.opencl.devices import cache_warning, survey
@@ -38,25 +41,83 @@ def content(file: Path) -> dict[str, Any]:
     Parameters
     ----------
     file : Path
-        The artifact.
+        An artifact, or a raw file with one frame.
 
     Returns
     -------
     dict
-        Type, version, history and datasets of the artifact. For a transform table, the entry "insight" summarises the
-        training.
+        For an artifact: type, version, history and datasets. For a transform table, the entry "insight" summarises the
+        training. For a raw file: see `raw_frame`.
 
     Raises
     ------
     InputFileError
-        If the file is not an artifact.
+        If the file is neither an artifact nor a raw file with one frame.
     """
+    if file.suffix.lower() in BY_SUFFIX and (reader := format_of(file)).holds_frame and not reader.wants_geometry:
+        return raw_frame(file)
     described = describe(file)
     if described["kind"] == TransformTable.kind:
         from l3cli.training.summary import insight
 
         described["insight"] = insight(load(TransformTable, file))
     return described
+
+
+def raw_frame(file: Path) -> dict[str, Any]:
+    """Describe the content of a raw file as l3 reads it, without a table.
+
+    Parameters
+    ----------
+    file : Path
+        The raw file. It must contain one frame, and state its own size.
+
+    Returns
+    -------
+    dict
+        Size in pixels, levels and values in DN, filter array, signals of a grey surface, exposure time in s, other settings
+        of the camera, and what the file asks of a raw converter. A property that the file does not state is None.
+
+    Raises
+    ------
+    InputFileError
+        If the file cannot be read.
+    """
+    content = raw_content(file)
+    values, shot = content["values"], content.get("shot", {})
+    pattern, neutral, masked = content.get("pattern"), content.get("neutral"), content.get("masked")
+    white = content.get("white_level")
+    return {
+        "kind": "raw frame",
+        "size": list(values.shape),
+        "values": {"lowest": int(values.min()), "mean": float(values.mean()), "highest": int(values.max())},
+        "black_level": content.get("black_level"),
+        "white_level": white,
+        "saturated": None if white is None else float((values >= white).mean()),
+        "filter_array": None if pattern is None else written(pattern),
+        "neutral": None if neutral is None else {_colour(code): signal for code, signal in neutral.tolist()},
+        "exposure_time": content.get("exposure") or None,
+        "baseline_exposure": content.get("baseline_exposure") or None,
+        "camera": _camera_name(content.get("camera", [])),
+        **{key: shot.get(key) or None for key in ("lens", "date", "f_number", "focal_length", "iso")},
+        "orientation": content.get("orientation"),
+        "masked_pixels": None if masked is None else [part.size for part in masked],
+        "gain_map": "gain" in content,
+        "lens_corrections": len(content.get("warps", ())),
+        "notes": list(content.get("notes", ())),
+    }
+
+
+def _camera_name(names: list[str]) -> str | None:
+    """Join the names of a camera. Names that are part of another name are omitted."""
+    return (
+        " ".join(name for name in dict.fromkeys(names) if not any(name != other and name in other for other in names))
+        or None
+    )
+
+
+def _colour(code: float) -> str:
+    return LETTERS[int(code)].lower() if code < FREE_CODE else f"({int(code)})"
 
 
 @dataclass(frozen=True)

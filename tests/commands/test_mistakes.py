@@ -238,8 +238,8 @@ MISTAKES = """
         use the output of "l3 evaluate --json"
     2 info
         specify either a FILE or --version
-    3 info raw.tif
-        raw.tif is not an HDF5 file; use a file written by
+    3 info scenes.toml
+        scenes.toml is not an HDF5 file; use a file written by
     3 info folder
         folder is a folder; use a file written by
     2 lab scenes.toml -o new

@@ -98,12 +98,11 @@ def find_phase(name: str, pattern: NDArray[np.integer], sensor: FilterArray) -> 
     fitting = exact or [phase for phase in phases if _fits(ours[phase], theirs, sensor.channels)]
     if not fitting:
         raise InputFileError(
-            f"{name} has the colour filter array {_written(pattern)}, but the table has "
-            f"{_written(codes[sensor.cfa])}; {CURE}"
+            f"{name} has the colour filter array {written(pattern)}, but the table has {written(codes[sensor.cfa])}; {CURE}"
         )
     if any((ours[phase] != ours[fitting[0]]).any() for phase in fitting):
         raise InputFileError(
-            f"{name}: the colour filter array {_written(pattern)} fits the table's array at several positions; "
+            f"{name}: the colour filter array {written(pattern)} fits the table's array at several positions; "
             "set ‹phase› ROW,COL to the position of the first pixel in the table's array"
         )
     return fitting[0]
@@ -149,7 +148,7 @@ def _fits(ours: NDArray[np.uint8], theirs: NDArray[np.integer], channels: Sequen
     return one_to_one and all(code_of(channels[channel]) in (None, code) for channel, code in pairs)
 
 
-def _written(pattern: NDArray[np.integer]) -> str:
+def written(pattern: NDArray[np.integer]) -> str:
     """Format a pattern of colour codes, for example as rg/gb. Codes without a letter are written as (7), (8), …"""
     rows = [[LETTERS[code].lower() if code < FREE_CODE else f"({code})" for code in row] for row in pattern.tolist()]
     return "/".join("".join(row) for row in rows)
