@@ -1,6 +1,6 @@
-"""Metrics of rendered sequences: temporal noise, flicker and errors (docs/method.md#quality-of-sequences).
+"""Metrics for rendered sequences: temporal noise, flicker and errors (docs/method.md#quality-of-sequences).
 
-If the motion between two frames is not known, l3 estimates it from the ideal frames by window matching on an image pyramid.
+If the motion between frames is unknown, it is estimated from the ideal frames by window matching on an image pyramid.
 Pictures are linear sRGB (row, col, 3), where 1 is display white. Lightness is CIE L*, from 0 to 100.
 """
 
@@ -19,23 +19,23 @@ from l3cli.physics.display import displayed_delta_e, lightness, srgb_curve
 from l3cli.system.limits import read_bounded
 
 Array = NDArray[np.floating]
-PYRAMID_LEVELS = 3  # number of pyramid levels; the coarsest level has a quarter of the width and height of a frame
-SEARCH_PIXELS = 5  # pixels; largest displacement that is tried in each direction at the coarsest level
+PYRAMID_LEVELS = 3  # the coarsest level has a quarter of the frame's width and height
+SEARCH_PIXELS = 5  # search range in each direction at the coarsest level
 WINDOW = 15  # pixels; side of the matched windows
-GRID_PIXELS = 4  # pixels; spacing of the pixels at which the median of the motion is computed
-PENALTY = 0.1  # L*² per pixel of displacement; added to the mismatch so that uniform areas move with their surroundings
-MISMATCH = 3.0  # L*; if the mean absolute difference between two windows is larger, they show different objects
-MISMATCH_WINDOW = 5  # pixels; side of the windows that are compared with MISMATCH
-SUBPIXEL_ITERATIONS = 4  # number of Lucas–Kanade iterations
-ROUNDING_PIXELS = 1e-6  # pixels; tolerance for rounding errors of positions
-FLAT = 0.1  # L*² per pixel²; added to the mean square gradients so that the motion of uniform windows is hardly refined
+GRID_PIXELS = 4  # spacing of the pixels at which the motion is median-filtered
+PENALTY = 0.1  # L*² per pixel of displacement, added to the mismatch so that uniform areas move with their surroundings
+MISMATCH = 3.0  # L*; windows with a larger mean absolute difference show different objects
+MISMATCH_WINDOW = 5  # pixels; side of these windows
+SUBPIXEL_ITERATIONS = 4  # Lucas–Kanade iterations
+ROUNDING_PIXELS = 1e-6  # tolerance for rounding errors of positions
+FLAT = 0.1  # L*² per pixel², added to mean square gradients so that the motion of uniform windows is hardly refined
 
 
 def estimated_motion(light: Array, last: Array) -> NDArray[np.float32]:
     """Estimate the motion between two frames with subpixel precision.
 
-    The search covers displacements of about SEARCH_PIXELS · 2^(PYRAMID_LEVELS − 1) pixels in each direction. For frames
-    that are too small for all levels of the pyramid, the search range is smaller.
+    The search range is about SEARCH_PIXELS · 2^(PYRAMID_LEVELS − 1) pixels in each direction, and smaller for frames that
+    are too small for all pyramid levels.
 
     Parameters
     ----------
@@ -47,8 +47,8 @@ def estimated_motion(light: Array, last: Array) -> NDArray[np.float32]:
     Returns
     -------
     ndarray, (3, row, col)
-        Downward motion and rightward motion since the previous frame, in pixels, and validity. The validity is 1 if both
-        frames show the same object, otherwise 0.
+        Downward and rightward motion since the previous frame, in pixels, and validity: 1 if both frames show the same
+        object, otherwise 0.
     """
     pairs: list[tuple[Array, Array]] = [(np.asarray(light, np.float64), np.asarray(last, np.float64))]
     while len(pairs) < PYRAMID_LEVELS and min(pairs[-1][0].shape) >= 2 * WINDOW:
@@ -63,7 +63,7 @@ def estimated_motion(light: Array, last: Array) -> NDArray[np.float32]:
 
 
 def _refined(frame: Array, before: Array, vector: NDArray[np.intp], reach: int) -> NDArray[np.intp]:
-    """Improve a displacement field (2, row, col) by a search within `reach` pixels of each displacement."""
+    """Refine a displacement field (2, row, col) by searching within `reach` pixels of each displacement."""
     offsets = np.array(list(itertools.product(range(-reach, reach + 1), repeat=2)))
     best, least = vector, np.full(frame.shape, np.inf)
     for offset in offsets[np.argsort(np.hypot(*offsets.T), kind="stable")]:
@@ -76,10 +76,9 @@ def _refined(frame: Array, before: Array, vector: NDArray[np.intp], reach: int) 
 
 
 def _mismatch(frame: Array, before: Array, vector: NDArray[np.intp]) -> Array:
-    """Compare the window around each pixel of `frame` with its source window in the frame `before`.
+    """Return the mean square difference (row, col) between the window around each pixel and its source window in `before`.
 
-    `vector` (2, row, col) is the displacement of each pixel since the frame `before`. The result (row, col) is the mean
-    square difference between the windows.
+    `vector` (2, row, col) is the displacement of each pixel since the frame `before`.
     """
     place = [
         np.clip(at - by, 0, length - 1) for at, by, length in zip(np.indices(frame.shape), vector, frame.shape, strict=True)
@@ -88,9 +87,9 @@ def _mismatch(frame: Array, before: Array, vector: NDArray[np.intp]) -> Array:
 
 
 def _exact(frame: Array, before: Array, motion: Array) -> Array:
-    """Refine displacements (2, row, col) to subpixel precision.
+    """Refine displacements (2, row, col) to subpixel precision, by least-squares fits over windows.
 
-    The method is the least-squares fit over windows by Lucas and Kanade ("An iterative image registration technique", 1981).
+    The method is by Lucas and Kanade ("An iterative image registration technique", 1981).
     """
     place, spline = np.indices(frame.shape), spline_filter(before)
     for _ in range(SUBPIXEL_ITERATIONS):
@@ -107,10 +106,9 @@ def _exact(frame: Array, before: Array, motion: Array) -> Array:
 
 
 def _without_outliers(plane: Array) -> Array:
-    """Apply a median filter to remove outliers, and smooth the result.
+    """Remove outliers with a median filter, and smooth the result.
 
-    To save time, the median is computed only from the pixels on a grid with a spacing of GRID_PIXELS. Pixels between the
-    grid points get the median of a grid point.
+    To save time, the median is computed only at and from pixels on a grid with the spacing GRID_PIXELS.
     """
     side = -(-WINDOW // GRID_PIXELS) | 1
     whole = (
@@ -122,9 +120,9 @@ def _without_outliers(plane: Array) -> Array:
 
 
 def _seen(light: Array, last: Array, motion: Array) -> NDArray[np.bool_]:
-    """Return a mask (row, col) of the pixels that show the same object as their origins in the previous frame.
+    """Return a mask (row, col) of the pixels that show the same object as their origin in the previous frame.
 
-    The mask is False for pixels whose origin is outside the previous frame.
+    It excludes pixels with an origin outside the frame.
     """
     source = np.indices(light.shape) - motion
     inside = np.logical_and.reduce(
@@ -143,7 +141,7 @@ def _halved(plane: Array) -> Array:
 
 
 def _doubled(vector: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.intp]:
-    """Double the size and the values of a displacement field (2, row, col).
+    """Double the size and values of a displacement field (2, row, col), for the next finer pyramid level.
 
     If the new size `shape` is odd, the last row or column is repeated.
     """
@@ -155,34 +153,31 @@ def _doubled(vector: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.int
 
 GIVE = 'use the output of "l3 evaluate --sequence … --json"'
 CELL = 8  # pixels; side of a patch
-# A patch is still if the L* of each of its pixels varies by at most this amount over the ideal sequence, which is about the
-# difference between two adjacent 8-bit values.
+# A patch is still if the L* of each pixel varies by at most this value over the ideal sequence, about one 8-bit step.
 STILL = 0.5
-# The following constants define still patches if there is no ideal sequence.
-DRIFT = 1.0  # L*; maximum change in the mean of a still patch from the first to the second half of the sequence
-UNCERTAIN = 3.0  # standard deviations; changes that are smaller than this may be caused by noise
-# The fraction QUIETEST of the patches, which change least, is assumed to show only noise. A still patch changes at most
-# RESTLESS times as much as these patches.
+# Without an ideal sequence, the following constants define still patches.
+DRIFT = 1.0  # L*; maximum change of a still patch's mean from the first to the second half of the sequence
+UNCERTAIN = 3.0  # standard deviations; noise may cause smaller changes
+# The fraction QUIETEST of the patches with the smallest changes is assumed to show only noise. Still patches change at most
+# RESTLESS times as much.
 QUIETEST, RESTLESS = 0.1, 3.0
 ROUNDING = 0.1  # L*; maximum change of a pixel due to rounding
 
 
 class FrameFigures(msgspec.Struct, forbid_unknown_fields=True):
-    """Metrics of one frame of a sequence.
+    """Metrics of one frame in a sequence.
 
     `jump`, `step_sigma` and `warped_error` are None in the first frame. `warped_error`, `psnr` and `mean_delta_e` are None
-    if there is no ideal sequence. `step_sigma` is also None if the sequence has no still patches. `warped_error` is also
-    None if no pixel is visible in both frames.
+    without an ideal sequence. `step_sigma` is also None if there are no still patches, and `warped_error` if no pixel is
+    visible in both frames.
     """
 
     frame: int
     mean_lightness: float  # L*
-    # L*; change in the mean lightness since the previous frame, minus the corresponding change in the ideal sequence if
-    # there is one
-    jump: float | None
-    step_sigma: float | None  # L*; RMS change of the pixels of still patches since the previous frame, divided by √2
-    warped_error: float | None  # L*; RMS change of the error since the previous frame, along the motion of the objects
-    psnr: float | None  # dB; computed from non-linear sRGB
+    jump: float | None  # L*; change in mean lightness since the previous frame, minus the change in any ideal sequence
+    step_sigma: float | None  # L*; RMS change of pixels in still patches since the previous frame, divided by √2
+    warped_error: float | None  # L*; RMS change of the error since the previous frame, along the motion of objects
+    psnr: float | None  # dB; from non-linear sRGB
     mean_delta_e: float | None  # mean CIEDE2000 difference from the ideal frame
 
 
@@ -191,52 +186,52 @@ class SequenceFigures(msgspec.Struct, forbid_unknown_fields=True, tag_field="kin
 
     rendered: str
     ideal: str | None
-    motion: Literal["known", "estimated"] | None  # source of the motion for `warped_error`; None without ideal sequence
+    motion: Literal["known", "estimated"] | None  # how the motion for `warped_error` was obtained, if at all
     frames: list[FrameFigures]
-    still_share: float  # number of still patches, as a fraction of all patches
-    temporal_sigma: float | None  # L*; temporal standard deviation of a pixel; RMS over the still patches
-    patch_sigma: float | None  # L*; temporal standard deviation of the mean of a patch; RMS over the still patches
+    still_share: float  # fraction of patches that are still
+    temporal_sigma: float | None  # L*; temporal standard deviation of pixels, RMS over still patches
+    patch_sigma: float | None  # L*; temporal standard deviation of patch means, RMS over still patches
     largest_jump: float | None  # L*; `jump` with the largest absolute value
-    largest_jump_frame: int | None  # index of the frame with the largest jump, starting at 0
+    largest_jump_frame: int | None  # index of this frame, from 0
     warped_error: float | None  # L*; RMS over the frames
     psnr: float | None  # mean over the frames
     mean_delta_e: float | None  # mean over the frames
 
     def document(self) -> dict[str, Any]:
-        """Return the metrics as a dictionary that can be written as JSON."""
+        """Return the metrics as a dictionary for JSON."""
         return dict(msgspec.to_builtins(self))
 
 
 class SequenceEvaluation:
-    """Evaluates a rendered sequence frame by frame, by itself or in comparison with an ideal sequence.
+    """Evaluates a rendered sequence frame by frame, alone or in comparison with an ideal sequence.
 
-    Only a few values per patch of each frame are kept in memory.
+    Only a few values per patch and frame remain in memory.
 
     Parameters
     ----------
     rendered : str
         Name of the rendered sequence.
     ideal : str or None
-        Name of the ideal sequence. None if there is no ideal sequence.
+        Name of the ideal sequence, if any.
     border : int
-        Width of the margin that is not evaluated, in pixels.
+        Margin that is not evaluated, in pixels.
     """
 
     def __init__(self, rendered: str, ideal: str | None, border: int = 0) -> None:
         self._names, self._border = (rendered, ideal), border
         self._frames: list[FrameFigures] = []
-        self._cells: list[Array] = []  # mean L* of every patch, for each frame
-        self._steps: list[Array] = []  # mean square change in the pixels of every patch, for each frame after the first
+        self._cells: list[Array] = []  # for each frame, the mean L* of every patch
+        self._steps: list[Array] = []  # for each frame after the first, the mean square change of pixels in every patch
         self._motion: Literal["known", "estimated"] | None = None
         self._last: Array | None = None  # L* of the previous frame
-        self._ideal: tuple[Array, Array] | None = None  # previous frame: L* of the ideal picture, and error of the rendering
-        self._offset = 0.0  # mean L* of the previous frame, minus the mean L* of its ideal picture if there is one
-        self._sum: Array | float = 0.0  # sum of the frames
-        self._squares: Array | float = 0.0  # sum of the squares of the frames
+        self._ideal: tuple[Array, Array] | None = None  # previous frame: L* of the ideal picture, and the error
+        self._offset = 0.0  # mean L* of the previous frame, minus that of its ideal picture, if any
+        self._sum: Array | float = 0.0  # over all frames
+        self._squares: Array | float = 0.0  # sum of squares over all frames
         self._range: tuple[Array, Array] | None = None  # lowest and highest L* of each pixel in the ideal sequence
 
     def add(self, rendered: Array, ideal: Array | None = None, motion: Array | None = None) -> None:
-        """Add the next frame. All pictures of a sequence must have the same size.
+        """Add the next frame. All pictures in a sequence must have the same size.
 
         Parameters
         ----------
@@ -245,8 +240,8 @@ class SequenceEvaluation:
         ideal : ndarray, (row, col, 3), optional
             Ideal picture in linear sRGB, for every frame or for none. Values are clipped to 0…1.
         motion : ndarray, (3, row, col), optional
-            Downward motion and rightward motion since the previous frame, in pixels, and validity (1 or 0). Not used for the
-            first frame and if there is no ideal picture. [default: motion estimated from the ideal pictures]
+            Downward and rightward motion since the previous frame, in pixels, and validity (1 or 0). Ignored for the first
+            frame and without an ideal picture. [default: motion estimated from the ideal pictures]
         """
         light = lightness(np.clip(rendered, 0.0, 1.0))
         wanted = None if ideal is None else lightness(np.clip(ideal, 0.0, 1.0))
@@ -274,7 +269,7 @@ class SequenceEvaluation:
     def _figures(
         self, rendered: Array, ideal: Array | None, step: Array | None, wanted: Array | None, warped: float | None
     ) -> FrameFigures:
-        """Return the metrics of the latest frame. `step_sigma` is None, because the still patches are not known yet."""
+        """Return the metrics of the latest frame, without `step_sigma`, because still patches are not known yet."""
         assert self._last is not None
         quality, difference = None, None
         if ideal is not None:
@@ -288,7 +283,7 @@ class SequenceEvaluation:
         return FrameFigures(len(self._frames), mean, jump, None, warped, quality, difference)
 
     def figures(self) -> SequenceFigures:
-        """Return the metrics of all frames that have been added, including the temporal noise of still patches.
+        """Return the metrics of the frames added so far, including the temporal noise of still patches.
 
         Raises ValueError if there are fewer than two frames.
         """
@@ -322,11 +317,10 @@ class SequenceEvaluation:
         return float(np.sqrt(_cell_means(variance)[still].mean()))
 
     def _still(self) -> NDArray[np.bool_]:
-        """Return the mask (patch row, patch column) of still patches.
+        """Return a mask (patch row, patch column) of still patches.
 
-        If there is an ideal sequence, a patch is still if its pixels hardly change in the ideal sequence. Otherwise, a patch
-        is still if its changes are small enough to be caused by noise. The noise is estimated from the patches that change
-        least.
+        With an ideal sequence, a patch is still if its pixels hardly change there. Otherwise, it is still if noise can
+        explain its changes. The noise is estimated from the patches that change least.
         """
         if self._range is not None:
             low, high = self._range
@@ -343,9 +337,8 @@ class SequenceEvaluation:
 def _warped_error(error: Array, last: Array, motion: Array, border: int) -> float | None:
     """Return the RMS change of the error (row, col) along the motion, or None if no pixel is visible in both frames.
 
-    The error `last` of the previous frame is displaced by the motion and subtracted from the error of the current frame.
-    Because displacement is linear, this is equivalent to displacing the rendered picture and the ideal picture. The
-    advantage is that interpolation artefacts at edges cancel in the error.
+    The error `last` of the previous frame is displaced by the motion and subtracted from the current error. Displacing both
+    pictures would be equivalent, because displacement is linear, but in the error, interpolation artefacts at edges cancel.
     """
     row, col = np.indices(error.shape)
     seen = cropped(motion[2], border) > 0
@@ -366,7 +359,7 @@ def _cell_means(plane: Array) -> Array:
 
 
 def _deviation(series: Array) -> float:
-    """Compute the standard deviation over time of each series (time, …), and return the RMS over all series."""
+    """Return the RMS, over all series (time, …), of the standard deviation over time."""
     return float(np.sqrt(series.var(axis=0, ddof=1, dtype=np.float64).mean()))
 
 
@@ -380,13 +373,13 @@ def _mean(values: list[float | None]) -> float | None:
 
 
 def read_sequence_figures(path: Path) -> SequenceFigures:
-    """Read a file that contains the output of `l3 evaluate --sequence --json`.
+    """Read a file from `l3 evaluate --sequence --json`.
 
-    Raises InputFileError if the file cannot be read, contains something else, or has metrics of fewer than two frames.
+    Raises InputFileError if it cannot be read, contains something else, or contains metrics of fewer than two frames.
     """
     try:
         printed = msgspec.json.decode(read_bounded(path, GIVE), type=dict[str, Any])
-        printed.pop("run", None)  # describes how the command ran, not the sequence
+        printed.pop("run", None)  # describes the run of the command, not the sequence
         figures = msgspec.convert(printed, SequenceFigures)
     except (OSError, msgspec.MsgspecError, RecursionError) as error:
         raise InputFileError(f"{path} does not contain the evaluation of a sequence; {GIVE}") from error

@@ -5,8 +5,8 @@
     register()
     pipeline = Gst.parse_launch("… ! l3render table=table.h5 ! videoconvert ! …")
 
-Programs such as gst-launch-1.0 load the element through plugins/python/l3render.py if the folder `plugins` is in the search
-path of GStreamer (docs/video.md#gstreamer).
+Programs such as gst-launch-1.0 load the element through plugins/python/l3render.py if the folder `plugins` is in GStreamer's
+search path (docs/video.md#gstreamer).
 """
 
 import sys
@@ -27,7 +27,7 @@ try:
 except (ImportError, ValueError) as _missing:
     raise L3Error(INSTALL) from _missing
 if not Gst.is_initialized():
-    Gst.init(None)  # must precede the declaration of a class that is derived from a GStreamer class
+    Gst.init(None)  # must precede the definition of classes derived from GStreamer
 
 NAME = "l3render"
 ORDERS = ("rggb", "bggr", "grbg", "gbrg")
@@ -38,8 +38,8 @@ MOSAICS = (  # caps of the input
 )
 BITS = {"RGB": 8, "RGBA64_LE": 16}  # bits per value of each output format
 PICTURES = f"video/x-raw, format=(string){{ {', '.join(BITS)} }}, colorimetry=(string)sRGB"
-SHARED = ("width", "height", "framerate", "pixel-aspect-ratio")  # fields with equal values in the input and output caps
-USUAL_RATE = Fraction(30)  # frame rate, in frames/s, of streams that do not state a frame rate
+SHARED = ("width", "height", "framerate", "pixel-aspect-ratio")  # fields that are equal in input and output caps
+USUAL_RATE = Fraction(30)  # assumed frame rate (frames/s) of streams without one
 
 
 def _pad(name: str, direction: Any, caps: str) -> Any:
@@ -47,10 +47,10 @@ def _pad(name: str, direction: Any, caps: str) -> Any:
 
 
 class L3Render(GstBase.BaseTransform):
-    """GStreamer element that renders mosaics in DN, as `l3 render` renders a sequence.
+    """GStreamer element that renders mosaics in DN, like `l3 render` for a sequence.
 
-    The output is sRGB with 8 bits (RGB) or 16 bits (RGBA64_LE), depending on the formats that the next element accepts. If
-    an error occurs, for example because the frames do not fit the table, the element posts a one-line error message to the
+    The output is sRGB with 8 bits (RGB) or 16 bits (RGBA64_LE), depending on what the next element accepts. If an error
+    occurs, for example because the frames do not fit the table, the element posts a one-line error message to the
     application, and the stream ends.
     """
 
@@ -65,33 +65,31 @@ class L3Render(GstBase.BaseTransform):
 
     table = GObject.Property(type=str, default="", nick="Table", blurb="Transform table, a file that l3 train wrote")
     exposure = GObject.Property(
-        type=float, default=0, minimum=0, maximum=1e9, blurb="Number by which Y is multiplied, or 0 for automatic exposure"
+        type=float, default=0, minimum=0, maximum=1e9, blurb="Factor by which Y is multiplied, or 0 for automatic exposure"
     )
     white = GObject.Property(
-        type=str, default="", blurb='White of the scene: "D50", "x,y", "auto" or "ROW,COL"; empty for the white of the table'
+        type=str, default="", blurb='Scene white: "D50", "x,y", "auto" or "ROW,COL"; empty for the table\'s white'
     )
     black_level = GObject.Property(
-        type=float, default=-1, minimum=-1, maximum=65535, blurb="Black level in DN, or -1 for the black level of the table"
+        type=float, default=-1, minimum=-1, maximum=65535, blurb="Black level in DN, or -1 for the table's black level"
     )
     white_level = GObject.Property(
-        type=float, default=-1, minimum=-1, maximum=65535, blurb="White level in DN, or -1 for the white level of the table"
+        type=float, default=-1, minimum=-1, maximum=65535, blurb="White level in DN, or -1 for the table's white level"
     )
     phase = GObject.Property(
         type=str, default="", blurb='CFA site of the first pixel as "ROW,COL"; empty for the phase of the stream, or 0,0'
     )
-    size = GObject.Property(
-        type=str, default="", blurb='Size of the frames as "ROWSxCOLS", if it differs from the size of the table\'s sensor'
-    )
-    camera = GObject.Property(type=str, default="", blurb="Camera model; its defective pixels and its shading are corrected")
+    size = GObject.Property(type=str, default="", blurb='Frame size as "ROWSxCOLS", if it differs from the table\'s sensor')
+    camera = GObject.Property(type=str, default="", blurb="Camera model for correcting defective pixels and shading")
     backend = GObject.Property(type=str, default="opencl", blurb="Renderer: opencl or reference")
-    device = GObject.Property(type=str, default="", blurb="OpenCL device: its number, or a part of its name")
-    temporal = GObject.Property(type=bool, default=False, blurb="Whether to reduce noise by filtering the frames over time")
+    device = GObject.Property(type=str, default="", blurb="OpenCL device: its number, or part of its name")
+    temporal = GObject.Property(type=bool, default=False, blurb="Whether to reduce noise by filtering frames over time")
 
     def __init__(self) -> None:
         super().__init__()
         self._mosaics: Any = None  # l3cli.api.frames.Mosaics while the element runs, otherwise None
-        self._reported = ""  # latest error message, which is posted only once, even if GStreamer tries several caps
-        self._picture: Any = None  # function that renders the next frame
+        self._reported = ""  # latest error message; it is posted only once, even if GStreamer tries several caps
+        self._picture: Any = None  # renders the next frame
         self._source: Any = None  # memory layout of the input frames
         self._target: Any = None  # memory layout of the output frames
 
@@ -101,7 +99,7 @@ class L3Render(GstBase.BaseTransform):
         self._reported = ""
         try:
             self._mosaics = self._opened()
-        except Exception as error:  # otherwise, GStreamer would print a traceback and continue
+        except Exception as error:  # GStreamer would print a traceback and continue
             return self._failed(error)
         return True
 
@@ -115,10 +113,10 @@ class L3Render(GstBase.BaseTransform):
         except ImportError as error:
             version = f"{sys.version_info.major}.{sys.version_info.minor}"
             raise L3Error(
-                f"Python {version}, which GStreamer uses, cannot import l3cli ({error}); install l3cli for Python {version}"
+                f"GStreamer uses Python {version}, which cannot import l3cli ({error}); install l3cli for Python {version}"
             ) from error
         if not self.table:
-            raise RecipeError("the property table is not set; set table to a file that l3 train wrote")
+            raise RecipeError("the property table is empty; set it to a file from l3 train")
         return Mosaics(
             self.table,
             black_level=None if self.black_level < 0 else self.black_level,
@@ -177,7 +175,7 @@ class L3Render(GstBase.BaseTransform):
         return Gst.FlowReturn.OK
 
     def _failed(self, error: Exception) -> bool:
-        """Post an error message to the application, unless it is equal to the previous message. Return False."""
+        """Post an error message to the application, unless it repeats the previous one. Return False."""
         text = format_error(error, "-")
         if text != self._reported:
             self._reported, code = text, Gst.ResourceError.FAILED
@@ -186,16 +184,15 @@ class L3Render(GstBase.BaseTransform):
 
 
 class _Layout:
-    """Memory layout and frame rate of a stream, from its caps.
+    """Memory layout and frame rate (default USUAL_RATE) of a stream, from its caps.
 
-    If the caps contain no frame rate, the rate is USUAL_RATE. The constructor raises a RecipeError if the stream is
-    interlaced.
+    Raises RecipeError if the stream is interlaced.
     """
 
     def __init__(self, caps: Any) -> None:
         structure = caps.get_structure(0)
         form = structure.get_string("format")
-        self.order: str | None = None  # Bayer order such as "rggb"; None if the caps do not state it
+        self.order: str | None = None  # Bayer order in the caps, such as "rggb", if any
         self.shape = structure.get_value("height"), structure.get_value("width")
         if structure.get_name() == "video/x-bayer":
             self.order, self.channels, self.dtype = form[:4], 1, "<u2" if form[4:] else "u1"
@@ -211,10 +208,10 @@ class _Layout:
         self.rate = Fraction(above, below) if found and above > 0 else USUAL_RATE
 
     def pixels(self, buffer: Any, content: Any) -> Any:
-        """Return the frame in a buffer as an array (row, col, channel), without copying the data.
+        """Return the frame in a buffer as an array (row, col, channel) without copying.
 
-        The stride and the offset are taken from the video metadata of the buffer or, if the buffer has no video metadata,
-        from the caps. Raises a RecipeError if the buffer is too small.
+        The buffer's video metadata, if any, override the stride and offset from the caps. Raises RecipeError if the buffer
+        is too small.
         """
         import numpy as np
 
@@ -223,8 +220,8 @@ class _Layout:
         pixel = np.dtype(self.dtype).itemsize * self.channels
         if offset + stride * (self.shape[0] - 1) + pixel * self.shape[1] > len(content):
             raise RecipeError(
-                f"the buffer has {len(content)} bytes, which is too small for a frame of {self.shape[0]}×{self.shape[1]} "
-                "pixels; correct the caps of the stream"
+                f"the buffer of {len(content)} bytes is too small for a frame of {self.shape[0]}×{self.shape[1]} pixels; "
+                "correct the caps of the stream"
             )
         strides = stride, pixel, np.dtype(self.dtype).itemsize
         return np.ndarray((*self.shape, self.channels), self.dtype, content, offset, strides)

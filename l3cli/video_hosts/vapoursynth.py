@@ -1,10 +1,10 @@
-"""A VapourSynth filter that renders clips of raw frames to RGB.
+"""VapourSynth filter that renders clips of raw frames to RGB.
 
     from l3cli.video_hosts.vapoursynth import render
 
     picture = render(core.bs.VideoSource("raw.mkv"), "table.h5", bits=16)
 
-The parameters of `render` are described in docs/video.md#vapoursynth.
+docs/video.md#vapoursynth describes the parameters.
 """
 
 import os
@@ -35,36 +35,36 @@ def render(
 ) -> Any:  # fmt: skip
     """Render a clip of mosaics with a table.
 
-    Automatic exposure and an estimated white are computed from the first frame and applied to the whole clip. VapourSynth
-    can therefore request frames in any order and from any thread. Only one frame is rendered at a time. The function renders
-    the first frame immediately, so that errors occur before the clip is played.
+    Automatic exposure and an estimated white are computed from the first frame for the whole clip, so that VapourSynth can
+    request frames in any order and from any thread. Only one frame is rendered at a time. The first frame is rendered
+    immediately, so that errors occur before the clip is played.
 
     Parameters
     ----------
     clip : vapoursynth.VideoNode
         Mosaics in DN, in a format from GRAY8 to GRAY16.
     table : str or path
-        File that `l3 train` wrote.
+        File from `l3 train`.
     bits : {8, 16, 32}, default 8
-        Bits per value. With 8 (RGB24) or 16 (RGB48), the frames are sRGB, as in files from `l3 render`. With 32 (RGBS), the
-        frames are linear and not clipped.
+        Bits per value. With 8 (RGB24) or 16 (RGB48), the frames are sRGB, as in files from `l3 render`. With 32 (RGBS), they
+        are linear and not clipped.
     exposure : float, optional
-        Number by which Y is multiplied. [default: automatic exposure]
+        Factor by which Y is multiplied. [default: automatic exposure]
     white : str, optional
-        White of the scene, as in `l3 render`. [default: the white of the table]
+        Scene white, as in `l3 render`. [default: the table's white]
     black_level, white_level : float, optional
-        Levels in DN. [default: the levels of the table]
+        Levels in DN. [default: the table's levels]
     phase : (int, int) or str, optional
         CFA row and column of the first pixel, as (1, 0) or "1,0". [default: (0, 0)]
     size : (int, int) or str, optional
-        Rows and columns that the frames must have, as (240, 360) or "240x360". [default: the size of the clip]
+        Expected rows and columns of the frames, as (240, 360) or "240x360". [default: the size of the clip]
     camera : str or path, optional
-        Camera model. The defective pixels and the shading that the model describes are corrected.
+        Camera model for correcting defective pixels and shading.
     backend, device : str, optional
         Renderer and OpenCL device, as in `l3 render`.
     temporal : bool, default False
-        Whether to reduce noise over time, as with `l3 render --temporal`. The result does not depend on the order in which
-        frames are requested. If frames are requested out of order, up to 255 earlier frames are filtered first.
+        Whether to reduce noise over time, as with `l3 render --temporal`. The result does not depend on the order of
+        requests. For a frame out of order, up to 255 earlier frames are filtered first.
 
     Returns
     -------
@@ -114,16 +114,16 @@ def render(
 
 
 def _require_mosaics(clip: Any) -> None:
-    """Raise L3Error unless all frames of a clip have the same size and the same integer format from GRAY8 to GRAY16."""
+    """Raise L3Error unless a clip has a constant size and a constant integer format from GRAY8 to GRAY16."""
     form = clip.format
     if form is None or not clip.width:
-        raise L3Error("the frames of the clip differ in format or size; use a clip with a constant format and size")
+        raise L3Error("the clip's format or size varies; use a clip with a constant format and size")
     if form.color_family != vs.GRAY or form.sample_type != vs.INTEGER or form.bits_per_sample > 16:
         raise L3Error(f"the clip has the format {form.name}; use a mosaic in DN with a format from GRAY8 to GRAY16")
 
 
 def _colours(linear: bool) -> dict[str, int]:
-    """Return the frame properties that describe the colours: full-range sRGB, or linear RGB with the sRGB primaries."""
+    """Return the frame properties for full-range sRGB, or for linear RGB with sRGB primaries."""
     transfer = vs.TRANSFER_LINEAR if linear else vs.TRANSFER_IEC_61966_2_1
     named = {"_Matrix": vs.MATRIX_RGB, "_Primaries": vs.PRIMARIES_BT709, "_Transfer": transfer, "_Range": vs.RANGE_FULL}
     return {name: int(value) for name, value in named.items()}

@@ -140,7 +140,7 @@ def test_mistakes_are_one_line_on_the_bus(folder: Path) -> None:
     colours = SOURCE.replace("gray16-le", "rgb")
     short = "filesrc location=clip.raw blocksize=1000 ! video/x-bayer,format=rggb12le,width=28,height=20"
     cases = [
-        (f"{SOURCE} ! l3render", "the property table is not set; set table to a file that l3 train wrote"),
+        (f"{SOURCE} ! l3render", "the property table is empty; set it to a file from l3 train"),
         (f"{SOURCE} ! l3render table=nothing.h5", 'nothing.h5 does not exist; create it with "l3 train"'),
         (f"{SOURCE} ! l3render table=clip.raw", "clip.raw is not an HDF5 file"),
         (f"{SOURCE} ! l3render table=table.h5 size=720", 'size is "720"; write two whole numbers'),
@@ -149,7 +149,7 @@ def test_mistakes_are_one_line_on_the_bus(folder: Path) -> None:
         (f"{SOURCE} ! l3render table=table.h5 white=D5", 'illuminant "D5" is unknown'),
         (f"{SOURCE} ! l3render table=table.h5 white-level=3", "set black-level and white-level"),
         (f"{other} ! l3render table=table.h5", "frames have 40×14 pixels (rows × columns) instead of 20×28"),
-        (f"{short} ! l3render table=table.h5", "the buffer has 1000 bytes, which is too small for a frame of 20×28 pixels"),
+        (f"{short} ! l3render table=table.h5", "the buffer of 1000 bytes is too small for a frame of 20×28 pixels"),
         (f"{colours} ! l3render table=table.h5", "Internal data stream error"),  # caps that are never agreed on
     ]
     for (line, words), listed in zip(cases, run(folder, [f"{line} ! fakesink" for line, _ in cases]), strict=True):

@@ -191,7 +191,7 @@ def test_a_clip_has_the_size_that_it_has(folder: Path) -> None:
         ({}, {"table": "/"}, "/ is a folder"),
         ({"format": "RGB24"}, {}, "the clip has the format RGB24; use a mosaic in DN"),
         ({"format": "GRAYS"}, {}, "the clip has the format GrayS"),
-        ({"varsize": True}, {}, "differ in format or size"),
+        ({"varsize": True}, {}, "format or size varies"),
     ],
 )
 def test_mistakes_are_one_line(folder: Path, clip: dict[str, Any], options: dict[str, Any], words: str) -> None:

@@ -64,7 +64,7 @@ static void smooth_row(const Smoothing *s, int row, int rows, int columns, ptrdi
 }
 
 #ifdef L3_LEAST_REACH
-/* Returns the smallest permitted luminance of a pixel, computed from the raw values around the pixel, in steps of an output. */
+/* Returns the lower limit of a pixel's luminance, from the raw values around it, in output steps. */
 static float least_luminance(const uint16_t *padded, int row, int x, int rows, int columns, int phase_row, int phase_column) {
     const ptrdiff_t span = padded_span(columns);
     const int bottom = smaller(row + L3_LEAST_REACH, rows - 1), right = smaller(x + L3_LEAST_REACH, columns - 1);
@@ -80,7 +80,7 @@ static float least_luminance(const uint16_t *padded, int row, int x, int rows, i
     return smallest * (smallest > 0 ? L3_LEAST_OF_POSITIVE : L3_LEAST_OF_NEGATIVE) * (1 << L3_OUTPUT_FRACTION);
 }
 
-/* Raises the pixels of a row that are darker than the raw values around them. X and Z move towards the chroma of the diagonal neighbours. */
+/* Raises pixels in a row that are much darker than the raw values around them. X and Z move towards the diagonal neighbours' chroma. */
 static void raise_row(const Smoothing *s, const uint16_t *padded, int row, int rows, int columns, int phase_row, int phase_column,
                       ptrdiff_t stride, L3Output *to) {
     const ptrdiff_t span = s->span;
@@ -103,8 +103,8 @@ static void raise_row(const Smoothing *s, const uint16_t *padded, int row, int r
 }
 #endif
 
-/* Replaces the chroma of each pixel with the mean chroma of the pixel and of those neighbours that have similar luminance and chroma.
- * Then raises pixels that are darker than the raw values around them. */
+/* Averages the chroma of each pixel with neighbours of similar luminance and chroma, then raises pixels that are much darker than the raw
+ * values around them. */
 static void smooth_outputs(const Smoothing *s, const uint16_t *padded, int rows, int columns, int phase_row, int phase_column,
                            L3Output *outputs) {
     for (int row = 0; row < REACHED && row < rows; row++) keep_row(s, row, rows, columns, outputs);

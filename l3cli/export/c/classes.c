@@ -31,8 +31,8 @@ static void find_levels(Evidence *restrict e) {
     }
 }
 
-/* Finds the chroma with the lowest score. If several chromas have this score, the first chroma is used. With dither, some sites use the
- * chroma with the second lowest score if the two scores are close. */
+/* Finds the chroma with the lowest score, or the first of several. With dither, some sites use the second-lowest score instead, if both are
+ * close. */
 static void find_chromas(Evidence *restrict e, const uint32_t *restrict sites) {
     int32_t least[L3_BLOCK], next[L3_BLOCK];
     uint32_t second[L3_BLOCK];

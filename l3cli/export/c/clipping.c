@@ -57,7 +57,7 @@ static void measure_block(const uint16_t *padded, int y, int x, int rows, int co
     made[L3_CHANNELS] = whole ? (float)widest / (L3_WHITE_LEVEL - L3_BLACK_LEVEL) : -1;
 }
 
-/* Estimates the brightness of signals (channel). Some of the signals may be clipped. A white has a brightness of 1. */
+/* Estimates the brightness from channel signals, some of which may be clipped. White has the brightness 1. */
 static float grey_level(const float *signal) {
     float total = 0, weights = 0, most = 0, every = 1;
     for (int c = 0; c < L3_CHANNELS; c++) {
@@ -132,8 +132,8 @@ static Clipped clipped_block(const float *signal) {
     return b;
 }
 
-/* Returns the factor that scales `signal`, the signals of another block, to the signals of the clipped block `b`. Computes the likeness of
-   the scaled signals to the signals of the clipped block. */
+/* Returns the factor that best scales the signals of another block to those of the clipped block `b`, and computes the likeness of both
+   after scaling. */
 static float scale_to(const Clipped *b, const float *signal, float *likeness) {
     float sum = 0, squares = L3_CLIP_FAINTEST, difference = 0;
     for (int c = 0; c < L3_CHANNELS; c++) {
@@ -150,8 +150,8 @@ static float scale_to(const Clipped *b, const float *signal, float *likeness) {
     return scale;
 }
 
-/* Estimates the signals that the clipped block `b` would have if no channel clipped, from the mixture of `colour` and white that fits the
-   unclipped channels best. */
+/* Estimates the signals that the block `b` would have without clipping, as the mixture of `colour` and white that best fits the unclipped
+   channels. */
 static void estimate(const Clipped *b, const float *colour, float *made) {
     float squares = L3_CLIP_FAINTEST, scale = 0, white_scale = 0, rests = L3_HUE_WHITE_DOUBT, added = 0;
     for (int c = 0; c < L3_CHANNELS; c++) {
@@ -208,7 +208,7 @@ static void estimate_block(const float *means, int y, int x, int rows, int colum
 
 static float within_hue(float ratio) { return ratio < 0 ? 0 : ratio > L3_HUE_MOST ? L3_HUE_MOST : ratio; }
 
-/* Spreads the estimates `from` over uniform areas by one step. Stores the new estimate of block (y, x) in `to`, and its hue in `maps`. */
+/* Spreads the estimates `from` one step farther over uniform areas: stores the new estimate of block (y, x) in `to`, and its hue in `maps`. */
 static void spread_block(const float *means, const float *from, int y, int x, int rows, int columns, float *to, float *maps) {
     const ptrdiff_t at = (ptrdiff_t)y * columns + x;
     const float *own = from + at * (L3_CHANNELS + 1);

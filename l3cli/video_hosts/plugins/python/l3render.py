@@ -1,6 +1,6 @@
 """Plugin for GStreamer's Python loader, which loads this file if GST_PLUGIN_PATH contains the folder `plugins`.
 
-The loader may run in a different Python environment than l3cli. This file therefore inserts the package folder that contains
+The loader may run in another Python environment than l3cli. This file therefore puts the folder that contains the package
 l3cli at the front of the module search path.
 """
 
