@@ -129,7 +129,7 @@ def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
 
 
 def named_by_files(curves: list[Curve], files: tuple[Path, ...]) -> list[Curve]:
-    """Make the camera names of curves unique by appending file names to equal ones."""
+    """Make the camera names of curves unique by appending file names to duplicates."""
     names = [curve.name for curve in curves]
     return [
         curve if names.count(curve.name) == 1 else replace(curve, name=f"{curve.name} ({file.removesuffix('.json')})")

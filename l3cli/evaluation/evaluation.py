@@ -41,7 +41,7 @@ from l3cli.physics.spectra import RADIANCES, REFLECTANCES
 from l3cli.physics.stokes import STOKES, has_stokes
 
 Array = NDArray[np.floating]
-MIN_PIXEL_FRACTION = 1e-3  # the worst classes contain at least this fraction of all pixels
+MIN_PIXEL_FRACTION = 1e-3  # classes with a smaller fraction of all pixels are not listed as worst classes
 LISTED_CLASSES = 10  # number of worst classes in the document
 
 

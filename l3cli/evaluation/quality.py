@@ -176,8 +176,8 @@ class StokesQuality:
 
     mean_dolp_error: float  # mean absolute error of the DoLP
     psnr_dolp: float  # dB; PSNR of the DoLP
-    aolp_rmse: float | None  # degrees; RMS error of the AoLP where the target's DoLP exceeds 0.05; None if nowhere
-    dolp_bias: float | None  # mean error of the DoLP where the target's DoLP is below 0.005; None if nowhere
+    aolp_rmse: float | None  # degrees; RMS error of the AoLP where the target's DoLP exceeds 0.05; None without such pixels
+    dolp_bias: float | None  # mean error of the DoLP where the target's DoLP is below 0.005; None without such pixels
     psnr_intensities: float  # dB; PSNR of the intensities behind ideal polarisers at 0°, 45°, 90° and 135°
     psnr_s0: float  # dB; PSNR of S0 / 2, which is the intensity of unpolarised light behind a polariser
     psnr_s1: float  # dB; PSNR of S1
@@ -501,7 +501,7 @@ def spectral_angle(rendered: Array, target: Array) -> Array:
     cubes = [cube.astype(np.float64) for cube in (rendered, target)]
     lengths = [np.sqrt((cube**2).sum(axis=0)) for cube in cubes]
     units = [cube / np.where(length > 0, length, 1.0) for cube, length in zip(cubes, lengths, strict=True)]
-    # The chord between unit spectra is 2 sin(angle / 2). For small angles, arcsin of it is more precise than arccos.
+    # The chord between unit spectra is 2 sin(angle / 2). For small angles, arcsin is more precise than arccos.
     chord = np.sqrt(((units[0] - units[1]) ** 2).sum(axis=0))
     angle = np.where(lengths[0] > 0, np.degrees(2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0))), 90.0)
     return np.where(lengths[1] > MIN_NORM * lengths[1].max(), angle, np.nan)

@@ -25,7 +25,7 @@ WINDOW = 15  # pixels; side of the matched windows
 GRID_PIXELS = 4  # spacing of the pixels at which the motion is median-filtered
 PENALTY = 0.1  # L*² per pixel of displacement, added to the mismatch so that uniform areas move with their surroundings
 MISMATCH = 3.0  # L*; windows with a larger mean absolute difference show different objects
-MISMATCH_WINDOW = 5  # pixels; side of these windows
+MISMATCH_WINDOW = 5  # pixels; side of the windows for MISMATCH
 SUBPIXEL_ITERATIONS = 4  # Lucas–Kanade iterations
 ROUNDING_PIXELS = 1e-6  # tolerance for rounding errors of positions
 FLAT = 0.1  # L*² per pixel², added to mean square gradients so that the motion of uniform windows is hardly refined
@@ -108,7 +108,7 @@ def _exact(frame: Array, before: Array, motion: Array) -> Array:
 def _without_outliers(plane: Array) -> Array:
     """Remove outliers with a median filter, and smooth the result.
 
-    To save time, the median is computed only at and from pixels on a grid with the spacing GRID_PIXELS.
+    To save time, the median filter uses only a grid of pixels with the spacing GRID_PIXELS.
     """
     side = -(-WINDOW // GRID_PIXELS) | 1
     whole = (
@@ -174,7 +174,7 @@ class FrameFigures(msgspec.Struct, forbid_unknown_fields=True):
 
     frame: int
     mean_lightness: float  # L*
-    jump: float | None  # L*; change in mean lightness since the previous frame, minus the change in any ideal sequence
+    jump: float | None  # L*; change in mean lightness since the previous frame, minus that in the ideal sequence, if any
     step_sigma: float | None  # L*; RMS change of pixels in still patches since the previous frame, divided by √2
     warped_error: float | None  # L*; RMS change of the error since the previous frame, along the motion of objects
     psnr: float | None  # dB; from non-linear sRGB

@@ -300,7 +300,10 @@ def drawn_cameras(camera: CameraModel, rng: np.random.Generator) -> list[CameraM
 
 
 def patch_means(planes: Array) -> Array:
-    """Average the centre of each patch (output, patch) of a chart that fills `planes` (output, row, col)."""
+    """Average the central part of each chart patch. The chart fills `planes` (output, row, col).
+
+    The result has the axes (output, patch).
+    """
     rows, cols = PATCHES
     tall, wide = planes.shape[1] // rows, planes.shape[2] // cols
     cells = planes.reshape(len(planes), rows, tall, cols, wide)[:, :, tall // 4 : -(tall // 4), :, wide // 4 : -(wide // 4)]

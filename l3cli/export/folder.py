@@ -206,7 +206,8 @@ class _Arrays:
     def __init__(self) -> None:
         self.files: dict[str, bytes] = {}
         self.entries: list[dict[str, Any]] = []
-        self.prefix = ""  # of the array names in an additional set of transforms, which omits arrays equal to the main set's
+        # Prefix of array names in an additional set of transforms. Arrays that equal those of the main set are omitted.
+        self.prefix = ""
 
     def add(self, name: str, values: NDArray, axes: tuple[str, ...], unit: str, doc: str) -> None:
         little = values.astype(values.dtype.newbyteorder("<"))

@@ -27,8 +27,8 @@ from l3cli.system.text import printable
 TEMPERATURES = {"A": 2856, "D50": 5003, "D65": 6504}  # illuminant → correlated colour temperature in K
 STEP_NM = 5.0  # wavelength spacing for computing colour matrices, in nm
 VISIBLE = (380.0, 780.0)  # visible range in nm
-# If a channel's response to grey is below this fraction of the most sensitive channel's, it is almost only noise, and no
-# colour matrices are computed.
+# If a channel's response to grey, relative to the most sensitive channel, is below this limit, its signal is almost only
+# noise, and no colour matrices are computed.
 DIMMEST = 1e-4
 TYPICAL = 0.2  # signal, as a fraction of white, at which the matrices balance noise against colour errors
 DIGITS = 5  # decimals of the matrices in files
@@ -36,9 +36,9 @@ BLACK_BODIES = (2200, 2500, 2856, 3200, 3600)  # colour temperatures (K) of blac
 DAYLIGHTS = (4500, 5000, 5500, 6500, 7500, 8600)  # colour temperatures (K) of daylight in the white-balance curve
 NOISE_LEVELS = 64  # a noise profile is fitted to this number of signals, from 1 DN (at 16 bits) to the white level
 MIN_COLOURS = 3  # colour matrices require at least this number of channels with different responsivities
-# Responsivities, scaled to a sum of 1 per channel, count as different as often as they have a singular value above this
-# fraction of the largest one. For equal channels measured with errors of 5 %, the smaller singular values reach 0.03. For
-# RCCG, the third one is 0.2.
+# The number of channels with different responsivities is the number of singular values above this fraction of the largest
+# one, after each channel is scaled to a sum of 1. For equal channels measured with errors of 5 %, the smaller singular
+# values reach 0.03. For RCCG, the third one is 0.2.
 DIFFERENT = 0.05
 RGB = ({"r", "red"}, {"g", "green"}, {"b", "blue"})  # names of red, green and blue channels
 SIGNAL_BITS = 16  # bit depth of the signals in tuning files
@@ -72,7 +72,7 @@ class Target(NamedTuple):
 
     name: str  # name in libcamera
     cells: tuple[int, int]  # rows and columns of the shading tables
-    vertices: tuple[int, int]  # maximum rows and columns of the grid, over the whole frame, on which the ISP interpolates
+    vertices: tuple[int, int]  # maximum rows and columns of the ISP's interpolation grid, which spans the whole frame
 
 
 VC4, PISP = Target("bcm2835", (12, 16), (49, 64)), Target("pisp", (32, 32), (33, 33))
@@ -187,7 +187,7 @@ def _colours(camera: CameraModel, library: Array, light: str) -> tuple[Array, Ar
 
 
 def errors(matrices: LightMatrices) -> dict[str, dict[str, Any]]:
-    """Return colour matrices and their errors as JSON types, by matrix name.
+    """Return colour matrices and their errors for JSON, by matrix name.
 
     The errors are the mean, 95th percentile and maximum of CIEDE2000 over measured surfaces, and the L*a*b* of the surface
     with the largest error.

@@ -286,7 +286,7 @@ def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
     middle, to = (np.bincount(own, each) / np.bincount(own) for each in (numbers, place))
     clips = np.asarray(there.kind) >= (rule.chromas if first else rule.structures)
     to = np.where(clips, there.level, np.interp(to, middle, np.arange(middle.size))[there.level])
-    low, step = to.astype(np.int64), every.size // (sites * middle.size)  # `step` classes per level, which are adjacent
+    low, step = to.astype(np.int64), every.size // (sites * middle.size)  # each level has `step` consecutive classes
     darker, brighter = (layer.weights[every + step * (each - there.level)] for each in (low, np.ceil(to).astype(np.int64)))
     return replace(layer, weights=_between(darker, brighter, to - low))
 

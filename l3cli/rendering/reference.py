@@ -25,8 +25,8 @@ CHROMA_NEIGHBOURS = ((-1, -1), (-1, 1), (1, -1), (1, 1), (-4, 0), (4, 0), (0, -4
 CHROMA_REACH = 4  # largest offset in pixels
 
 # A pixel's luminance may not fall below the smallest nearby raw value (relative to white), times one of these factors. The
-# first factor applies above the black level, the second one below it. The second factor is large so that little of the noise
-# in the dark is cut off, which would change its mean.
+# first factor applies above the black level, the second one below it. The second factor is large so that little dark noise
+# is cut off, because cutting it off would change the mean.
 LEAST_OF_POSITIVE, LEAST_OF_NEGATIVE = 0.5, 2.0
 RAISED_CHROMA = 2.0  # when Y is raised, X and Z change by at most this multiple of the change in Y
 

@@ -110,7 +110,7 @@ def shown_as(
     table: TransformTable, exposure: float | None, white: str | None, space: str, bits: int,
     estimated_by: TransformTable | None = None,
 ) -> tuple[Rendition, WhiteSource | None]:  # fmt: skip
-    """Validate a user's picture settings.
+    """Validate picture settings from a user, and convert them to a rendition.
 
     Parameters
     ----------

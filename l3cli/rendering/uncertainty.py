@@ -44,13 +44,13 @@ PIECES_PER_SIDE = 4  # number of pieces along each side of the frame
 SEAM_PIXELS = 8  # width of the border to ignore in each piece
 BUDGET = 1 << 18  # approximate number of pixels in all renderings together
 DRAWS = (5, 40)  # minimum and maximum numbers of renderings
-SMOOTHED = 0.5  # σ in pixels of a Gaussian blur that removes noise from the picture, because it would count twice
+SMOOTHED = 0.5  # σ in pixels of a Gaussian blur that removes noise from the picture, so that it does not count twice
 FITS = 3  # iterations of the robust fit from outputs to raw signals
 ROUNDS = 4  # iterations of the fit of G and K, enough for convergence
 PRIOR = 50  # weight, in pixels, of the assumption that a class has the gain of a coarser class
 EDGE_PIXELS = 4  # number of rows and columns with their own factor E; farther inside, σ changes by less than 2 %
 TILES = (1, 2, 4, 8, 16)  # sides in pixels of the tiles for which the noise of the mean is measured
-MIN_TILES = 9  # the noise of the mean is measured only for tiles of which a rendering contains at least this number
+MIN_TILES = 9  # tile sizes with fewer tiles per rendering are not evaluated
 MIN_VARIANCE = 1e-30  # avoids division by zero if noise changes no raw value, as in a black frame
 MIN_SIDE = 32  # smallest side of a frame, in pixels
 SUMS = ((0, 1), (0, 2), (1, 2))  # pairs of Stokes parameters; the variances of their sums determine their covariances
@@ -369,7 +369,7 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Arr
     from scipy.ndimage import gaussian_filter
 
     table = renderer.table
-    # Pieces begin at multiples of the blocks for clipped areas, which are whole CFA periods, and for coarse chroma.
+    # Pieces begin at multiples of both block sizes: for clipped areas (whole CFA periods), and for coarse chroma.
     units = [math.lcm(side, BLOCK) for side in block_sides(table.cfa)]
     if min(frame.values.shape) < (least := max(MIN_SIDE, *units)):
         tall, wide = frame.values.shape

@@ -26,8 +26,8 @@ INLINE void even_pixels(floats *made, __global const float *gain, int x) {
 #endif
 
 #if defined(WHITE_FROM) && !defined(FIXED_POINT)
-// Limits the luminance of XYZ in made[0] to made[2] to the luminance of the clipped white (l3cli/classes/clipping.py). The XYZ of this white
-// follow the matrix.
+// Limits the luminance of XYZ in made[0] to made[2] to the luminance of the clipped white (l3cli/classes/clipping.py), which is stored after the
+// matrix.
 INLINE void limit_to_white(floats *made, __global const float *matrix) {
     const float limit = matrix[10];
     const floats luminance = made[1] > limit ? made[1] : (floats)limit, over = (luminance - limit) * (1.0f / (WHITE_FROM - 1.0f)) / limit;

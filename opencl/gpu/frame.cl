@@ -251,7 +251,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
         output[o] += corrected[((size_t)o * source_rows + row_source[y + RADIUS]) * columns + x];
 #endif
 #if defined(WHITE_FROM) && !defined(FIXED_POINT)
-    // Limit the luminance to that of the clipped white (l3cli/classes/clipping.py). The XYZ of this white follow the matrix.
+    // Limit the luminance to that of the clipped white (l3cli/classes/clipping.py), which is stored after the matrix.
     const float limit = matrix[10], luminance_of_pixel = max(output[1], limit);
     const float faded = min((luminance_of_pixel - limit) / ((WHITE_FROM - 1.0f) * limit), 1.0f);
     for (int o = 0; o < 3; o++)

@@ -30,7 +30,7 @@ ONE = 1 << 10  # fixed-point representation of 1, for weights and noise fraction
 # The squared residuals over 3 × 3 cells indicate motion only above 5/4 of their expected sum. The excess is multiplied by 4.
 POWER_FACTOR, POWER_FREE = 4, 5
 MEAN_FREE = 2  # the squared residual sum of single cells indicates motion only above this multiple of its expected value
-WIDE_FREE = 6  # the same for the squared residual sum of 3 × 3 cells
+WIDE_FREE = 6  # like MEAN_FREE, for the squared residual sum of 3 × 3 cells
 CUT = 8  # the scene has changed in a cell if its squared residuals exceed their expected sum by this factor
 CLIPPED = (1 << 14) - 1  # limit of residuals in u, so that kernels sum their squares in 32 bits
 MOST_POWER = (1 << 32) - 1  # limit of a cell's squared residuals in u², so that kernels need only 32 bits
