@@ -70,7 +70,7 @@ def test_the_noise_model_of_the_page_is_simulated(installed: Path, pipeline: Pat
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("return np.array(planes)", "return np.array(planes[:2])", "its shape is (2, "),
+        ("return np.array(planes)", "return np.array(planes[:2])", "the result has the shape (2, "),
         ("return np.array(planes)", "return np.array(planes) * np.nan", "return finite values with the shape (3, "),
         (
             "size = 2",
