@@ -17,7 +17,7 @@
 These steps are repeated with the estimated gain until it no longer changes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -46,6 +46,9 @@ USUAL_EXCESS, MAX_EXCESS = 0.01**2, 25.0  # expected relative variance of textur
 MAX_SCORING_STEPS, SMALL = 50, 1e-4
 # Relative standard errors: systematic error (tests/studies/test_gain_study.py), and maximum error of an accepted estimate
 SYSTEMATIC, MAX_ERROR = 0.04, 0.08
+LINE_TERMS = (
+    "row_temporal_noise", "column_temporal_noise", "row_noise", "column_noise", "row_prnu", "column_prnu",
+)  # fmt: skip
 Array = NDArray[np.float64]
 
 
@@ -70,11 +73,10 @@ def estimate_gain(frame: RawFrame, camera: CameraModel) -> GainEstimate:
     Raises
     ------
     ValueError
-        If the gain cannot be estimated, with the reason as the message. Examples are frames with too few uniform, unclipped
-        areas, and cameras with temporal row or column noise, which is only partly visible in small patches.
+        If the gain cannot be estimated, with the reason as the message. An example is a frame with too few uniform,
+        unclipped areas.
     """
-    if camera.noise.lines:
-        raise ValueError("the camera has temporal noise of rows or columns")
+    camera = _without_lines(camera)
     patches, gain, excess = _patches_of(frame, camera), 1.0, 0.0
     for _ in range(ROUNDS):
         plain = _consistent(_plain(patches, camera, gain, excess), camera, gain)
@@ -86,6 +88,16 @@ def estimate_gain(frame: RawFrame, camera: CameraModel) -> GainEstimate:
     if error > MAX_ERROR:
         raise ValueError("too few areas are uniform")
     return GainEstimate(float(f"{gain:.3g}"), error)
+
+
+def _without_lines(camera: CameraModel) -> CameraModel:
+    """Return the camera without the noise of rows and columns.
+
+    In a patch, such noise has few components: one per row and one per column. They are among the strong components, so that
+    the weak components contain only the noise of the pixels.
+    """
+    camera = camera.as_corrected()
+    return replace(camera, noise=replace(camera.noise, **dict.fromkeys(LINE_TERMS, 0.0)))
 
 
 @dataclass(frozen=True, eq=False)

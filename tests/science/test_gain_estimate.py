@@ -40,6 +40,15 @@ def test_the_gain_of_a_frame_is_that_of_its_plain_areas(name: str, gains: tuple[
     assert estimate_gain(cut, camera).gain == pytest.approx(gain, rel=0.1)
 
 
+@pytest.mark.parametrize("lines", ["row_temporal_noise", "column_temporal_noise", "row_noise", "column_noise"])
+@pytest.mark.parametrize("gain", [1.0, 16.0])
+def test_noise_of_rows_and_columns_is_not_taken_for_pixel_noise(lines: str, gain: float) -> None:
+    """Such noise is among the strong components, even if it is twice as strong as the read noise."""
+    camera = replace(BAYER, noise=replace(BAYER.noise, **{lines: 2 * BAYER.noise.read_noise}))
+    values = taken(camera, 0.2 * cells(camera, np.random.default_rng(1), 1 / 3), gain)
+    assert estimate_gain(frame_of(camera, values), camera).gain == pytest.approx(gain, rel=0.15)
+
+
 def test_noise_alone_tells_the_gain() -> None:
     """Of an even grey, unless the camera's pixels differ by as much as their noise: then nothing tells which it is."""
     grey = np.full(SHAPE, 0.3)

@@ -18,8 +18,6 @@ from l3cli.classes.features import ClassRecipe
 from l3cli.classes.rule import make_rule
 from l3cli.design.error import noise_of
 from l3cli.errors import RecipeError
-from l3cli.frames.frame import RawFrame
-from l3cli.frames.gain_estimate import estimate_gain
 from l3cli.frames.measurement import Body, Capture
 from l3cli.rendering.temporal.noise import require_noise
 from l3cli.simulation import sensor
@@ -241,9 +239,6 @@ def test_what_does_not_serve_shared_noise_refuses_it(lined: CameraModel, bayer: 
     with pytest.raises(RecipeError):
         require_noise(lined)
     assert require_noise(with_lines(bayer, 0, 0, 3)).noise.column_noise == 3
-    values = np.full((64, 64), 200, np.uint16)
-    with pytest.raises(ValueError, match="rows"):
-        estimate_gain(RawFrame("frame", values, lined.black_level, lined.white_level), lined)
     with pytest.raises(ValueError, match="offsets"):
         expose_patches(np.zeros((2, 2), np.float32), lined, np.random.default_rng(1))
 
