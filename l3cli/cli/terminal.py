@@ -101,7 +101,7 @@ LONGEST_SILENCE, SHORTEST_SILENCE = 600.0, 10.0  # maximum and minimum time in s
 def width() -> int | None:
     """Return the width of stdout in characters, from the terminal or from COLUMNS, but at least 40.
 
-    None if stdout is a pipe or a file and COLUMNS is not set.
+    Returns None if stdout is a pipe or a file and COLUMNS is not set.
     """
     import shutil
 

@@ -198,7 +198,7 @@ def patch_values(
 
 
 def _pixels(patch: NDArray[np.int64], patches: int, cfa: NDArray[np.uint8]) -> Iterator[tuple[tuple[int, int], NDArray]]:
-    """Yield (patch, channel) with the flat indices of this channel's pixels in this patch.
+    """Yield ((patch, channel), flat indices of the channel's pixels in the patch) for all patches and channels.
 
     `patch` is the result of `patch_map`, and `patches` is the number of patches.
     """
@@ -247,9 +247,9 @@ def _robust_variance(values: Array) -> float:
 def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None:
     """Estimate the conversion gain (DN/e-) and the dark noise (DN) by fitting a photon transfer line.
 
-    The line is fitted to the usable patches and channels in `values`. The dark noise excludes quantisation noise. None if
-    there are too few points, or if the slope is not positive, for example because the files were processed or contain almost
-    no noise.
+    The line is fitted to the usable patches and channels in `values`. The dark noise excludes quantisation noise. Returns
+    None if there are too few points, or if the slope is not positive, for example because the files were processed or
+    contain almost no noise.
     """
     mean = np.concatenate([each.mean[each.used] for each in values])
     variance = np.concatenate([each.variance[each.used] for each in values])
@@ -354,10 +354,11 @@ def _steepest(picture: Array) -> Array:
 
 
 def _plain_regions(steepest: Array, slope: float) -> tuple[Array, Array]:
-    """Find uniform regions that may be patches, and return their centres (column, row), (region, 2), and areas in pixels.
+    """Find uniform regions that may be patches, and return their centres, (region, 2), and their areas in pixels.
 
-    A region consists of connected pixels with relative gradients below `slope`. It may be a patch if it is neither too small
-    nor too large, is not elongated, and has about the area of a parallelogram with the same moments.
+    A centre is (column, row). A region consists of connected pixels with relative gradients below `slope`. It may be a patch
+    if it is neither too small nor too large, is not elongated, and has about the area of a parallelogram with the same
+    moments.
     """
     from scipy import ndimage
 
@@ -386,7 +387,8 @@ def _plain_regions(steepest: Array, slope: float) -> tuple[Array, Array]:
 def _grids(centres: Array, areas: Array, grid: tuple[int, int]) -> list[Array]:
     """Find the grids that contain the most regions, and return their homographies from grid points to pixels.
 
-    Each grid is built outwards from one region, which becomes grid point (0, 0). Empty if there are too few regions.
+    Each grid is built outwards from one region, which becomes grid point (0, 0). The result is empty if there are too few
+    regions.
     """
     least = max(MIN_REGIONS, round(MIN_SHARE * grid[0] * grid[1]))
     if len(centres) < least:
@@ -495,7 +497,7 @@ def _refined(located: Located, centres: Array, grid: tuple[int, int]) -> Located
 def _placed(matrix: Array, smooth: Array, basis: Array, grid: tuple[int, int]) -> Located | None:
     """Try all positions and orientations of the chart on a grid, and return the one that fits the reflectances best.
 
-    None if no position is completely inside the picture.
+    Returns None if no position is completely inside the picture.
     """
     rows, cols = grid
     places = np.arange(-max(grid), max(grid) + 1.0)

@@ -114,7 +114,7 @@ class _Patches:
 
     @property
     def member(self) -> NDArray[np.bool_]:
-        """Mask, (pixel, channel), of the pixels in each channel."""
+        """Which pixels belong to which channel, as a mask, (pixel, channel)."""
         return np.asarray(self.channel[:, None] == np.arange(len(self.sites)))
 
     def chosen(self, which: NDArray[np.bool_]) -> "_Patches":

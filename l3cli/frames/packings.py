@@ -162,7 +162,7 @@ def packing_named(name: str) -> Packing | None:
 
 
 def unknown_packing(name: str) -> str:
-    """Return an error message for an unknown packing, which starts with the name in quotes."""
+    """Return an error message for an unknown packing. The message starts with the name in quotes."""
     if name.lower().startswith(tuple(map(str.lower, COMPUTED))):
         return (
             f'"{shortened(name)}" is a format for values that the camera computed from its raw values; record raw frames in '

@@ -210,8 +210,8 @@ def _are_stripes(
 ) -> bool:
     """Return whether the super-pixels in `means` differ only by a factor per row, per column or per slanted line.
 
-    False if pairs of rows alternate between two factors in all `parts` of a frame and `two_gains` returns True, because such
-    rows occur in sensors with two gains.
+    Returns False if pairs of rows alternate between two factors in all `parts` of a frame and `two_gains` returns True,
+    because such rows occur in sensors with two gains.
     """
     blocks = _super_pixels(means, period)
     sites = blocks.mean(axis=(0, 2), keepdims=True)  # mean super-pixel
@@ -241,8 +241,8 @@ def _factors(blocks: NDArray[np.float64], along: tuple[int, int]) -> NDArray[np.
 def _are_checks(means: NDArray[np.float64], period: tuple[int, ...]) -> bool:
     """Return whether `means` is the mean super-pixel multiplied by a checkerboard, 1 + f(row) · g(col).
 
-    False if the frame has a CFA with a different period. With such a CFA, either the sites in the mean super-pixel are
-    nearly equal, as with a quad Bayer CFA, or some sites in `means` equal the mean super-pixel.
+    Returns False if the frame has a CFA with a different period. With such a CFA, either the sites in the mean super-pixel
+    are nearly equal, as with a quad Bayer CFA, or some sites in `means` equal the mean super-pixel.
     """
     sites = _super_pixels(means, period).mean(axis=(0, 2))
     if np.ptp(sites) < CHECKED_SITES_DIFFER * sites.mean() or sites.min() <= 0:
@@ -286,7 +286,7 @@ def _noise_shows_two_gains(frame: RawFrame, tiles: NDArray[np.float64], period: 
     """Return whether, according to the noise, the two bright rows of every four have a higher gain than the two dark rows.
 
     The gain in DN/e- is the ratio of noise variance to signal, which is equal for bright and dark rows if all rows have the
-    same gain. Also True if the noise is too small to be measured.
+    same gain. Also returns True if the noise is too small to be measured.
     """
     cols = (tiles.shape[3] - period[1]) // NOISE_COLUMNS * NOISE_COLUMNS
     near, far = tiles[..., :cols], tiles[..., period[1] :][..., :cols]  # pairs of pixels of the same channel
@@ -386,7 +386,7 @@ def _far_from_grey(
 ) -> float:
     """Return a frame's deviation from grey: the range of ln(mean signal / signal of grey) over the channels.
 
-    0 if `neutral` is None or contains values that are not positive.
+    Returns 0 if `neutral` is None or contains values that are not positive.
     """
     if neutral is None or min(neutral) <= 0:
         return 0.0
@@ -397,7 +397,7 @@ def _far_from_grey(
 def share_below_black(frame: RawFrame) -> float:
     """Return the fraction of pixels below BELOW times the black level, which noise cannot explain if the level is correct.
 
-    0 if the fraction is too small to report, or if the black level is below SMALLEST_BLACK.
+    Returns 0 if the fraction is too small to report, or if the black level is below SMALLEST_BLACK.
     """
     if frame.black_level < SMALLEST_BLACK:
         return 0.0
@@ -464,8 +464,8 @@ def smoother_reading(readings: Iterable[tuple[str, NDArray[np.uint16], int]], cf
 def roughness(values: NDArray[np.uint16], bits: int, cfa: NDArray[np.uint8]) -> float:
     """Return the mean difference between neighbouring pixels of the same channel, as a fraction of full scale.
 
-    It is measured in evenly spaced bands of a frame, (row, col). `cfa` starts with the site of the first pixel. 0 if the
-    frame has fewer than two super-pixels in one of the directions.
+    It is measured in evenly spaced bands of a frame, (row, col). `cfa` starts with the site of the first pixel. Returns 0 if
+    the frame has fewer than two super-pixels in one of the directions.
     """
     rows, cols = cfa.shape
     bands = len(values) // rows - 1

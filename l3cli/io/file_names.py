@@ -29,7 +29,7 @@ def natural_order(path: Path) -> tuple[Any, ...]:
 def last_number(path: Path) -> int | None:
     """Return the last number in a file name without its suffix.
 
-    None if the name contains no number, or if the number has more than MOST_DIGITS digits.
+    Returns None if the name contains no number, or if the number has more than MOST_DIGITS digits.
     """
     numbers = DIGITS.findall(path.stem)
     return int(numbers[-1]) if numbers and len(numbers[-1]) <= MOST_DIGITS else None

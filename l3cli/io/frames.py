@@ -356,7 +356,7 @@ def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, Cur
 def _has_numbers(path: Path) -> bool:
     """Return whether a text file contains at least three rows of numbers, and is therefore probably a table.
 
-    Also True if the file cannot be read.
+    Also returns True if the file cannot be read.
     """
     try:
         with open(path, "rb") as stream:

@@ -107,7 +107,7 @@ def require_bearable(path: Path, spec: Any) -> None:
 
 
 def require_whole_stack(path: Path, spec: Any, pages: int) -> None:
-    """Raise InputFileError if the description in a TIFF file announces more frames than the file has pages.
+    """Raise InputFileError if a TIFF file has fewer pages than frames according to its description.
 
     ImageJ and tifffile may store only the first frame of a stack as a page, and append all other frames without page
     headers.
@@ -122,7 +122,7 @@ def require_whole_stack(path: Path, spec: Any, pages: int) -> None:
     if frames > pages * spec.nchannels:
         have = f"{pages} page{'s' if pages > 1 else ''}"
         raise InputFileError(
-            f"{path} has only {have}, but its description announces {frames} frames; save each frame as a separate page"
+            f"{path} has only {have}, but {frames} frames according to its description; save each frame as a separate page"
         )
 
 

@@ -452,7 +452,7 @@ def _curve(recipe: MeasurementRecipe, folder: Path) -> SweepTable | FinishedCurv
 def _cameras(recipe: MeasurementRecipe, folder: Path) -> CurveStatistics | tuple[FinishedCurves, ...] | None:
     """Return the prior for photos: a folder of measured responsivities, or the statistics of the built-in cameras.
 
-    None if the measurement file contains no photos.
+    Returns None if the measurement file contains no photos.
     """
     if not recipe.photos:
         return None

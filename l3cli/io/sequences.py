@@ -98,7 +98,7 @@ class FrameSequence:
     def rest(self, number: int) -> range:
         """Return the selected frame numbers from `number` on, which are missing if a stream ends before frame `number`.
 
-        Empty if the user selected no frames.
+        The result is empty if the user selected no frames.
         """
         return self.wanted[self.wanted.index(number) :] if self.wanted else range(0)
 
@@ -254,7 +254,7 @@ class Frames:
     def read(self, number: int) -> RawFrame | None:
         """Read the frame with the given number, or return None after the end of a stream.
 
-        Raises InputFileError if the frame is damaged, or if a stream has fewer frames than the user listed gains.
+        Raises InputFileError if the frame is damaged, or if a stream contains fewer frames than ‹gains› lists.
         """
         return self.series.read(number)
 

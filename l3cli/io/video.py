@@ -153,7 +153,7 @@ class _Converter:
         self._bytes = np.empty(0, np.uint8)
 
     def even(self, picture: NDArray) -> NDArray:
-        """Repeat the last row or column if the pixel format requires an even number of them."""
+        """Pad a picture to an even number of rows and columns, as far as the pixel format requires this."""
         if not self.pixel_format.startswith(("yuv420", "yuv422")):
             return picture
         rows, cols = picture.shape[:2]

@@ -109,7 +109,7 @@ class Shares(Reader):
         except ValueError as error:
             raise ValueError(f"{error} (in a list such as 1,0.7,0.4)") from None
         if not any(shares):
-            raise ValueError(f"{shortened(str(given))} contains no proportion above zero; set at least one")
+            raise ValueError(f"all proportions in {shortened(str(given))} are zero; set at least one above zero")
         return shares
 
     def _share(self, given: Any) -> Fraction:
@@ -289,7 +289,7 @@ class ExportOptions(ForceOptions):
 class BenchOptions(DeviceOptions):
     """Options of l3 bench."""
 
-    list: bool = option(False, "Only list the OpenCL devices. If l3 finds no device, it states the reason.")
+    list: bool = option(False, "Only list the OpenCL devices, or explain why l3 finds none.")
 
 
 @options
@@ -361,7 +361,7 @@ class InitOptions(ForceOptions):
     )
     phase: Given[PAIR | str | None, PAIR | None] = option(
         None,
-        "Raw files only: row and column, from 0, of the first pixel within the filter array that the file states. Set 0,0 "
+        "Raw files only: row and column, from 0, of the first pixel within the filter array in the file. Set 0,0 "
         "to confirm that the array starts at the first pixel.",
         SITE,
         metavar="ROW,COL",

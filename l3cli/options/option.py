@@ -403,7 +403,7 @@ class WorkerOptions(JobsOptions, SchedulerOptions):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.scheduler is not None and self.jobs > 1:
-            raise RecipeError("‹jobs› is the number of processes on this machine; remove ‹jobs› if you use ‹scheduler›")
+            raise RecipeError("‹jobs› applies only to processes on this machine; remove ‹jobs› if you use ‹scheduler›")
 
 
 @options

@@ -141,7 +141,7 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     fps: Given[Fraction | float | str | None, Fraction | None] = option(
         None,
-        "Sequences only: frame rate in frames/s, such as 25 or 30000/1001 [default: as the input states, otherwise 30].",
+        "Sequences only: frame rate in frames/s, such as 25 or 30000/1001 [default: from the input, otherwise 30].",
         Rate(),
         metavar="RATE",
     )
@@ -160,7 +160,7 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     exposure: Given[Exposure | float | str | None, Exposure] = option(
         "auto",
         "VALUE: multiply Y by this number, where Y = 1 is display white. auto: show the 99th percentile of Y as white. "
-        "+1EV: twice as bright as auto. camera: use the exposure that the file states.",
+        "+1EV: twice as bright as auto. camera: use the exposure in the file.",
         ExposureReader(),
         metavar="auto|camera|VALUE|±NEV",
     )
@@ -177,7 +177,7 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
         None,
         "White of the scene, which becomes neutral: an illuminant, a chromaticity, one multiplier per channel, the white of "
         "the table (table) or of the file (camera), an estimate from the frame (auto), the white of a ColorChecker (chart), "
-        "or a grey area of the picture [default: camera for camera raw files that state a white, otherwise table].",
+        "or a grey area of the picture [default: camera for camera raw files with a white balance, otherwise table].",
         metavar="NAME|x,y|R,G,B|table|camera|auto|chart|ROW,COL[,SIZE]",
     )
     show: Literal["dolp", "aolp", "stokes"] | None = option(
@@ -193,14 +193,14 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     bits: Literal[8, 16, 32] = option(8, "Bits per value of a picture. 32: linear floating point (.tif).")
     black_level: float | None = option(
-        None, "Black level of the inputs [default: as the file states, otherwise as in the table].", LEVEL, metavar="DN"
+        None, "Black level of the inputs [default: from the file, otherwise as in the table].", LEVEL, metavar="DN"
     )
     white_level: float | None = option(
-        None, "White level of the inputs [default: as the file states, otherwise as in the table].", LEVEL, metavar="DN"
+        None, "White level of the inputs [default: from the file, otherwise as in the table].", LEVEL, metavar="DN"
     )
     exposure_time: float | None = option(
         None,
-        "Exposure time of the inputs, to subtract the dark current [default: as the file states, otherwise as in training].",
+        "Exposure time of the inputs, to subtract the dark current [default: from the file, otherwise as in training].",
         Number(0, 1e5, "s"),
         metavar="SECONDS",
     )
@@ -233,7 +233,7 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     phase: Given[PAIR | str | None, PAIR | None] = option(
         None,
-        "CFA row and column, from 0, of the first pixel of the inputs [default: as the file states, otherwise 0,0].",
+        "CFA row and column, from 0, of the first pixel of the inputs [default: from the file, otherwise 0,0].",
         SITE,
         metavar="ROW,COL",
     )

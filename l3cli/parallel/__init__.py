@@ -43,7 +43,7 @@ def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> It
 def workers(jobs: int, scheduler: "Scheduler | None" = None) -> Iterator[WorkerPool]:
     """Context manager that yields a pool of workers.
 
-    The workers are the workers of `scheduler`. If `scheduler` is None, they are `jobs` processes on this machine, or the
+    With a `scheduler`, the pool contains its workers. Otherwise, it contains `jobs` processes on this machine, or only the
     current process if `jobs` is 1.
     """
     if scheduler is not None:

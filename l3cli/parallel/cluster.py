@@ -126,7 +126,7 @@ def _connected(distributed: Any, scheduler: Scheduler) -> Any:
         return distributed.Client(scheduler.address, security=security, timeout=ANSWER_SECONDS, set_as_default=False)
     except OSError as error:
         cure = "check the certificates on both sides" if security else "start a scheduler with: dask scheduler"
-        raise L3Error(f"no scheduler answers at {scheduler.address}; {cure}") from error
+        raise L3Error(f"the scheduler at {scheduler.address} does not respond; {cure}") from error
 
 
 def _is_loopback(address: str) -> bool:

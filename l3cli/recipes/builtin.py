@@ -162,8 +162,8 @@ def common_files(rows: int, cols: int) -> dict[str, bytes]:
 def for_several_lights(starter: Path) -> bool:
     """Return whether the table in a new folder is trained for several illuminants.
 
-    False for benchmarks, because their own recipes specify the illuminants, and for polarisation cameras, because a table
-    with Stokes outputs supports only one illuminant.
+    Returns False for benchmarks, because their own recipes specify the illuminants, and for polarisation cameras, because a
+    table with Stokes outputs supports only one illuminant.
     """
     return not starter.is_dir() and starter.stem not in POLARISED
 

@@ -173,7 +173,7 @@ def _plain_types(kind: Any) -> list[Any]:
 def _table(kind: Any, value: Any) -> type[Recipe] | None:
     """Return the class that describes a table. If several classes are permitted, the table's tag selects one of them.
 
-    None if `value` is not a table, if no class is declared, or if the tag is unknown.
+    Returns None if `value` is not a table, if no class is declared, or if the tag is unknown.
     """
     tables = [each for each in _plain_types(kind) if isinstance(each, type) and issubclass(each, Recipe)]
     if not isinstance(value, dict) or not tables:
@@ -185,7 +185,7 @@ def _table(kind: Any, value: Any) -> type[Recipe] | None:
 def _entries(kind: Any, value: Any) -> dict[str, Any] | list[Any] | None:
     """Return the declared type of each entry in a list, or in a table with arbitrary keys.
 
-    None if `value` is neither, if the declared type `kind` does not permit it, or if the list has the wrong length.
+    Returns None if `value` is neither, if the declared type `kind` does not permit it, or if the list has the wrong length.
     """
     for each in _plain_types(kind):
         origin, arguments = get_origin(each), get_args(each)

@@ -80,7 +80,7 @@ def _structures(recipes: Sequence[type[Recipe]]) -> list[type[Recipe]]:
 def _comments(kind: type) -> dict[str, str]:
     """Return the comment on each key that a class declares, from the lines above the declaration or the ends of its lines.
 
-    Empty if the source code is not available.
+    The result is empty if the source code is not available.
     """
     try:
         source = textwrap.dedent(inspect.getsource(kind))

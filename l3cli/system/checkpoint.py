@@ -199,7 +199,7 @@ def mark_finished(folder: Path, key: str) -> None:
 
 
 def is_finished(folder: Path, key: str) -> bool:
-    """Return whether the run with this key has completed the folder. False if the folder does not exist."""
+    """Return whether the run with this key has completed the folder. The folder need not exist."""
     marker = folder / FINISHED
     return marker.is_file() and marker.read_bytes() == key.encode()
 

@@ -69,7 +69,7 @@ def end(number: int, frame: FrameType | None) -> None:
 
 
 def behind(error: BaseException) -> KeyboardInterrupt | None:
-    """Return the KeyboardInterrupt behind an error: the error itself, or one of its causes. None if there is none.
+    """Return the KeyboardInterrupt behind an error: the error itself, or one of its causes. Returns None if there is none.
 
     Python 3.11 wraps an exception in `__set_name__` in a RuntimeError, and some libraries wrap exceptions in their own error
     classes.

@@ -297,7 +297,7 @@ MISTAKES = """
     2 train training.h5 --shares 1,2 -o new.h5
         --shares contains 2 values, but the number of training sets is 1
     2 train training.h5 --shares 0 -o new.h5
-        contains no proportion above zero
+        set at least one above zero
     2 train training.h5 --shares 1e999 -o new.h5
         the nearest valid value is 1e+06
     2 train training.h5 --shares x -o new.h5

@@ -44,7 +44,7 @@ XMP = (
 
 
 def encode(path: Path, picture: Picture) -> bytes:
-    """Encode a picture with its metadata and its colour space in the format that the suffix of `path` selects.
+    """Encode a picture, including its metadata and colour space, in the format implied by the suffix of `path`.
 
     The colour space is stored as an ICC profile or, in EXR files, as the chromaticities of the primaries and of white. EXR
     files with spectra also have the attribute "spectralLayoutVersion".

@@ -13,7 +13,7 @@ from l3cli.io.video import Stated
 
 
 class RawContent(TypedDict):
-    """Content of a raw file with one frame. Keys are missing for values that the file does not contain."""
+    """Content of a raw file with one frame. Values that are missing in the file have no key."""
 
     # (row, col) DN, without masked borders; values that are not 16-bit integers may have a different scale
     values: NDArray[Any]

@@ -64,7 +64,8 @@ def calibrations(first: Any, planes: int) -> list[Calibration]:
 def as_shot_neutral(first: Any, planes: int) -> Array | None:
     """Return the signal of a grey surface in each colour plane, (plane,), from AsShotNeutral or AsShotWhiteXY.
 
-    None if both tags are missing or damaged, or if the file lacks the colour matrix for converting AsShotWhiteXY to signals.
+    Returns None if both tags are missing or damaged, or if the file lacks the colour matrix for converting AsShotWhiteXY to
+    signals.
     """
     with contextlib.suppress(*BROKEN):
         stated = np.asarray(numbers(first, "AsShotNeutral", ()), np.float64)
@@ -123,7 +124,7 @@ def temperature(x: float, y: float) -> float:
 def _white_of(content: Any) -> tuple[float, float] | None:
     """Return the chromaticity x, y of the illuminant in IlluminantData, which contains either x and y or a spectrum.
 
-    Both byte orders are tried. None if the data are missing or damaged.
+    Both byte orders are tried. Returns None if the data are missing or damaged.
     """
     for order in "<>":
         with contextlib.suppress(*BROKEN):

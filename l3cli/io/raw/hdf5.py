@@ -43,7 +43,7 @@ def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
     """Return the name of the dataset with the frames, and its number of frames.
 
     If `dataset` is None, the file must contain only one dataset with frames. Raises InputFileError if the dataset does not
-    exist, or if it contains no frames, for example a picture with several channels.
+    exist, or if it contains something other than frames, such as a picture with several channels.
     """
     root = _open(path)
     members = dict(datasets(root))

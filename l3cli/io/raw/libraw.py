@@ -100,8 +100,8 @@ def _visible(path: Path, raw: Any) -> RawContent:
 def _neutral(raw: Any, letters: str) -> NDArray[np.float64] | None:
     """Return each colour's code and signal of a grey surface, (colour, 2), from the white-balance multipliers.
 
-    The signal is the inverse of the multiplier. None if there is only one colour, or if multipliers are missing, for which
-    LibRaw returns 0.
+    The signal is the inverse of the multiplier. Returns None if there is only one colour, or if multipliers are missing, for
+    which LibRaw returns 0.
     """
     multipliers = np.array(raw.camera_whitebalance[: len(letters)], np.float64)
     stated = {code: 1 / each for code, each in zip(codes_of(letters).tolist(), multipliers, strict=False) if each > 0}
@@ -122,7 +122,7 @@ def _stated_by_tags(path: Path) -> tuple[list[str], dict[str, str | float]]:
 
 
 def _shot(raw: Any) -> dict[str, str | float]:
-    """Return the shot settings that LibRaw reports, in any file format. Empty if rawpy is older than 0.26."""
+    """Return the shot settings that LibRaw reports, in any file format. The result is empty if rawpy is older than 0.26."""
     shot, lens = getattr(raw, "other", None), getattr(raw, "lens", None)
     stated = {
         "lens": getattr(lens, "model", None),

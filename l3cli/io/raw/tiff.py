@@ -206,7 +206,7 @@ class _Plain(NamedTuple):
 
 
 def is_plain(path: Path) -> bool:
-    """Return whether a TIFF file has the layout of mosaics that l3 writes. False if the file cannot be read."""
+    """Return whether a TIFF file has the layout of mosaics that l3 writes. Returns False if the file cannot be read."""
     try:
         with open_regular(path) as stream:
             return _layout(stream) is not None

@@ -36,7 +36,7 @@ def stack(path: Path) -> MultiFrameFile:
 def _times(path: Path) -> StatedTimes | None:
     """Read the frame times, up to the first damaged frame, without decoding the frames.
 
-    None if the video has no frames, or if a time is missing.
+    Returns None if the video has no frames, or if a time is missing.
     """
     ticks: list[int | None] = []
     tick = (1, 1)

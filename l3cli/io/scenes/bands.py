@@ -229,7 +229,7 @@ def _stated(file: Any, page: Any, bands: int) -> dict[str, Any]:
 def _page_names(file: Any, series: Any, bands: int) -> list[str]:
     """Return each band's name: its ImageJ label, its OME channel name, or the name or description of its page.
 
-    Empty if the file does not contain one name per band.
+    The result is empty if the file does not contain one name per band.
     """
     if file.is_imagej and len(labels := (file.imagej_metadata or {}).get("Labels") or ()) == bands:
         return [str(label) for label in labels]

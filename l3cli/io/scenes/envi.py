@@ -256,14 +256,14 @@ def _fields(path: Path) -> dict[str, str]:
     # Check the first bytes, because for a large data file, the error from `read_bounded` would be misleading.
     with open_regular(path, "use the .hdr file") as stream:
         if b"ENVI" not in stream.read(64):
-            raise InputFileError(f"{path} is not an ENVI header; give the .hdr file of the cube")
+            raise InputFileError(f"{path} is not an ENVI header; use the .hdr file of the cube")
     content = read_bounded(path)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = content.decode("latin-1")
     if not text.lstrip().startswith("ENVI"):
-        raise InputFileError(f"{path} is not an ENVI header; give the .hdr file of the cube")
+        raise InputFileError(f"{path} is not an ENVI header; use the .hdr file of the cube")
     lines = [line for line in text.splitlines() if not line.lstrip().startswith(";")]  # a semicolon starts a comment
     fields, at = {}, 0
     while at < len(lines):
@@ -350,7 +350,7 @@ def _frame_offsets(header: Header, name: str) -> tuple[int, int]:
 def _wavelengths(header: Header) -> NDArray[np.float64] | None:
     """Return each band's wavelength in nm, from the field "wavelength" or, if it is missing, from the band names.
 
-    None if the header contains no wavelengths. Raises InputFileError if the field or its unit is invalid.
+    Returns None if the header contains no wavelengths. Raises InputFileError if the field or its unit is invalid.
     """
     bands = header.whole("bands", 1)
     if (listed := header.numbers("wavelength", bands)) is not None:
@@ -423,7 +423,7 @@ def _scale(header: Header, holds: str) -> tuple[NDArray[np.float64], NDArray[np.
 def _linear(header: Header, kind: str, bands: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Return each band's gain and offset from the fields with names that begin with `kind`.
 
-    Missing gains are 1, and missing offsets are 0. None if all gains are 1 and all offsets are 0.
+    Missing gains are 1, and missing offsets are 0. Returns None if all gains are 1 and all offsets are 0.
     """
     gain, offset = (header.numbers(f"{kind} {what} values", bands) for what in ("gain", "offset"))
     gain, offset = np.ones(bands) if gain is None else gain, np.zeros(bands) if offset is None else offset

@@ -30,7 +30,7 @@ def in_nm(values: Sequence[float] | NDArray, unit: str) -> NDArray[np.float64] |
     Parameters
     ----------
     values : array, (band,)
-        Numbers in the unit `unit`.
+        Wavelengths, wavenumbers or frequencies in `unit`.
     unit : str
         Name of the unit in the file. If it is empty or "unknown", consecutive integers from 0 or 1 are assumed to be band
         indices. Other numbers without a unit are assumed to be in µm if all of them are below 100, and otherwise in nm.
