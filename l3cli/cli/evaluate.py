@@ -41,7 +41,7 @@ def evaluate(table: Path | None, frames: Path | None, options: SequenceOptions) 
     does not matter, because l3 fits one factor per picture.
 
     With --sequence, l3 evaluates rendered pictures over time: the noise and flicker of CIE L* on patches without motion, and
-    the largest jump of the mean of a frame. With --ideal, it also evaluates PSNR, ΔE00 and the change of the error along the
+    the largest jump in the mean of a frame. With --ideal, it also evaluates PSNR, ΔE00, and how the error changes along the
     known motion.
 
     \b

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from l3cli.physics.mosaic import tiled
 
 # A cell is a square of the grid that contains one patch. x and y are measured in cells from the corner of the first patch.
-CORE = 0.25  # half the side, in cells, of the measured area of a patch, which excludes borders and blurred edges
+CORE = 0.25  # half the side of a patch's measured area, in cells; the area excludes borders and blurred edges
 # A pixel is an outlier, such as dust, if it differs from the median by more than this number of robust standard deviations.
 OUTLIER = 5.0
 DUSTY = 0.2  # maximum fraction of outliers in a usable patch
@@ -43,7 +43,7 @@ REFINED = (0.25, 0.15, 0.1, 0.1)  # maximum distance, in cells, between a region
 MIN_SHARE, MIN_REGIONS = 0.4, 5  # minimum fraction and minimum number of patches that must be found as uniform regions
 GROWN, TRIED = 200, 20  # number of grids that are extended, and number of these that are compared with the reflectances
 COMPONENTS = 6  # number of principal components of the reflectances, which describe any channel to within a few percent
-MIN_FIT = 0.9  # minimum R² of the fit of the principal components to a chart's values
+MIN_FIT = 0.9  # minimum R² when the principal components are fitted to a chart's values
 
 
 def homography(cells: Array, pixels: Array) -> Array:
@@ -112,9 +112,10 @@ def through(matrix: Array, points: Array) -> Array:
 
 
 def patch_map(to_pixels: Array, grid: tuple[int, int], shape: tuple[int, int], core: float) -> NDArray[np.int64]:
-    """Assign each pixel, (row, col), to the patch in whose core (a square at the patch centre) it is.
+    """Return the index of the patch at each pixel, (row, col).
 
-    Returns patch indices, and the number of patches for pixels outside all cores.
+    Only the core of a patch, a square at its centre, counts. Pixels outside all cores have the number of patches as their
+    index.
 
     Parameters
     ----------
@@ -271,7 +272,7 @@ class Located:
     """Position of a chart in a picture."""
 
     to_pixels: Array  # (3, 3) homography from cells (x, y) to pixels (column, row)
-    fit: float  # R² of the fit of the reflectances to the values, averaged over the channels
+    fit: float  # R² when the reflectances are fitted to the values, averaged over the channels
 
 
 def superpixels(mosaic: Array, cfa: NDArray[np.uint8]) -> Array:
@@ -323,7 +324,7 @@ def locate(mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array, grid: tupl
         return None
     best = _refined(best, np.concatenate([centres for centres, _ in regions]), grid)
     scale = np.array([cfa.shape[1] * step, cfa.shape[0] * step], dtype=np.float64)
-    shift = (scale - 1) / 2  # centre of the first pixel of the reduced picture, in pixels of the mosaic
+    shift = (scale - 1) / 2  # centre of the reduced picture's first pixel, in mosaic pixels
     return Located(np.array([[scale[0], 0, shift[0]], [0, scale[1], shift[1]], [0, 0, 1]]) @ best.to_pixels, best.fit)
 
 

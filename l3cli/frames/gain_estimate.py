@@ -225,7 +225,7 @@ def _energies(whitened: Array, patches: _Patches) -> tuple[Array, Array, int]:
     Returns
     -------
     weak, strong : ndarray, (patch,)
-        Mean squares of the half of the components with the smallest eigenvalues, and of the other half.
+        Mean squares of the components with the smaller eigenvalues, and of the components with the larger eigenvalues.
     count : int
         Number of weak components.
     """

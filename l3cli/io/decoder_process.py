@@ -123,7 +123,7 @@ def _filter_system_calls() -> bool:
     try:
         rules = pyseccomp.SyscallFilter(pyseccomp.ALLOW)
         for name in " ".join(DENIED.values()).split():
-            with contextlib.suppress(OSError):  # the installed libseccomp may not know the system call
+            with contextlib.suppress(OSError):  # the installed libseccomp may not support the system call
                 rules.add_rule(refuse, name)
         # A filter cannot read the flags of `clone3`. With ENOSYS, the C library falls back to `clone`.
         rules.add_rule(pyseccomp.ERRNO(errno.ENOSYS), "clone3")

@@ -119,7 +119,7 @@ class RotatorRecipe(Recipe):
     """The rotating polariser with which the [[polariser]] captures were taken."""
 
     extinction: Annotated[float, msgspec.Meta(gt=1)] | None = None  # extinction ratio; default: ideal polariser
-    # standard deviation of the error of each angle_deg
+    # standard deviation of the error in each angle_deg
     angle_error_deg: Annotated[float, msgspec.Meta(ge=0, le=10)] = 0.1
     offset_deg: Annotated[float, msgspec.Meta(ge=-180, le=180)] = 0.0  # scale reading when the axis is horizontal
     reference: str | None = None  # channel with an exact polariser_deg; set this key if the zero of the scale is unknown

@@ -275,7 +275,7 @@ class ExportOptions(ForceOptions):
         metavar="LIGHT|X,Y|R,G,B",
     )
     gain: float | None = option(
-        None, "Tables only: analog gain of the frames to render, as a multiple of the gain of the camera [default: 1].",
+        None, "Tables only: analog gain of the frames to render, relative to the camera's gain [default: 1].",
         Number(1 / 1024, 1024, "times"),
         metavar="TIMES",
     )  # fmt: skip

@@ -206,8 +206,8 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     gain: float | None = option(
         None,
-        "Analog gain of the inputs, as a multiple of the gain of the table's camera [default: from the ISO speed in the "
-        "file, otherwise estimated].",
+        "Analog gain of the inputs, relative to the gain of the table's camera [default: from the ISO speed in the file, "
+        "otherwise estimated].",
         GAIN,
         metavar="TIMES",
     )
@@ -233,7 +233,7 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     phase: Given[PAIR | str | None, PAIR | None] = option(
         None,
-        "CFA row and column, from 0, of the first pixel of the inputs [default: from the file, otherwise 0,0].",
+        "CFA row and column, from 0, of the inputs' first pixel [default: from the file, otherwise 0,0].",
         SITE,
         metavar="ROW,COL",
     )

@@ -1,1 +1,1 @@
-"""File, lock, signal, resource-limit and text utilities that know nothing about cameras or pictures."""
+"""File, lock, signal, resource-limit and text utilities, which do not depend on cameras or pictures."""

@@ -154,7 +154,7 @@ def _take(lock: Path, output: Path) -> int | None:
 def _existing(lock: Path) -> int | None:
     """Open an existing lock file, and return its descriptor, or None if the file no longer exists.
 
-    In a shared folder, the name of the lock file may belong to a symbolic link or a pipe. The call therefore neither follows
+    In a shared folder, a symbolic link or a pipe may have the name of the lock file. The call therefore neither follows
     symbolic links nor blocks. Raises L3Error if the file is not accessible or not a regular file.
     """
     try:

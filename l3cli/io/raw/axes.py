@@ -27,7 +27,7 @@ COUNTED = "frames × rows × columns"
 
 
 class Axes(NamedTuple):
-    """Positions of the axes of an array. `frame` is None if the array contains a single frame."""
+    """Positions of an array's axes. `frame` is None if the array contains a single frame."""
 
     frame: int | None
     row: int
