@@ -21,7 +21,7 @@ from l3cli.options.commands import SimulateOptions
 @declared.output("Training set to write")
 @declared.of(SimulateOptions, declared.trust)
 def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions) -> Result:
-    """Simulate raw frames of many scenes with a camera, and the ideal output for each frame.
+    """Simulate raw frames of many scenes with a camera, and compute the ideal output for each frame.
 
     SCENES.toml is a recipe, or the name of a recipe that comes with l3, such as default or small.
 

@@ -177,7 +177,7 @@ def _with_lines(items: Iterable[T], total: int | None, what: str) -> Iterator[T]
 
 
 def _pace(done: int, total: int | None, seconds: float) -> str:
-    """Describe how much of the work is done, the rate and the remaining time. If `total` is None, only the rate is known."""
+    """Describe how much of the work is done, the rate and the remaining time. If `total` is None, describe only the rate."""
     each = max(seconds, 1e-9) / done
     rate = f"{1 / each:.3g} per second" if each < 2 else f"{_span(each)} each"
     return f"{100 * done // total} %, {rate}, {_span(max(total - done, 0) * each)} left" if total else rate

@@ -123,7 +123,7 @@ class _Patches:
 
 
 def _patches_of(frame: RawFrame, camera: CameraModel) -> _Patches:
-    """Return about MAX_PATCHES or fewer patches with few clipped pixels, on the scale of the camera model.
+    """Return patches that contain few clipped pixels, at most about MAX_PATCHES, on the scale of the camera model.
 
     Raises ValueError if the frame is smaller than a patch.
     """

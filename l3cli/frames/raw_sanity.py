@@ -210,8 +210,8 @@ def _are_stripes(
 ) -> bool:
     """Return whether the super-pixels in `means` differ only by a factor per row, per column or per slanted line.
 
-    Returns False if pairs of rows alternate between two factors in all `parts` of a frame and `two_gains` returns True,
-    because such rows occur in sensors with two gains.
+    There is one exception: if pairs of rows alternate between two factors in all `parts` of a frame and `two_gains` returns
+    True, the result is False, because such rows occur in sensors with two gains.
     """
     blocks = _super_pixels(means, period)
     sites = blocks.mean(axis=(0, 2), keepdims=True)  # mean super-pixel

@@ -394,7 +394,7 @@ def monitor_at(monitor: MonitorRecipe, nm: float, folder: Path, read: ReadTable 
 def _reading(table: CurveTable, column: int | str, nm: float) -> tuple[float, dict[str, int]]:
     """Interpolate a column at the wavelength `nm`. Return the value in base units, and the exponent of each base unit.
 
-    If the heading contains no unit, the value is returned as it is, and the dictionary of exponents is empty.
+    If the heading contains no unit, the value is returned unchanged, and the dictionary of exponents is empty.
     """
     found = table.column(column)
     unit = None if found.units[0] is None else units.parse(found.units[0])

@@ -232,7 +232,7 @@ def frame_files(path: Path) -> list[Path]:
 
 
 def is_still(path: Path, table: TransformTable, known: RawOverrides) -> bool:
-    """Return whether a path refers to a file with a single frame, according to its content or, if missing, its name."""
+    """Return whether a path is a file with a single frame. A missing file is judged by its name."""
     return is_one_file(path) and not (path.exists() and read_stack(path, table, known))
 
 
@@ -260,7 +260,7 @@ class Frames:
 
 
 def is_one_file(path: Path) -> bool:
-    """Return whether a path refers to one file in a format for single frames. The file need not exist."""
+    """Return whether a path is a file in a format for single frames. A missing file is judged by its name."""
     if path == STDIN or path.is_dir() or not format_of(path).holds_frame:
         return False
     return path.exists() or not (PATTERN.search(path.name) or is_glob(path))

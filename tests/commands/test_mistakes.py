@@ -333,7 +333,7 @@ MISTAKES = """
     2 render table.h5 raw.tif -o new.exr --hot yes
         auto
     3 render table.h5 raw.tif -o new.exr --camera camera.h5
-        set --camera to the camera of the frame
+        set --camera to the camera that took the frame
     3 render table.h5 raw.tif -o new.exr --camera nothing.h5
         nothing.h5 does not exist
     2 render table.h5 raw.tif -o new.png --uncertainty new.tif

@@ -138,7 +138,7 @@ def _text(attribute: Any) -> str:
 
 
 def missing_filters(dataset: Any) -> list[str]:
-    """Return the names of the compression filters that a dataset requires but that are not installed."""
+    """Return the names of the missing compression filters that a dataset requires."""
     import h5py
 
     created = dataset.id.get_create_plist()
