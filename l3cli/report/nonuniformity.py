@@ -10,12 +10,12 @@ from l3cli.system.text import counted, tidy
 
 STATISTICS = ("mean", "minimum", "maximum", "middle line")  # order of the profiles in Nonuniformity
 LOWEST_COUNT = 0.5  # lower end of the axes for numbers of pixels; bins without pixels are below the axis
-LEAST_EXPECTED = 0.05  # the normal distribution is drawn where at least this number of pixels is expected in a bin
+LEAST_EXPECTED = 0.05  # smallest expected number of pixels per bin for which the normal distribution is drawn
 Array = NDArray[np.floating]
 
 
 def nonuniformity_figures(noise: NoiseFit) -> tuple[Figure, ...]:
-    """Draw the figures of DSNU and PRNU whose data were measured."""
+    """Draw the DSNU and PRNU figures for which data were measured."""
     parts = (("DSNU", "e⁻", 1.0, noise.dark_pattern), ("PRNU", "%", 100.0, noise.response_pattern))
     return tuple(
         figure
@@ -97,7 +97,7 @@ def histogram(name: str, unit: str, scale: float, found: Nonuniformity) -> Figur
 
 
 def accumulated(name: str, unit: str, scale: float, found: Nonuniformity) -> Figure:
-    """Plot the percentage of pixels whose absolute deviation exceeds a threshold, as a function of the threshold."""
+    """Plot the percentage of pixels with an absolute deviation above a threshold, against the threshold."""
     threshold, pixels = scale * found.threshold, float(found.histogram_count.sum())
     share = 100 * found.exceeding / pixels
     plot = Plot(
