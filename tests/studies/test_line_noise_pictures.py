@@ -31,6 +31,9 @@ RATIOS = (0.5, 1.0, 2.0)  # row temporal noise, relative to the read noise
 BORDER, MASKED = 12, 16
 PATCHES = "patches = 120000", "patches = 30000"
 UNIFORM = (256, 384)
+CHANCE_DB = (
+    0.1  # PSNR: smaller differences between two tables are chance, because their training patches are drawn at random
+)
 TRAINING = """
 exposure_share = [0.9]
 [[scene]]
@@ -130,5 +133,5 @@ def test_row_noise(draw: int, name: str, ratio: float, tmp_path: Path) -> None:
             flush=True,
         )
     for better, worse in (("rows", "pixels"), ("masked", "rows")):
-        for metric, sign in enumerate((1, -1, 1)):
-            assert sign * found[better][metric] < sign * found[worse][metric]
+        for metric, (sign, tolerance) in enumerate(((1, 0.0), (-1, CHANCE_DB), (1, 0.0))):
+            assert sign * found[better][metric] < sign * found[worse][metric] + tolerance
