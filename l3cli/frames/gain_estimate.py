@@ -37,7 +37,7 @@ CLIPPED, MAX_CLIPPED = 0.99, 0.02
 MIN_DEVIATIONS = 2.5
 SIGNAL_RANGES, MIN_PLAIN = 8, 32  # maximum number of signal ranges, and minimum number of uniform patches in each range
 # Criteria for uniform patches, in the order in which they are tried: fraction of the patches to select in each signal range,
-# and maximum ratio of the selected patches' strong to weak principal components (mean squares).
+# and maximum mean square of the selected patches' strong components, relative to their weak components.
 PLAIN = ((0.05, 1.0), (0.01, 2.0))
 AGREE = 1.3  # a signal range agrees with a gain if its measured and predicted variance differ by less than this factor
 LOWEST, HIGHEST = 2.0**-8, 2.0**10  # range of gains

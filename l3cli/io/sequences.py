@@ -323,7 +323,7 @@ def _film_rate(path: Path) -> Fraction | None:
 def _series_of_pattern(pattern: Path, table: TransformTable, known: RawOverrides) -> _Series:
     files = numbered_files(pattern)
     if not files:
-        raise InputFileError(f"{pattern} matches no file; use a pattern of the raw frames, such as frame_%04d.tif")
+        raise InputFileError(f"{pattern} matches no file; use a pattern that matches raw frames, such as frame_%04d.tif")
     # The files should be numbered consecutively. A gap in the numbers counts as missing frames.
     whole, rate = range(min(files), max(files) + 1), _film_rate(next(iter(files.values())))
     return _Series(

@@ -194,7 +194,7 @@ class Pages:
                 contiguous=False,
             )
         except OSError as error:
-            # On a full disk, numpy raises an OSError without an error number, so ENOSPC is the most probable one.
+            # An OSError without an error number comes from numpy, probably because the disk is full.
             raise OSError(error.errno or errno.ENOSPC, os.strerror(error.errno or errno.ENOSPC)) from error
 
     def close(self) -> None:

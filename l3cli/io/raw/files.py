@@ -383,7 +383,7 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
     if not 0 <= black_level < white_level <= TOP:
         raise InputFileError(
             f"{name}: a black level of {black_level:g} DN and a white level of {white_level:g} DN are invalid; set "
-            f"‹black_level› and ‹white_level› to 0 ≤ black level < white level ≤ {TOP}"
+            f"‹black_level› and ‹white_level› so that 0 ≤ black level < white level ≤ {TOP}"
         )
     frame_phase = find_phase(name, pattern, table) if pattern is not None and known.phase is None else (0, 0)
     gain, warps = content.get("gain"), tuple(LensWarp(**each) for each in content.get("warps", ()))
