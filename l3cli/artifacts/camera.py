@@ -15,34 +15,34 @@ from l3cli.physics import lens, spectra
 from l3cli.physics.mosaic import tiled
 from l3cli.system.limits import most_pixels
 
-# Types of defective pixels. "row" and "column" mean that a whole line is defective.
+# Types of defective pixels. In a "row" or "column" defect, the whole line is defective.
 DEFECTS = ("hot", "dead", "blinking", "row", "column")
 MAX_SHADING = 16.0  # largest gain of a flat field
-MAX_COLOUR_SHADING = 0.5  # largest relative difference between the gain of a channel and the mean gain of all channels
-MIN_EXPOSURE = 1e-4  # shortest exposure time of a channel, as a fraction of the longest exposure time
-MAX_GAIN = 1e3  # largest gain of a channel, relative to the gain of the camera
+MAX_COLOUR_SHADING = 0.5  # largest relative difference between a channel's gain and the mean gain of all channels
+MIN_EXPOSURE = 1e-4  # shortest channel exposure time, as a fraction of the longest
+MAX_GAIN = 1e3  # largest channel gain, relative to the camera gain
 MAX_CHANNELS = 16  # a saturation case is stored in 16 bits, with one bit per channel
-MAX_CFA = 8  # largest number of rows or columns of the super-pixel
+MAX_CFA = 8  # largest width and height of the super-pixel, in pixels
 MAX_BITS = 16  # largest bit depth of raw values
-ROUNDING = 1e-6  # tolerance for rounding: a quantum efficiency may exceed 1 by this amount
+ROUNDING = 1e-6  # rounding errors may push a quantum efficiency above 1 by this amount
 MAX_WAVELENGTHS = 10_000  # largest number of samples in a spectrum
 QUANTISATION = 1 / 12  # DN²; variance of the error from rounding to whole DN
-# DN²; mean variance of the error from rounding an offset up in some pixels of a line and down in the others
+# DN²; mean error variance of a dithered line offset, which is rounded up in some pixels and down in the others
 DITHER = 1 / 6
 MAX_MASKED = 4096  # largest number of masked rows or columns on each side of the sensor
 
 
 def sensitivity_threshold(read_noise: Any, gain: Any) -> Any:
-    """Return the absolute sensitivity threshold of EMVA 1288: the signal in e- at which the signal-to-noise ratio is 1.
+    """Compute the absolute sensitivity threshold of EMVA 1288, the signal in e- at which the signal-to-noise ratio is 1.
 
-    `read_noise` is in e-, and `gain` is in DN/e-. Both can be numbers or arrays.
+    `read_noise` is in e- and `gain` in DN/e-. Both can be numbers or arrays.
     """
     return np.sqrt(read_noise**2 + QUANTISATION / gain**2) + 0.5
 
 
 @dataclass(frozen=True)
 class DefectMap:
-    """Positions and types of the defective pixels of a sensor. l3 does not use the values of these pixels."""
+    """Positions and types of a sensor's defective pixels. l3 ignores the values of these pixels."""
 
     position: NDArray[np.int64] = data(
         "int64",
@@ -66,10 +66,10 @@ class DefectMap:
 
 @dataclass(frozen=True)
 class FlatField:
-    """Gains that correct shading: they make the image of an evenly lit white target uniform.
+    """Shading correction: gains that make the image of an evenly lit white target uniform.
 
-    Each channel has its own gains, relative to the middle of the frame. The gains are known at the points of a grid that
-    covers the whole sensor. Between these points, l3 interpolates the gains linearly.
+    Each channel has its own gain map, relative to the centre of the frame. The map is sampled on a grid that covers the
+    whole sensor, and l3 interpolates linearly between the grid points.
     """
 
     grid_row: NDArray[np.float64] = data(
@@ -93,13 +93,13 @@ class FlatField:
         gain = self.shading_gain
         if not (gain.size and gain.min() >= 1 / MAX_SHADING and gain.max() <= MAX_SHADING):
             raise ValueError(
-                f"flat field: the gains must be between {1 / MAX_SHADING:g} and {MAX_SHADING:g}; use white frames "
+                f"flat field: all gains must be between {1 / MAX_SHADING:g} and {MAX_SHADING:g}; use white frames "
                 "of an evenly lit white target"
             )
         if np.abs(gain / gain.mean(axis=0) - 1.0).max() > MAX_COLOUR_SHADING:
             raise ValueError(
-                f"flat field: a channel differs by more than {MAX_COLOUR_SHADING:.0%} from the mean of all channels; use "
-                "white frames of an evenly lit white target"
+                f"flat field: the gain of a channel differs by more than {MAX_COLOUR_SHADING:.0%} from the mean gain of all "
+                "channels; use white frames of an evenly lit white target"
             )
 
     def covers(self, rows: int, cols: int) -> bool:
@@ -110,7 +110,7 @@ class FlatField:
 
 @dataclass(frozen=True)
 class Readout:
-    """Exposure time, gain and read noise of each channel. Even channels with the same filter may differ."""
+    """Exposure time, gain and read noise of each channel. Channels with the same filter may have different values."""
 
     channel_exposure: NDArray[np.float64] = data(
         "float64",
@@ -140,7 +140,7 @@ class Readout:
 
     @property
     def sensitivity(self) -> NDArray[np.float64]:
-        """Exposure time × gain of each channel, divided by the largest such product."""
+        """Exposure time × gain of each channel, relative to the most sensitive channel."""
         product = self.channel_exposure * self.channel_gain
         return np.asarray(product / product.max())
 
@@ -149,7 +149,7 @@ class Readout:
 class Polarisers:
     """Linear polarisers in front of the pixels (docs/method.md#polarisers).
 
-    A channel without a polariser has a leakage of 1, because light of any polarisation passes, and an angle of 0.
+    A channel without a polariser transmits all polarisations equally: its leakage is 1, and its angle is set to 0.
     """
 
     polariser_deg: NDArray[np.float64] = data(
@@ -178,22 +178,22 @@ class Polarisers:
 
     @property
     def extinction(self) -> NDArray[np.float64]:
-        """Transmission along the axis divided by transmission across the axis, with the shape (channel, wavelength).
+        """Extinction ratio, (channel, wavelength): transmission along the axis divided by transmission across the axis.
 
-        The ratio is infinite for an ideal polariser.
+        An ideal polariser has an infinite ratio.
         """
         with np.errstate(divide="ignore"):
             return np.asarray(1.0 / self.leakage)
 
     @property
     def stokes_response(self) -> NDArray[np.float64]:
-        """Transmission of the Stokes parameters S0, S1 and S2, relative to the transmission along the axis.
+        """Response of each channel to the Stokes parameters S0, S1 and S2, relative to the transmission along the axis.
 
         Returns
         -------
         ndarray, (channel, stokes, wavelength)
-            First row of the Mueller matrix of each polariser: ½ (1 + k), ½ (1 − k) cos 2θ and ½ (1 − k) sin 2θ, where k
-            is the leakage and θ the angle. The row of a channel without a polariser is (1, 0, 0).
+            First row of each polariser's Mueller matrix: ½ (1 + k), ½ (1 − k) cos 2θ and ½ (1 − k) sin 2θ, where k is the
+            leakage and θ the angle. For a channel without a polariser, this row is (1, 0, 0).
         """
         angle = 2 * np.radians(self.polariser_deg)[:, None]
         modulation = 0.5 * (1.0 - self.leakage)
@@ -240,26 +240,22 @@ class Noise:
 
     @property
     def lines(self) -> float:
-        """Sum of the variances of row noise and column noise that change from frame to frame, in (e-)²."""
+        """Total variance of the temporal row noise and the temporal column noise, in (e-)²."""
         return self.row_temporal_noise**2 + self.column_temporal_noise**2
 
     @property
     def temporal(self) -> float:
-        """Variance of the temporal noise in the dark, in (e-)²: the read noise, and the temporal noise of rows and
-        columns."""
+        """Temporal noise variance in the dark, in (e-)²: read noise, temporal row noise and temporal column noise."""
         return self.read_noise**2 + self.lines
 
     @property
     def dark_noise(self) -> float:
-        """Temporal dark noise as defined in EMVA 1288, in e-: the standard deviation of a pixel over time in the dark."""
+        """Temporal dark noise of EMVA 1288: a dark pixel's standard deviation over time, in e-."""
         return float(np.sqrt(self.temporal)) if self.lines else self.read_noise
 
     @property
     def fixed(self) -> float:
-        """Variance of the fixed-pattern noise in the dark, in (e-)².
-
-        It consists of the DSNU of the pixels and the fixed offsets of rows and columns.
-        """
+        """Fixed-pattern noise variance in the dark, in (e-)²: DSNU, fixed row offsets and fixed column offsets."""
         return self.dsnu**2 + self.column_noise**2 + self.row_noise**2
 
     @property
@@ -272,7 +268,7 @@ class Noise:
 class MaskedPixels:
     """Rows and columns of optically black pixels around the light-sensitive pixels (docs/method.md#masked-pixels).
 
-    Frames of the camera contain these pixels in addition to the `rows` × `cols` light-sensitive pixels.
+    The camera's frames contain these pixels in addition to the `rows` × `cols` light-sensitive pixels.
     """
 
     left: int = data("int64", unit="pixel", doc="masked columns to the left of the first light-sensitive column", default=0)
@@ -283,29 +279,35 @@ class MaskedPixels:
     def __post_init__(self) -> None:
         sides = dataclasses.astuple(self)
         if not (min(sides) >= 0 and 0 < max(sides) <= MAX_MASKED):
-            raise ValueError(f"the camera has masked pixels on no side, or more than {MAX_MASKED} on one side")
+            raise ValueError(
+                f"the numbers of masked lines on the four sides are {', '.join(map(str, sides))}; each must be between 0 "
+                f"and {MAX_MASKED}, and at least one must be positive"
+            )
 
     def around(self, rows: int, cols: int) -> tuple[int, int]:
-        """Return the size of a frame with masked pixels, given the numbers of light-sensitive rows and columns."""
+        """Return the frame size (rows, columns) that includes the masked pixels around `rows` × `cols` sensitive pixels."""
         return rows + self.top + self.bottom, cols + self.left + self.right
 
 
 def variance_left(lines: float, pixel: float, masked: int) -> float:
-    """Return the variance of the offsets of rows or columns after the correction with masked pixels.
+    """Return the row or column offset variance that remains after the correction with masked pixels.
+
+    All variances have the same unit.
 
     Parameters
     ----------
     lines : float
-        Variance of the offsets before the correction.
+        Variance of the row or column offsets before the correction.
     pixel : float
-        Noise variance of a masked pixel, without the offset.
+        Noise variance of a masked pixel, not including the offset of its line.
     masked : int
         Number of masked pixels in each line.
 
     Notes
     -----
-    The mean of n masked pixels estimates the offset with the variance pixel / n. The correction subtracts this mean times
-    its reliability lines / (lines + pixel / n). The remaining variance is lines · (pixel / n) / (lines + pixel / n).
+    The mean of a line's n masked pixels estimates its offset with an error variance of pixel / n. The correction multiplies
+    this mean by lines / (lines + pixel / n), the weight with the smallest mean square error, and subtracts the product. The
+    remaining variance is lines · (pixel / n) / (lines + pixel / n).
     """
     return lines * pixel / (lines * masked + pixel) if lines and masked else lines
 
@@ -314,8 +316,8 @@ def variance_left(lines: float, pixel: float, masked: int) -> float:
 class NoiseScale:
     """Noise of a frame, relative to the calibrated camera.
 
-    The noise changes with the analog gain, and a temporal filter reduces it. After such a filter, the fraction `noise_left`
-    of the temporal noise variance remains.
+    The noise depends on the analog gain. If a temporal filter has reduced it, `noise_left` is the remaining fraction of the
+    temporal noise variance.
     """
 
     gain: float = data("float64", doc="analog gain, relative to the gain of the camera model", default=1.0)
@@ -331,7 +333,7 @@ class NoiseScale:
 
     @property
     def shot(self) -> float:
-        """Shot-noise variance in DN², as a multiple of the shot-noise variance of the calibrated camera."""
+        """Shot-noise variance, relative to the calibrated camera at the same signal in DN."""
         return self.gain * self.noise_left
 
     def __str__(self) -> str:
@@ -342,7 +344,7 @@ class NoiseScale:
 
 @dataclass(frozen=True)
 class AnalogGains:
-    """Analog gains at which a camera was also measured, and the read noise at each gain (docs/method.md#gains)."""
+    """Read noise of a camera at additional analog gains (docs/method.md#gains)."""
 
     analog_gain: NDArray[np.float64] = data(
         "float64", "analog_gain", doc="analog gain, relative to the gain of the camera model", coordinate=True
@@ -354,19 +356,21 @@ class AnalogGains:
         gain = self.analog_gain
         if not ((gain > 0).all() and (np.diff(gain) > 0).all() and (gain != 1).all()):
             raise ValueError(
-                "the analog gains must be positive and increasing, and must not contain 1, which is the gain of the "
+                "analog_gain must contain positive, increasing values and must not contain 1, which is the gain of the "
                 "camera model"
             )
         if not (self.gain_read_noise >= 0).all():
-            raise ValueError("the read noise at an analog gain must not be negative")
+            raise ValueError("gain_read_noise must not contain negative values")
         if not self.iso >= 0:
             raise ValueError(f"the ISO speed is {self.iso:g}, but must not be negative")
 
 
 @dataclass(frozen=True)
 class Optics:
-    """Geometry of the lens (docs/method.md#optics). The transmittance of the lens is part of the responsivity of the
-    camera."""
+    """Focal length, f-number and focus distance of the lens (docs/method.md#optics).
+
+    The lens transmittance is included in the camera's responsivity.
+    """
 
     focal_length: float = data("float64", unit="m", doc="focal length")
     f_number: float = data("float64", unit="1", doc="focal length / aperture diameter")
@@ -376,12 +380,12 @@ class Optics:
         close = self.object_distance != 0 and self.object_distance <= self.focal_length
         if not (self.focal_length > 0 and self.f_number > 0) or close:
             raise ValueError(
-                "focal length and f-number must be positive, and the object distance must be larger than the focal length"
+                "focal_length and f_number must be positive, and object_distance must be 0 or larger than focal_length"
             )
 
     @property
     def image_distance(self) -> float:
-        """Distance in m between the lens and the sensor if the scene is in focus."""
+        """Distance between the lens and the sensor when the scene is in focus, in m."""
         return lens.image_distance(self.focal_length, self.object_distance)
 
     @property
@@ -391,7 +395,7 @@ class Optics:
 
 
 def check_sensor(rows: int, cols: int, bits: int, black_level: float, white_level: float) -> None:
-    """Raise ValueError if the size, the bit depth, the black level or the white level (both in DN) is impossible."""
+    """Raise ValueError if the sensor's size, bit depth or levels (in DN) are not supported or contradict each other."""
     if not (rows > 0 and cols > 0 and rows * cols <= most_pixels() and 1 <= bits <= MAX_BITS):
         sensor = f"the sensor has {rows} rows, {cols} columns and {bits} bits"
         raise ValueError(
@@ -405,15 +409,18 @@ def check_sensor(rows: int, cols: int, bits: int, black_level: float, white_leve
 
 
 def check_cfa(cfa: NDArray[np.uint8], channels: tuple[str, ...]) -> None:
-    """Raise ValueError if the CFA is empty or too large, or if it contains the index of a channel that does not exist."""
+    """Raise ValueError if the CFA is empty or too large, or contains the index of a nonexistent channel."""
     if not (cfa.size > 0 and max(cfa.shape) <= MAX_CFA and 0 < len(channels) <= MAX_CHANNELS):
-        raise ValueError(f"cfa must have 1×1 to {MAX_CFA}×{MAX_CFA} sites and 1 to {MAX_CHANNELS} channels")
+        raise ValueError(
+            f"cfa has the shape {cfa.shape} and {len(channels)} channels; 1×1 to {MAX_CFA}×{MAX_CFA} sites and 1 to "
+            f"{MAX_CHANNELS} channels are supported"
+        )
     if cfa.max() >= len(channels):
         raise ValueError(f"cfa contains the channel index {cfa.max()}, but there are only {len(channels)} channels")
 
 
 def check_wavelengths(wavelength: NDArray[np.float64]) -> None:
-    """Raise ValueError unless the wavelengths (nm) increase and are within the limits of l3."""
+    """Raise ValueError unless the wavelengths (nm) increase, and their number and range are supported."""
     if not (1 < wavelength.size <= MAX_WAVELENGTHS and (np.diff(wavelength) > 0).all()):
         raise ValueError(f"wavelength must contain 2 to {MAX_WAVELENGTHS} increasing values")
     if not (wavelength[0] > 0 and wavelength[-1] <= spectra.LONGEST_NM):
@@ -452,31 +459,31 @@ class CameraModel(Artifact):
     black_level, white_level : float
         Mean value in the dark, and value at saturation, in DN.
     fixed_pattern_seed : int
-        Seed of the camera's PRNU and DSNU maps.
+        Seed for the camera's random PRNU and DSNU maps.
     noise : Noise
         Noise of the sensor.
     optics : Optics
         The lens.
     declared : tuple of str
-        Quantities whose values come from a data sheet, not from a measurement.
+        Quantities with values from a data sheet instead of a measurement.
     fit : Fit or None
-        Measurements and residuals of the calibration. None if the camera is described by a recipe.
+        Measurements and residuals of the calibration. None if the model was computed from a recipe.
     defects : DefectMap or None
         Defective pixels. None if l3 has not searched for defects.
     flat_field : FlatField or None
-        Correction of shading. None if shading was not measured.
+        Shading correction. None if shading was not measured.
     readout : Readout or None
         Exposure time and gain of each channel. None if they are the same for all channels.
     gains : AnalogGains or None
         Read noise at other analog gains. None if the read noise is assumed to be the same at all gains.
     polarisers : Polarisers or None
-        Polarisers in front of the pixels. `responsivity` is then the responsivity to light that is polarised along the
-        transmission axis. None if no channel has a polariser.
+        Polarisers in front of the pixels. None if no channel has a polariser. If a channel has a polariser, its
+        `responsivity` applies to light polarised along the transmission axis.
     masked : MaskedPixels or None
-        Masked pixels in the frames of the camera. None if the frames contain none.
+        Masked pixels around the light-sensitive pixels. None if the frames contain no masked pixels.
     noise_left : float
-        Fraction of the temporal noise variance that remains after a temporal filter. The method `under` sets this
-        attribute, which is not stored in files.
+        Fraction of the temporal noise variance that remains after a temporal filter. It is set by the method `under` and is
+        not stored in files.
     """
 
     kind: ClassVar[str] = "camera model"
@@ -540,7 +547,10 @@ class CameraModel(Artifact):
         if self.defects and (self.defects.position >= (self.rows, self.cols)).any():
             raise ValueError(f"defects contains positions outside the {self.rows}×{self.cols} pixels of the sensor")
         if self.masked and self.readout:
-            raise ValueError("masked pixels are not supported if the channels differ in exposure time, gain or read noise")
+            raise ValueError(
+                "masked pixels cannot be combined with channels that differ in exposure time, gain or read noise; remove "
+                "one of the two"
+            )
         if self.flat_field and not self.flat_field.covers(self.rows, self.cols):
             raise ValueError(f"the flat field does not cover the {self.rows}×{self.cols} pixels of the sensor")
 
@@ -551,15 +561,15 @@ class CameraModel(Artifact):
 
     @property
     def full_scale(self) -> float:
-        """Number of electrons between the black level and the white level."""
+        """Range between the black level and the white level, in electrons."""
         return (self.white_level - self.black_level) / self.gain
 
     def at_gain(self, gain: float) -> "CameraModel":
         """Return the camera model at a different analog gain.
 
-        The black level and the white level stay unchanged. The read noise is interpolated between the gains at which it is
-        known, such that its square is linear in 1/gain². Outside these gains, the nearest known read noise is used
-        (docs/method.md#gains). The temporal noise of rows and columns changes in proportion to the read noise.
+        The black and white levels stay unchanged. Between the gains with a known read noise, the read-noise variance is
+        interpolated linearly in 1/gain². Outside this range, the nearest known value applies (docs/method.md#gains). The
+        temporal row and column noise scales with the read noise.
 
         Parameters
         ----------
@@ -592,35 +602,38 @@ class CameraModel(Artifact):
         return replace(self, gain=self.gain * gain, noise=noise, readout=readout, gains=gains)
 
     def gain_at(self, iso: float) -> float | None:
-        """Return the analog gain for an ISO speed, relative to the gain of this camera model.
+        """Convert an ISO speed to an analog gain, relative to the gain of this camera model.
 
-        The result is None if `iso` is not positive, or if the ISO speed of the camera model is unknown.
+        Returns None if `iso` is not positive, or if the camera model has no known ISO speed.
         """
         return iso / self.gains.iso if iso > 0 and self.gains and self.gains.iso > 0 else None
 
     def under(self, noise: NoiseScale) -> "CameraModel":
-        """Return the camera model at the gain of `noise`, with the temporal noise that remains after a temporal filter."""
+        """Return the camera model at the gain and with the remaining temporal noise that `noise` specifies."""
         return replace(self.at_gain(noise.gain), noise_left=noise.noise_left)
 
     def channel_map(self, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Return the channel of each pixel in a frame of this shape. The first pixel is at CFA site (0, 0)."""
+        """Return the channel index of each pixel in a frame that begins at CFA site (0, 0)."""
         return tiled(self.cfa, shape)
 
     @property
     def sensitivity(self) -> NDArray[np.float64]:
-        """Exposure time × gain of each channel, divided by the largest such product. All values are 1 without `readout`."""
+        """Exposure time × gain of each channel, relative to the most sensitive channel.
+
+        All values are 1 if the channels have the same readout.
+        """
         return np.ones(len(self.channels)) if self.readout is None else self.readout.sensitivity
 
     @property
     def channel_gains(self) -> NDArray[np.float64]:
-        """Conversion gain of each channel, relative to `gain`. All values are 1 without `readout`."""
+        """Conversion gain of each channel, relative to `gain`. All values are 1 if the channels have the same readout."""
         return np.ones(len(self.channels)) if self.readout is None else self.readout.channel_gain
 
     @property
     def stokes_response(self) -> NDArray[np.float64]:
-        """Response of each channel to the Stokes parameters S0, S1 and S2, relative to the responsivity of the channel.
+        """Response of each channel to the Stokes parameters S0, S1 and S2, relative to the channel's responsivity.
 
-        The shape is (channel, stokes, wavelength). Without polarisers, each response is (1, 0, 0).
+        The shape is (channel, stokes, wavelength). A channel without a polariser has the response (1, 0, 0).
         """
         if self.polarisers is not None:
             return self.polarisers.stokes_response
@@ -641,14 +654,14 @@ class CameraModel(Artifact):
     def stokes_weights(self) -> NDArray[np.float64]:
         """Matrices (stokes, channel, wavelength) that convert S0, S1 and S2 to photo-electrons per second of exposure.
 
-        The Stokes parameters are radiances in photons/s/sr/m²/nm. The total number of photo-electrons is the sum over the
-        three Stokes parameters. The first matrix equals `electron_weights`.
+        The Stokes parameters are radiances in photons/s/sr/m²/nm. The contributions of S0, S1 and S2 add up to the total
+        number of photo-electrons. The first matrix, for S0, equals `electron_weights`.
         """
         return np.moveaxis(self._axis_weights[:, None] * self.stokes_response, 1, 0)
 
     @property
     def _axis_weights(self) -> NDArray[np.float64]:
-        """Photo-electrons per second of exposure, for light that is polarised along the axis of each channel's polariser."""
+        """As `electron_weights`, but for light that is polarised along the axis of each channel's polariser."""
         photons = self.optics.irradiance_per_radiance * self.pixel_pitch**2 * spectra.bin_widths(self.wavelength)
         if self.readout is not None:
             return self.responsivity * photons * self.readout.channel_exposure[:, None]
@@ -656,22 +669,22 @@ class CameraModel(Artifact):
 
     @property
     def signal_weights(self) -> NDArray[np.float64]:
-        """Matrix (channel, wavelength) that converts radiance to DN per second of exposure, divided by `gain`.
+        """`electron_weights` of each channel, multiplied by the channel's relative gain.
 
-        The radiance is in photons/s/sr/m²/nm. The matrix equals `electron_weights` unless the channels have different
-        gains.
+        If the radiance is in photons/s/sr/m²/nm, this matrix (channel, wavelength) times `gain` gives the signal in DN per
+        second of exposure.
         """
         weights = self.electron_weights
         return weights if self.readout is None else weights * self.readout.channel_gain[:, None]
 
     @functools.cached_property
     def saturation_exposure(self) -> float:
-        """Luminance × exposure time (cd s/m²) of a perfect D65 white that just saturates the most sensitive channel.
+        """Luminance × exposure time (cd s/m²) at which a perfect D65 white just saturates the most sensitive channel.
 
         Raises
         ------
         InputFileError
-            If the camera collects almost no light from this white, or if no wavelength of the camera is visible.
+            If the camera is almost insensitive to this white, or if none of its wavelengths is visible.
         """
         with raised_as(InputFileError, f"camera {self.name}", InputFileError):
             white = spectra.at_luminance(spectra.illuminant("D65", self.wavelength), self.wavelength, 1.0)
@@ -679,22 +692,22 @@ class CameraModel(Artifact):
         exposure = self.full_scale / electrons if electrons > 0 else np.inf
         if not exposure <= LARGEST_VALUE:
             raise InputFileError(
-                f"camera {self.name}: a pixel saturates only at {exposure:.3g} cd s/m² of daylight, which is implausible; "
+                f"camera {self.name}: pixels saturate only at {exposure:.3g} cd s/m² of daylight, which is implausible; "
                 "check the responsivity, the pixel pitch and the f-number"
             )
         return exposure
 
     @property
     def output_unit(self) -> float:
-        """Luminance × exposure time, in cd s/m², that corresponds to an output of 1 in tables for this camera.
+        """Luminance × exposure time, in cd s/m², at which the tables for this camera output 1.
 
-        If the sensitivities of the channels differ by at most a factor of 4, the unit is `saturation_exposure`. Otherwise
-        the unit is a quarter of the exposure that saturates the least sensitive channel (docs/method.md#exposures).
+        If the channel sensitivities differ by at most a factor of 4, this is `saturation_exposure`. Otherwise it is a
+        quarter of the exposure that saturates the least sensitive channel (docs/method.md#exposures).
         """
         return self.saturation_exposure * max(1.0, 0.25 / float(self.sensitivity.min()))
 
     def dark_signal(self, exposure: float | None) -> float:
-        """Return the mean signal, in DN, that the dark current causes in `exposure` seconds (docs/method.md#dark-current).
+        """Return the mean dark signal after `exposure` seconds, in DN (docs/method.md#dark-current).
 
         If the exposure time is unknown (None), the result is 0.
         """
@@ -703,15 +716,15 @@ class CameraModel(Artifact):
     def noise_variance(
         self, signal: NDArray[np.floating], dark: float = 0.0, channel: NDArray[np.integer] | None = None
     ) -> NDArray[np.floating]:
-        """Return the noise variance of pixels in DN², including quantisation noise (docs/method.md#noise).
+        """Return the noise variance at a given signal in DN², including quantisation noise (docs/method.md#noise).
 
         Parameters
         ----------
         signal : ndarray
-            Mean signal above black in DN, in a frame that `RawFrame.at_levels` has rescaled. Negative signals have the
-            variance of a signal of 0.
+            Mean signal above black in DN, in a frame that `RawFrame.at_levels` has rescaled. The variance at a negative
+            signal equals the variance at 0.
         dark : float
-            Dark signal, in DN, that was subtracted from the frame.
+            Dark signal that was subtracted from the frame, in DN.
         channel : ndarray of int, optional
             Channel of each value of `signal`, as in `noise_terms`.
         """
@@ -720,19 +733,19 @@ class CameraModel(Artifact):
         return constant + (linear + quadratic * signal) * signal
 
     def noise_terms(self, dark: float = 0.0, channel: NDArray[np.integer] | None = None) -> tuple[Any, Any, float]:
-        """Return the coefficients of the noise variance as a polynomial in the signal above black.
+        """Return the coefficients of the polynomial that describes the noise variance as a function of the signal.
 
-        The coefficients apply to frames from which the mean dark signal was subtracted, and whose remaining range was
-        stretched to full scale. These frames still contain the shot noise and the nonuniformity of the dark signal.
-        `noise_left` scales the temporal noise, but not the quantisation noise.
+        The signal is in DN above black. The coefficients apply to frames after dark correction, which subtracts the mean
+        dark signal and stretches the remaining range to full scale. These frames still contain the shot noise and the
+        nonuniformity of the dark signal. `noise_left` scales the temporal noise, but not the quantisation noise.
 
         Parameters
         ----------
         dark : float
             Dark signal, in DN, of a channel with the full exposure time and the gain `gain`.
         channel : ndarray of int, optional
-            Channel of each pixel, which is needed if the channels differ in exposure time or gain. [default: a channel
-            with the full exposure time and the gain `gain`]
+            Channel of each pixel, required if the channels differ in exposure time or gain. [default: a channel with the
+            full exposure time and the gain `gain`]
 
         Returns
         -------
@@ -748,8 +761,8 @@ class CameraModel(Artifact):
         noise, left, span = self.corrected_noise(dark), self.noise_left, self.white_level - self.black_level
         if not dark < span:
             raise ValueError(
-                f"the dark current alone saturates the pixels of camera {self.name}, because the dark signal is {dark:.4g} "
-                f"DN but full scale is only {span:.4g} DN; check the exposure time"
+                f"camera {self.name}: the dark current alone saturates the pixels, with a dark signal of {dark:.4g} DN at a "
+                f"full scale of {span:.4g} DN; check the exposure time"
             )
         stretch, prnu = span / (span - dark), noise.uneven
         gain: Any = self.gain
@@ -764,18 +777,18 @@ class CameraModel(Artifact):
         return stretch**2 * constant, stretch * (left * gain + 2 * prnu * channel_dark), prnu
 
     def pixel_variance(self, dark: float = 0.0) -> float:
-        """Return the noise variance of a masked pixel in (e-)², without the offsets of its row and its column.
+        """Return the noise variance of a masked pixel in (e-)², not including row and column offsets.
 
-        The variance includes the quantisation noise. `dark` is the dark signal in DN, as in `noise_terms`.
+        Quantisation noise is included. `dark` is the dark signal in DN, as in `noise_terms`.
         """
         return self.noise.read_noise**2 + self.noise.dsnu**2 + QUANTISATION / self.gain**2 + dark / self.gain
 
     def corrected_noise(self, dark: float = 0.0) -> Noise:
-        """Return the noise of frames after the correction of rows and columns with masked pixels.
+        """Return the noise that remains after masked pixels have been used to correct row and column offsets.
 
-        Without masked pixels, this is `noise`. Otherwise, the noise of rows and columns is lower (see `variance_left`), and
-        the read noise is higher, because corrected offsets are rounded to whole DN. `dark` is the dark signal in DN, as in
-        `noise_terms`.
+        The correction lowers the row and column noise (see `variance_left`). It raises the read noise, because corrected
+        values are rounded to whole DN. If the camera has no masked pixels, the result is `noise`. `dark` is the dark signal
+        in DN, as in `noise_terms`.
         """
         noise, masked = self.noise, self.masked
         if masked is None:
@@ -798,21 +811,20 @@ class CameraModel(Artifact):
         )
 
     def as_corrected(self) -> "CameraModel":
-        """Return a camera without masked pixels, whose frames have the noise of corrected frames of this camera."""
+        """Return an equivalent camera without masked pixels, with the noise that this camera has after correction."""
         return self if self.masked is None else replace(self, noise=self.corrected_noise(), masked=None)
 
     @property
     def has_line_noise(self) -> bool:
-        """Whether the camera has row noise or column noise (see `line_variances`)."""
+        """Whether the camera has row or column noise, fixed or temporal."""
         return bool(self.noise.lines or self.noise.column_noise or self.noise.row_noise)
 
     def line_variances(self, dark: float = 0.0) -> tuple[float, float]:
-        """Return the variance of row noise and the variance of column noise.
+        """Return the variances of the row offsets and of the column offsets, both temporal and fixed.
 
-        Row noise is an offset that is the same for all pixels of a row, and column noise is an offset that is the same for
-        all pixels of a column. Both include the fixed offsets. If the camera has masked pixels, the variances are the
-        variances after the correction with these pixels. Both variances are contained in the constant term of `noise_terms`.
-        The variances apply to a channel with a relative gain of 1. In the other channels, the offsets are multiplied by the
+        All pixels of a row share the row offset, and all pixels of a column share the column offset. If the camera has
+        masked pixels, the result is what remains after their correction. The constant term of `noise_terms` includes both
+        variances. They apply to a channel with a relative gain of 1. In other channels, the offsets are multiplied by the
         relative gain.
 
         Parameters

@@ -1,4 +1,4 @@
-"""Responsivities in a camera recipe: sums of Gaussians, or a CSV file with relative curves or quantum efficiencies."""
+"""Responsivities of camera recipes: sums of Gaussians, or a CSV file with relative curves or quantum efficiencies."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -17,18 +17,18 @@ from l3cli.spectra.file import read_table
 from l3cli.spectra.table import CurveTable, gaps, known_as, without_noise
 
 WIDEST_GAP = 20.0  # nm; largest distance between neighbouring samples of measured curves
-CUT_OFF = 0.05  # a curve that ends inside the VISIBLE range must have fallen to this fraction of its peak
+CUT_OFF = 0.05  # if a curve ends within the VISIBLE range, its last value may be at most this fraction of its peak
 VISIBLE = 420.0, 680.0  # nm
-RELATIVE_PEAK = 1e-3  # curves are assumed to be relative if their peak differs from 1 by less than this
+RELATIVE_PEAK = 1e-3  # curves without a unit count as relative if their peak differs from 1 by less than this
 MIN_PEAK = 1e-3  # lowest plausible peak quantum efficiency of a camera
 Array = NDArray[np.float64]
 
 
 class Gaussian(Recipe):
-    """One term of a responsivity: an asymmetric Gaussian, peak · exp(−½((λ−centre)/sigma)²).
+    """An asymmetric Gaussian, peak · exp(−½((λ−centre)/sigma)²), as one term of a responsivity.
 
-    `sigma_nm` applies to wavelengths below the centre. `sigma_above_nm` applies from the centre upwards; if it is not set,
-    `sigma_nm` applies there too.
+    `sigma_nm` applies below the centre, and `sigma_above_nm` from the centre upwards. Without `sigma_above_nm`, the Gaussian
+    is symmetric.
     """
 
     peak: float
@@ -38,24 +38,24 @@ class Gaussian(Recipe):
 
 
 class ResponsivityRecipe(Recipe):
-    # First wavelength, last wavelength and step. If a file is used, the default is the wavelengths of the file.
+    # First wavelength, last wavelength and step. Default: the wavelengths in the file
     wavelength_nm: tuple[float, float, float] | None = None
-    # Peak quantum efficiency of the most sensitive channel in e-/photon, including lens and filters. If a file is used and
-    # this key is missing, the curves in the file are quantum efficiencies.
+    # Peak quantum efficiency of the most sensitive channel in e-/photon, including lens and filters. Default: the curves in
+    # the file are quantum efficiencies already
     peak_efficiency: Positive | None = None
-    gaussians: dict[str, list[Gaussian]] | None = None  # the curve of each channel is the sum of its Gaussians
-    # CSV file with the wavelength in nm and one column per channel. Columns are found by name or are in the order of
+    gaussians: dict[str, list[Gaussian]] | None = None  # Gaussians that add up to the curve of each channel
+    # CSV file with the wavelength in nm and one column per channel. Columns are found by name, or are in the order of
     # cfa.channels.
     file: str | None = None
-    # column of each channel whose column name differs from the channel name
+    # column names, for channels whose column has a different name than the channel
     columns: dict[str, str] = msgspec.field(default_factory=dict)
     per_energy: bool = False  # whether the curves are per watt instead of per photon
 
 
 def curve_faults(declared: ResponsivityRecipe, channels: Sequence[str]) -> Iterator[Fault]:
-    """Yield the faults of the section [responsivity].
+    """Find the faults of the section [responsivity].
 
-    The value of the peak efficiency and the content of files are checked elsewhere.
+    The peak efficiency and the content of files are checked elsewhere.
     """
     if (declared.gaussians is None) == (declared.file is None):
         yield fault(
@@ -93,13 +93,13 @@ def curve_faults(declared: ResponsivityRecipe, channels: Sequence[str]) -> Itera
 
 
 def column_faults(columns: Mapping[str, str], channels: Sequence[str], key: str) -> Iterator[Fault]:
-    """Yield the faults of a mapping from channels to columns of a file. `key` is the key of this mapping in the recipe."""
+    """Find unknown channels in the recipe key `key`, which maps channel names to column names."""
     if odd := sorted({known_as(name, channels) for name in columns} - set(channels)):
         yield fault(f'{key}: "{odd[0]}" is not a channel; {suggestion(odd[0], channels)}', key)
 
 
 def differences(names: Iterable[str], channels: Sequence[str]) -> str:
-    """Describe, for an error message, how `names` differ from the channel names. At least one name must differ."""
+    """Describe for an error message how two different sets of names, `names` and `channels`, differ."""
     odd = sorted(set(names) - set(channels))
     if odd:
         return f'"{odd[0]}" is not a channel; {suggestion(odd[0], channels)}'
@@ -107,16 +107,16 @@ def differences(names: Iterable[str], channels: Sequence[str]) -> str:
 
 
 def responsivity(declared: ResponsivityRecipe, channels: Sequence[str], folder: Path) -> tuple[Array, Array]:
-    """Return the responsivities that a camera recipe describes.
+    """Compute the quantum efficiencies that a camera recipe describes.
 
     Parameters
     ----------
     declared : ResponsivityRecipe
-        A section [responsivity] in which `curve_faults` has found no errors.
+        A section [responsivity] that has passed `curve_faults`.
     channels : sequence of str
         Names of the channels.
     folder : Path
-        Folder of the recipe. The path of the CSV file in the recipe is relative to this folder.
+        Folder of the recipe, to which the path of the CSV file is relative.
 
     Returns
     -------
@@ -128,7 +128,7 @@ def responsivity(declared: ResponsivityRecipe, channels: Sequence[str], folder: 
     Raises
     ------
     InputFileError
-        If the file does not contain the curves of a camera.
+        If the file lacks the curve of a channel, or contains implausible curves.
     """
     if declared.gaussians is not None:
         wavelength = _grid(declared)
@@ -149,10 +149,9 @@ def responsivity(declared: ResponsivityRecipe, channels: Sequence[str], folder: 
 
 
 def curve_table(declared: ResponsivityRecipe, channels: Sequence[str], folder: Path) -> CurveTable:
-    """Read the curves of the channels from the CSV file of a recipe.
+    """Read the channels' curves from the CSV file of a recipe.
 
-    Small negative values, which are measurement noise, are replaced by 0. Raises InputFileError if the curve of a channel is
-    missing.
+    Small negative values are measurement noise and are set to 0. Raises InputFileError if the curve of a channel is missing.
     """
     assert declared.file is not None
     table = read_table(folder / declared.file).channel_columns(channels, declared.columns)
@@ -160,7 +159,6 @@ def curve_table(declared: ResponsivityRecipe, channels: Sequence[str], folder: P
 
 
 def _grid(declared: ResponsivityRecipe) -> Array | None:
-    """Return the wavelengths in nm that `wavelength_nm` specifies, or None if the recipe does not contain this key."""
     if declared.wavelength_nm is None:
         return None
     first, last, step = declared.wavelength_nm
@@ -192,26 +190,26 @@ def _check_grid(table: CurveTable, wavelength: Array | None, channels: Sequence[
 
 
 def _efficiencies(table: CurveTable, wavelength: Array, per_energy: bool) -> Array:
-    """Return the quantum efficiencies in a file, averaged around each wavelength of a grid.
+    """Resample the quantum efficiencies in a file to a wavelength grid, by averaging around each wavelength.
 
-    Raises InputFileError if the values are implausible, for example because they are relative or percentages.
+    Raises InputFileError if the values are implausible, for example because they are percentages or relative.
     """
     efficiency = table.efficiencies(per_energy)
     peak = float(efficiency.max())
     if peak > 1 + ROUNDING and 1 < peak <= 100 and not any(table.units):
         raise InputFileError(
-            f'{table.path}: the peak quantum efficiency is {peak:.4g}, but cannot exceed 1; write "(%)" after the column '
-            "names if the values are percentages, or set responsivity.peak_efficiency"
+            f'{table.path}: the peak quantum efficiency is {peak:.4g}, but cannot exceed 1; add "(%)" to the column names '
+            "if the values are percentages, or set responsivity.peak_efficiency if they are relative"
         )
     if abs(peak - 1) < RELATIVE_PEAK and not any(table.units):
         raise InputFileError(
             f"{table.path} seems to contain relative curves, because the highest peak is 1; set "
-            'responsivity.peak_efficiency, or write the unit "(e-/photon)" after the column names'
+            'responsivity.peak_efficiency, or add the unit "(e-/photon)" to the column names'
         )
     if not MIN_PEAK <= peak <= 1 + ROUNDING:
         raise InputFileError(
-            f"{table.path}: the peak quantum efficiency is {peak:.4g}, which is implausible; correct the unit of the "
-            "columns, or set responsivity.peak_efficiency"
+            f"{table.path}: the peak quantum efficiency is {peak:.4g}, which is implausible; correct the unit in the column "
+            "names, or set responsivity.peak_efficiency"
         )
     return np.asarray(spectra.average(efficiency, table.wavelength, wavelength), np.float64)
 
@@ -226,10 +224,7 @@ def _sum_of_gaussians(wavelength: Array, terms: list[Gaussian]) -> Array:
 
 
 def full_width(wavelength: Array, curve: Array) -> float | None:
-    """Return the full width at half maximum of a curve, in nm.
-
-    The result is None unless the curve falls below half its peak on both sides of the peak.
-    """
+    """Return the full width at half maximum of a curve in nm, or None if one side does not fall below half maximum."""
     peak, half = int(curve.argmax()), curve.max() / 2
     below, above = np.flatnonzero(curve[:peak] < half), np.flatnonzero(curve[peak:] < half)
     if not (below.size and above.size):

@@ -1,4 +1,4 @@
-"""Camera recipes: TOML files that describe a camera, for example with the values of a data sheet (configs/cameras)."""
+"""Camera recipes: TOML files that describe a camera, for example with data sheet values (configs/cameras)."""
 
 import dataclasses
 import tomllib
@@ -38,11 +38,11 @@ from l3cli.recipes.toml import Count, CountOrNone, NotNegative, Positive, Recipe
 from l3cli.spectra.file import read_table
 from l3cli.spectra.table import CurveTable
 
-UNIT_SUFFIXES = {"1": "", "e-": "_e", "e-/s": "_e_per_s"}  # for each unit: the suffix of recipe keys
+UNIT_SUFFIXES = {"1": "", "e-": "_e", "e-/s": "_e_per_s"}  # suffix of the recipe keys with each unit
 MAX_READ_NOISE_E = 1e4
 MAX_ISO = 1e7
-PITCHES_UM, MIN_F_NUMBER, MIN_FOCAL_MM = (0.1, 1000.0), 0.5, 0.05  # values outside these limits probably have a wrong unit
-PITCH_UM, FOCAL_MM, F_NUMBER = 5.0, 50.0, 4.0  # assumed values if l3 has only a raw file of the camera
+PITCHES_UM, MIN_F_NUMBER, MIN_FOCAL_MM = (0.1, 1000.0), 0.5, 0.05  # values beyond these limits probably have a wrong unit
+PITCH_UM, FOCAL_MM, F_NUMBER = 5.0, 50.0, 4.0  # assumed for a camera of which l3 has only a raw file
 MAX_PRNU = 0.2  # a larger PRNU cannot be corrected
 Bits = Annotated[int, msgspec.Meta(ge=1, le=MAX_BITS)]
 Masked = Annotated[int, msgspec.Meta(ge=0, le=MAX_MASKED)]
@@ -50,23 +50,22 @@ ReadNoise = Annotated[float, msgspec.Meta(ge=0, le=MAX_READ_NOISE_E)]
 
 
 class ChannelRecipe(Recipe):
-    """Section [channel.NAME], for a channel with special properties.
+    """Section [channel.NAME], which sets the exposure, gain, read noise, polariser or shared filter of a channel.
 
-    The section is needed only for a channel that has a polariser, an exposure or gain other than 1, its own read noise, or
-    the filter of a different channel.
+    Channels with the default values need no section.
     """
 
     like: str | None = None  # name of a channel with the same filter and therefore the same responsivity
-    # exposure time, as a fraction of the exposure time of the frame, which is the longest of all channels
+    # exposure time, as a fraction of the longest exposure time of all channels, which is the exposure time of the frame
     exposure: Annotated[float, msgspec.Meta(ge=MIN_EXPOSURE, le=1)] = 1.0
     # conversion gain, relative to sensor.gain_dn_per_e, which is the lowest conversion gain of all channels
     gain: Annotated[float, msgspec.Meta(ge=1, le=MAX_GAIN)] = 1.0
     read_noise_e: ReadNoise | None = None  # read noise at the gain of the channel; default: noise.read_noise_e
-    # angle of the transmission axis of the polariser, counter-clockwise from the horizontal axis of the frame. If the angle
-    # is set, the responsivity is for light that is polarised along this axis. Default: no polariser
+    # angle of the polariser's transmission axis, counter-clockwise from the horizontal axis of the frame. If the angle is
+    # set, the responsivity applies to light polarised along this axis. Default: no polariser
     polariser_deg: Annotated[float, msgspec.Meta(ge=0, lt=180)] | None = None
-    # transmission of the polariser along its axis, divided by its transmission across the axis. Either a number, or a CSV
-    # file with the wavelength in nm and this ratio. Default: the polariser is ideal
+    # extinction ratio of the polariser: transmission along its axis divided by transmission across it. Either a number, or a
+    # CSV file with wavelengths in nm and ratios. Default: an ideal polariser
     extinction: Annotated[float, msgspec.Meta(ge=1)] | str | None = None
 
     @property
@@ -76,15 +75,15 @@ class ChannelRecipe(Recipe):
 
 
 def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]) -> Iterator[Fault]:
-    """Yield the faults of the sections [channel.NAME].
+    """Find the faults of the sections [channel.NAME].
 
-    Faults are unknown channels, contradictory settings, and exposures that are all shorter than 1.
+    Unknown channels and contradictory settings are faults. It is also a fault if no channel has the exposure 1.
     """
     for name, one in channel.items():
         if name not in channels:
             yield fault(f'"{name}" is not a channel of cfa.channels; {suggestion(name, channels)}', ("channel", name))
         if one.extinction is not None and one.polariser_deg is None:
-            message = f"channel.{name}.extinction has no effect without a polariser; also set channel.{name}.polariser_deg"
+            message = f"channel.{name}.extinction has no effect without a polariser; set channel.{name}.polariser_deg too"
             yield fault(message, ("channel", name, "extinction"))
         if one.like is None:
             continue
@@ -94,8 +93,8 @@ def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]
             yield fault(message, like)
         elif one.like == name or (one.like in channel and channel[one.like].like is not None):
             message = (
-                f'channel.{name}.like is "{one.like}", which has no curve of its own; write the name of a channel that has '
-                "one"
+                f'channel.{name}.like is "{one.like}", a channel without its own curve; write the name of a channel with '
+                "its own curve"
             )
             yield fault(message, like)
         elif channels.index(one.like) > (channels.index(name) if name in channels else len(channels)):
@@ -107,17 +106,14 @@ def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]
 
 
 def filters_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]) -> list[str]:
-    """Return, for each channel, the name of the channel with the same filter.
-
-    This is the channel named in `like`, or the channel itself if `like` is not set.
-    """
+    """Return the name of the channel that defines each channel's filter: `like`, or by default the channel itself."""
     return [(channel[name].like if name in channel else None) or name for name in channels]
 
 
 def settings_of(readout: Readout | None, channels: Sequence[str]) -> dict[str, ChannelRecipe]:
-    """Return the sections [channel.NAME] that describe a readout, without the read noise.
+    """Return the sections [channel.NAME] that describe a readout, except for its read noise.
 
-    Channels whose filter, exposure and gain are the defaults have no section. If `readout` is None, the result is empty.
+    Channels with default values have no section. If `readout` is None, the result is empty.
     """
     if readout is None:
         return {}
@@ -132,8 +128,8 @@ def settings_of(readout: Readout | None, channels: Sequence[str]) -> dict[str, C
 def settings_from(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], path: Path) -> Readout | None:
     """Check the sections [channel.NAME] of a measurement file, and return the readout that they describe.
 
-    If the file does not state the read noise of a channel, the read noise is 0. The result is None in the same cases as the
-    result of `readout_of`.
+    A channel without `read_noise_e` gets a read noise of 0. The result is None if the channels do not differ in readout
+    (see `readout_of`).
 
     Raises
     ------
@@ -145,10 +141,10 @@ def settings_from(channel: Mapping[str, ChannelRecipe], channels: Sequence[str],
 
 
 def readout_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], read_noise: float) -> Readout | None:
-    """Return the readout that the sections [channel.NAME] of a recipe describe. `channel_faults` must have found no fault.
+    """Return the readout that the sections [channel.NAME] of a valid recipe describe.
 
-    Channels without the key `read_noise_e` have the read noise `read_noise`, in e-. The result is None if the recipe has no
-    section [channel.NAME], or if these sections describe polarisers but no differences in readout.
+    The default read noise of a channel is `read_noise`, in e-. The result is None if the recipe has no such sections, or if
+    they describe polarisers without any difference in readout.
     """
     if not _read_out_differently(channel):
         return None
@@ -162,7 +158,7 @@ def readout_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], re
 
 
 def _read_out_differently(channel: Mapping[str, ChannelRecipe]) -> bool:
-    """Return whether sections [channel.NAME] describe differences between channels, apart from polarisers."""
+    """Return whether the sections [channel.NAME] describe differences between channels other than their polarisers."""
     polarised = any(one.polariser_deg is not None for one in channel.values())
     return bool(channel) and (not polarised or any(one.read_out_differently for one in channel.values()))
 
@@ -175,13 +171,13 @@ def polarisers_of(
     Parameters
     ----------
     channel : mapping of str to ChannelRecipe
-        Sections [channel.NAME] in which `channel_faults` has found no fault.
+        Sections [channel.NAME] that have passed `channel_faults`.
     channels : sequence of str
         Names of all channels.
     wavelength : ndarray, (wavelength,)
         Wavelengths of the camera in nm.
     folder : Path
-        Folder of the recipe. Paths in the recipe are relative to this folder.
+        Folder of the recipe, to which paths in the recipe are relative.
 
     Raises
     ------
@@ -198,10 +194,10 @@ def polarisers_of(
 
 
 def _leakage(one: ChannelRecipe, wavelength: NDArray[np.float64], folder: Path) -> NDArray[np.float64]:
-    """Return the inverse of the extinction ratio of a channel at each wavelength.
+    """Return a channel's leakage, the inverse of its extinction ratio, at each wavelength.
 
-    The leakage of a channel without a polariser is 1. A polariser without the key `extinction` is ideal, and its leakage is
-    0. Raises InputFileError if the file with the extinction ratios contains a ratio below 1.
+    The leakage is 1 without a polariser, and 0 for an ideal polariser, which is the default. Raises InputFileError if the
+    file with extinction ratios contains a ratio below 1.
     """
     if one.polariser_deg is None:
         return np.ones_like(wavelength)
@@ -211,8 +207,8 @@ def _leakage(one: ChannelRecipe, wavelength: NDArray[np.float64], folder: Path) 
     table = read_table(path).counted(1)
     if table.values.min() < 1:
         raise InputFileError(
-            f"{path} contains the extinction ratio {table.values.min():g}, but the smallest possible ratio is 1; write the "
-            "transmission along the axis divided by the transmission across the axis"
+            f"{path} contains the extinction ratio {table.values.min():g}, but the smallest possible ratio is 1; write "
+            "transmission along the axis divided by transmission across the axis"
         )
     return np.asarray(1.0 / np.interp(wavelength, table.wavelength, table.values[0]))
 
@@ -223,8 +219,8 @@ class SensorRecipe(Recipe):
     pixel_pitch_um: Positive
     bits: Bits
     black_level_dn: float
-    gain_dn_per_e: Positive | None = None  # default: the gain that maps a full well to the white level
-    white_level_dn: float | None = None  # default: the raw value of a full well, but at most the largest value of `bits`
+    gain_dn_per_e: Positive | None = None  # default: the gain at which a full well reaches the white level
+    white_level_dn: float | None = None  # default: the raw value of a full well, clipped to the range of the converter
     fixed_pattern_seed: Seed = 0
 
 
@@ -243,23 +239,23 @@ class NoiseRecipe(Recipe):
     dark_current_e_per_s: NotNegative = 0.0
     dsnu_e: NotNegative = 0.0
     prnu: NotNegative = 0.0
-    column_noise_e: NotNegative = 0.0  # fixed offset of each column
-    row_temporal_noise_e: NotNegative = 0.0  # offset of each row that changes from frame to frame
-    column_temporal_noise_e: NotNegative = 0.0  # offset of each column that changes from frame to frame
-    row_noise_e: NotNegative = 0.0  # fixed offset of each row
-    row_prnu: NotNegative = 0.0  # relative deviation of the response that all pixels of a row have in common
-    column_prnu: NotNegative = 0.0  # relative deviation of the response that all pixels of a column have in common
+    column_noise_e: NotNegative = 0.0  # standard deviation of the fixed column offsets
+    row_temporal_noise_e: NotNegative = 0.0  # standard deviation of the row offsets that change from frame to frame
+    column_temporal_noise_e: NotNegative = 0.0  # standard deviation of the column offsets that change from frame to frame
+    row_noise_e: NotNegative = 0.0  # standard deviation of the fixed row offsets
+    row_prnu: NotNegative = 0.0  # relative standard deviation of the response that all pixels of a row share
+    column_prnu: NotNegative = 0.0  # relative standard deviation of the response that all pixels of a column share
 
 
 def noise_of(recipe: NoiseRecipe) -> Noise:
-    """Return the noise that the section [noise] of a recipe declares."""
+    """Convert the section [noise] of a recipe to the noise of a camera model."""
     return Noise(**{name: getattr(recipe, key) for name, key in noise_keys().items()})
 
 
 def noise_entries(noise: Noise) -> dict[str, float]:
-    """Return the keys and values of the recipe section that declares this noise. This is the inverse of `noise_of`.
+    """Convert the noise of a camera model to keys and values of the recipe section [noise]: the inverse of `noise_of`.
 
-    Optional keys whose values are zero are omitted.
+    Optional keys are omitted if they are zero.
     """
     fields = dict(declared(Noise))
     return {
@@ -270,7 +266,7 @@ def noise_entries(noise: Noise) -> dict[str, float]:
 
 
 def noise_keys() -> dict[str, str]:
-    """Return the recipe key for each field of `Noise`: the name of the field, followed by a suffix for its unit."""
+    """Return the recipe key for each field of `Noise`, which is the field's name with a suffix for its unit."""
     return {name: f"{name}{UNIT_SUFFIXES[spec.unit]}" for name, spec in declared(Noise) if isinstance(spec, Spec)}
 
 
@@ -281,15 +277,15 @@ class GainRecipe(Recipe):
     # gains at which the read noise is known, relative to sensor.gain_dn_per_e
     gains: tuple[Annotated[float, msgspec.Meta(ge=1 / MAX_GAIN, le=MAX_GAIN)], ...] = ()
     read_noise_e: tuple[ReadNoise, ...] = ()  # read noise at each gain in `gains`
-    # The part of noise.read_noise_e that arises before the amplifier. The remaining part arises after the amplifier. This
-    # key replaces `gains` and `read_noise_e`.
+    # The part of noise.read_noise_e from before the amplifier; the rest comes from after the amplifier. Use this key instead
+    # of `gains` and `read_noise_e`.
     read_noise_before_e: NotNegative | None = None
 
 
 def gains_of(recipe: GainRecipe | None, read_noise: float) -> AnalogGains | None:
-    """Return the analog gains that the section [gain] describes, or None without this section.
+    """Convert a valid section [gain] to the gains of a camera model. Returns None if the recipe has no such section.
 
-    `gain_faults` must have found no fault in the section. `read_noise` is the read noise at sensor.gain_dn_per_e, in e-.
+    `read_noise` is the read noise at sensor.gain_dn_per_e, in e-.
     """
     if recipe is None:
         return None
@@ -304,17 +300,17 @@ def gains_of(recipe: GainRecipe | None, read_noise: float) -> AnalogGains | None
 
 
 def gain_faults(recipe: GainRecipe, read_noise: float) -> Iterator[Fault]:
-    """Yield the faults of the section [gain]. `read_noise` is the read noise of the camera in e-."""
+    """Find the faults of the section [gain]. `read_noise` is the camera's read noise in e-."""
     if len(recipe.gains) != len(recipe.read_noise_e):
         message = f"gain.gains has {len(recipe.gains)} values, but gain.read_noise_e has {len(recipe.read_noise_e)}"
         yield fault(f"{message}; write one read noise per gain", "gain.read_noise_e", "gain.gains")
     for gain in recipe.gains:
         if gain == 1 or recipe.gains.count(gain) > 1:
-            reason = "1, whose read noise is noise.read_noise_e" if gain == 1 else f"{gain:g} twice"
+            reason = "1, for which noise.read_noise_e already applies" if gain == 1 else f"{gain:g} more than once"
             yield fault(f"gain.gains contains {reason}; remove this value", "gain.gains")
     before = recipe.read_noise_before_e
     if before is not None and recipe.gains:
-        message = "[gain] contains read_noise_before_e and gains; set either read_noise_before_e, or gains and read_noise_e"
+        message = "[gain] sets read_noise_before_e and gains; set either read_noise_before_e, or gains and read_noise_e"
         yield fault(message, "gain.read_noise_before_e", "gain.gains")
     elif before is not None and before > read_noise:
         message = (
@@ -325,7 +321,7 @@ def gain_faults(recipe: GainRecipe, read_noise: float) -> Iterator[Fault]:
 
 
 class MaskedRecipe(Recipe):
-    """Section [masked]: optically black rows and columns that frames contain in addition to sensor.rows and sensor.cols."""
+    """Section [masked]: optically black rows and columns around the sensor.rows × sensor.cols light-sensitive pixels."""
 
     left: Masked = 0  # columns to the left of the light-sensitive pixels
     right: Masked = 0
@@ -334,21 +330,21 @@ class MaskedRecipe(Recipe):
 
 
 def masked_recipe(masked: MaskedPixels | None) -> MaskedRecipe | None:
-    """Return the section [masked] that declares these masked pixels. It is the inverse of `masked_of`."""
+    """Convert the masked pixels of a camera model to a section [masked]: the inverse of `masked_of`."""
     return None if masked is None else MaskedRecipe(*dataclasses.astuple(masked))
 
 
 def masked_of(recipe: MaskedRecipe | None) -> MaskedPixels | None:
-    """Return the masked pixels that the section [masked] declares, or None without this section."""
+    """Convert a section [masked] to the masked pixels of a camera model. Returns None if there is no such section."""
     return None if recipe is None else MaskedPixels(**msgspec.structs.asdict(recipe))
 
 
 def masked_faults(recipe: MaskedRecipe | None, channels: Mapping[str, ChannelRecipe]) -> Iterator[Fault]:
-    """Yield the faults of the section [masked]. `channels` contains the sections [channel.NAME]."""
+    """Find the faults of the section [masked], including conflicts with the sections [channel.NAME] in `channels`."""
     if recipe is None:
         return
     if not any(msgspec.structs.astuple(recipe)):
-        yield fault("[masked] declares no masked pixels; write their number on at least one side", "masked")
+        yield fault("[masked] contains no masked pixels; set left, right, top or bottom, or remove [masked]", "masked")
     if _read_out_differently(channels):
         message = "[masked] cannot be combined with channels that differ in exposure, gain or read noise; remove [masked]"
         yield fault(message, "masked")
@@ -361,7 +357,7 @@ class OpticsRecipe(Recipe):
 
 
 def optics_of(recipe: OpticsRecipe) -> Optics:
-    """Return the optics that the section [optics] of a recipe declares."""
+    """Convert the section [optics] of a recipe to the optics of a camera model."""
     return Optics(
         focal_length=recipe.focal_length_mm * 1e-3,
         f_number=recipe.f_number,
@@ -370,7 +366,7 @@ def optics_of(recipe: OpticsRecipe) -> Optics:
 
 
 def optics_recipe(optics: Optics) -> OpticsRecipe:
-    """Return the section [optics] that declares these optics. This is the inverse of `optics_of`."""
+    """Convert the optics of a camera model to a section [optics]: the inverse of `optics_of`."""
     return OpticsRecipe(
         focal_length_mm=round(optics.focal_length * 1e3, 9),
         f_number=optics.f_number,
@@ -389,32 +385,32 @@ class CameraRecipe(Recipe):
     responsivity: ResponsivityRecipe
     noise: NoiseRecipe
     optics: OpticsRecipe
-    channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # channels that differ in more than the filter
-    gain: GainRecipe | None = None  # other analog gains of the whole sensor
+    channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # exposure, gain or polariser of single channels
+    gain: GainRecipe | None = None  # read noise of the whole sensor at other analog gains
     masked: MaskedRecipe | None = None  # optically black pixels around the light-sensitive pixels
 
 
 class PhaseRecipe(Recipe):
-    """A short camera recipe: the camera of a base recipe, but with a shifted colour filter array."""
+    """A short recipe that copies a base recipe and shifts its colour filter array."""
 
     title: ClassVar[str] = CameraRecipe.title
 
     name: str
     base: str  # path of the base recipe, relative to the folder of this recipe
-    phase: tuple[CountOrNone, CountOrNone]  # row and column of the base's array at which the shifted array begins
+    phase: tuple[CountOrNone, CountOrNone]  # row and column of the base array at which the shifted array begins
 
 
 def load_camera(path: Path) -> CameraModel:
-    """Read a camera model from an artifact (.h5), or compute a camera model from a camera recipe (.toml)."""
+    """Load a camera model from an artifact (.h5), or compute it from a camera recipe (.toml)."""
     if path.suffix == ".toml":
         return camera_from_recipe(*read_recipe(path))
     return load(CameraModel, path)
 
 
 def camera_files(path: Path) -> list[Path]:
-    """Return the files that `load_camera` reads, without duplicates.
+    """List the files that `load_camera` reads, without duplicates.
 
-    For a recipe, these are the recipe, its base, the file with its responsivities, and the files with its extinction ratios.
+    For a recipe, these are the recipe, its base recipe, and the CSV files with responsivities and extinction ratios.
     """
     if path.suffix != ".toml":
         return [path]
@@ -425,9 +421,9 @@ def camera_files(path: Path) -> list[Path]:
 
 
 def curves_in_file(path: Path) -> CurveTable | None:
-    """Return the curves in the file that a camera recipe specifies in the section [responsivity].
+    """Read the responsivity file of a camera recipe.
 
-    The result is None if `path` is not a recipe (.toml), or if its responsivities are Gaussians.
+    Returns None if `path` is not a recipe (.toml), or if the recipe describes its responsivities with Gaussians.
     """
     if path.suffix != ".toml":
         return None
@@ -438,33 +434,33 @@ def curves_in_file(path: Path) -> CurveTable | None:
 
 
 def columns_left_out(path: Path) -> str | None:
-    """Return a note about the columns of a recipe's responsivity file that match no channel.
+    """Return a note about unused columns in the responsivity file of a camera recipe.
 
-    The result is None if all columns match a channel, or if the recipe uses no responsivity file.
+    Returns None if each column matches a channel, or if the recipe has no responsivity file.
     """
     curves = curves_in_file(path)
     return None if curves is None else curves.note
 
 
 def _filters(recipe: CameraRecipe) -> list[str]:
-    """Return the names of the channels that have their own responsivity, without duplicates."""
+    """Return the names of the channels that define a filter, without duplicates."""
     return list(dict.fromkeys(filters_of(recipe.channel, recipe.cfa.channels)))
 
 
 def read_recipe(path: Path) -> tuple[CameraRecipe, Path]:
-    """Read a camera recipe. If the recipe has a base, the result is the base recipe with a shifted array and a new name.
+    """Read a camera recipe. A recipe with a base is expanded to a complete recipe.
 
     Returns
     -------
     recipe : CameraRecipe
-        The complete recipe.
+        The complete recipe. If there is a base, this is the base recipe with the new name and the shifted array.
     path : Path
-        The file that contains the complete recipe: the base, if there is one, and `path` otherwise.
+        The file with the complete recipe: the base if there is one, otherwise `path`.
 
     Raises
     ------
     RecipeError
-        If the recipe or its base has a fault, or if the phase is outside the array of the base.
+        If the recipe or its base has a fault, or if the phase is outside the base array.
     """
     text, name = read_text(path, CameraRecipe.title), str(path)
     if "base" not in parse_toml(text, name):
@@ -476,7 +472,7 @@ def read_recipe(path: Path) -> tuple[CameraRecipe, Path]:
     if row >= period[0] or col >= period[1]:
         raise RecipeError(
             f"{path}: phase is [{row}, {col}], but the array in {whole} has only {period[0]}×{period[1]} sites; write a row "
-            "and a column of this array, counted from 0"
+            "and a column inside this array, counted from 0"
         )
     lines = [line.split() for line in base.cfa.pattern]
     pattern = [" ".join(line[col:] + line[:col]) for line in lines[row:] + lines[:row]]
@@ -485,14 +481,14 @@ def read_recipe(path: Path) -> tuple[CameraRecipe, Path]:
 
 
 def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
-    """Compute the camera model that a recipe describes.
+    """Compute a camera model from a recipe.
 
     Parameters
     ----------
     recipe : CameraRecipe
         A complete recipe.
     path : Path
-        File of the recipe. Paths in the recipe are relative to the folder of this file, and messages contain its name.
+        Path of the recipe file. Paths in the recipe are relative to its folder, and error messages name it.
 
     Raises
     ------
@@ -533,7 +529,7 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
 
 
 def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:
-    """Yield the faults in the numbers and names of a recipe. The content of files is not checked."""
+    """Find the faults of a recipe. The content of the files that it uses is not checked."""
     sensor, noise, optics = recipe.sensor, recipe.noise, recipe.optics
     if recipe.responsivity.peak_efficiency is not None:
         yield from share_faults(recipe.responsivity.peak_efficiency, "responsivity.peak_efficiency", 1.0)
@@ -549,13 +545,13 @@ def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:
 
 
 def prnu_faults(noise: NoiseRecipe, section: str) -> Iterator[Fault]:
-    """Yield a fault for each PRNU that is too large to be corrected. `section` is the section with the keys of `noise`."""
+    """Find PRNUs that are too large to be corrected, in the section `section` of a recipe."""
     for key in ("prnu", "row_prnu", "column_prnu"):
         yield from share_faults(getattr(noise, key), f"{section}.{key}", MAX_PRNU)
 
 
 def _model_faults(recipe: CameraRecipe) -> Iterator[Fault]:
-    """Yield a fault if the size, the bit depth and the levels of the sensor contradict each other."""
+    """Find contradictions between the sensor's size, bit depth and levels."""
     sensor = recipe.sensor
     black, white = sensor.black_level_dn, white_level(recipe)
     try:
@@ -568,8 +564,8 @@ def _model_faults(recipe: CameraRecipe) -> Iterator[Fault]:
 def white_level(recipe: CameraRecipe) -> float:
     """Return the raw value of a saturated pixel in DN.
 
-    If the recipe contains `white_level_dn`, the result is this value. Otherwise it is the raw value of a full well or the
-    largest value of the converter, whichever is lower.
+    This is `white_level_dn` if the recipe contains it. Otherwise it is the raw value of a full well or the largest value of
+    the converter, whichever is lower.
     """
     sensor = recipe.sensor
     if sensor.white_level_dn is not None:
@@ -581,9 +577,9 @@ def white_level(recipe: CameraRecipe) -> float:
 
 
 def gain_of(recipe: CameraRecipe) -> float:
-    """Return the conversion gain of the camera in DN/e-. The recipe must be valid.
+    """Return the conversion gain of the camera that a valid recipe describes, in DN/e-.
 
-    If the recipe does not declare a gain, the result is the gain at which a full well reaches the white level.
+    If the recipe does not contain a gain, this is the gain at which a full well reaches the white level.
     """
     if recipe.sensor.gain_dn_per_e is not None:
         return recipe.sensor.gain_dn_per_e
@@ -591,14 +587,14 @@ def gain_of(recipe: CameraRecipe) -> float:
 
 
 def share_faults(value: float, key: str, most: float) -> Iterator[Fault]:
-    """Yield a fault if a fraction is greater than `most`. If `value` may be a percentage, the message says so."""
+    """Find a fraction that exceeds `most`. If `value` is probably a percentage, the message suggests the fraction."""
     if value > most:
         percent = f"; {value:g} % is {value / 100:g}" if value <= 100 * most else ""
         yield fault(f"{key} is {value:g}; write a fraction of at most {most:g}{percent}", key)
 
 
 def length_faults(pitch_um: float, optics: OpticsRecipe) -> Iterator[Fault]:
-    """Yield a fault for each length that probably has a wrong unit, and for an object within the focal length."""
+    """Find pixel pitches and focal lengths with a probably wrong unit, and an impossible f-number or object distance."""
     least, most = PITCHES_UM
     if not least <= pitch_um <= most:
         meant = next(
@@ -624,9 +620,10 @@ def length_faults(pitch_um: float, optics: OpticsRecipe) -> Iterator[Fault]:
 
 
 def cfa_faults(cfa: CfaRecipe) -> Iterator[Fault]:
-    """Yield the faults of a colour filter array.
+    """Find the faults of a colour filter array.
 
-    Faults are rows of different lengths, too many sites, repeated names, and names in only one of `channels` and `pattern`.
+    The rows must have the same length, the array and the number of channels must not be too large, and the pattern must
+    contain exactly the listed channels, each listed once.
     """
     rows = [row.split() for row in cfa.pattern]
     even = bool(rows and rows[0]) and all(len(row) == len(rows[0]) for row in rows)
@@ -634,7 +631,9 @@ def cfa_faults(cfa: CfaRecipe) -> Iterator[Fault]:
         message = "the rows of cfa.pattern have different lengths; write the same number of channel names in each row"
         yield fault(message, "cfa.pattern")
     elif len(rows) > MAX_CFA or len(rows[0]) > MAX_CFA:
-        message = f"cfa.pattern has {len(rows)}×{len(rows[0])} sites; write an array of at most {MAX_CFA}×{MAX_CFA} sites"
+        message = (
+            f"cfa.pattern has {len(rows)}×{len(rows[0])} sites, but at most {MAX_CFA}×{MAX_CFA} are supported; shorten it"
+        )
         yield fault(message, "cfa.pattern")
     if len(cfa.channels) > MAX_CHANNELS or len(set(cfa.channels)) != len(cfa.channels):
         yield fault(f"cfa.channels must contain at most {MAX_CHANNELS} different names", "cfa.channels")
@@ -645,7 +644,7 @@ def cfa_faults(cfa: CfaRecipe) -> Iterator[Fault]:
 
 
 def parse_cfa(cfa: CfaRecipe, name: str) -> NDArray[np.uint8]:
-    """Return the channel index of each site of a colour filter array, with the shape (cfa_row, cfa_col).
+    """Convert a colour filter array to channel indices, with the shape (cfa_row, cfa_col).
 
     Raises
     ------
@@ -658,7 +657,7 @@ def parse_cfa(cfa: CfaRecipe, name: str) -> NDArray[np.uint8]:
 
 
 def known_arrays() -> dict[str, CfaRecipe]:
-    """Return the colour filter array of each camera recipe that comes with l3. The keys are the names of the recipes.
+    """Return the colour filter arrays of the camera recipes included with l3, by recipe name.
 
     Arrays with polarisers come last, because the mean signals of a frame cannot distinguish polarisers from colour filters.
     """
@@ -669,7 +668,7 @@ def known_arrays() -> dict[str, CfaRecipe]:
 
 
 def recipe_text(path: Path) -> str:
-    """Return the text of a recipe, followed by the text of its base if the recipe has a base.
+    """Return the text of a recipe, followed by the text of its base if there is one.
 
     Artifacts store this text in their history. If `path` is not a recipe (.toml), the text is empty.
     """
@@ -679,7 +678,7 @@ def recipe_text(path: Path) -> str:
 
 
 def camera_recipe_faults(recipe: CameraRecipe | PhaseRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield all faults of a camera recipe and of the files with its responsivities and extinction ratios."""
+    """Find all faults of a camera recipe and of its CSV files with responsivities and extinction ratios."""
     if source.path.suffix != ".toml":
         message = f'the name of a camera recipe must end in ".toml"; rename {source.path.name} to NAME.toml'
         yield fault(message, "name")

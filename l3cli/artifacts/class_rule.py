@@ -1,4 +1,4 @@
-"""The class rule of the first layer, as tables store it, and the conversion between feature values and class indices.
+"""The first layer's class rule, as stored in tables, and the conversion between feature values and class indices.
 
 docs/method.md#classes defines the classes. Each module in l3cli/classes computes one feature and explains its values.
 """
@@ -13,21 +13,18 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.schema import check, data, group
 
-MAX_COMBINATIONS = 4096  # largest number of combinations of values of the additional features
-MAX_WINDOW_TAPS = 4096  # largest total number of taps in all windows; sums of 12-bit values are then exact in float32
+MAX_COMBINATIONS = 4096  # combinations of additional feature values
+MAX_WINDOW_TAPS = 4096  # taps in all windows together; sums of 12-bit values are then exact in float32
 CLASS_BITS = 12  # classes depend only on the upper 12 bits of a value, so that sums are exact in 32 bits
-CHROMA_SCALE = 1 << 10  # integer that represents a chroma weight of 1; sums over 16 channels then fit into 32 bits
+CHROMA_SCALE = 1 << 10  # represents a chroma weight of 1, small enough for sums over 16 channels to fit into 32 bits
 MAX_CHROMAS = 64
 MAX_PATCH = 15
 
 
 class Window(NamedTuple):
-    """A rectangle in a patch.
+    """A rectangle in a patch. Its pixels are added to, or subtracted from, a sum from which a feature is computed."""
 
-    Its values are added to, or subtracted from, one of the sums from which a feature is computed.
-    """
-
-    sum: int  # index of the sum to which the rectangle contributes
+    sum: int  # index of the sum
     top: int
     left: int
     rows: int
@@ -39,21 +36,21 @@ class Feature(NamedTuple):
     """The stored definition of an additional feature, such as the direction."""
 
     name: str  # key in the class recipe, and name of the module that computes the feature
-    size: int  # number of values that the feature can have
-    windows: tuple[Window, ...]  # windows of all sums; the sums are numbered from 0
+    size: int  # number of possible values
+    windows: tuple[Window, ...]  # windows of all sums, which are numbered from 0
     constants: NDArray[np.int32]  # constants in the formula of the feature
 
     @property
     def sums(self) -> int:
-        """Number of sums from which the feature is computed. It is 0 if the feature has no windows."""
+        """Number of window sums from which the feature is computed, or 0 if it has no windows."""
         return 1 + max((window.sum for window in self.windows), default=-1)
 
 
 @dataclass(frozen=True)
 class StoredFeatures:
-    """All additional features of a class rule, as arrays that can be stored.
+    """The additional features of a class rule, converted to arrays for storage.
 
-    The order of the features determines the index of a combination of their values.
+    The index that encodes the values of all features depends on the order of the features.
     """
 
     names: tuple[str, ...] = data("str", "feature", doc="names of the features, as in the recipe")
@@ -72,7 +69,7 @@ class StoredFeatures:
 
     @classmethod
     def of(cls, features: tuple[Feature, ...]) -> "StoredFeatures":
-        """Convert `Feature` objects to arrays. At least one feature is required."""
+        """Convert one or more features to arrays."""
         windows = np.array([window for feature in features for window in feature.windows], np.int64)
         return cls(
             tuple(feature.name for feature in features),
@@ -85,7 +82,7 @@ class StoredFeatures:
 
     @cached_property
     def unpacked(self) -> tuple[Feature, ...]:
-        """The features, converted from the stored arrays to `Feature` objects."""
+        """The features, converted back from arrays."""
         rows = [Window(*row) for row in self.windows.tolist()]
         window_end, constant_end = np.cumsum(self.window_counts), np.cumsum(self.constant_counts)
         return tuple(
@@ -99,9 +96,9 @@ class StoredFeatures:
         )
 
     def check(self, patch: int) -> None:
-        """Raise ValueError unless the arrays describe features of patches with `patch` × `patch` pixels."""
+        """Raise ValueError unless the arrays describe valid features of `patch` × `patch` pixels."""
         if not self.names or len(set(self.names)) != len(self.names):
-            raise ValueError("names must contain at least one feature, and each feature only once")
+            raise ValueError("names must contain at least one feature and must not contain a feature twice")
         if (self.sizes < 1).any() or math.prod(self.sizes.tolist()) > MAX_COMBINATIONS:
             raise ValueError(f"sizes must be positive, and their product must be at most {MAX_COMBINATIONS}")
         counts = ((self.window_counts, len(self.windows)), (self.constant_counts, len(self.constants)))
@@ -115,16 +112,16 @@ class StoredFeatures:
         if not inside.all():
             raise ValueError("windows must be within the patch, and their sign must be 1 or −1")
         if (rows * columns).sum() > MAX_WINDOW_TAPS:
-            raise ValueError(f"windows contain more than {MAX_WINDOW_TAPS} taps")
+            raise ValueError(f"windows contains {(rows * columns).sum()} taps, but at most {MAX_WINDOW_TAPS} are supported")
 
 
 class ClassPlace(NamedTuple):
-    """The feature values of a class, as integers. For several classes, each value is an integer array of the same shape."""
+    """The feature values of a class, as integers. For several classes, the values are integer arrays of equal shape."""
 
     site: Any  # CFA row · (number of CFA columns) + CFA column
     level: Any
     contrast: Any
-    combination: Any  # index of a combination of the values of all additional features; 0 without additional features
+    combination: Any  # index that encodes the values of all additional features; 0 without additional features
     kind: Any  # index of the chroma if no channel is saturated, otherwise (number of chromas) − 1 + saturation case
 
 
@@ -136,9 +133,9 @@ class ClassRule:
 
         (((site · levels + level) · contrasts + contrast) · combinations + combination) · kinds + kind
 
-    with site = row · CFA columns + column. If no pixel near the centre is saturated, the kind is the chroma. Otherwise the
-    kind is chromas − 1 + saturation case. A class recipe can define additional features, such as the direction. The
-    combination is an index that encodes the values of all additional features. Without additional features, it is 0.
+    with site = row · (number of CFA columns) + column. If no pixel near the centre is saturated, the kind is the index of
+    the chroma. Otherwise the kind is chromas − 1 + saturation case. The combination is an index that encodes the values of
+    the additional features in the class recipe, such as the direction. Without additional features, it is 0.
     """
 
     patch: int = data("int64", unit="pixel", doc="side of the square patch around a pixel; always odd")
@@ -196,26 +193,31 @@ class ClassRule:
         if self.patch % 2 == 0 or not 1 <= self.patch <= MAX_PATCH:
             raise ValueError(f"patch is {self.patch}, but must be an odd number from 1 to {MAX_PATCH}")
         if (np.diff(self.level_edges.astype(np.int64)) <= 0).any():
-            raise ValueError(
-                "level_edges do not increase, because there are more levels than distinct values; use fewer levels"
-            )
+            raise ValueError("level_edges must increase, but there are more levels than distinct values; use fewer levels")
         if not 0 <= self.saturation_radius <= self.patch // 2 or self.saturation < 0:
             raise ValueError(
-                "saturation must not be negative, and saturation_radius must not exceed the radius of the patch"
+                f"saturation is {self.saturation} and saturation_radius is {self.saturation_radius}; saturation must not be "
+                f"negative, and saturation_radius must be between 0 and the patch radius, {self.patch // 2}"
             )
         if self.contrast_edges.shape[1] != self.levels:
             raise ValueError(
                 f"contrast_edges has {self.contrast_edges.shape[1]} levels, but level_edges defines {self.levels} levels"
             )
         if not 0 <= self.spared_cases < max(self.cases, 1):
-            raise ValueError(f"spared_cases is {self.spared_cases}, but there are only {self.cases - 1} saturation cases")
+            raise ValueError(
+                f"spared_cases is {self.spared_cases}, but must be between 0 and {self.cases - 1}, the number of saturation "
+                "cases in which a channel clips"
+            )
         if self.features:
             self.features.check(self.patch)
 
     def check_fits(self, channels: int, bits: int) -> None:
-        """Raise ValueError unless the rule fits a camera with this number of channels and this bit depth."""
+        """Raise ValueError unless the rule fits a camera with `channels` channels and `bits`-bit raw values."""
         if not 0 <= self.shift <= bits <= self.shift + CLASS_BITS:
-            raise ValueError(f"shift is {self.shift}, but must reduce {bits}-bit raw values to at most {CLASS_BITS} bits")
+            raise ValueError(
+                f"shift is {self.shift}, but must be between {max(bits - CLASS_BITS, 0)} and {bits}, because classes use "
+                f"{CLASS_BITS} of the {bits} bits"
+            )
         if self.channels != channels:
             raise ValueError(f"chroma_weights has {self.channels} channels, but the camera has {channels}")
         if len(self.case_of_code) != 2**channels:
@@ -239,12 +241,12 @@ class ClassRule:
 
     @cached_property
     def cases(self) -> int:
-        """Number of saturation cases, including the case in which no channel clips."""
+        """Number of saturation cases, including case 0, in which no channel clips."""
         return int(self.case_of_code.max()) + 1
 
     @property
     def lost_cases(self) -> int:
-        """Number of saturation cases in which all channels of at least one filter clip, plus 1 for all other cases."""
+        """Number of saturation cases in which every channel of some filter clips, plus 1 for all the other cases."""
         return self.cases - self.spared_cases
 
     @property
@@ -263,7 +265,7 @@ class ClassRule:
 
     @cached_property
     def windows(self) -> tuple[Window, ...]:
-        """The windows of all additional features. The sums are numbered consecutively over all features."""
+        """The windows of all additional features, with sums that are numbered consecutively across features."""
         numbered: list[Window] = []
         first = 0
         for feature in self.feature_list:
@@ -273,12 +275,12 @@ class ClassRule:
 
     @property
     def window_sums(self) -> int:
-        """Number of sums from which all additional features are computed."""
+        """Number of window sums that all additional features need."""
         return sum(feature.sums for feature in self.feature_list)
 
     @property
     def combinations(self) -> int:
-        """Number of combinations of the values of all additional features. It is 1 without additional features."""
+        """Number of possible combinations of additional feature values, or 1 without additional features."""
         return math.prod(feature.size for feature in self.feature_list)
 
     @property
@@ -292,7 +294,7 @@ class ClassRule:
         return math.prod(self.shape)
 
     def join(self, level: Any, contrast: Any, kind: Any, site: Any = 0, combination: Any = 0) -> Any:
-        """Return the class index for the given feature values, which are integers or integer arrays.
+        """Combine feature values to a class index. The values can be integers or integer arrays.
 
         Without `site`, the result is the class index within a site.
         """
@@ -300,7 +302,7 @@ class ClassRule:
         return (stem * self.combinations + combination) * self.kinds + kind
 
     def split(self, index: Any) -> ClassPlace:
-        """Return the feature values of the class with the given index, which is an integer or an array."""
+        """Split class indices into feature values: the inverse of `join`."""
         rest, kind = divmod(index, self.kinds)
         rest, combination = divmod(rest, self.combinations)
         rest, contrast = divmod(rest, self.contrasts)
@@ -308,17 +310,14 @@ class ClassRule:
         return ClassPlace(site, level, contrast, combination, kind)
 
     def join_features(self, values: Any) -> Any:
-        """Return the index of a combination of feature values.
-
-        `values` contains one value per additional feature, in order.
-        """
+        """Encode the values of the additional features, in order, as a single index."""
         combined: Any = 0
         for feature, value in zip(self.feature_list, values, strict=True):
             combined = combined * feature.size + value
         return combined
 
     def split_features(self, combined: Any) -> tuple[Any, ...]:
-        """Return the value of each additional feature, in order. `combined` is the index of their combination."""
+        """Decode the index of a combination to the values of the additional features: the inverse of `join_features`."""
         values = []
         for feature in reversed(self.feature_list):
             combined, value = divmod(combined, feature.size)
@@ -334,38 +333,32 @@ class ClassRule:
         return index % self.classes_per_site
 
     def of_site(self, site: int) -> slice:
-        """Return the range of the class indices that belong to a site."""
+        """Return the range of a site's class indices."""
         return slice(site * self.classes_per_site, (site + 1) * self.classes_per_site)
 
     def by_feature(self, values: NDArray[Any]) -> NDArray[Any]:
         """Reshape an array from (class, …) to (site, level, contrast, combination, kind, …).
 
-        `values` contains either the classes of a single site or the classes of all sites.
+        The array can contain the classes of one site or of all sites.
         """
         return values.reshape(len(values) // self.classes_per_site, *self.shape, *values.shape[1:])
 
     def kind(self, chroma: Any, case: Any) -> Any:
-        """Return the kind of each pixel from its chroma and its saturation case.
-
-        The chroma matters only if the case is 0.
-        """
+        """Combine chroma and saturation case to the kind. The chroma is ignored unless the saturation case is 0."""
         return np.where(np.greater(case, 0), self.chromas - 1 + case, chroma)
 
     def case(self, kind: Any) -> Any:
-        """Return the saturation case of each kind. The case is 0 if the kind is a chroma."""
-        return np.maximum(kind, self.chromas - 1) - (self.chromas - 1)  # no negative values, because kinds may be unsigned
+        """Return the saturation case of each kind, which is 0 if the kind is a chroma."""
+        return np.maximum(kind, self.chromas - 1) - (self.chromas - 1)  # kinds may be unsigned: avoid negative differences
 
     def lost(self, kind: Any) -> Any:
-        """Return the saturation case of each kind, minus `spared_cases` but at least 0.
-
-        The result is 0 if every filter has a channel that does not clip.
-        """
+        """Number the saturation cases in which every channel of some filter clips from 1. All other cases are 0."""
         return np.maximum(self.case(kind) - self.spared_cases, 0)
 
     def kinds_of(self, case: int) -> slice | int:
-        """Return the kinds of a saturation case: all chromas for case 0, otherwise a single kind."""
+        """Return the kinds with a given saturation case: all chromas for case 0, otherwise a single kind."""
         return self.chromas - 1 + case if case else slice(0, self.chromas)
 
     def join_cases(self, level: Any, contrast: Any, case: Any) -> Any:
-        """Return class indices within a site for coarse classes, which distinguish saturation cases but not chromas."""
+        """Combine feature values to the index of a coarse class, which ignores chromas and additional features."""
         return (level * self.contrasts + contrast) * self.cases + case

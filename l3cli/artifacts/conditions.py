@@ -1,7 +1,7 @@
 """Conditions of a transform table: additional transforms for single illuminants and for noise sets.
 
-See docs/method.md#several-illuminants and docs/method.md#noise-sets. All conditions use the same class rules, except for
-class edges that depend on the noise.
+See docs/method.md#several-illuminants and docs/method.md#noise-sets. All conditions share the table's class rules, apart
+from class edges that depend on the noise.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from l3cli.artifacts.training_set import LightSpectrum
 
 @dataclass(frozen=True)
 class SceneLight:
-    """An illuminant for which a table has transforms."""
+    """An illuminant with its own transforms in a table."""
 
     name: str = data("str", doc="name of the illuminant")
     white_point: NDArray[np.float64] = data(
@@ -29,13 +29,12 @@ class SceneLight:
 
     def __post_init__(self) -> None:
         if not self.white_point[:3].min() > 0:
-            raise ValueError(f"white_point of {self.name} must be positive")
+            raise ValueError(f"the white_point of {self.name} contains {self.white_point[:3].min():g}, but must be positive")
 
 
 @dataclass(frozen=True)
 class NoiseEdges:
-    """The values of the class rules that depend on the noise: class edges, gradient scales, and the noise model of
-    coarse chroma."""
+    """Class rule values that depend on the noise: class edges, gradient scales and the coarse chroma's noise model."""
 
     contrast_edges: NDArray[np.uint32] = data(
         "uint32", "contrast_edge", "level", doc="contrast edges for this noise, as in first/rule"
@@ -46,7 +45,7 @@ class NoiseEdges:
         doc="constants of the features for this noise, as in first/rule/features; empty without features",
     )
     gradients: tuple[GradientScale, ...] = group(default=())  # one scale per refinement layer
-    coarse_chroma: CoarseChroma | None = group(default=None)  # noise model of the last layer; None: as in the table
+    coarse_chroma: CoarseChroma | None = group(default=None)  # in the last layer; None: as in the table
 
     @classmethod
     def of(cls, first: MosaicLayer, later: Sequence[PlaneLayer]) -> "NoiseEdges":
@@ -82,12 +81,12 @@ class PlaneTransforms:
     samples: NDArray[np.float64] = data(
         "float64", "plane_class", doc="number of training patches; 0: the class uses the transform of a similar class"
     )
-    clipping: Clipping | None = group(default=None)  # response of clipped areas for this condition, as in PlaneLayer
+    clipping: Clipping | None = group(default=None)  # response of clipped areas, as in PlaneLayer
 
 
 @dataclass(frozen=True)
 class Condition:
-    """Transforms of all layers for one condition: for one illuminant, for a noise set, or for both."""
+    """Transforms of all layers for one illuminant, one noise set, or a combination of both."""
 
     first: MosaicTransforms = group()
     later: tuple[PlaneTransforms, ...] = group(default=())
@@ -98,13 +97,15 @@ class Condition:
     def __post_init__(self) -> None:
         check(self)
         if (self.noise is None) != (self.edges is None) or not (self.light or self.noise):
-            raise ValueError("a condition must have an illuminant, or a noise scale with class edges")
+            raise ValueError(
+                "a condition must have an illuminant (light), or a noise scale with class edges (noise and edges)"
+            )
 
     @classmethod
     def of(
         cls, first: MosaicLayer, later: Sequence[PlaneLayer], light: SceneLight | None, noise: NoiseScale | None
     ) -> "Condition":
-        """Return a condition with the transforms of the given layers, which were trained for this condition.
+        """Create a condition from layers that were trained for it.
 
         Parameters
         ----------
@@ -115,8 +116,8 @@ class Condition:
         light : SceneLight or None
             The illuminant, or None for all illuminants of the training set.
         noise : NoiseScale or None
-            The noise of a noise set, or None for the noise of the camera. For a noise set, the condition also contains the
-            noise-dependent class edges of the layers.
+            The noise of a noise set, or None for the camera's noise. With a noise set, the noise-dependent class edges of
+            the layers become part of the condition.
         """
         return cls(
             MosaicTransforms(first.weights, first.intercept, first.samples),
@@ -127,20 +128,23 @@ class Condition:
         )
 
     def check_fits(self, place: str, later: Sequence[PlaneLayer], levels: int) -> None:
-        """Raise ValueError unless the condition fits a table with these refinement layers and this number of levels.
+        """Raise ValueError unless the condition fits a table with the refinement layers `later` and `levels` levels.
 
-        `place` is the path of the condition in the file, for the error message.
+        The error message begins with `place`, the path of the condition in the file.
         """
         if len(self.later) != len(later) or (self.edges and len(self.edges.gradients) != len(later)):
             raise ValueError(f"{place} has {1 + len(self.later)} layers, but the table has {1 + len(later)}")
         for number, (ours, layer) in enumerate(zip(self.later, later, strict=True)):
             if ours.weights.shape != layer.weights.shape:
-                raise ValueError(f"the transforms of {place}/later/{number} and later/{number} have different shapes")
+                raise ValueError(
+                    f"the weights in {place}/later/{number} have the shape {ours.weights.shape}, but the weights in "
+                    f"later/{number} have {layer.weights.shape}"
+                )
         if self.edges and any(len(scale.gradient_factor) != levels for scale in self.edges.gradients):
-            raise ValueError(f"{place}/edges must have {levels} levels, as the table")
+            raise ValueError(f"{place}/edges must have as many levels as the table, {levels}")
 
     def pictured(self, taken: list[int]) -> "Condition":
-        """Return the condition with only the outputs of the first layer whose indices are in `taken`.
+        """Return the condition with only those first-layer outputs that `taken` lists by index.
 
         Refinement layers stay unchanged.
         """

@@ -1,12 +1,11 @@
 """Self-contained HDF5 files with a checksum.
 
-The first 512 bytes of such a file are the user block of HDF5. The user block contains the SHA-256 of all bytes that follow.
-l3 compares a file with this digest before HDF5 opens the file, because the HDF5 library may crash on damaged metadata, and
-the checksums of HDF5 protect only the values of datasets.
+The first 512 bytes of such a file are the HDF5 user block, which contains the SHA-256 digest of all bytes that follow. l3
+verifies the digest before it opens the file with the HDF5 library, because the library may crash on damaged metadata. HDF5's
+own checksums protect only dataset values.
 
-With links, external storage, virtual datasets or unknown filters, an HDF5 file can make the library read different files or
-load plug-ins. l3 rejects files with such features. l3 also rejects a dataset whose declared size is larger than its stored
-bytes allow.
+Links, external storage, virtual datasets and unknown filters can make the HDF5 library read other files or load plug-ins, so
+l3 rejects files with these features. l3 also rejects a dataset if its declared size is larger than its stored bytes allow.
 """
 
 import contextlib
@@ -32,16 +31,15 @@ BLOCK = 512  # size in bytes of the user block, which precedes the signature
 TITLE = b"l3 artifact, SHA-256 of the bytes after the first 512: "
 KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 MAX_COMPRESSION = 1100  # deflate cannot compress data by more than 1032 : 1
-SMALL_BYTES = 4096  # the declared size of a dataset may exceed the limit from MAX_COMPRESSION by this number of bytes
+SMALL_BYTES = 4096  # a dataset's declared size may exceed the MAX_COMPRESSION limit by this much
 ENCODING = "utf-8"
 
 
 class _Sink(io.RawIOBase):
-    """The file object to which HDF5 writes.
+    """File object to which HDF5 writes. It keeps exceptions away from HDF5.
 
-    HDF5 crashes if a write fails. This class therefore stores the error, and its caller raises the error after HDF5 has
-    closed the file. Signals are delayed, because HDF5 would crash on an exception in a method of this class, or would ignore
-    the exception and lose data.
+    An exception in one of these methods would crash HDF5, or HDF5 would ignore it and lose data. Write errors are therefore
+    stored in `error`, which the caller raises after HDF5 has closed the file, and signals are delayed.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -91,10 +89,10 @@ class _Sink(io.RawIOBase):
 
 @contextlib.contextmanager
 def new_file(path: Path) -> Iterator[h5py.File]:
-    """Context manager that returns a new HDF5 file for writing.
+    """Create an HDF5 file in a `with` block.
 
-    If the `with` block ends without an error, the digest is written, and the file is renamed to `path`. Otherwise no file
-    remains.
+    The file is written under a temporary name. If the block ends without an error, l3 adds the digest and renames the file
+    to `path`. Otherwise no file remains.
     """
     with atomic_output(path) as temporary, open(temporary, "r+b", buffering=0) as raw:
         sink = _Sink(raw.fileno())
@@ -106,20 +104,20 @@ def new_file(path: Path) -> Iterator[h5py.File]:
 
 
 def seal(path: Path) -> None:
-    """Compute the digest of an HDF5 file, and write the digest to the user block of the file."""
+    """Compute the digest of an HDF5 file and write it to the file's user block."""
     with open(path, "r+b", buffering=0) as raw:
         os.pwrite(raw.fileno(), _block(raw), 0)
 
 
 def check(path: Path, made_by: str) -> None:
-    """Check that the bytes of a file match the digest in its user block.
+    """Verify a file against the digest in its user block.
 
     Parameters
     ----------
     path : Path
         The file.
     made_by : str
-        The command that writes such files, for messages.
+        Command that writes such files, for error messages.
 
     Raises
     ------
@@ -145,25 +143,22 @@ def check(path: Path, made_by: str) -> None:
 
 
 def open_file(path: Path) -> h5py.File:
-    """Open an HDF5 file for reading. Raises OSError if HDF5 cannot open the file.
+    """Open an HDF5 file for reading, without a lock. Raises OSError if HDF5 cannot open the file.
 
-    The file is not locked. Some network file systems do not support locks, and l3 never changes a finished file.
+    A lock is unnecessary, because l3 never changes a finished file, and some network file systems do not support locks.
     """
     return h5py.File(path, "r", locking=False)
 
 
 def open_content(content: bytes) -> h5py.File:
-    """Open an HDF5 file whose bytes are in memory, for reading.
-
-    Raises ValueError if the bytes do not match the digest in the user block.
-    """
+    """Open the bytes of an HDF5 file for reading. Raises ValueError if they do not match the digest in the user block."""
     if content[:BLOCK] != _user_block(hashlib.sha256(memoryview(content)[BLOCK:]).hexdigest()):
         raise ValueError("the contents do not match the digest in the user block")
     return h5py.File(io.BytesIO(content), "r")
 
 
 def _block(raw: io.BufferedReader | io.FileIO) -> bytes:
-    """Return the user block of a file, computed from all bytes after the user block."""
+    """Compute the user block from all bytes that follow it."""
     raw.seek(BLOCK)
     return _user_block(hashlib.file_digest(raw, "sha256").hexdigest())
 
@@ -173,9 +168,9 @@ def _user_block(digest: str) -> bytes:
 
 
 def encoded(text: Any) -> NDArray[np.bytes_]:
-    """Convert a text or an array of texts to fixed-length UTF-8 for HDF5. Invalid characters are replaced by "?".
+    """Convert a string or an array of strings to fixed-length UTF-8 for HDF5. Invalid characters are replaced by "?".
 
-    In arrays, each text has at least two bytes, because netCDF tools would join an array of single bytes into one text.
+    Array elements have at least two bytes, because netCDF tools would join an array of single bytes into one string.
     """
     array = np.char.encode(np.asarray(text, dtype=str), ENCODING, "replace")  # file names may contain invalid characters
     length = max(array.dtype.itemsize, 2 if array.ndim else 1)
@@ -183,7 +178,7 @@ def encoded(text: Any) -> NDArray[np.bytes_]:
 
 
 def datasets(root: h5py.Group) -> Iterator[tuple[str, h5py.Dataset]]:
-    """Yield the path and the object of every dataset below `root`. Soft links and external links are not followed."""
+    """Iterate over all datasets below `root`, each with its path. Soft links and external links are not followed."""
     yield from _below(root, "", {root})
 
 
@@ -200,32 +195,32 @@ def _below(group: h5py.Group, prefix: str, seen: set[h5py.Group]) -> Iterator[tu
 
 
 def is_scale(dataset: h5py.Dataset) -> bool:
-    """Return whether a dataset is only a dimension scale of HDF5 and not a field of an artifact."""
+    """Return whether a dataset is only an HDF5 dimension scale instead of an artifact's data."""
     return "CLASS" in dataset.attrs and "axes" not in dataset.attrs
 
 
 class Stored(NamedTuple):
-    """Type, size and filters of a dataset in a file."""
+    """Path, type, size and filters of a dataset in a file."""
 
     where: str  # path of the dataset in the file
     shape: tuple[int, ...]
     dtype: np.dtype
-    size: int  # number of bytes in the file, after compression
-    created: h5py.h5p.PropDCID  # properties with which the dataset was created
+    size: int  # bytes in the file, after compression
+    created: h5py.h5p.PropDCID  # creation properties, such as layout and filters
 
     @property
     def filters(self) -> set[int]:
-        """HDF5 identifiers of the filters that were applied to the data."""
+        """HDF5 identifiers of the filters that encode the data, such as compression."""
         return {self.created.get_filter(index)[0] for index in range(self.created.get_nfilters())}
 
 
 def require_within_file(path: Path, dataset: h5py.h5d.DatasetID) -> Stored:
-    """Check that the data of a dataset are stored in the file itself, and return their type and size.
+    """Check that a dataset is stored in the file itself, and return its type and size.
 
     Raises
     ------
     InputFileError
-        If the data are in a different file, or if the declared size is larger than the stored bytes allow.
+        If the data are in a different file, or if the dataset declares more values than its stored bytes can contain.
     """
     where, created = (h5py.h5i.get_name(dataset) or b"").decode().lstrip("/"), dataset.get_create_plist()
     if created.get_layout() == h5py.h5d.VIRTUAL or created.get_external_count():
@@ -240,7 +235,7 @@ def require_within_file(path: Path, dataset: h5py.h5d.DatasetID) -> Stored:
 
 
 def require_readable(path: Path, dataset: h5py.h5d.DatasetID) -> Stored:
-    """Check that a whole dataset can be read into memory, and return its type and size.
+    """Check that a dataset is small enough to be read into memory, and return its type and size.
 
     Raises
     ------

@@ -1,7 +1,4 @@
-"""Results of the calibration, and how well the camera model fits the measurements.
-
-The results are stored in the group `fit` of a camera model.
-"""
+"""Calibration results, including the residuals of the fits. Camera models store them in the group `fit`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -11,8 +8,8 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.schema import data, group
 
-# Messages list the most probable illuminants until their probabilities sum to GUESSED_PROBABILITY, but not more than
-# MAX_GUESSES illuminants.
+# Messages list the most probable illuminants, until their probabilities add up to GUESSED_PROBABILITY or MAX_GUESSES
+# illuminants are listed.
 GUESSED_PROBABILITY, MAX_GUESSES = 0.9, 4
 
 
@@ -60,7 +57,7 @@ class Nonuniformity:
 
 @dataclass(frozen=True)
 class NoiseFit:
-    """Noise parameters of each channel, from dark and white frames, as defined in EMVA 1288."""
+    """Noise parameters of each channel as defined in EMVA 1288, measured in dark and white frames."""
 
     conversion_gain: NDArray[np.float64] = data("float64", "channel", unit="DN/e-", doc="overall system gain K")
     conversion_gain_error: NDArray[np.float64] = data(
@@ -218,10 +215,7 @@ class SweepFit:
 
 @dataclass(frozen=True)
 class ChartFit:
-    """Fit of the chart captures (Eq. 2 in docs/method.md#gain-and-offset).
-
-    The fit contains the measured and the predicted values of all patches.
-    """
+    """Fit of the chart captures (Eq. 2 in docs/method.md#gain-and-offset), with measured and predicted patch values."""
 
     alpha: NDArray[np.float64] = data(
         "float64", "channel", unit="DN/photon", doc="slope of Eq. 2: response at the peak of the channel's responsivity"
@@ -243,7 +237,7 @@ class ChartFit:
 
 @dataclass(frozen=True)
 class DriftFit:
-    """Drift of the lamps, estimated from the charts. l3 stores this estimate only if it exceeds the declared drift."""
+    """Lamp drift, estimated from the charts. It is stored only if it exceeds the declared drift."""
 
     deviation: float = data("float64", doc="estimated relative standard deviation of the lamps from their measured spectra")
     declared: float = data("float64", doc="relative standard deviation that the measurement file states")
@@ -251,9 +245,9 @@ class DriftFit:
 
 @dataclass(frozen=True)
 class SeriesFit:
-    """Fit of captures of a chart through narrow-band filters.
+    """Fit of chart captures through narrow-band filters.
 
-    The value of each patch is predicted from the other exposures with the same filter.
+    Each patch value is predicted from the patch's values in the other exposures with the same filter.
     """
 
     lights: tuple[str, ...] = data("str", "band", doc="name of each band")
@@ -292,22 +286,21 @@ class SeriesFit:
 
 @dataclass(frozen=True)
 class LightGuess:
-    """Probability of each common illuminant for each photo, assuming that the photo was taken under one of these
-    illuminants."""
+    """Probability that each photo was taken under each common illuminant, assuming that it was one of them."""
 
     names: tuple[str, ...] = data("str", "usual_light", doc="names of the common illuminants")
     probability: NDArray[np.float64] = data("float64", "photo", "usual_light", doc="probability of each common illuminant")
 
     def of(self, photo: int) -> dict[str, float]:
-        """Return the probability of each common illuminant for the photo with index `photo`. The most probable is first."""
+        """Return the probability of each common illuminant for photo number `photo`, in descending order."""
         found = zip(self.names, map(float, self.probability[photo]), strict=True)
         return dict(sorted(found, key=lambda each: each[1], reverse=True))
 
 
 def guessed_light(probable: Mapping[str, float]) -> str:
-    """Return a text with the most probable illuminants and their probabilities in percent.
+    """Describe the most probable illuminants in one line, with their probabilities in percent.
 
-    `probable` contains the probability of each illuminant, beginning with the most probable illuminant.
+    `probable` contains the probabilities of all illuminants, in descending order.
     """
     parts, total = [], 0.0
     for name, probability in probable.items():
@@ -320,7 +313,7 @@ def guessed_light(probable: Mapping[str, float]) -> str:
 
 @dataclass(frozen=True)
 class PhotoWindow:
-    """The area of the sensor that each photo covers. l3 stores the areas only if a photo does not cover the whole sensor."""
+    """The sensor area that each photo covers. It is stored only if a photo does not cover the whole sensor."""
 
     first_site: NDArray[np.int64] = data(
         "int64", "photo", "coordinate", doc="row and column of the CFA site of the first pixel"
@@ -328,14 +321,14 @@ class PhotoWindow:
     size: NDArray[np.int64] = data("int64", "photo", "coordinate", unit="pixel", doc="rows, columns of each photo")
 
     def of(self, photo: int) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Return the CFA row and CFA column of a photo's first pixel, and the rows and columns of the photo."""
+        """Return the CFA site (row, column) of a photo's first pixel and the size (rows, columns) of the photo."""
         (row, col), (rows, cols) = self.first_site[photo].tolist(), self.size[photo].tolist()
         return (row, col), (rows, cols)
 
 
 @dataclass(frozen=True)
 class PhotoFit:
-    """Fit of charts with known reflectances in photos."""
+    """Fit of the camera model to photos of charts with known reflectances."""
 
     names: tuple[str, ...] = data("str", "photo", doc="name of each photo")
     lights: tuple[str, ...] = data("str", "photo", doc="illuminant of each photo, as stated or guessed")
@@ -392,10 +385,7 @@ class PhotoFit:
 
     @property
     def misfit(self) -> NDArray[np.float64]:
-        """RMS error of the predicted values, relative to the brightest patch, with the shape (photo, channel).
-
-        Only patches that were used are included.
-        """
+        """RMS error of the predicted values over all used patches, relative to the brightest patch: (photo, channel)."""
         left = np.where(self.used, self.measured - self.predicted, 0.0)
         count = np.maximum(self.used.sum(axis=1), 1)
         return np.asarray(np.sqrt((left**2).sum(axis=1) / count) / np.where(self.used, self.measured, 0.0).max(axis=1))
@@ -431,7 +421,7 @@ class PolariserFit:
 
 @dataclass(frozen=True)
 class Fit:
-    """Results of the calibration of a camera. An attribute is None if the corresponding measurements were not made."""
+    """Calibration results of a camera. An attribute is None if the measurement file lacks the captures that it needs."""
 
     noise: NoiseFit | None = group(default=None)
     sweep: SweepFit | None = group(default=None)
@@ -443,5 +433,5 @@ class Fit:
 
     @property
     def validation(self) -> ChartFit | SeriesFit | None:
-        """The fit that compares predicted with measured chart values: `chart`, otherwise `series`, otherwise None."""
+        """The fit that compares measured and predicted chart values: `chart` or, if there is none, `series`."""
         return self.chart or self.series

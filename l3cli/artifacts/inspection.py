@@ -1,4 +1,4 @@
-"""Functions for `l3 info`: the content of an artifact, its integrity, and the input files from which it was computed."""
+"""Functions for `l3 info`: list an artifact's content, verify its checksums, and find its input files."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping
@@ -15,18 +15,18 @@ from l3cli.artifacts.store import open_artifact, read_history, reading, require_
 from l3cli.errors import InputFileError
 from l3cli.system.limits import read_bounded
 
-SLAB_BYTES = 1 << 26  # number of bytes that are read at a time, to limit the use of memory
+SLAB_BYTES = 1 << 26  # amount of data that is read at a time, to limit memory use
 
 
 def describe(path: Path) -> dict[str, Any]:
-    """Return the type, the version, the history and the datasets of an artifact. All types of artifacts are accepted.
+    """Describe an artifact of any type: its type, version, history and datasets.
 
     Returns
     -------
     dict
         The entries are "kind" (type of the artifact), "version", "history" (list of stages) and "datasets". Each dataset
-        has the entries "name", "dtype", "shape", "axes", "unit", "doc" and "value". The value is None for arrays with
-        more than one axis or more than 16 elements. Dimension scales are not included.
+        has the entries "name", "dtype", "shape", "axes", "unit", "doc" and "value". The value of an array is None if the
+        array has more than one axis or more than 16 elements. Dimension scales are not included.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def describe(path: Path) -> dict[str, Any]:
 
 
 def _refuse_null(path: Path, name: str, dataset: h5py.Dataset) -> None:
-    """Raise InputFileError if a dataset has the null dataspace of HDF5, which l3 never writes."""
+    """Raise InputFileError if a dataset has a null dataspace, which l3 never writes."""
     if dataset.shape is None:
         raise InputFileError(f"{path}: dataset {name} is empty; create the file again")
 
@@ -75,12 +75,12 @@ class Intact:
 
 
 def verify(path: Path) -> Intact:
-    """Verify the digest of an artifact, and read every dataset to verify its checksums.
+    """Verify an artifact: the digest of the file and the checksums of every dataset.
 
     Raises
     ------
     InputFileError
-        If the digest or a checksum is wrong. For a wrong checksum, the message contains the name of the dataset.
+        If the digest or a checksum is wrong. The message names the dataset with the wrong checksum.
     """
     with open_artifact(path) as root:
         count = 0
@@ -105,7 +105,7 @@ def verify(path: Path) -> Intact:
 
 
 def _slabs(dataset: h5py.Dataset) -> Iterator[Any]:
-    """Yield a dataset in parts of at most SLAB_BYTES bytes. Each part contains at least one row."""
+    """Read a dataset in parts of at most SLAB_BYTES bytes, but at least one row."""
     if not dataset.ndim or not dataset.size:
         yield dataset[()]
         return
@@ -116,36 +116,36 @@ def _slabs(dataset: h5py.Dataset) -> Iterator[Any]:
 
 @dataclass(frozen=True)
 class Link:
-    """The input files of one stage that have the same role, and the files of the user that match these inputs."""
+    """The input files that a stage read in one role, such as "camera", and the user's files that match them."""
 
     stage: str  # command of the stage, such as "simulate"
-    role: str  # role of the input files, such as "camera"
+    role: str
     named: int  # number of input files that the history lists
     given: tuple[str, ...]  # paths of the user's files that match
 
 
 def chain(history: tuple[Stage, ...], inputs: Mapping[Path, str]) -> tuple[tuple[Link, ...], tuple[Path, ...]]:
-    """Find the files that a history lists as inputs. Files are compared by their SHA-256.
+    """Find out which of the user's files a history lists as inputs. Files are compared by their SHA-256.
 
-    The search continues in the histories of the files that match, because an artifact from several training sets contains
-    only the history of the first training set.
+    The histories of matching files are searched too, because an artifact that was computed from several training sets
+    contains only the history of the first one.
 
     Parameters
     ----------
     history : tuple of Stage
         History of an artifact.
     inputs : mapping of Path to str
-        SHA-256 of each file to compare.
+        The user's files, with the SHA-256 of each file.
 
     Returns
     -------
     links : tuple of Link
-        One link for each stage and role, with the files that match.
+        The matching files, for each stage and role.
     others : tuple of Path
         The files that match no input of any stage.
     """
     stages = list(history)
-    for stage in stages:  # the body of this loop appends to the list
+    for stage in stages:  # the loop also visits the stages that it appends
         named = {digest for digests in stage.inputs.values() for digest in digests}
         for path in (path for path, digest in inputs.items() if digest in named):
             stages += [other for other in history_of(path) if other not in stages]
@@ -172,10 +172,7 @@ def history_of(path: Path) -> tuple[Stage, ...]:
 
 
 def _is_recipe_of(path: Path, stage: Stage) -> bool:
-    """Return whether a TOML file contains the recipe of a stage.
-
-    A stage may store two recipes, one after the other. A file that contains only one of the two also matches.
-    """
+    """Return whether a TOML file contains the recipe of a stage, or one of two recipes that the stage joined."""
     if path.suffix != ".toml":
         return False
     content = read_bounded(path).decode("utf-8-sig", "replace")

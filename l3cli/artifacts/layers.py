@@ -16,21 +16,21 @@ from l3cli.artifacts.schema import check, data, group
 
 PlaneRule = StructureRule | TreeRule
 PLANES = 3  # number of input planes of a refinement layer: X − aY, Y and Z − bY
-PLANE_STEP = 2.0**-18  # quantisation step of planes in output units; it is far below the noise of any sensor
-# Largest quantised value of a plane, which is 16 times full scale. A difference between two values, multiplied by a
-# 7-bit factor, then fits into 32 bits.
+PLANE_STEP = 2.0**-18  # quantisation step of planes in output units, far below the noise of any sensor
+# Largest quantised plane value, 16 times full scale. The difference of two plane values, times a 7-bit factor, then fits
+# into 32 bits.
 PLANE_TOP = 2**22 - 1
-# Allowed numbers of additional taps of the last layer: 0, 2 (colour ratios) or 4 (colour ratios and bilateral chroma).
+# Numbers of extra taps that the last layer may have: 0, 2 (colour ratios) or 4 (colour ratios and bilateral chroma).
 RATIO_TAPS = (0, 2, 4)
 COMPARED = (4, 3, 3)  # shape of `CoarseChroma.variance`: smoothing steps, planes, powers of luminance
 
 
 @dataclass(frozen=True)
 class MosaicLayer:
-    """The first layer of a table. It computes the outputs of each pixel from the patch of the mosaic around the pixel.
+    """The first layer of a table, which computes each pixel's outputs from the mosaic patch around the pixel.
 
-    The outputs are weights · (patch − black level) / full scale + intercept, with the weights and the intercept of the
-    pixel's class.
+    The outputs are weights · (patch − black level) / full scale + intercept. Weights and intercept depend on the pixel's
+    class.
     """
 
     rule: ClassRule = group()
@@ -54,19 +54,19 @@ class MosaicLayer:
     def __post_init__(self) -> None:
         check(self)
         if self.weights.shape[2] != self.rule.patch**2:
-            raise ValueError(f"weights has {self.weights.shape[2]} taps, but the patch of the rule has {self.rule.patch**2}")
+            raise ValueError(f"weights has {self.weights.shape[2]} taps, but the patch has {self.rule.patch**2} pixels")
 
     def pictured(self, taken: list[int]) -> "MosaicLayer":
-        """Return a copy of the layer with only the outputs whose indices are in `taken`."""
+        """Return the layer with only those outputs that `taken` lists by index."""
         return replace(self, weights=self.weights[:, taken], intercept=self.intercept[:, taken])
 
 
 @dataclass(frozen=True)
 class CoarseChroma:
-    """Noise model for the smoothing of coarse chroma (docs/method.md#coarse-chroma).
+    """Noise model for coarse chroma smoothing (docs/method.md#coarse-chroma).
 
-    The last layer smooths coarse chroma over blocks of pixels, in several steps. In each step, the noise model determines
-    whether two blocks differ by more than their noise.
+    The last layer smooths chroma over blocks of pixels, in several steps. In each step, the noise model determines whether
+    two blocks differ by more than their noise.
     """
 
     variance: NDArray[np.float64] = data(
@@ -83,16 +83,16 @@ class CoarseChroma:
         if self.variance.shape != COMPARED:
             raise ValueError(f"variance has the shape {self.variance.shape}, but must have the shape {COMPARED}")
         if not (np.isfinite(self.variance).all() and self.variance.min() >= 0 and self.variance[..., 0].min() > 0):
-            raise ValueError("variance must not be negative, and must be positive at luminance 0")
+            raise ValueError("variance must contain finite coefficients that are not negative, and positive constant terms")
 
     def with_noise(self, share: float) -> "CoarseChroma":
-        """Return the noise model for frames whose noise variance is multiplied by `share`."""
+        """Return the noise model with all variances multiplied by `share`."""
         return CoarseChroma(self.variance * share)
 
 
 @dataclass(frozen=True)
 class Clipping:
-    """Response that renders uniform areas in which channels clip (docs/method.md#uniform-clipped-areas)."""
+    """Linear response for uniform areas in which channels clip (docs/method.md#uniform-clipped-areas)."""
 
     response: NDArray[np.float64] = data(
         "float64",
@@ -121,10 +121,10 @@ class Clipping:
 
 @dataclass(frozen=True)
 class PlaneLayer:
-    """A refinement layer. It computes the outputs of each pixel from square windows of three opponent planes.
+    """A refinement layer, which computes each pixel's outputs from square windows of three opponent planes.
 
-    The planes are X − aY, Y and Z − bY, from the outputs X, Y, Z of the previous layer. The factors a and b are chosen so
-    that the planes of a white object are (0, Y, 0).
+    The planes are X − aY, Y and Z − bY, where X, Y, Z are the outputs of the previous layer. The factors a and b are chosen
+    so that white has the plane values (0, Y, 0).
     """
 
     side: int = data("int64", unit="pixel", doc="side of the windows")
@@ -142,10 +142,10 @@ class PlaneLayer:
     samples: NDArray[np.float64] = data(
         "float64", "plane_class", doc="number of training patches; 0: the class uses the transform of a similar class"
     )
-    structure: StructureRule | None = group(default=None)  # class rule with structures; None if the class rule is a tree
-    tree: TreeRule | None = group(default=None)  # class rule with a decision tree; None if classes are structures
+    structure: StructureRule | None = group(default=None)  # None if the class rule is a decision tree
+    tree: TreeRule | None = group(default=None)  # None if the class rule distinguishes structures
     coarse_chroma: CoarseChroma | None = group(default=None)  # None: chroma is computed only from the windows
-    clipping: Clipping | None = group(default=None)  # requires coarse chroma; None: clipped areas are not smoothed
+    clipping: Clipping | None = group(default=None)  # requires coarse_chroma; None: clipped areas are not smoothed
 
     def __post_init__(self) -> None:
         check(self)
@@ -164,37 +164,30 @@ class PlaneLayer:
 
     @property
     def window_taps(self) -> int:
-        """Number of taps in the windows of all planes. These taps come first in `weights`."""
+        """Total number of taps in the windows of the three planes, which come first in `weights`."""
         return PLANES * self.side**2
 
     @property
     def ratio_taps(self) -> int:
-        """Number of taps for colour ratios and bilateral chroma, which is one of RATIO_TAPS."""
+        """Number of extra taps for colour ratios and bilateral chroma, one of RATIO_TAPS."""
         return self.weights.shape[2] - self.window_taps
 
     def with_noise(self, share: float) -> "PlaneLayer":
-        """Return the layer for frames whose noise variance is multiplied by `share`. Only coarse chroma changes."""
+        """Adapt the layer to frames with `share` times the noise variance. Only the coarse chroma's noise model changes."""
         return replace(self, coarse_chroma=self.coarse_chroma.with_noise(share)) if self.coarse_chroma else self
 
     def scaled_as(self, scale: GradientScale) -> "PlaneLayer":
-        """Return a copy of the layer whose class rule uses the given scale of gradients."""
+        """Return the layer with a different gradient scale in its class rule."""
         return replace(self, **rule_fields(self.rule.scaled_as(scale)))
 
 
 def rule_fields(rule: PlaneRule) -> dict[str, Any]:
-    """Return a class rule as a keyword argument of PlaneLayer. The keyword is `structure` or `tree`, depending on the type
-    of the rule."""
+    """Return the keyword argument, `structure` or `tree`, that passes a class rule to PlaneLayer."""
     return {"structure" if isinstance(rule, StructureRule) else "tree": rule}
 
 
 def one_rule(structure: StructureRule | None, tree: TreeRule | None) -> PlaneRule:
-    """Return the class rule that is not None.
-
-    Raises
-    ------
-    ValueError
-        If both are None, or if neither is None.
-    """
+    """Return whichever class rule is not None. Raises ValueError unless exactly one rule is set."""
     if structure is None and tree is not None:
         return tree
     if structure is not None and tree is None:

@@ -1,4 +1,4 @@
-"""HTML summaries of artifacts for notebooks. A summary lists each field with its axes, unit and meaning."""
+"""HTML summaries of artifacts for notebooks, which list each field with its axes, unit and meaning."""
 
 from collections.abc import Iterator
 from html import escape
@@ -13,7 +13,7 @@ MAX_LETTERS = 60  # longer texts are truncated
 
 
 def html(title: str, content: Any) -> str:
-    """Return an HTML summary of an artifact or of a different dataclass whose fields are declared with `data` and `group`.
+    """Summarise an artifact, or any dataclass with fields declared by `data` and `group`, as HTML.
 
     Parameters
     ----------
@@ -40,13 +40,12 @@ def _fields(content: Any) -> Iterator[str]:
 
 
 def _shape(spec: Spec, value: Any) -> str:
-    """Return a text with the type of a dataset, and the name and length of each axis."""
     axes = ", ".join(f"{axis}: {length}" for axis, length in zip(spec.axes, np.shape(value), strict=True))
     return f"{spec.dtype} ({axes})" if axes else spec.dtype
 
 
 def _preview(value: Any) -> str:
-    """Return a value as text. A long array is represented by its smallest and its largest value."""
+    """Format a value. A long array is summarised by its smallest and its largest value."""
     array = np.asarray(value)
     if array.dtype.kind == "U":
         text = ", ".join(array.ravel()[:MAX_VALUES].tolist())

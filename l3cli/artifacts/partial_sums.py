@@ -1,4 +1,4 @@
-"""Partial sums: the normal equations from the training frames of one shard.
+"""Partial sums: the normal equations from one shard's training frames.
 
 A file contains the sums of one layer, separately for each canonical site and class. The layer is the first layer
 (docs/method.md#exact-sums) or a refinement layer (docs/method.md#layers).
@@ -25,12 +25,12 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
 from l3cli.errors import InputFileError
 
-USUAL, OTHERS = "sums", "condition_sums"  # HDF5 groups with the sums for the noise of the camera, and for the noise sets
+USUAL, OTHERS = "sums", "condition_sums"  # HDF5 groups with the sums for the camera's noise and for the noise sets
 
 
 @dataclass(frozen=True)
 class ClassSums:
-    """Sums over the weighted training patches of one canonical site, for the first layer.
+    """First-layer sums over the weighted training patches of one canonical site.
 
     The columns of the normal equations are the taps, the intercept and the outputs.
     """
@@ -51,10 +51,10 @@ class ClassSums:
 
 
 def noise_columns(rule: ClassRule, camera: CameraModel) -> int:
-    """Return the number of noise values per class.
+    """Return the number of noise terms that first-layer sums store per class.
 
-    There is one variance per tap. For a camera with row noise or column noise, there is also one covariance per pair of taps
-    in the same row, and one per pair of taps in the same column.
+    These are the variance of each tap and, if the camera has row or column noise, the covariance of each pair of taps in the
+    same row and of each pair of taps in the same column.
     """
     pairs_per_line = rule.patch * (rule.patch - 1) // 2
     return rule.patch**2 + (2 * rule.patch * pairs_per_line if camera.has_line_noise else 0)
@@ -64,8 +64,8 @@ def noise_columns(rule: ClassRule, camera: CameraModel) -> int:
 class PartialSums(Artifact):
     """Header of a file with partial sums of the first layer.
 
-    The sums for the noise of the camera are stored in the groups sums/00000, sums/00001…, in the order of `sites`. The sums
-    for the first noise set (docs/method.md#noise-sets) are stored in the groups condition_sums/0/00000….
+    The groups sums/00000, sums/00001… contain the sums for the camera's noise, in the order of `sites`. The groups
+    condition_sums/0/00000… contain the sums for the first noise set (docs/method.md#noise-sets), and so on.
 
     The last stage in the history describes the training. All shards of a training have equal histories.
     """
@@ -107,7 +107,7 @@ class PartialSums(Artifact):
 
     @property
     def shapes(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int]]:
-        """Required shapes of `moments`, `noise` and `count` in the sums of each site."""
+        """Shapes that `moments`, `noise` and `count` must have in each site's sums."""
         classes, taps = self.rule.classes_per_site, self.rule.patch**2
         width = taps + 1 + len(self.training.outputs)
         noise = noise_columns(self.rule, self.training.camera)
@@ -116,9 +116,9 @@ class PartialSums(Artifact):
 
 @dataclass(frozen=True)
 class LayerSums:
-    """Sums over the training samples of one canonical site, for a refinement layer.
+    """Refinement-layer sums over the training samples of one canonical site.
 
-    The columns of the normal equations are the taps, the intercept, and the outputs as opponent planes.
+    The columns of the normal equations are the taps, the intercept, and the outputs converted to opponent planes.
     """
 
     moments: NDArray[np.float64] = data(
@@ -143,8 +143,7 @@ class LayerSums:
 class PartialLayerSums(Artifact):
     """Header of a file with partial sums of a refinement layer.
 
-    The sums are stored in the same groups as in `PartialSums`. The last stage in the history describes the training. All
-    shards of a training have equal histories.
+    Groups and history are as in `PartialSums`.
     """
 
     kind: ClassVar[str] = "partial sums of a layer"
@@ -160,12 +159,12 @@ class PartialLayerSums(Artifact):
     sites: NDArray[np.int64] = data(
         "int64", "canonical_site", doc="CFA sites that are trained, as row · CFA columns + column", coordinate=True
     )
-    structure: StructureRule | None = group(default=None)  # class rule; None if classes are the leaves of a tree
-    tree: TreeRule | None = group(default=None)  # class rule; None if classes are structures
+    structure: StructureRule | None = group(default=None)  # None if the class rule is a decision tree
+    tree: TreeRule | None = group(default=None)  # None if the class rule distinguishes structures
     ratio_taps: int = data(
         "int64", doc="number of taps for colour ratios and bilateral chroma, which follow the taps of the windows", default=0
     )
-    gradients: tuple[GradientScale, ...] = group(default=())  # scale of gradients for each noise set
+    gradients: tuple[GradientScale, ...] = group(default=())  # one scale per noise set
 
     @property
     def rule(self) -> PlaneRule:
@@ -180,7 +179,7 @@ class PartialLayerSums(Artifact):
         if self.ratio_taps not in RATIO_TAPS:
             raise ValueError(f"ratio_taps is {self.ratio_taps}, but must be one of {', '.join(map(str, RATIO_TAPS))}")
         if self.side < 1 or self.side % 2 == 0:
-            raise ValueError(f"side is {self.side}, but must be an odd number")
+            raise ValueError(f"side is {self.side}, but must be a positive, odd number")
         self.rule.check_fits(self.table.cfa.size, self.table.first.rule)
         levels = self.table.first.rule.levels
         if [len(scale.gradient_factor) for scale in self.gradients] != [levels for _ in self.table.noises]:
@@ -191,7 +190,7 @@ class PartialLayerSums(Artifact):
 
     @property
     def shapes(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int]]:
-        """Required shapes of `moments`, `noise` and `count` in the sums of each site."""
+        """Shapes that `moments`, `noise` and `count` must have in each site's sums."""
         classes, outputs = self.rule.classes_per_site, len(self.table.outputs)
         taps = PLANES * self.side**2 + self.ratio_taps
         width, noisy = taps + 1 + outputs, taps + (outputs if self.table.components else 0)
@@ -199,18 +198,18 @@ class PartialLayerSums(Artifact):
 
 
 Head = PartialSums | PartialLayerSums
-SUMS: dict[type[Head], type] = {PartialSums: ClassSums, PartialLayerSums: LayerSums}  # type of the sums of each site
+SUMS: dict[type[Head], type] = {PartialSums: ClassSums, PartialLayerSums: LayerSums}  # type of a site's sums
 
 
 class PartialSumsReader:
-    """An open file with partial sums. The sums are read site by site.
+    """An open file with partial sums, which are read site by site to save memory.
 
     Attributes
     ----------
     head : PartialSums or PartialLayerSums
         Header of the file.
     conditions : int
-        Number of noise sets for which the file contains sums, in addition to the sums for the noise of the camera.
+        Number of noise sets with sums in the file, not counting the camera's noise.
 
     Raises
     ------
@@ -229,24 +228,19 @@ class PartialSumsReader:
             self._sums += [store.hard_group(others, str(number), path) for number in range(len(store.members(others, path)))]
         if any(len(store.members(sums, path)) != len(self.head.sites) for sums in self._sums):
             raise InputFileError(
-                f"{path} does not contain the sums of every site; create the file again with {kind.made_by}"
+                f"{path}: the sums of one or more sites are missing; create the file again with {kind.made_by}"
             )
         self.conditions = len(self._sums) - 1
 
     def site(self, index: int, condition: int = 0) -> Any:
-        """Read the sums of one site.
+        """Read the sums of one site: ClassSums for the first layer, LayerSums for a refinement layer.
 
         Parameters
         ----------
         index : int
             Index of the site in `head.sites`.
         condition : int, default 0
-            0 for the noise of the camera, or the number of a noise set, from 1 to `conditions`.
-
-        Returns
-        -------
-        ClassSums or LayerSums
-            ClassSums for the first layer, and LayerSums for a refinement layer.
+            0 for the camera's noise, or the number of a noise set, from 1 to `conditions`.
 
         Raises
         ------
@@ -264,7 +258,7 @@ class PartialSumsReader:
 
 @contextlib.contextmanager
 def open_partial_sums(path: Path) -> Iterator[PartialSumsReader]:
-    """Context manager that opens a file with partial sums.
+    """Open a file with partial sums in a `with` block.
 
     Raises
     ------
@@ -276,7 +270,7 @@ def open_partial_sums(path: Path) -> Iterator[PartialSumsReader]:
 
 
 def write_partial_sums(path: Path, head: Head, *sets: Iterable[ClassSums] | Iterable[LayerSums]) -> None:
-    """Write a file with partial sums. If an error occurs, no incomplete file remains.
+    """Write a file with partial sums. After an error, no incomplete file remains.
 
     Parameters
     ----------
@@ -285,8 +279,8 @@ def write_partial_sums(path: Path, head: Head, *sets: Iterable[ClassSums] | Iter
     head : PartialSums or PartialLayerSums
         Header of the file.
     *sets : iterable of ClassSums or LayerSums
-        The sums of each site in `head.sites`: one iterable for the noise of the camera, then one for each noise
-        set. Only the sums of one site are in memory at a time.
+        One iterable for the camera's noise, followed by one per noise set. Each iterable yields the sums of the sites in
+        `head.sites`, one at a time, so that only one site's sums need to be in memory.
     """
     with store.new_artifact(path, head.kind, head.history) as root:
         store.write_fields(root, head)

@@ -1,4 +1,4 @@
-"""The class rules of refinement layers, as tables store them, and the indices of their classes.
+"""Class rules of refinement layers, as stored in tables, and the conversion between feature values and class indices.
 
 Classes are structures (docs/method.md#structure) or the leaves of a decision tree (docs/method.md#trees). The modules in
 l3cli/classes compute these features and explain their values.
@@ -13,22 +13,23 @@ from numpy.typing import NDArray
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.schema import check, data
 
-# limit of scaled gradients, whose noise has the standard deviation SIGMA = 16; sums of 81 squares then stay below 2³¹
+# Scaled gradients are clipped to this value, so that sums of 81 squares stay below 2³¹. The scale sets their noise to a
+# standard deviation of SIGMA = 16.
 GRADIENT = 4095
-# range of the factors by which gradients are multiplied; largest shift of the products in bits
+# gradients are multiplied by a factor in this range, then shifted right by at most this number of bits
 FACTORS, MAX_SHIFT = (64, 127), 24
 DIRECTIONS = 8  # number of edge directions within 180°
 MAX_LEAVES = 2048
-MAX_DEPTH = 24  # largest number of tests from the root to a leaf; it limits the run time of the kernels
-TESTS = 23  # number of different tests in a tree
-ORIENTATIONS = 8  # number of orientations of a square: four rotations, with and without reflection
-# Smallest and largest absolute value of a threshold, unless it is zero. Some devices replace smaller numbers by zero.
+MAX_DEPTH = 24  # largest number of tests from the root to a leaf, which bounds the kernels' run time
+TESTS = 23  # number of different tests that a tree can use
+ORIENTATIONS = 8  # orientations of a square: four rotations, with and without reflection
+# Range of the absolute values of nonzero thresholds. Some devices flush smaller numbers to zero.
 SMALLEST, LARGEST = 1e-30, 2.0**31
 
 
 @dataclass(frozen=True)
 class GradientScale:
-    """Scale that normalises gradients by their noise: gradient_factor / 2^gradient_shift for each level."""
+    """Factors that normalise gradients by their noise. The factor at each level is gradient_factor / 2^gradient_shift."""
 
     gradient_factor: NDArray[np.uint8] = data(
         "uint8",
@@ -46,23 +47,23 @@ class GradientScale:
 
     @staticmethod
     def of(scale: NDArray[np.float64]) -> "GradientScale":
-        """Convert a scale per level to 7-bit factors and shifts. `scale` must be positive."""
+        """Convert positive scale factors, one per level, to 7-bit factors and shifts."""
         shift = np.clip(np.ceil(np.log2(FACTORS[0] / scale)), 0, MAX_SHIFT)
         factor = np.clip(np.rint(scale * 2**shift), 1, FACTORS[1])
         return GradientScale(factor.astype(np.uint8), shift.astype(np.uint8))
 
     @property
     def scale(self) -> "GradientScale":
-        """The factor and the shift, without the other fields of a class rule."""
+        """The gradient scale alone, without the other fields of a class rule."""
         return GradientScale(self.gradient_factor, self.gradient_shift)
 
     def scaled_as(self, scale: "GradientScale") -> Self:
-        """Return a copy with the factor and the shift of `scale`. The other fields of a class rule stay unchanged."""
+        """Return the class rule with a different gradient scale."""
         return replace(self, gradient_factor=scale.gradient_factor, gradient_shift=scale.gradient_shift)
 
 
 class PlanePlace(NamedTuple):
-    """The feature values of a class of a refinement layer. For several classes, each value is an integer array."""
+    """The feature values of a refinement-layer class, as integers. For several classes, the values are integer arrays."""
 
     site: Any  # CFA row · (number of CFA columns) + CFA column
     level: Any
@@ -70,23 +71,23 @@ class PlanePlace(NamedTuple):
 
 
 class PlaneClasses(GradientScale):
-    """Base class of the class rules of refinement layers. A class has the index (site · levels + level) · kinds + kind.
+    """Base class of the class rules of refinement layers.
 
-    The level and the saturation case are derived from the class of the first layer. The kind is a structure if no channel is
-    saturated, and a saturation case otherwise.
+    A class has the index (site · levels + level) · kinds + kind. The level and the saturation case are derived from the
+    pixel's class in the first layer. The kind is a structure if no channel is saturated, otherwise a saturation case.
     """
 
-    cases: int  # number of saturation cases of the first layer, including the unsaturated case
-    turns: NDArray[Any]  # (site, …): orientation in which the windows of each site are trained
+    cases: int  # number of the first layer's saturation cases, including the unsaturated case
+    turns: NDArray[Any]  # (site, …): orientation to which each site's windows are turned for training
 
     @property
     def levels(self) -> int:
-        """Number of levels that the classes distinguish."""
+        """Number of levels."""
         raise NotImplementedError
 
     @property
     def structures(self) -> int:
-        """Number of structures (or leaves of the tree) that the classes distinguish if no channel clips."""
+        """Number of structures or tree leaves, which classes distinguish only if no channel clips."""
         raise NotImplementedError
 
     @property
@@ -100,7 +101,7 @@ class PlaneClasses(GradientScale):
         return self.levels * self.kinds
 
     def check_fits(self, sites: int, first: ClassRule) -> None:
-        """Raise ValueError unless the rule fits the number of CFA sites and the class rule of the first layer."""
+        """Raise ValueError unless the rule fits a CFA with `sites` sites and the class rule of the first layer."""
         if len(self.turns) != sites:
             raise ValueError(f"turns has {len(self.turns)} sites, but the CFA has {sites}")
         if (len(self.gradient_factor), self.cases) != (first.levels, first.lost_cases):
@@ -110,37 +111,36 @@ class PlaneClasses(GradientScale):
             )
 
     def level_of(self, first: Any) -> Any:
-        """Return the level in this layer that corresponds to a level of the first layer."""
+        """Convert a level of the first layer to a level of this layer."""
         raise NotImplementedError
 
     def join(self, level: Any, kind: Any, site: Any = 0) -> Any:
-        """Return the class index for the given feature values, which are integers or integer arrays."""
+        """Combine feature values, which are integers or integer arrays, to a class index."""
         return (site * self.levels + level) * self.kinds + kind
 
     def split(self, index: Any) -> PlanePlace:
-        """Return the feature values of the class with the given index, which is an integer or an array."""
+        """Split class indices into feature values: the inverse of `join`."""
         rest, kind = divmod(index, self.kinds)
         site, level = divmod(rest, self.levels)
         return PlanePlace(site, level, kind)
 
     def within_site(self, index: Any) -> tuple[Any, Any]:
-        """Convert class indices of all sites to sites and class indices within these sites."""
+        """Split class indices of the whole layer into the site and the class index within the site."""
         site, within = divmod(index, self.classes_per_site)
         return site, within
 
     def kind(self, structure: Any, case: Any) -> Any:
-        """Return the kind of each pixel from its structure and its saturation case. If the case is not 0, the structure
-        is ignored."""
+        """Combine structure and saturation case to the kind. The structure is ignored unless the case is 0."""
         return np.where(np.greater(case, 0), self.structures - 1 + case, structure)
 
     def case(self, kind: Any) -> Any:
-        """Return the saturation case of each kind. The case is 0 if the kind is a structure."""
+        """Return the saturation case of each kind, which is 0 if the kind is a structure."""
         return np.maximum(kind - self.structures + 1, 0)
 
 
 @dataclass(frozen=True)
 class StructureRule(PlaneClasses):
-    """Class rule that distinguishes levels, and strengths and directions of edges."""
+    """Class rule that distinguishes levels, edge strengths and edge directions."""
 
     level_step: int = data("int64", doc="number of levels of the first layer that form one level of this layer")
     strength_edges: NDArray[np.uint32] = data(
@@ -176,17 +176,13 @@ class StructureRule(PlaneClasses):
 
     @property
     def structures(self) -> int:
-        """Number of structures.
-
-        Flat areas are one structure. Each strength has one structure without direction and one structure per direction.
-        """
+        """Number of structures: one for flat areas and, per strength, one without and DIRECTIONS with a direction."""
         return 1 + self.strengths * (1 + DIRECTIONS)
 
     def next_strengths(self, structure: int) -> list[int]:
-        """Return the structures with the next lower and the next higher strength, and with the same direction.
+        """Return the structures with the next lower and the next higher strength and the same direction.
 
-        For flat areas and the lowest strength, the result is empty. The result never contains structures of the lowest
-        strength.
+        Flat areas and structures of the lowest strength have no neighbours and are never returned.
         """
         step, least = 1 + DIRECTIONS, 2 + DIRECTIONS
         others = (structure - step, structure + step)
@@ -195,9 +191,10 @@ class StructureRule(PlaneClasses):
 
 @dataclass(frozen=True)
 class TreeRule(PlaneClasses):
-    """Class rule whose classes are the leaves of a decision tree.
+    """Class rule in the form of a decision tree, with one class per leaf.
 
-    All sites use the same tree. The window of a pixel is first turned to the orientation in which its site was trained.
+    All sites use the same tree. Before the tests, a pixel's window is turned to the orientation in which its site was
+    trained.
     """
 
     test: NDArray[np.uint8] = data("uint8", "node", doc="number of the quotient that the node compares with its threshold")
@@ -245,18 +242,18 @@ class TreeRule(PlaneClasses):
 
     @property
     def structures(self) -> int:
-        """Number of leaves. Each leaf is a structure."""
+        """Number of leaves."""
         return len(self.branch) - int(np.count_nonzero(self.branch))
 
     @property
     def leaf(self) -> NDArray[np.int64]:
-        """For each node, the number of the first leaf below this node. For a leaf, this is the number of the leaf itself.
+        """Number of each leaf. For an inner node, the number of the first leaf below it.
 
-        Leaves are numbered in depth-first order. The first branch of a node comes before its second branch.
+        Leaves are numbered in depth-first order, and the first branch of a node comes before the second.
         """
         below = np.ones(len(self.branch), np.int64)  # number of leaves below each node
         inner = np.flatnonzero(self.branch).tolist()
-        for node in reversed(inner):  # the branches of a node have higher numbers than the node
+        for node in reversed(inner):  # in reverse order, both branches are counted before their parent
             below[node] = below[self.branch[node]] + below[self.branch[node] + 1]
         first = np.zeros(len(self.branch), np.int64)
         for node in inner:
@@ -268,6 +265,6 @@ class TreeRule(PlaneClasses):
     def depth(self) -> int:
         """Number of tests from the root to the deepest leaf."""
         depth = np.zeros(len(self.branch), np.int64)
-        for node in np.flatnonzero(self.branch).tolist():  # the branches of a node have higher numbers than the node
+        for node in np.flatnonzero(self.branch).tolist():  # branches come after their parent
             depth[self.branch[node] : self.branch[node] + 2] = depth[node] + 1
         return int(depth.max())

@@ -1,4 +1,4 @@
-"""Support for checking recipe files: the data that the checks need, and a search for the key that caused an error."""
+"""Tools for recipe checks: the recipe with its context, and a search for the key that caused an error."""
 
 import contextlib
 import re
@@ -12,37 +12,37 @@ from l3cli.errors import L3Error, shortened
 from l3cli.recipes.faults import Fault
 from l3cli.recipes.toml import KeyPath
 
-UNIT_SUFFIX = re.compile("_(dn|e|s|nm|um|mm|m)$")  # suffix of a key that states the unit of the value
-MIN_LETTERS = 4  # a shorter value may occur in a message by chance, so it does not identify its key
-Meaning = tuple[dict[str, Any], list[Fault]]  # how l3 interprets a recipe, ready for JSON, and the faults in the recipe
+UNIT_SUFFIX = re.compile("_(dn|e|s|nm|um|mm|m)$")  # unit at the end of a key
+MIN_LETTERS = 4  # shorter values may occur in a message by chance, so they do not identify a key
+Meaning = tuple[dict[str, Any], list[Fault]]  # l3's interpretation of a recipe, ready for JSON, and the recipe's faults
 
 
 @dataclass(frozen=True)
 class RecipeSource:
-    """A recipe that is being checked: its path, its parsed content, and the camera for which it is meant."""
+    """A recipe to be checked, with its path, its parsed content and the camera that will use it."""
 
     path: Path
     content: Mapping[str, Any]
-    camera: CameraModel | None  # None if the camera is unknown
+    camera: CameraModel | None  # None: unknown
 
     def file(self, name: str) -> Path:
-        """Return the path of a file whose name is in the recipe. Names are relative to the folder of the recipe."""
+        """Resolve a file name in the recipe, which is relative to the recipe's folder."""
         return self.path.parent / name
 
     def attempt(self, key: KeyPath | None, work: Callable[..., object], *arguments: object) -> Iterator[Fault]:
-        """Call `work(*arguments)`, and yield a fault if it raises an error.
+        """Call `work(*arguments)`, and convert an error to a fault of `key`.
 
-        The fault refers to `key`. If `key` is None, `key_in` searches the error message for the key.
+        If `key` is None, the error message is searched for the key (see `key_in`).
         """
         try:
             work(*arguments)
-        except (L3Error, OSError) as error:  # OSError if a name is too long, or if a folder cannot be read
+        except (L3Error, OSError) as error:  # OSError: a file name is too long, or a folder cannot be read
             message = self.plain(error)
             yield Fault(message, (key_in(message, self.content) if key is None else key,))
 
     @contextlib.contextmanager
     def noting(self, faults: list[Fault], *keys: KeyPath) -> Iterator[None]:
-        """Context manager that appends a fault to `faults` if the `with` block raises an error.
+        """Convert an error in a `with` block to a fault, and append it to `faults`.
 
         The fault refers to the first of `keys` that the recipe contains.
         """
@@ -52,17 +52,17 @@ class RecipeSource:
             faults.append(Fault(self.plain(error), keys))
 
     def plain(self, error: L3Error | OSError) -> str:
-        """Return the message of an error, without the name of the recipe at the start of the message."""
+        """Return the error message without the recipe's path at its start."""
         if isinstance(error, OSError):
             return f"{shortened(str(error.filename))}: {error.strerror}; specify a different file"
         return re.sub(rf"^{re.escape(str(self.path))}(:\d+)?: ", "", str(error))
 
 
 def key_in(message: str, content: Mapping[str, Any]) -> KeyPath:
-    """Return the key of a recipe to which an error message refers, or () if no key matches.
+    """Find the recipe key to which an error message refers. Returns () if no key matches.
 
-    A key matches if the message contains its name, or its value, such as a file name. If several keys match, a dotted name
-    has the highest priority, then a value, then the longest name.
+    A key matches if the message contains the key's name or value, for example a file name. Among several matches, dotted
+    names have the highest priority, followed by values and then by the longest name.
     """
     found: list[tuple[int, KeyPath]] = []
     for path, value in keys_of(content):
@@ -80,7 +80,7 @@ def key_in(message: str, content: Mapping[str, Any]) -> KeyPath:
 
 
 def keys_of(value: Any, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
-    """Yield the path and the value of every key in a recipe, and of every element of its lists. Parents come first."""
+    """Iterate over all keys and list elements of a recipe, each with its path and value. Parents come first."""
     inner = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else ()
     for key, item in inner:
         yield (*path, key), item

@@ -1,12 +1,12 @@
-"""Writes HDF5 dimension scales, from which xarray, netCDF tools and h5py learn the names of the axes of an artifact.
+"""Write HDF5 dimension scales, which name the axes of an artifact for xarray, netCDF tools and h5py.
 
-In each group, every axis of the datasets has one dimension scale with the name of the axis. The scale is one of:
+In each group, every axis has one dimension scale with the name of the axis. The scale is one of:
 
 1. the declared dataset with this name, if it contains the values along the axis (`wavelength`);
 2. a copy of a declared dataset with a different name (`channels` for the axis `channel`);
-3. a dataset without values, as in netCDF, which only states the length of the axis.
+3. a netCDF dimension without values, which only defines the length of the axis.
 
-l3 itself does not use the scales when it reads artifacts.
+l3 itself ignores the scales when it reads artifacts.
 """
 
 import functools
@@ -19,32 +19,32 @@ import numpy as np
 from l3cli.artifacts.container import ENCODING, encoded
 from l3cli.artifacts.schema import Group, Spec, declared, instances
 
-# netCDF-4 requires this text in the attribute NAME of an axis without values.
+# netCDF-4 requires this text in the NAME attribute of a dimension without values.
 LENGTH_ALONE = "This is a netCDF dimension but not a netCDF variable.%10d"
 REFERENCES = np.dtype([("dataset", h5py.ref_dtype), ("dimension", "<i4")])
-Coordinates = Mapping[str, tuple[Any, Spec]]  # for each axis name: the values along the axis, and their declaration
+Coordinates = Mapping[str, tuple[Any, Spec]]  # axis name → values along the axis and their declaration
 
 
 def coordinates_of(content: Any) -> Coordinates:
-    """Return the coordinates that the fields of an instance contain, by the name of their axis."""
+    """Collect an instance's fields that contain axis coordinates, by axis name."""
     kind: type = type(content)
     fields = {name: spec for name, spec in _layout(kind)[0].items() if spec.coordinate}
     return {spec.axes[0]: (getattr(content, name), spec) for name, spec in fields.items()}
 
 
 def name_axes(group: h5py.Group, kind: type, above: Coordinates, content: Any = None) -> None:
-    """Write the dimension scales of a group and of the groups below it.
+    """Write the dimension scales of a group and its subgroups.
 
     Parameters
     ----------
     group : h5py.Group
-        A group to which an instance of `kind` was written.
+        A group with the fields of an instance of `kind`.
     kind : type
         The dataclass that declares the group.
     above : mapping
         Coordinates from the parent groups.
     content : dataclass, optional
-        The instance that was written. If it is None, coordinates in this group and in its subgroups are not used.
+        The instance that was written. Without it, only coordinates from the parent groups are used.
     """
     known = above if content is None else {**above, **coordinates_of(content)}
     _write_scales(group, kind, known)
@@ -60,7 +60,7 @@ def name_axes(group: h5py.Group, kind: type, above: Coordinates, content: Any = 
 
 @functools.cache
 def _layout(kind: type) -> tuple[dict[str, Spec], dict[str, Group]]:
-    """Return the declared datasets of a dataclass that have at least one axis, and its declared groups."""
+    """Return the datasets with axes and the groups that a dataclass declares."""
     members = declared(kind)
     return (
         {name: member for name, member in members if isinstance(member, Spec) and member.axes},
@@ -71,7 +71,8 @@ def _layout(kind: type) -> tuple[dict[str, Spec], dict[str, Group]]:
 def _write_scales(group: h5py.Group, kind: type, known: Coordinates) -> None:
     """Write one dimension scale per axis of a group, and the references between scales and datasets.
 
-    The references are written directly, because `attach_scale` of h5py would rewrite the list of a scale for every dataset.
+    The references are written directly, because h5py's `attach_scale` would rewrite a scale's reference list for each
+    dataset.
     """
     fields = {name: (spec, group[name]) for name, spec in _layout(kind)[0].items() if name in group}
     scales: dict[str, h5py.Dataset] = {}
@@ -97,7 +98,7 @@ def _write_scales(group: h5py.Group, kind: type, known: Coordinates) -> None:
 def _new_scale(group: h5py.Group, axis: str, length: int, known: tuple[Any, Spec] | None) -> h5py.Dataset:
     """Create a dimension scale for an axis without a declared dataset of the same name.
 
-    The scale contains the coordinates in `known` if their number is `length`. Otherwise, the scale only states the length.
+    The scale contains the coordinates in `known` if there are `length` of them. Otherwise it has no values.
     """
     if known is None or len(known[0]) != length or not length:
         scale = group.create_dataset(axis, (length,), ">f4", track_times=False)

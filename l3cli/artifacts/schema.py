@@ -1,8 +1,8 @@
-"""Artifacts as frozen dataclasses whose field declarations define the HDF5 schema.
+"""Artifacts as frozen dataclasses: the declarations of their fields define the HDF5 schema.
 
 `data(dtype, axes, unit, doc)` declares a dataset. `group()` declares a group with the fields of a second dataclass. A field
-with the type `tuple[X, ...]` is stored as groups with the names 0, 1, 2…. Saving, loading, checking and `l3 info` all use
-these declarations, so a new field must be declared in only one place.
+of type `tuple[X, ...]` is stored as groups named 0, 1, 2…. Saving, loading, validation and `l3 info` all use these
+declarations, so a new field needs to be declared in only one place.
 """
 
 import dataclasses
@@ -21,13 +21,13 @@ LARGEST_VALUE = 1e27  # largest absolute value of a stored number; sums of squar
 
 @dataclass(frozen=True)
 class Spec:
-    """Declaration of a dataset: its type, the names of its axes, its unit and its meaning."""
+    """Declaration of a dataset: type, axis names, unit and meaning."""
 
     dtype: str
     axes: tuple[str, ...]
     unit: str
     doc: str
-    coordinate: bool = False  # whether the dataset contains the coordinates of its axis, such as wavelengths or names
+    coordinate: bool = False  # whether the dataset contains axis coordinates, such as wavelengths or channel names
     optional: bool = False  # whether the dataset is stored only if its value differs from the default
 
 
@@ -49,25 +49,26 @@ def data(
     *axes : str
         Names of the axes. Without axes, the dataset is a scalar.
     unit, doc : str
-        Unit and meaning, which are stored as attributes of the dataset. `l3 info` prints both.
+        Unit and meaning, which are stored as attributes of the dataset and printed by `l3 info`.
     default : optional
         Default of the dataclass field. The dataset is stored even if it has this value.
     optional : optional
-        Default of a field that is stored only if its value differs from the default. Use this for every field that you
-        add to an existing format, so that files that do not need the field stay identical. For arrays, use None.
+        Default of a field that is stored only if its value differs from the default. Use this instead of `default` for
+        each field that you add to an existing format, so that files without the field stay identical. For arrays, use
+        None.
     coordinate : bool
-        Whether the dataset contains the coordinates of its axis, although dataset and axis have different names. A text
-        dataset with one axis always contains coordinates.
+        Whether the dataset contains the coordinates of its axis even though it is not named after the axis. A text dataset
+        with one axis always contains coordinates.
     """
     is_optional = optional is not dataclasses.MISSING
     spec = Spec(dtype, axes, unit, doc, coordinate or (dtype == "str" and len(axes) == 1), is_optional)
-    # The repr contains no arrays, because they would fill pages.
+    # Arrays would fill pages, so the repr omits them.
     return field(metadata={"spec": spec}, default=optional if is_optional else default, repr=not axes)
 
 
 @dataclass(frozen=True)
 class Group:
-    """Declaration of a group that contains one instance of a dataclass, or several instances in numbered groups."""
+    """Declaration of a group that stores a dataclass instance, or a tuple of instances in numbered subgroups."""
 
     kind: type  # the dataclass
     several: bool  # whether the field is a tuple of instances
@@ -77,12 +78,12 @@ class Group:
 def group(default: Any = dataclasses.MISSING, kw_only: bool = False) -> Any:
     """Declare a dataclass field that is stored as a group, or as several numbered groups.
 
-    The type of the field is a dataclass X with declared fields, `X | None` or `tuple[X, ...]`.
+    The field must have the type `X`, `X | None` or `tuple[X, ...]`, where X is a dataclass with declared fields.
 
     Parameters
     ----------
     default : optional
-        None or () for a group that may be absent. The group is stored only if the field has a different value.
+        None or () for an optional group, which is stored only if the field has a different value.
     kw_only : bool
         As in `dataclasses.field`.
     """
@@ -93,7 +94,7 @@ def group(default: Any = dataclasses.MISSING, kw_only: bool = False) -> Any:
 class Stage:
     """One stage in the history of an artifact: the command, its options, its recipe and the digests of its inputs.
 
-    The record contains no time, host name or path. Equal inputs therefore produce artifacts with equal bytes.
+    Times, host names and paths are not recorded, so that equal inputs produce identical artifacts.
     """
 
     command: str
@@ -105,10 +106,10 @@ class Stage:
 
 @dataclass(frozen=True, repr=False)
 class Artifact:
-    """Base class of artifacts, the files that stages exchange. Subclasses set `kind` and `made_by`."""
+    """Base class of artifacts, the files through which stages exchange data. Subclasses set `kind` and `made_by`."""
 
     kind: ClassVar[str]  # type of the artifact, such as "camera model"
-    made_by: ClassVar[str]  # command that writes such artifacts, for messages
+    made_by: ClassVar[str]  # command that writes such artifacts, for error messages
     history: tuple[Stage, ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
@@ -116,14 +117,14 @@ class Artifact:
 
     @property
     def summary(self) -> str:
-        """One line that describes the content of the artifact."""
+        """One-line description of the artifact's content."""
         return self.kind
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {self.summary}>"
 
     def _repr_html_(self) -> str:
-        from l3cli.artifacts.notebook import html  # imported here, because notebook imports this module
+        from l3cli.artifacts.notebook import html  # avoids a circular import
 
         return html(repr(self), self)
 
@@ -132,7 +133,7 @@ class Artifact:
 
 
 def declared(cls: type) -> tuple[tuple[str, Spec | Group], ...]:
-    """Return the name and the declaration of each stored field of a dataclass."""
+    """Return the name and the declaration of each field that a dataclass declares with `data` or `group`."""
     return _declared(cls)
 
 
@@ -153,15 +154,12 @@ def _declared(cls: type) -> tuple[tuple[str, Spec | Group], ...]:
 
 
 def is_stored(instance: Any, name: str, spec: Spec) -> bool:
-    """Return whether a dataset of an instance is stored.
-
-    Optional datasets are stored only if they differ from the default.
-    """
+    """Return whether the file contains a dataset: always, unless the dataset is optional and has its default value."""
     return not spec.optional or not np.array_equal(getattr(instance, name), getattr(type(instance), name))
 
 
 def instances(name: str, value: Any) -> dict[str, Any]:
-    """Return the dataclass instances in a group field. The keys are the paths of their groups, such as "later/0"."""
+    """Return the dataclass instances in a group field, by the path of their group, such as "later/0"."""
     if isinstance(value, tuple):
         return {f"{name}/{index}": each for index, each in enumerate(value)}
     return {} if value is None else {name: value}
@@ -173,14 +171,14 @@ def check(instance: Any) -> None:
     Each field must have the declared dtype and number of axes. Numbers must not exceed LARGEST_VALUE. Axes with the same
     name must have the same length, with two exceptions:
 
-    1. An axis that has the same name as a dataset with only this axis is valid only in the group that contains the dataset
-       and in the subgroups of that group. Elsewhere, an axis with the same name may have a different length.
-    2. An axis that occurs only in numbered groups may have a different length in each of these groups.
+    1. If a group contains a coordinate dataset named after an axis, such as `wavelength`, the axis is local to this group
+       and its subgroups. In other groups, its length may differ.
+    2. An axis that occurs only in numbered groups may have a different length in each of them.
 
     Raises
     ------
     ValueError
-        If a field does not match its declaration. The message contains the name of the field.
+        If a field does not match its declaration. The message names the field.
     """
     _check(instance, {}, {}, "")
 
@@ -202,7 +200,7 @@ def _check(instance: Any, lengths: dict[str, tuple[int, str]], scopes: dict[str,
             raise ValueError(f"{label} has {array.ndim} axes, but must have {len(spec.axes)}")
         if spec.dtype != "str":
             if not np.can_cast(array.dtype, spec.dtype, "same_kind"):
-                raise ValueError(f"{label} has the type {array.dtype}, but must have the type {spec.dtype}")
+                raise ValueError(f"{label} has type {array.dtype}, but must have type {spec.dtype}")
             if array.size and array.dtype.kind == "u" and int(array.max()) > np.iinfo(np.int64).max:
                 raise ValueError(f"{label} contains {array.max()}, which does not fit into 63 bits")
             if (
@@ -215,13 +213,11 @@ def _check(instance: Any, lengths: dict[str, tuple[int, str]], scopes: dict[str,
         for axis, length in zip(spec.axes, array.shape, strict=True):
             known, where = lengths.setdefault(scopes.get(axis, "") + axis, (length, prefix + name))
             if known != length:
-                raise ValueError(
-                    f"the axis {axis} of {label} has the length {length}, but in {where} it has the length {known}"
-                )
+                raise ValueError(f"the axis {axis} has length {length} in {label}, but length {known} in {where}")
 
 
 def equal(one: Any, other: Any) -> bool:
-    """Return whether all declared fields of two instances of a dataclass have equal values."""
+    """Return whether two instances of a dataclass have equal values in all declared fields."""
     for name, spec in declared(type(one)):
         a, b = getattr(one, name), getattr(other, name)
         if isinstance(spec, Spec):

@@ -1,6 +1,6 @@
-"""Reads and writes artifacts as HDF5 files, whose structure the dataclasses declare (docs/artifacts.md).
+"""Read and write artifacts as HDF5 files (docs/artifacts.md). The dataclass of an artifact declares the file's structure.
 
-Each file contains the history of the stages that produced it. If an error occurs during writing, no incomplete file remains.
+Each file contains the history of the stages that produced it. If writing fails, no incomplete file remains.
 """
 
 import contextlib
@@ -24,7 +24,7 @@ from l3cli.system.text import a
 
 FORMAT_VERSION = 1  # version of all artifacts; new fields are optional and do not change it (docs/architecture.md)
 GZIP_LEVEL = 4
-MAX_LISTED_GROUPS = 64  # limit for numbered groups, because a damaged file could claim to contain millions
+MAX_LISTED_GROUPS = 64  # limit for numbered groups, because a damaged file could contain millions
 HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # raised by h5py for damaged files
 HISTORY = Spec("str", (), "1", "JSON: the stages that led to this artifact, oldest first")
 A = TypeVar("A", bound=Artifact)
@@ -34,19 +34,19 @@ A = TypeVar("A", bound=Artifact)
 
 
 def write_fields(group: h5py.Group, instance: Any, compressed: bool = True) -> None:
-    """Write the declared fields of a dataclass instance to a group.
+    """Write the declared fields of a dataclass instance to a group, without dimension scales.
 
-    Optional fields that have their default are not written. The dimension scales are not written either.
+    Optional fields are written only if they differ from their default.
 
     Parameters
     ----------
     group : h5py.Group
         An empty group that is open for writing.
     instance : dataclass
-        Instance with fields that `data` and `group` declare.
+        Instance with fields declared by `data` and `group`.
     compressed : bool
-        Whether to compress arrays. Frames are not compressed, because compression hardly reduces the size of noise and
-        would take longer than the simulation of the frames.
+        Whether to compress arrays. Use False for frames: noise hardly compresses, and the compression would take longer than
+        the simulation.
     """
     for name, spec in declared(type(instance)):
         value = getattr(instance, name)
@@ -60,7 +60,7 @@ def write_fields(group: h5py.Group, instance: Any, compressed: bool = True) -> N
 def _write_dataset(group: h5py.Group, name: str, spec: Spec, value: Any, compressed: bool = True) -> None:
     """Write a dataset, with its axes, unit and meaning as attributes.
 
-    Arrays have a checksum, and are compressed if `compressed` is set. Text is stored as fixed-length UTF-8.
+    Arrays get a checksum, and text is stored as fixed-length UTF-8.
     """
     is_text = spec.dtype == "str"
     array = encoded(value) if is_text else np.asarray(value, dtype=spec.dtype, order="C")
@@ -78,10 +78,7 @@ def _write_dataset(group: h5py.Group, name: str, spec: Spec, value: Any, compres
 
 
 def _chunk(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
-    """Return the shape of a chunk of about 1 MiB.
-
-    The first axes are shortened until the chunk fits. The other axes have their full length.
-    """
+    """Return a chunk shape of at most about 1 MiB. Leading axes are shortened first."""
     chunk = list(shape)
     for axis in range(len(shape)):
         others = itemsize * int(np.prod(chunk)) // chunk[axis]
@@ -91,9 +88,10 @@ def _chunk(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
 
 @contextlib.contextmanager
 def new_artifact(path: Path, kind: str, history: tuple[Stage, ...]) -> Iterator[h5py.File]:
-    """Context manager that returns a new HDF5 file whose root already contains kind, version and history.
+    """Create an artifact file in a `with` block. Its type, version and history are written first.
 
-    If the `with` block ends without an error, the file is renamed to `path`. Otherwise no file remains.
+    The file is written under a temporary name, and renamed to `path` if the block ends without an error. Otherwise no file
+    remains.
     """
     stages = json.dumps([dataclasses.asdict(stage) for stage in history], sort_keys=True, ensure_ascii=False)
     with container.new_file(path) as root:
@@ -104,7 +102,7 @@ def new_artifact(path: Path, kind: str, history: tuple[Stage, ...]) -> Iterator[
 
 
 def save(artifact: Artifact, path: Path) -> None:
-    """Write an artifact to `path`. An existing file is replaced. If an error occurs, no incomplete file remains."""
+    """Write an artifact to `path`, replacing an existing file. After an error, no incomplete file remains."""
     with new_artifact(path, artifact.kind, artifact.history) as root:
         write_fields(root, artifact)
         name_axes(root, type(artifact), {}, artifact)
@@ -115,16 +113,16 @@ def save(artifact: Artifact, path: Path) -> None:
 
 @contextlib.contextmanager
 def open_artifact(path: Path, *expected: type[Artifact], unchanged: bool = False) -> Iterator[h5py.File]:
-    """Context manager that opens an artifact for reading.
+    """Open an artifact for reading in a `with` block.
 
     Parameters
     ----------
     path : Path
         The file.
     *expected : type
-        The accepted types of artifacts, such as CameraModel. If you pass no type, all types are accepted.
+        The accepted types of artifacts, such as CameraModel. By default, all types are accepted.
     unchanged : bool
-        If true, the digest of the file is not verified, because the current run has already verified it.
+        Skip the verification of the digest, for a file that the current run has already verified.
 
     Raises
     ------
@@ -185,7 +183,7 @@ def load(cls: type[A], path: Path) -> A:
 
 
 def read_history(root: h5py.File, path: Path) -> tuple[Stage, ...]:
-    """Return the stages that produced an artifact, from first to last. Raises InputFileError if the history is damaged."""
+    """Read the stages that produced an artifact, oldest first. Raises InputFileError if the history is damaged."""
     text = _read_dataset(root, "history", HISTORY, path)
     try:
         return tuple(msgspec.json.decode(text, type=list[Stage]))
@@ -201,9 +199,9 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
     group : h5py.Group
         The group.
     cls : type
-        Dataclass with fields that `data` and `group` declare.
+        Dataclass with fields declared by `data` and `group`.
     path : Path
-        Name of the file, for messages.
+        Name of the file, for error messages.
     **extra
         Values of fields that are not stored in the group, such as the history.
 
@@ -229,7 +227,7 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
 
 
 def _read_group(group: h5py.Group, name: str, spec: Group, path: Path) -> Any:
-    """Read the instance, or the tuple of instances, that a group contains.
+    """Read the dataclass instance, or the tuple of instances, in a group.
 
     Raises InputFileError if the group is missing or damaged, or contains more than MAX_LISTED_GROUPS groups.
     """
@@ -251,8 +249,10 @@ def _inside(group: h5py.Group, name: str) -> str:
 
 @contextlib.contextmanager
 def reading(path: Path, what: str) -> Iterator[None]:
-    """Context manager that converts errors of h5py for damaged files to InputFileError. `what` names the part that is
-    read."""
+    """Convert the errors that h5py raises for damaged files to InputFileError, in a `with` block.
+
+    `what` describes the part of the file that is being read, for the error message.
+    """
     try:
         yield
     except (*HDF5_ERRORS, UnicodeDecodeError) as error:
@@ -260,22 +260,19 @@ def reading(path: Path, what: str) -> Iterator[None]:
 
 
 def members(group: h5py.Group, path: Path) -> list[str]:
-    """Return the names of the members of a group, sorted."""
+    """Return the sorted names of a group's members."""
     with reading(path, f"the group {group.name}"):
         return sorted(group)
 
 
 def hard_group(group: h5py.Group, name: str, path: Path) -> h5py.Group:
-    """Return the group `name` below `group`.
-
-    Raises InputFileError if the group is missing or is a link to a different place.
-    """
+    """Open the subgroup `name` of a group. Raises InputFileError if it is missing, or is a soft or external link."""
     with reading(path, f"the group {_inside(group, name)}"):
         return _member(group, name, h5py.Group, "group", path)
 
 
 def _member(group: h5py.Group, name: str, kind: type, what: str, path: Path) -> Any:
-    """Return a member of a group.
+    """Open a member of a group.
 
     Raises InputFileError if the member is missing, is not an instance of `kind`, or is a soft or external link.
     """
@@ -290,9 +287,9 @@ def _member(group: h5py.Group, name: str, kind: type, what: str, path: Path) -> 
 
 
 def require_plain(dataset: h5py.h5d.DatasetID, path: Path) -> Stored:
-    """Check a dataset, and return how it is stored.
+    """Check that a dataset is readable and uses only l3's own HDF5 filters, and return its type and size.
 
-    Raises InputFileError if the dataset cannot be read, or if it uses an HDF5 filter that l3 does not use.
+    Raises InputFileError otherwise.
     """
     stored = require_readable(path, dataset)
     if not stored.filters <= KNOWN_FILTERS:
@@ -301,10 +298,9 @@ def require_plain(dataset: h5py.h5d.DatasetID, path: Path) -> Stored:
 
 
 def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
-    """Read a dataset as a string, a tuple of strings, a number, or a read-only array, depending on its declaration.
+    """Read a dataset as a string, a tuple of strings, a number or a read-only array, depending on its declaration.
 
-    Raises InputFileError if the dataset is missing or damaged, or if its type or its number of axes differs from the
-    declaration.
+    Raises InputFileError if the dataset is missing or damaged, or does not have the declared type and number of axes.
     """
     is_text = spec.dtype == "str"
     expected_kind = "S" if is_text else np.dtype(spec.dtype).kind

@@ -1,4 +1,4 @@
-"""The transform table, which contains the class rules and the transforms of all layers (docs/method.md#classes)."""
+"""The transform table: class rules and linear transforms of all layers (docs/method.md#classes)."""
 
 import itertools
 from dataclasses import dataclass, replace
@@ -15,16 +15,16 @@ from l3cli.artifacts.training_set import LightSpectrum, white_signal
 from l3cli.physics.stokes import STOKES
 
 LUMINANCE = ("Y",)  # outputs of a table that renders only luminance
-GREY = ("Y", "Y", "Y")  # outputs of a luminance table after `TransformTable.pictured` has converted it
-WINDOWS = (3, 5, 7, 9)  # allowed sides, in pixels, of the window in which spectra are averaged
+GREY = ("Y", "Y", "Y")  # outputs of a luminance table after its conversion by `TransformTable.pictured`
+WINDOWS = (3, 5, 7, 9)  # allowed window sides for averaging spectra, in pixels
 
 
 @dataclass(frozen=True)
 class SpectralSmoothing:
-    """Settings for the smoothing of spectra.
+    """Settings of spectral smoothing.
 
-    The spectrum of each pixel is replaced by the mean spectrum of neighbours with similar brightness. The brightness of the
-    pixel stays unchanged.
+    Each pixel's spectrum is replaced by the mean spectrum of neighbours with similar brightness. The pixel's own brightness
+    is preserved.
     """
 
     window: int = data("int64", unit="pixel", doc="side of the square neighbourhood over which spectra are averaged")
@@ -35,7 +35,7 @@ class SpectralSmoothing:
         if self.window not in WINDOWS:
             raise ValueError(f"window is {self.window}, but must be one of {', '.join(map(str, WINDOWS))}")
         if not 0 < self.reach < 1:
-            raise ValueError(f"reach is {self.reach:g}, but must be between 0 and 1")
+            raise ValueError(f"reach is {self.reach:g}, but must be greater than 0 and less than 1")
 
     @property
     def radius(self) -> int:
@@ -44,10 +44,10 @@ class SpectralSmoothing:
 
 @dataclass(frozen=True)
 class ChromaSmoothing:
-    """Settings for the smoothing of chroma in tables with the outputs X, Y, Z (docs/method.md#smoothed-chroma).
+    """Settings of chroma smoothing, for tables with the outputs X, Y, Z (docs/method.md#smoothed-chroma).
 
-    The chromaticity of each pixel is averaged with the chromaticities of similar pixels among its eight neighbours. Pixels
-    are similar if they have similar luminance and chroma. The luminance of the pixel stays unchanged.
+    Each pixel's chromaticity is averaged with those of its eight neighbours that have similar luminance and chroma. The
+    pixel's luminance is preserved.
     """
 
     reach: float = data("float64", doc="relative difference in luminance at which the weight of a neighbour reaches zero")
@@ -60,17 +60,16 @@ class ChromaSmoothing:
     def __post_init__(self) -> None:
         check(self)
         if not 0 < self.reach < 1:
-            raise ValueError(f"reach is {self.reach:g}, but must be between 0 and 1")
+            raise ValueError(f"reach is {self.reach:g}, but must be greater than 0 and less than 1")
         if not self.likeness > 0:
             raise ValueError(f"likeness is {self.likeness:g}, but must be positive")
 
 
 @dataclass(frozen=True)
 class LeadingComponents:
-    """The three planes that a refinement layer reads to correct the outputs (docs/method.md#leading-components).
+    """Conversion of the outputs to the three planes that a refinement layer corrects (docs/method.md#leading-components).
 
-    For spectra, the planes are the leading components of the spectra. For colours with Stokes parameters, they are S1, Y and
-    S2.
+    For spectra, the planes are the leading components. For colours with Stokes parameters, they are S1, Y and S2.
     """
 
     basis: NDArray[np.float64] = data(
@@ -84,7 +83,7 @@ class LeadingComponents:
 
     @property
     def chroma_outputs(self) -> tuple[int, ...]:
-        """Indices of the outputs that are equal to the two chroma planes. Empty if a chroma plane mixes several outputs."""
+        """Indices of the two outputs that equal the chroma planes. Empty if a chroma plane combines several outputs."""
         chroma = self.basis[:, :: PLANES - 1]
         single = (np.count_nonzero(chroma, axis=0) == 1).all() and (chroma.max(axis=0) == 1).all()
         return tuple(chroma.argmax(axis=0).tolist()) if single else ()
@@ -92,10 +91,10 @@ class LeadingComponents:
 
 @dataclass(frozen=True, repr=False)
 class TransformTable(Artifact):
-    """The linear transforms of every class of every layer, and the rules that determine the class of a pixel.
+    """Everything that rendering needs: class rules, and the linear transform of each class, for all layers.
 
-    The first layer transforms patches of the mosaic. Each refinement layer transforms windows of the previous layer's
-    output. The table contains everything that rendering needs (docs/method.md#classes).
+    The class rules classify the pixels. The first layer transforms patches of the mosaic, and each refinement layer
+    transforms windows of the previous layer's output (docs/method.md#classes).
 
     Attributes
     ----------
@@ -110,13 +109,13 @@ class TransformTable(Artifact):
     bits : int
         Bit depth of raw values.
     black_level, white_level : float
-        Levels of the raw values that the table expects, in DN.
+        Levels in DN that raw values must have before they are rendered.
     outputs : tuple of str
-        Names of the outputs: ("X", "Y", "Z"), ("Y",) or names of spectral bands.
+        Names of the outputs, such as ("X", "Y", "Z"), ("Y",) or names of spectral bands.
     target_description : str
         Description of the outputs.
     output_unit : float
-        Product of scene luminance and exposure time that corresponds to an output of 1, in cd s/m².
+        Scene luminance × exposure time that corresponds to an output of 1, in cd s/m².
     white_point : ndarray, (output,)
         Outputs of a perfect white under the training illuminant, scaled to Y = 1.
     first : MosaicLayer
@@ -132,12 +131,11 @@ class TransformTable(Artifact):
     conditions : tuple of Condition
         Transforms for noise sets, then transforms for each illuminant.
     spectra : SpectralSmoothing or None
-        Smoothing of spectra after all layers. None: no smoothing.
+        Spectral smoothing after all layers. None: no smoothing.
     chroma_smoothing : ChromaSmoothing or None
-        Smoothing of chroma after all layers. None: no smoothing.
+        Chroma smoothing after all layers. None: no smoothing.
     components : LeadingComponents or None
-        Leading components of spectra, which the refinement layer corrects. None if refinement layers compute X, Y, Z, or
-        if the table has no refinement layers.
+        Planes that the refinement layer corrects, if the outputs are spectra or include Stokes parameters. Otherwise None.
     """
 
     kind: ClassVar[str] = "transform table"
@@ -180,7 +178,7 @@ class TransformTable(Artifact):
         if not self.outputs or not self.output_unit > 0:
             raise ValueError("outputs must not be empty, and output_unit must be positive")
         if not self.exposure >= 0:
-            raise ValueError("exposure must not be negative")
+            raise ValueError(f"exposure is {self.exposure:g}, but must not be negative")
         for layer in self.layers:
             sites, classes = self.cfa.size, layer.rule.classes_per_site
             if len(layer.weights) != sites * classes:
@@ -203,11 +201,11 @@ class TransformTable(Artifact):
             raise ValueError("chroma_smoothing requires the outputs X, Y, Z and a white_point with positive values")
         if self.later and (len(self.later) > 1 if self.components else len(self.outputs) != 3):
             raise ValueError(
-                "refinement layers require three outputs; with a different number of outputs, a table can have only one "
-                "refinement layer, which must correct components"
+                f"refinement layers require three outputs, but there are {len(self.outputs)}; a table with a different "
+                "number of outputs can have only one refinement layer, which must correct components"
             )
         if self.later and self.later[-1].coarse_chroma and not self.chroma_outputs:
-            raise ValueError("coarse_chroma requires outputs that are equal to the chroma planes")
+            raise ValueError("coarse_chroma requires components whose chroma planes each equal an output")
         for index, condition in enumerate(self.conditions):
             condition.check_fits(f"conditions/{index}", self.later, self.first.rule.levels)
         there = [(None, None), *((each.light and each.light.name, each.noise) for each in self.conditions)]
@@ -216,13 +214,13 @@ class TransformTable(Artifact):
             raise ValueError("conditions must be grouped by illuminant, with the same noise conditions for every illuminant")
 
     def _check_refinement(self, layer: PlaneLayer) -> None:
-        """Raise ValueError unless a refinement layer fits the CFA and the first layer, and has a valid number of taps."""
+        """Raise ValueError unless a refinement layer fits the CFA and the first layer and has a valid number of taps."""
         layer.rule.check_fits(self.cfa.size, self.first.rule)
         taps = layer.window_taps
         if layer.side % 2 == 0 or layer.ratio_taps not in RATIO_TAPS:
             raise ValueError(
-                f"weights has {layer.weights.shape[2]} taps, but {PLANES} windows with side {layer.side}, which must be "
-                f"odd, have {taps} taps"
+                f"side is {layer.side} and weights has {layer.weights.shape[2]} taps; side must be odd, and {PLANES} "
+                f"windows of this side have {taps} taps, plus {' or '.join(map(str, RATIO_TAPS))} extra taps"
             )
 
     @property
@@ -240,12 +238,8 @@ class TransformTable(Artifact):
     def pictured(self) -> "TransformTable":
         """Return a table with only the outputs that are needed to render pictures.
 
-        Returns
-        -------
-        TransformTable
-            If the outputs are X, Y, Z and additional outputs, a table with only X, Y, Z. If the only output is Y, a table
-            that contains this output three times (GREY). Otherwise, or if there are refinement layers, this table. A
-            refinement layer needs all outputs of the first layer.
+        Outputs in addition to X, Y, Z are removed. A single output Y is repeated three times (GREY). Other tables stay
+        unchanged, including those with refinement layers, which need all outputs of the first layer.
         """
         grey = self.outputs == LUMINANCE
         if self.later or not (grey or (self.outputs[:3] == ("X", "Y", "Z") and len(self.outputs) > 3)):
@@ -261,32 +255,28 @@ class TransformTable(Artifact):
 
     @property
     def shows_grey(self) -> bool:
-        """Whether pictures from this table are grey.
-
-        This is the case if the table renders only luminance or Stokes parameters, or if the camera has only one channel.
-        """
+        """Whether the table renders grey pictures: from luminance, Stokes parameters or a single channel."""
         return self.outputs in (GREY, STOKES) or len(self.channels) == 1
 
     @property
     def chroma_outputs(self) -> tuple[int, ...]:
-        """Indices of the outputs that belong to the chroma planes of refinement layers, and that coarse chroma changes."""
+        """Indices of the outputs in the chroma planes of refinement layers, which coarse chroma smoothing changes."""
         return (0, PLANES - 1) if self.components is None else self.components.chroma_outputs
 
     @property
     def noises(self) -> tuple[Condition, ...]:
-        """The conditions for noise that differs from the noise of the camera, trained on all illuminants together."""
+        """The conditions for noise sets that were trained on all illuminants together."""
         return tuple(each for each in self.conditions if each.light is None)
 
     @property
     def lights(self) -> tuple[SceneLight, ...]:
-        """The illuminants for which the table has transforms, in the order of its conditions."""
+        """The illuminants with their own transforms, in the order of the conditions."""
         return tuple(each.light for each in self.conditions if each.light and each.noise is None)
 
     def of_light(self, light: SceneLight | None) -> "TransformTable":
-        """Return a table with only the transforms for one illuminant.
+        """Return a table with only the transforms for one illuminant, including its noise sets.
 
-        If `light` is None, the result contains the transforms that were trained on all illuminants together. In both cases,
-        the result also contains the conditions for noise sets.
+        If `light` is None, these are the transforms that were trained on all illuminants together.
         """
         if light is None:
             return replace(self, conditions=self.noises) if self.lights else self
@@ -294,10 +284,9 @@ class TransformTable(Artifact):
         return replace(self.under(usual), conditions=tuple(replace(each, light=None) for each in noises))
 
     def under(self, condition: Condition) -> "TransformTable":
-        """Return a table that contains only the transforms of one condition of this table.
+        """Return a table with only the transforms of one condition.
 
-        The white point, the illuminant, the camera, the output unit and the exposure time also change to match the
-        condition.
+        White point, illuminant, camera, output unit and exposure time also change to match the condition.
         """
         light, noise = condition.light, condition.noise or NoiseScale()
         table = self._with_edges(condition.edges) if condition.edges else self
@@ -314,7 +303,7 @@ class TransformTable(Artifact):
         )
 
     def _with_edges(self, edges: NoiseEdges) -> "TransformTable":
-        """Return the table without conditions, with the noise-dependent values of its class rules replaced by `edges`."""
+        """Return the table without conditions, and with the class rules adapted to a different noise."""
         usual = self.first.rule
         features = usual.features and replace(usual.features, constants=edges.constants)
         rule = replace(usual, contrast_edges=edges.contrast_edges, features=features)
@@ -325,10 +314,10 @@ class TransformTable(Artifact):
 
     @property
     def clipped_white(self) -> NDArray[np.float64] | None:
-        """XYZ, in output units, of the darkest white that clips every channel (docs/method.md#clipped-white).
+        """XYZ of the darkest white that clips every channel, in output units (docs/method.md#clipped-white).
 
-        No pixel is rendered brighter than this white. The value is None if the illuminant or the camera is unknown, or if
-        the first three outputs are neither X, Y, Z nor GREY.
+        No pixel is rendered brighter than this white. None if the illuminant or the camera is unknown, or if the first three
+        outputs are neither X, Y, Z nor GREY.
         """
         if self.outputs[:3] not in (("X", "Y", "Z"), GREY) or (white := self.white_signals) is None:
             return None
@@ -336,10 +325,10 @@ class TransformTable(Artifact):
 
     @property
     def white_signals(self) -> NDArray[np.float64] | None:
-        """Signal of each channel for a white with an output Y of 1, as a fraction of full scale.
+        """Signal of each channel for a white with the output Y = 1, as a fraction of full scale.
 
-        These signals are needed to raise pixels whose luminance is too low (docs/method.md#raised-pixels). The property is
-        None if the illuminant or the camera is unknown, or if a channel has no signal.
+        Rendering uses these signals to raise pixels with too low a luminance (docs/method.md#raised-pixels). None if the
+        illuminant or the camera is unknown, or if a channel has no signal.
         """
         if self.light is None or self.camera is None:
             return None
@@ -347,16 +336,16 @@ class TransformTable(Artifact):
         return signals if signals.min() > 0 else None
 
     def gain_at(self, iso: float) -> float | None:
-        """Return the analog gain at an ISO speed, relative to the gain of the table's camera, or None if it is unknown.
+        """Convert an ISO speed to an analog gain, relative to the table's camera (see `CameraModel.gain_at`).
 
-        The gain is unknown if the table contains no camera, or if the ISO speed of the camera is unknown.
+        Returns None if the gain is unknown or the table contains no camera.
         """
         return self.camera.gain_at(iso) if self.camera else None
 
     def dark_signal(self, exposure: float | None) -> float:
-        """Return the mean signal, in DN, that the dark current causes in `exposure` seconds.
+        """Return the mean dark signal after `exposure` seconds, in DN.
 
-        If `exposure` is None, the exposure time of the training frames is used. If the table contains no camera, the result
+        If `exposure` is None, the training frames' mean exposure time applies. If the table contains no camera, the result
         is 0.
         """
         return self.camera.dark_signal(self.exposure if exposure is None else exposure) if self.camera else 0.0

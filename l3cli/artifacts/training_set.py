@@ -1,4 +1,4 @@
-"""The training set: raw frames with their ideal outputs. Simulated frames also contain the noise-free electrons."""
+"""The training set: raw frames with their ideal outputs and, for simulated frames, noise-free electrons."""
 
 import contextlib
 import re
@@ -40,15 +40,15 @@ class LightSpectrum:
     def __post_init__(self) -> None:
         check(self)
         if not (self.wavelength.size > 1 and self.wavelength[0] > 0 and (np.diff(self.wavelength) > 0).all()):
-            raise ValueError("the wavelengths of an illuminant must be at least two positive, increasing values")
+            raise ValueError("wavelength of an illuminant must contain at least two positive, increasing values")
         if not self.radiance.min() >= 0 < self.radiance.max():
             raise ValueError(
-                "the radiance of an illuminant must not be negative, and must be positive at one or more wavelengths"
+                "radiance of an illuminant must not be negative, and must be positive for at least one wavelength"
             )
 
 
 def white_signal(light: LightSpectrum, camera: CameraModel, output_unit: float | None = None) -> NDArray[np.float64]:
-    """Return the signals that a white with Y = 1 under an illuminant causes in the channels of a camera.
+    """Return the signal of each camera channel for a white with Y = 1 under an illuminant.
 
     Parameters
     ----------
@@ -57,13 +57,13 @@ def white_signal(light: LightSpectrum, camera: CameraModel, output_unit: float |
     camera : CameraModel
         The camera.
     output_unit : float, optional
-        Luminance × exposure time, in cd s/m², that corresponds to Y = 1. Passing it saves the import of colour-science.
+        Luminance × exposure time, in cd s/m², that corresponds to Y = 1. If it is set, colour-science need not be imported.
         [default: the output unit of the camera]
 
     Returns
     -------
     ndarray, (channel,)
-        Signal above black of each channel, as a fraction of full scale. The result is not clipped.
+        Signal above black as a fraction of full scale. It can exceed 1.
     """
     radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
     unit = camera.output_unit if output_unit is None else output_unit
@@ -72,10 +72,10 @@ def white_signal(light: LightSpectrum, camera: CameraModel, output_unit: float |
 
 @dataclass(frozen=True)
 class TrainingPair:
-    """A raw frame and the ideal outputs for each of its pixels.
+    """A raw frame and the ideal outputs of each pixel.
 
-    Simulated frames are instances of the subclass `TrainingFrame`. A real pair, whose raw frame comes from a camera, is an
-    instance of this class.
+    This class represents real pairs, in which the raw frame comes from a camera. Simulated frames are instances of the
+    subclass `TrainingFrame`.
     """
 
     raw: NDArray[np.uint16] = data(
@@ -106,7 +106,7 @@ class TrainingPair:
 
     @property
     def dark_time(self) -> float:
-        """Exposure time in s that determines the dark signal in `raw`.
+        """Time in s during which the dark signal in `raw` accumulated.
 
         It is 0 for real pairs, because their dark signal has already been subtracted.
         """
@@ -114,16 +114,13 @@ class TrainingPair:
 
     @property
     def shown(self) -> "Shown | None":
-        """Fingerprints of the scene and the illuminant, or None if they are unknown. Real pairs have no fingerprints."""
+        """Fingerprints of the scene and the illuminant. None if they are unknown, as in all real pairs."""
         return None
 
 
 @dataclass(frozen=True)
 class Shown:
-    """Fingerprints of the scene and the illuminant of a frame.
-
-    With these fingerprints, l3 recognises the same scene or illuminant in the training sets of different cameras.
-    """
+    """Fingerprints of a frame's scene and illuminant, which identify them in the training sets of different cameras."""
 
     scene: NDArray[np.float64] = data(
         "float64", "projection", doc="fingerprint that identifies the visible part of the scene"
@@ -136,9 +133,9 @@ class Shown:
 
 @dataclass(frozen=True)
 class IgnoredPixels:
-    """Pixels for which the scene file contains no data.
+    """Pixels without data in the scene file.
 
-    Their values come from neighbouring pixels. Training ignores them.
+    They are filled from neighbouring pixels, and training ignores them.
     """
 
     mask: NDArray[np.uint8] = data(
@@ -151,10 +148,10 @@ class IgnoredPixels:
 
 @dataclass(frozen=True)
 class TrainingFrame(TrainingPair):
-    """A simulated pair, which also contains the noise-free electrons.
+    """A simulated pair, which also contains the noise-free electrons of every channel at every pixel.
 
-    The electrons of every channel at every pixel are stored. Training can therefore use mosaics with any offset and in any
-    of the eight orientations (docs/method.md#patches). `raw` is the mosaic that the camera itself would record.
+    From these electrons, training can compute mosaics with any CFA offset and in all eight orientations
+    (docs/method.md#patches). `raw` is the mosaic that the camera itself would record.
     """
 
     electrons: NDArray[np.float32] = data(
@@ -179,17 +176,17 @@ class TrainingFrame(TrainingPair):
 
 
 def _require_moderate(name: str, values: NDArray[np.float32]) -> None:
-    """Raise ValueError if there are no values, or if a product of two values may not fit into a 32-bit float."""
+    """Raise ValueError if there are no values, or if the product of two values could overflow a 32-bit float."""
     if values.size == 0 or max(float(values.max()), -float(values.min())) > LARGEST:
-        raise ValueError(f"{name} is empty or contains values larger than {LARGEST:g}")
+        raise ValueError(f"{name} must not be empty, and its absolute values must not exceed {LARGEST:g}")
 
 
 @dataclass(frozen=True, repr=False)
 class TrainingSet(Artifact):
     """Header of a training set: the camera, the outputs and the description of the target.
 
-    Simulated frames are stored in the groups frames/00000, frames/00001…, and real pairs in the groups pairs/00000….
-    `open_training_set` reads these frames one after the other.
+    The groups frames/00000, frames/00001… contain simulated frames, and pairs/00000… real pairs. Use `open_training_set` to
+    read them one by one.
 
     Attributes
     ----------
@@ -200,8 +197,8 @@ class TrainingSet(Artifact):
     target_description : str
         Description of the target.
     target_light : LightSpectrum or None
-        The illuminant under which the target is computed. None if the target of each frame is computed under the
-        illuminant of the frame.
+        The illuminant under which all targets are computed. None if each target is computed under the frame's own
+        illuminant.
     """
 
     kind: ClassVar[str] = "training set"
@@ -218,16 +215,16 @@ class TrainingSet(Artifact):
 
 
 def frame_name(index: int, scene: str) -> str:
-    """Return the stem of the names of a frame's files: the number of the frame and the name of its scene.
+    """Build the stem of a frame's file names from its number and scene, such as "00003_street-lamp".
 
-    In the name of the scene, characters other than ASCII letters and digits are replaced by hyphens.
+    Characters of the scene name other than ASCII letters and digits are replaced by hyphens.
     """
     return f"{index:05d}_{re.sub(r'[^A-Za-z0-9]+', '-', scene)}"
 
 
 @dataclass(frozen=True)
 class FrameLight:
-    """The illuminant of a frame, which is the part of `TrainingPair` that can be read without the pixels."""
+    """The illuminant of a frame: the fields of `TrainingPair` that describe it, without the pixels."""
 
     illuminant: str = data("str", doc="name of the illuminant")
     white: NDArray[np.float64] = data("float64", "output", unit="cd/m^2 (XYZ)", doc="target of a perfect white")
@@ -238,10 +235,10 @@ GROUPS: dict[str, type[TrainingPair]] = {"frames": TrainingFrame, "pairs": Train
 
 
 class TrainingSetReader:
-    """An open training set, whose frames are read one after the other.
+    """An open training set, which can contain more frames than fit into memory.
 
     `len()` returns the number of frames and real pairs. Iteration yields the simulated frames first, then the real pairs,
-    with only one frame in memory at a time.
+    and reads them one at a time.
 
     Attributes
     ----------
@@ -263,7 +260,7 @@ class TrainingSetReader:
 
     @property
     def simulated(self) -> int:
-        """Number of simulated frames. These frames have lower indices than the real pairs."""
+        """Number of simulated frames, which come before the real pairs."""
         return sum(group == "frames" for group, _ in self._names)
 
     def __repr__(self) -> str:
@@ -276,18 +273,14 @@ class TrainingSetReader:
 
     @property
     def has_pairs(self) -> bool:
-        """Whether the set contains real pairs."""
         return "pairs" in self._groups
 
     def frame(self, index: int) -> TrainingPair:
-        """Read a frame. The result is a TrainingFrame if the frame was simulated, and a TrainingPair otherwise."""
+        """Read a frame: a TrainingFrame if it was simulated, otherwise a TrainingPair."""
         return self._read(index, GROUPS[self._names[index][0]])
 
     def pair(self, index: int) -> TrainingPair:
-        """Read a frame as a TrainingPair.
-
-        The electrons of a simulated frame, which are most of its data, and its fingerprints are not read.
-        """
+        """Read a frame as a TrainingPair. This skips the electrons, which are most of the data of a simulated frame."""
         return self._read(index, TrainingPair)
 
     def _read(self, index: int, kind: type[TrainingPair]) -> TrainingPair:
@@ -315,14 +308,14 @@ class TrainingSetReader:
 
 @contextlib.contextmanager
 def open_training_set(path: Path, unchanged: bool = False) -> Iterator[TrainingSetReader]:
-    """Context manager that opens a training set for reading.
+    """Open a training set for reading in a `with` block.
 
     Parameters
     ----------
     path : Path
         File of the training set.
     unchanged : bool
-        If true, the digest of the file is not verified, because the current run has already verified it.
+        Skip the verification of the digest, for a file that the current run has already verified.
 
     Raises
     ------
@@ -345,19 +338,12 @@ class TrainingSetWriter:
         return group, f"{len(group):05d}"
 
     def append(self, frame: TrainingPair) -> None:
-        """Append a frame to the file."""
         group, name = self._place(isinstance(frame, TrainingFrame))
         store.write_fields(group.create_group(name), frame, compressed=False)
         name_axes(group[name], type(frame), self._coordinates)
 
     def append_part(self, path: Path) -> "SceneCoverage":
-        """Append a copy of the frame that `write_part` wrote to `path`.
-
-        Returns
-        -------
-        SceneCoverage
-            Name of the scene, and the fraction of the camera's signal that the data of the scene do not cover.
-        """
+        """Append a copy of the frame that `write_part` wrote to `path`, and return the coverage of its scene."""
         with container.open_file(path) as part:
             simulated = bool(part.attrs["simulated"])
             group, name = self._place(simulated)
@@ -368,9 +354,9 @@ class TrainingSetWriter:
 
 @contextlib.contextmanager
 def write_training_set(path: Path, head: TrainingSet) -> Iterator[TrainingSetWriter]:
-    """Context manager that writes a new training set.
+    """Write a new training set in a `with` block.
 
-    If the `with` block ends without an error, the file is renamed to `path`. Otherwise no file remains.
+    If the block ends without an error, the file is renamed to `path`. Otherwise no file remains.
     """
     with store.new_artifact(path, head.kind, head.history) as root:
         store.write_fields(root, head)
@@ -380,16 +366,16 @@ def write_training_set(path: Path, head: TrainingSet) -> Iterator[TrainingSetWri
 
 @dataclass(frozen=True)
 class SceneCoverage:
-    """The scene of a frame, and how completely the data of the scene cover the wavelengths of the camera."""
+    """The name of a frame's scene, and how completely the scene data cover the camera's wavelengths."""
 
     scene: str  # name of the scene
-    uncovered: float  # fraction of a white's electrons that come from wavelengths without scene data
+    uncovered: float  # fraction of the electrons of a perfect white from wavelengths without scene data
 
 
 def write_part(path: Path, frame: TrainingPair, uncovered: float) -> None:
     """Write one frame to a separate file, so that an interrupted run can be continued.
 
-    `uncovered` is stored with the frame, for `SceneCoverage`.
+    `uncovered` is stored with the frame (see `SceneCoverage`).
     """
     with container.new_file(path) as root:
         root.attrs["simulated"] = isinstance(frame, TrainingFrame)
@@ -399,13 +385,13 @@ def write_part(path: Path, frame: TrainingPair, uncovered: float) -> None:
 
 
 def read_part(path: Path) -> TrainingPair:
-    """Read the frame in a file from `write_part`. The digest of the file is not verified."""
+    """Read a frame that `write_part` wrote, without verifying the digest."""
     with container.open_file(path) as part:
         return _frame_of(part, path)
 
 
 def part_in(content: bytes) -> TrainingPair:
-    """Read the frame from the bytes of a file from `write_part`.
+    """Read a frame from the bytes of a file that `write_part` wrote.
 
     Raises ValueError if the bytes do not match their digest.
     """
@@ -420,7 +406,7 @@ def _frame_of(part: h5py.File, path: Path) -> TrainingPair:
 
 
 def whole_part(path: Path) -> bool:
-    """Return whether a file from `write_part` exists and matches its digest."""
+    """Return whether a file that `write_part` wrote exists and matches its digest."""
     try:
         container.check(path, "l3 simulate")
     except InputFileError:

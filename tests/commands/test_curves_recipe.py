@@ -141,7 +141,7 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
     ),
     "energy": (lambda nm, percent: written("nm,r (A/W),g (A/W),b (A/W)", nm, percent / 200), "per_energy = true"),
     "relative": (lambda nm, percent: written("nm,r (a.u.),g (a.u.),b (a.u.)", nm, percent / 100), "set responsivity.peak"),
-    "percent": (percent_without_unit, 'is 55.93, but cannot exceed 1; write "(%)"'),
+    "percent": (percent_without_unit, 'is 55.93, but cannot exceed 1; add "(%)"'),
     "peak": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent * 3), "quantum efficiency is 1.678"),
     "share": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent / 1000), "quantum efficiency is 0.0005593"),
     "normal": (
