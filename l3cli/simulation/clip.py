@@ -1,6 +1,6 @@
-"""Simulated video clips, in which the camera and leaves move over a scene (docs/method.md#motion).
+"""Simulated video clips, in which the camera and dead leaves move over a scene (docs/method.md#motion).
 
-This module renders the frames of a clip and computes the true motion of each pixel since the previous frame.
+This module renders the frames of a clip and computes each pixel's true motion since the previous frame.
 """
 
 from collections.abc import Callable
@@ -21,20 +21,20 @@ from l3cli.simulation.sources import framed_size, resampled, scale_of, turned
 
 Array = NDArray[np.float64]
 Cube = NDArray[np.float32]  # (row, col, band)
-FINEST_STEP = 0.25  # smallest distance between samples of a leaf, in pixels
-MAX_RADIUS_SAMPLES = 256  # largest radius of a leaf in samples, which limits its memory
-TEXTURE_CONTRAST = 0.3  # standard deviation of the natural logarithm of the brightness within a leaf
-COVERED = 0.5  # a pixel shows a leaf if the leaf covers more than this fraction of the pixel
-ROUNDING_PIXELS = 1e-6  # tolerance for rounding errors at the border of the frame
-EDGE_MARGIN = 2  # distance in pixels within which lens blur and demosaicking mix both sides of an edge
+FINEST_STEP = 0.25  # finest sampling interval of leaves, in pixels
+MAX_RADIUS_SAMPLES = 256  # coarser sampling of larger leaves limits memory use
+TEXTURE_CONTRAST = 0.3  # standard deviation of ln(brightness) within a leaf
+COVERED = 0.5  # a leaf that covers more than this fraction of a pixel is the object that the pixel shows
+ROUNDING_PIXELS = 1e-6  # tolerance for rounding errors at the frame border
+EDGE_MARGIN = 2  # pixels; closer to an edge, lens blur and demosaicking mix both sides
 
 
 @dataclass(frozen=True)
 class Sprite:
-    """Coverage and brightness of a moving leaf, sampled on a grid around the centre of the leaf."""
+    """Coverage and brightness of a moving leaf, sampled on a grid around its centre."""
 
     step: float  # pixels per sample
-    cover: Cube  # (row, col, 2), covered fraction of each sample, and product of this fraction and relative brightness
+    cover: Cube  # (row, col, 2), covered fraction of each sample, and covered fraction × relative brightness
     colour: NDArray[np.float32]  # (band,), reflectance or signal
 
 
@@ -48,7 +48,7 @@ def sprites(course: Course, colours: NDArray[np.floating], seed: tuple[int, ...]
     colours : ndarray, (leaf, band)
         Reflectance or signal of each leaf.
     seed : tuple of int
-        Seed. Each leaf has its own random generator, so the appearance of a leaf does not depend on the other leaves.
+        Seed. Each leaf has its own random generator, so its appearance does not depend on the other leaves.
 
     Returns
     -------
@@ -87,7 +87,7 @@ def frame(canvas: Cube, scale: float, course: Course, things: list[Sprite], numb
     Returns
     -------
     ndarray, (row, col, band)
-        The part of the scene that the frame shows, with the leaves.
+        The part of the scene in the frame, partly covered by leaves.
     """
     moments = course.moments()
     total = np.zeros((*course.motion.size, canvas.shape[2]), np.float32)
@@ -98,7 +98,7 @@ def frame(canvas: Cube, scale: float, course: Course, things: list[Sprite], numb
         for thing, place in reversed(list(zip(things, places, strict=True))):
             part, cover = _part(seen, thing.cover, thing.step, view, place)
             part *= 1 - cover[..., :1]
-            part += np.minimum(cover[..., 1:] * thing.colour, cover[..., :1])  # limits the reflectance of the leaf to 1
+            part += np.minimum(cover[..., 1:] * thing.colour, cover[..., :1])  # clips the leaf's reflectance to 1
         total += seen
     return total if len(moments) == 1 else total / np.float32(len(moments))
 
@@ -107,7 +107,7 @@ def sampled(
     cube: Cube, view: View, size: tuple[int, int], place: tuple[float, float], scale: float, top: tuple[int, int] = (0, 0),
     window: tuple[int, int] | None = None,
 ) -> Cube:  # fmt: skip
-    """Resample a cube to the pixels of a frame. Each pixel value is the mean of the cube over the pixel area.
+    """Resample a cube to the pixels of a frame by averaging over each pixel's area.
 
     Parameters
     ----------
@@ -118,13 +118,13 @@ def sampled(
     size : tuple of int
         Rows and columns of the whole frame.
     place : tuple of float
-        Position of the centre of the cube, in pixels of a frame without zoom.
+        Position of the cube's centre (down, across), in pixels of a frame without zoom.
     scale : float
         Pixels per sample of the cube, without zoom.
     top : tuple of int
         Row and column of the first pixel to compute.
     window : tuple of int, optional
-        Number of rows and columns to compute. By default, the whole frame.
+        Numbers of rows and columns to compute. [default: the whole frame]
 
     Returns
     -------
@@ -147,9 +147,9 @@ def sampled(
 def _resampling(length: int, pixels: int, first: float, step: float) -> Any:
     """Return the sparse matrix (pixel, sample) that averages a line of samples over the extent of each pixel.
 
-    Pixel n extends from first + n · step to first + (n + 1) · step. The samples are at 0.5, 1.5, … The line is interpolated
-    linearly between the samples and is constant beyond the first and the last sample. The integral is exact, so the total
-    brightness of a small object does not change if the object moves by a fraction of a pixel.
+    Pixel n extends from first + n · step to first + (n + 1) · step. The samples are at 0.5, 1.5, … with linear interpolation
+    between them, and constant values beyond the first and the last sample. The integral over a pixel is exact, so a small
+    object keeps its total brightness when it moves by a fraction of a pixel.
     """
     start = first + step * np.arange(pixels)[:, None]
     knots = np.floor(start - 1.5).astype(int) + np.arange(int(np.ceil(step)) + 4)
@@ -161,13 +161,13 @@ def _resampling(length: int, pixels: int, first: float, step: float) -> Any:
 
 
 def _filled(until: Array) -> Array:
-    """Integrate a triangle function, with peak 1 at 0 and zeros at ±1, from −1 to `until`."""
+    """Integrate a triangle with the peak 1 at 0 and zeros at ±1, from −1 to `until`."""
     inner = np.clip(until, -1.0, 1.0)
     return np.where(inner < 0, 0.5 * (1 + inner) ** 2, 1 - 0.5 * (1 - inner) ** 2)
 
 
 def _part(picture: NDArray[Any], cover: Cube, step: float, view: View, place: Array) -> tuple[NDArray[Any], Cube]:
-    """Find the part of a frame that a leaf can cover, and resample the leaf to the pixels of this part.
+    """Crop a frame to the area that a leaf can cover, and resample the leaf to the pixels of this area.
 
     Parameters
     ----------
@@ -180,12 +180,14 @@ def _part(picture: NDArray[Any], cover: Cube, step: float, view: View, place: Ar
     view : View
         Position and zoom of the camera.
     place : ndarray, (2,)
-        Position of the leaf.
+        Position of the leaf (down, across), in pixels of a frame without zoom.
 
     Returns
     -------
-    (ndarray, ndarray)
-        View of a part of `picture`, and coverage of the leaf in this part. Both are empty if the leaf is outside the frame.
+    part : ndarray, (row, col, …)
+        View of the cropped area of `picture`. It is empty if the leaf is outside the frame.
+    cover : ndarray, (row, col, band)
+        Coverage of the leaf in this area.
     """
     size = (picture.shape[0], picture.shape[1])
     half = np.array(cover.shape[:2]) * step / 2
@@ -204,7 +206,7 @@ def _part(picture: NDArray[Any], cover: Cube, step: float, view: View, place: Ar
 
 
 def motion_between(course: Course, things: list[Sprite], number: int) -> NDArray[np.float32]:
-    """Return the true motion of each pixel since the previous frame.
+    """Compute each pixel's true motion since the previous frame.
 
     Parameters
     ----------
@@ -218,15 +220,15 @@ def motion_between(course: Course, things: list[Sprite], number: int) -> NDArray
     Returns
     -------
     ndarray, (3, row, col)
-        Downward motion and rightward motion in pixels, and validity. Validity is 1 if the previous frame shows the same
-        object and no edge is near the pixel, and otherwise 0. All values are 0 in the first frame.
+        Downward motion and rightward motion in pixels, and validity. Motion is valid (1) if the pixel shows the same object
+        as in the previous frame and no edge is near. Otherwise, and in the whole first frame, the validity is 0.
     """
     size = course.motion.size
     if number == 0:
         return np.zeros((3, *size), np.float32)
     view, earlier = course.view(number), course.view(number - 1)
     top, was = (_shown(course, things, each) for each in (number, number - 1))
-    velocity = np.vstack([course.velocity, np.zeros(2)])  # the last row, index -1, is the scene itself
+    velocity = np.vstack([course.velocity, np.zeros(2)])  # index -1, the last row, is the motionless scene
     source = before(view, earlier, size, velocity[top].transpose(2, 0, 1))
     pixel = np.indices(size)
     nearest = np.rint(source).astype(int)
@@ -239,7 +241,7 @@ def motion_between(course: Course, things: list[Sprite], number: int) -> NDArray
 
 
 def _shown(course: Course, things: list[Sprite], number: int) -> NDArray[np.intp]:
-    """Return the index of the visible leaf at each pixel of a frame, or −1 if the pixel shows no leaf."""
+    """Return the index of the leaf that is visible at each pixel of a frame, or −1 for the scene behind the leaves."""
     view, shown = course.view(number), np.full(course.motion.size, -1)
     for leaf, place in reversed(list(enumerate(course.leaves(number)))):
         part, cover = _part(shown, things[leaf].cover[..., :1], things[leaf].step, view, place)
@@ -248,26 +250,26 @@ def _shown(course: Course, things: list[Sprite], number: int) -> NDArray[np.intp
 
 
 def _sure(shown: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Return a mask of the pixels whose whole neighbourhood shows the same object."""
+    """Return a mask of the pixels that are more than EDGE_MARGIN pixels from the edge of an object."""
     side = 2 * EDGE_MARGIN + 1
     return np.asarray(maximum_filter(shown, side) == minimum_filter(shown, side))
 
 
 # ------------------------------------------------------------------------------------------------- clips of a run
 
-# Each value is the last element of a seed, so that random motion, shapes and colours are independent.
+# Last element of the seeds for motion, for shapes and for colours, so that all three are independent.
 MOVING, LEAVES, COLOURS = 1, 2, 3
 
 
 def clip_of(
     scene: Scene | ChannelPicture, wanted: sources.WantedScene, run: SimulationRun
 ) -> Callable[[int], Scene | ChannelPicture]:
-    """Prepare the clip of a scene.
+    """Prepare a scene's clip for rendering frame by frame.
 
     Parameters
     ----------
     scene : Scene or ChannelPicture
-        The scene before it is cropped and rotated.
+        The scene before cropping and rotation.
     wanted : WantedScene
         The recipe entry of the scene.
     run : SimulationRun
@@ -276,12 +278,12 @@ def clip_of(
     Returns
     -------
     callable
-        Function that takes a frame number and returns the part of the scene that this frame shows.
+        Function from a frame number to the part of the scene in this frame.
 
     Raises
     ------
     ValueError
-        If the camera moves beyond the scene, or if the cropped scene contains pixels without data.
+        If the scene is too small for the camera's motion, or if the cropped scene contains pixels without data.
     """
     framing = wanted.source
     samples = scene.signal if isinstance(scene, ChannelPicture) else scene.reflectance
@@ -289,7 +291,7 @@ def clip_of(
     if isinstance(scene, Scene) and scene.ignored is not None:
         if turned(scene.ignored[..., None].astype(np.float32), framing).any():
             raise ValueError(
-                "the scene contains pixels without data, which a clip does not support; exclude these pixels with crop"
+                "the scene contains pixels without data, which are not supported in clips; exclude these pixels with crop"
             )
         scene = replace(scene, ignored=None)
     canvas = np.ascontiguousarray(turned(samples, framing))
@@ -305,7 +307,7 @@ def clip_of(
 
 
 def known_motion(wanted: sources.WantedScene, run: SimulationRun) -> Callable[[int], NDArray[np.float32]]:
-    """Prepare the true motion of a clip.
+    """Prepare the computation of a clip's true motion.
 
     Parameters
     ----------
@@ -317,7 +319,7 @@ def known_motion(wanted: sources.WantedScene, run: SimulationRun) -> Callable[[i
     Returns
     -------
     callable
-        Function that takes a frame number and returns the result of `motion_between` for this frame.
+        Function from a frame number to the frame's true motion, as in `motion_between`.
     """
     course = _course(wanted, run)
     things = sprites(course, np.zeros((len(course.radius), 1)), _seed(wanted, run, LEAVES))
@@ -333,7 +335,7 @@ def _course(wanted: sources.WantedScene, run: SimulationRun) -> Course:
 def _colours(
     scene: Scene | ChannelPicture, count: int, wanted: sources.WantedScene, run: SimulationRun
 ) -> NDArray[np.float32]:
-    """Draw the reflectance of each leaf, one row per leaf. For a picture of channel signals, draw signals instead."""
+    """Draw random reflectances, (leaf, band), or random signals if the scene is a picture of channel signals."""
     rng = np.random.default_rng(_seed(wanted, run, COLOURS))
     if isinstance(scene, ChannelPicture):
         return rng.uniform(0.05, 0.9, (count, scene.signal.shape[2])).astype(np.float32)

@@ -3,10 +3,10 @@
 There are two kinds of texture: random fields with natural power spectra, and fine regular patterns.
 
 Random fields are drawn as periodic pieces, and each leaf shows a random part of a piece. Fields as large as the picture
-would take four times as long, and leaves with other textures would hide seven eighths of each field.
+would take four times as long to draw, and seven eighths of each field would be hidden behind leaves with other textures.
 
 Fences, windows, blinds, cloth and print repeat every few pixels. A colour filter array turns such fine luminance patterns
-into false colour. Dead leaves alone contain almost no fine patterns, so some leaves have a regular pattern.
+into false colour. Textured dead leaves contain almost no fine patterns, so some leaves get a regular pattern.
 """
 
 import functools
@@ -22,22 +22,22 @@ from l3cli.physics.spectra import with_saturation
 Field = NDArray[np.float32]
 Direction = tuple[float, float]  # elongation and its angle in radians
 
-LENGTHS, PHASES = 256, 256  # numbers of different lengths and phases of the random coefficients; 16 random bits select both
-SLOW = 1 / 16  # frequency in cycles per pixel, above which a piece has the same power as the whole field
+LENGTHS, PHASES = 256, 256  # different moduli and phases of the random coefficients; 16 random bits select both
+SLOW = 1 / 16  # cycles per pixel; above this frequency, a piece has the same power as a field of the picture's size
 # For each texture: lowest and highest exponent of the amplitude spectrum, and stretch. The textures range from sand to
-# clouds. The last texture looks brushed.
+# clouds, and the last one looks brushed.
 PINK = ((0.3, 0.9, 1.0), (0.8, 1.3, 1.0), (1.6, 1.6, 1.0), (1.0, 1.0, 1.0), (0.6, 0.6, 1.0), (1.1, 1.1, 4.0))
 BLOTCHES, STRIPES = len(PINK), len(PINK) + 1  # indices of the last two textures, after the textures in PINK
 TEXTURES = len(PINK) + 2
-WIDEST = 1024  # largest side of a piece in samples, a power of two; leaves are at most 400 samples wide
+WIDEST = 1024  # largest side of a piece in samples, a power of two
 Array = NDArray[np.floating]
 
 PATTERN_FREQUENCIES = {"grating": 0.4, "lattice": 0.35, "lettering": 0.25}  # relative frequency of each kind of pattern
-PERIOD_RANGE = (2.0, 16.0)  # range of the periods in pixels; periods are drawn log-uniformly
-DUTIES = (0.15, 0.6)  # range of the width of strokes, relative to their period
-NEUTRAL, PALE = 0.5, 0.2  # fraction of patterns that are nearly neutral, and the highest saturation of these patterns
-CONTRAST = 0.5  # the reflectance of the strokes is multiplied by exp(CONTRAST · standard normal deviate)
-LINE_DISTANCE = (2.0, 3.5)  # distance between two lines of lettering, in periods of the strokes
+PERIOD_RANGE = (2.0, 16.0)  # pixels; periods are log-uniformly distributed
+DUTIES = (0.15, 0.6)  # range of stroke widths, relative to the period
+NEUTRAL, PALE = 0.5, 0.2  # fraction of nearly neutral patterns, and their highest saturation
+CONTRAST = 0.5  # standard deviation of the logarithm of the random factor on the strokes' reflectance
+LINE_DISTANCE = (2.0, 3.5)  # distance between lines of lettering, in stroke periods
 
 
 def pink(rng: np.random.Generator, shape: tuple[int, int], exponent: float, stretch: float = 1.0) -> Field:
@@ -65,7 +65,7 @@ def pink(rng: np.random.Generator, shape: tuple[int, int], exponent: float, stre
 def piece(
     rng: np.random.Generator, side: int, shape: tuple[int, int], exponent: float, stretch: float = 1.0
 ) -> tuple[Field, float]:
-    """Draw a periodic piece of a Gaussian random field, for a picture that is larger than the piece.
+    """Draw a periodic piece of a Gaussian random field, with the texture of a larger field.
 
     Parameters
     ----------
@@ -83,8 +83,8 @@ def piece(
     piece : ndarray, (side, side)
         The field without its slowest variations.
     level : float
-        Standard deviation of the variations that are too slow to appear within a piece. `level`² and the variance of the
-        piece add up to 1.
+        Standard deviation of the variations that are too slow for a piece. `level`² and the variance of the piece add up
+        to 1.
     """
     direction, longest = _direction(rng, stretch), max(shape)
     small = (side, side)
@@ -99,17 +99,17 @@ def _direction(rng: np.random.Generator, stretch: float) -> Direction:
 
 
 def _amplitudes(shape: tuple[int, int], exponent: float, direction: Direction, longest: float) -> Field:
-    """Return the amplitude of each coefficient of a real Fourier transform. Frequency 0 has the amplitude 0."""
+    """Return the amplitude 1/frequency^exponent of each coefficient of a real Fourier transform, and 0 at frequency 0."""
     amplitude: Field = np.exp(_log_frequencies(shape, direction, longest) * np.float32(-exponent))
     amplitude[0, 0] = 0.0
     return amplitude
 
 
 def _drawn(rng: np.random.Generator, amplitude: Field, cols: int, variance: float) -> Field:
-    """Draw a field of `cols` columns with the given variance, by drawing its Fourier coefficients."""
+    """Draw the Fourier coefficients of a field with `cols` columns and the given variance, and transform them."""
     spectrum = _normals()[rng.integers(LENGTHS * PHASES, size=amplitude.shape, dtype=np.uint16)]
     spectrum *= amplitude
-    alone = [0] if cols % 2 else [0, cols // 2]  # columns that contain the complex conjugates of their own coefficients
+    alone = [0] if cols % 2 else [0, cols // 2]  # columns that need Hermitian symmetry, because the field is real
     for column in alone:
         mirrored = np.roll(spectrum[::-1, column], 1).conj()
         spectrum[:, column] = (spectrum[:, column] + mirrored) * np.float32(np.sqrt(0.5))
@@ -121,10 +121,10 @@ def _drawn(rng: np.random.Generator, amplitude: Field, cols: int, variance: floa
 
 @functools.lru_cache(maxsize=1)
 def _normals() -> NDArray[np.complex64]:
-    """Return LENGTHS · PHASES complex numbers that follow a normal distribution with E|z|² = 1.
+    """Return LENGTHS · PHASES complex numbers that sample a normal distribution with E|z|² = 1.
 
-    Picking coefficients from this list takes a third of the time of drawing normal random numbers. Each sample of the field
-    is a sum of many coefficients and is therefore still Gaussian.
+    Picking coefficients from this list takes a third of the time that drawing normal deviates takes. Each sample of the
+    field is a sum of many coefficients, and therefore still Gaussian.
     """
     length = np.sqrt(-np.log((np.arange(LENGTHS) + 0.5) / LENGTHS))
     length /= np.sqrt(np.mean(length**2))
@@ -133,17 +133,17 @@ def _normals() -> NDArray[np.complex64]:
 
 
 def _power(spectrum: NDArray[np.complex64]) -> float:
-    """Return the sum of |z|². The summation row by row makes the result independent of the number of threads."""
+    """Sum |z|² row by row, so that the result does not depend on the number of threads."""
     parts = np.ascontiguousarray(spectrum).view(np.float32)
     return float(np.einsum("ij,ij->i", parts, parts).sum(dtype=np.float64))
 
 
-@functools.lru_cache(maxsize=4)  # most fields of a scene are isotropic and share one result
+@functools.lru_cache(maxsize=4)  # all isotropic fields of a scene share one result
 def _log_frequencies(shape: tuple[int, int], direction: Direction, longest: float) -> Field:
-    """Return the logarithm of the frequency, in cycles per pixel, of each coefficient of a real Fourier transform.
+    """Return ln(frequency in cycles per pixel) for each coefficient of a real Fourier transform.
 
-    Frequency components along the direction of elongation are multiplied by the elongation. Frequencies below 1 / `longest`
-    are raised to 1 / `longest`.
+    The frequency component in the stretched direction is multiplied by the stretch. Frequencies below 1 / `longest` are
+    raised to 1 / `longest`.
     """
     down = fft.fftfreq(shape[0])[:, None].astype(np.float32)
     return _logarithm(down, fft.rfftfreq(shape[1])[None].astype(np.float32), direction, longest)
@@ -158,7 +158,7 @@ def _logarithm(down: Field, across: Field, direction: Direction, longest: float)
 
 
 def _slow_power(shape: tuple[int, int], exponent: float, direction: Direction, longest: float) -> float:
-    """Return the power per pixel at frequencies above 0 and up to SLOW. A coefficient with amplitude 1 has power 1."""
+    """Return the power per pixel of all frequencies up to SLOW except 0. A coefficient with amplitude 1 has power 1."""
     down, across = (np.arange(-int(n * SLOW), int(n * SLOW) + 1, dtype=np.float32) / np.float32(n) for n in shape)
     power = np.exp(_logarithm(down[:, None], across, direction, longest) * np.float32(-2 * exponent))
     power[len(down) // 2, len(across) // 2] = 0.0
@@ -166,7 +166,10 @@ def _slow_power(shape: tuple[int, int], exponent: float, direction: Direction, l
 
 
 def _mean_power(amplitude: Field, cols: int) -> float:
-    """Return the mean power of all coefficients, given the amplitudes of a real transform of `cols` columns."""
+    """Return the mean power of all coefficients of a full transform, from the amplitudes of a real transform.
+
+    `cols` is the number of columns of the field.
+    """
     columns = np.einsum("ij,ij->j", amplitude, amplitude, dtype=np.float64)
     columns[1 : (cols + 1) // 2] *= 2
     return float(columns.sum() / (len(amplitude) * cols))
@@ -174,16 +177,16 @@ def _mean_power(amplitude: Field, cols: int) -> float:
 
 @dataclass(frozen=True)
 class Textures:
-    """The textures of a scene, each with a variance of about 1, and the part of a texture that each leaf shows."""
+    """The textures of a scene, each with a variance of about 1, and each leaf's position in its texture."""
 
     pieces: NDArray[np.float32]  # (texture, row, col), periodic
     texture: NDArray[np.intp]  # (leaf,), index of the texture
     start: NDArray[np.int32]  # (leaf,), flat index in `pieces` of the first sample of the texture
     shift: NDArray[np.int32]  # (2, leaf), shift of the texture, in samples down and across
-    level: NDArray[np.float32]  # (leaf,), constant that replaces variations that are too slow for a piece
-    direction: tuple[float, float]  # stripes per sample, down and across
-    waver: float  # standard deviation of the displacement of the stripes, in stripe periods
-    duty: float  # fraction of a stripe period that is bright
+    level: NDArray[np.float32]  # (leaf,), offset that replaces variations that are too slow for a piece
+    direction: tuple[float, float]  # spatial frequency of the stripes in cycles per sample, down and across
+    waver: float  # standard deviation of the stripes' displacement, in stripe periods
+    duty: float  # bright fraction of a stripe period
 
 
 def draw_textures(
@@ -198,7 +201,7 @@ def draw_textures(
     shape : tuple of int
         Rows and columns of the oversampled picture.
     texture : ndarray of int, (leaf)
-        Index of the texture of each leaf, below TEXTURES.
+        Index of each leaf's texture, from 0 to TEXTURES − 1.
     oversampling : int
         Samples per pixel in each direction.
     """
@@ -224,7 +227,7 @@ def draw_textures(
 
 
 def sampled(textures: Textures, label: NDArray[np.integer], down: NDArray, across: NDArray) -> NDArray[np.float32]:
-    """Return the value of the texture at each sample.
+    """Return the texture values of a picture, (row, col), each from the texture of the leaf at this sample.
 
     Parameters
     ----------
@@ -236,11 +239,6 @@ def sampled(textures: Textures, label: NDArray[np.integer], down: NDArray, acros
         Row of each sample.
     across : ndarray, (col)
         Column of each sample.
-
-    Returns
-    -------
-    ndarray, (row, col)
-        Value of the texture.
     """
     side = textures.pieces.shape[1]
     row = (textures.shift[0].take(label) + down.astype(np.int32)) & np.int32(side - 1)
@@ -256,9 +254,9 @@ def sampled(textures: Textures, label: NDArray[np.integer], down: NDArray, acros
 def _set_contrast(
     value: NDArray[np.float32], textures: Textures, label: NDArray[np.integer], down: NDArray, across: NDArray
 ) -> None:
-    """Reduce the blotches and stripes in `value` to two tones, in place.
+    """Reduce blotches and stripes to two tones, in place.
 
-    Blotches then have sharp borders, as on fur, bark and prints. Stripes then look like cloth, blinds and letters.
+    Blotches get sharp borders, as on fur, bark and prints. Stripes look like cloth, blinds and letters.
     """
     texture = textures.texture.astype(np.uint8).take(label)
     blotched = np.nonzero(texture == BLOTCHES)
@@ -273,19 +271,19 @@ def _set_contrast(
 
 @dataclass(frozen=True)
 class Patterns:
-    """Regular patterns on leaves. A pattern consists of strokes with a second reflectance.
+    """Regular patterns on leaves: strokes, and bars perpendicular to them, with a second reflectance.
 
     Lengths are in samples. Arrays have one value per leaf, unless a shape is stated.
     """
 
     present: NDArray[np.bool_]  # whether a leaf has a pattern
-    first: NDArray[np.float32]  # (leaf, band), reflectance between the strokes, or of the whole leaf if it has no pattern
+    first: NDArray[np.float32]  # (leaf, band), reflectance between the strokes, or of the whole leaf without a pattern
     second: NDArray[np.float32]  # (leaf, band), reflectance of the strokes
     kind: NDArray[np.intp]  # index into PATTERN_FREQUENCIES
     angle: NDArray[np.float32]  # radians; direction perpendicular to the strokes
-    period: NDArray[np.float32]  # (2, leaf), period of the strokes and of the perpendicular bars
-    width: NDArray[np.float32]  # (2, leaf), width of the strokes and of the bars
-    phase: NDArray[np.float32]  # (2, leaf), phase of the strokes and of the bars, in fractions of a period
+    period: NDArray[np.float32]  # (2, leaf), of the strokes and of the bars
+    width: NDArray[np.float32]  # (2, leaf), of the strokes and of the bars
+    phase: NDArray[np.float32]  # (2, leaf), of the strokes and of the bars, in fractions of a period
 
 
 def draw_patterns(
@@ -305,7 +303,7 @@ def draw_patterns(
     share : float
         Fraction of the leaves that have a pattern.
     materials : ndarray, (material, band)
-        Reflectances from which the reflectances of the strokes are chosen.
+        Reflectances from which the strokes' reflectances are drawn.
     reflectance : ndarray, (leaf, band)
         Reflectance of each leaf.
     oversampling : int
@@ -316,7 +314,7 @@ def draw_patterns(
     Returns
     -------
     Patterns
-        Colours and geometry for every leaf, including the leaves without a pattern.
+        Reflectances and geometry of all leaves, including leaves without a pattern.
     """
     count = len(reflectance)
     first, second = reflectance.copy(), materials[rng.integers(len(materials), size=count)]
@@ -334,7 +332,7 @@ def draw_patterns(
     )
     period = np.maximum([across, along], oversampling * PERIOD_RANGE[0])
     duty = rng.uniform(*DUTIES, (2, count))
-    duty[1] = np.where(kind == 2, 1.5 / (along / across), duty[1])  # lettering is blank between the lines
+    duty[1] = np.where(kind == 2, 1.5 / (along / across), duty[1])  # leaves blank space between lines of lettering
     return Patterns(
         present=present,
         first=first.astype(np.float32),
@@ -348,7 +346,7 @@ def draw_patterns(
 
 
 def coverage(patterns: Patterns, label: NDArray[np.integer], down: Array, across: Array) -> NDArray[np.float32]:
-    """Return the fraction of each sample that is covered by strokes.
+    """Return the fraction of each sample that is covered by strokes or bars.
 
     Parameters
     ----------
@@ -364,7 +362,7 @@ def coverage(patterns: Patterns, label: NDArray[np.integer], down: Array, across
     Returns
     -------
     ndarray, (row, col)
-        Covered fraction, from 0 to 1. Leaves without a pattern have a fraction of 0.
+        Covered fraction from 0 to 1, which is 0 on leaves without a pattern.
     """
     cosine, sine = np.cos(patterns.angle)[label], np.sin(patterns.angle)[label]
     u, v = across * cosine + down * sine, down * cosine - across * sine
@@ -382,18 +380,18 @@ def _strokes(
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Return the fraction of each sample that parallel strokes cover, and the number of the nearest stroke.
 
-    `axis` is 0 for the strokes of a pattern and 1 for the bars perpendicular to the strokes. The coverage is exact for
-    strokes parallel to the sampling grid.
+    `axis` is 0 for strokes and 1 for the bars perpendicular to them. The coverage is exact if the strokes are parallel to
+    the sampling grid.
     """
     period, width = patterns.period[axis][label], patterns.width[axis][label]
     turns = position / period + patterns.phase[axis][label]
     number = np.floor(turns)
-    distance = abs(turns - number - 0.5) * period  # distance from the middle of the nearest stroke, in samples
+    distance = abs(turns - number - 0.5) * period  # samples from the middle of the nearest stroke
     covered = np.clip(0.5 + 0.5 * width - distance, 0.0, np.minimum(width, 1.0))
     return covered.astype(np.float32), number.astype(np.int64)
 
 
 def _coin(one: NDArray[np.int64], other: NDArray[np.int64], label: NDArray[np.integer]) -> NDArray[np.bool_]:
-    """Return a reproducible random bit for each pair of numbers on a leaf, computed with a multiplicative hash."""
+    """Return a reproducible random bit for each pair of stroke numbers on a leaf, from a multiplicative hash."""
     mixed = (one * 73856093) ^ (other * 19349663) ^ (label.astype(np.int64) * 83492791)
     return ((mixed * 2654435761) >> 16) & 1 == 1

@@ -1,8 +1,8 @@
 """Geometry of dead-leaves scenes: shapes of many sizes that occlude each other (docs/method.md#procedural-scenes).
 
-Natural pictures are scale invariant because objects of every size occlude each other. Dead leaves whose radii have the
-density r⁻³ share the edges, the power spectrum and the contrast statistics of natural pictures (Lee, Mumford and Huang,
-2001).
+Natural images are scale invariant because objects of all sizes occlude each other. If the density of the leaf radii is
+proportional to r⁻³, dead leaves have the edges, the power spectrum and the contrast statistics of natural images (Lee,
+Mumford and Huang, 2001).
 """
 
 import functools
@@ -15,21 +15,21 @@ from numpy.typing import NDArray
 Field = NDArray[np.float32]
 Size = float | Field
 
-EXPONENT = 2.0  # exponent of the cumulative distribution of the radii, whose density is then r^-3
-UNCOVERED = 0.003  # fraction of the picture that may show the background, because covering the last pixels takes long
+EXPONENT = 2.0  # the density of the radii is proportional to r^-(EXPONENT + 1)
+UNCOVERED = 0.003  # fraction of the picture that may stay uncovered, because covering the last pixels takes long
 BATCH_AREA = 1.5  # total area of the bounding squares in a batch, relative to the area of the picture
 BLOCK = 8  # side in pixels of the blocks that are tested for uncovered pixels; each row of a block is one 64-bit word
-SMALL = 40.0  # largest radius, in pixels, of leaves that are drawn in groups
-WINDOW_RATIO = 1.15  # ratio between successive window sizes for small leaves
-CHUNK = 1 << 16  # number of samples that are drawn together, small enough for the processor cache
+SMALL = 40.0  # leaves up to this radius, in pixels, are drawn in groups
+WINDOW_RATIO = 1.15  # ratio of successive window sizes for small leaves
+CHUNK = 1 << 16  # samples that are drawn together, few enough for the processor cache
 SPARSE_FRACTION = 0.2  # if less than this fraction of a leaf's window is uncovered, only the uncovered pixels are tested
-FREE = np.iinfo(np.int32).max  # label of uncovered pixels, higher than every leaf
-OUTSIDE_LABEL = -1  # label of pixels outside the picture, lower than every leaf
+FREE = np.iinfo(np.int32).max  # label of uncovered pixels, higher than that of any leaf
+OUTSIDE_LABEL = -1  # label of pixels outside the picture, lower than that of any leaf
 
 
 @dataclass(frozen=True)
 class Leaves:
-    """The visible leaves of a scene, and the index of the leaf at each pixel. The last leaf is the background."""
+    """The visible leaves of a scene, and the leaf at each pixel. The background is the last leaf."""
 
     label: NDArray[np.int32]  # (row, col), index of the leaf
     row: Field  # (leaf,), row of the centre, in pixels
@@ -50,7 +50,7 @@ class Drawn:
     slimness: NDArray[np.float64]  # ratio of width to length
 
     def of(self, which: NDArray[Any]) -> "Drawn":
-        """Return the leaves selected by an index array or a mask."""
+        """Select leaves with an index array or a mask."""
         return Drawn(**{name: values[which] for name, values in vars(self).items()})
 
 
@@ -73,7 +73,7 @@ def dead_leaves(rng: np.random.Generator, shape: tuple[int, int], smallest: floa
 
     Notes
     -----
-    Of all leaves that cover a pixel, the leaf with the lowest number is visible. The result therefore does not depend on the
+    A pixel shows the leaf with the lowest number of all leaves that cover it. The result therefore does not depend on the
     order in which leaves are drawn, and many leaves can be drawn together.
     """
     room = int(2 * min(SMALL, largest) * WINDOW_RATIO) + 3  # margin in pixels, for windows that extend beyond the picture
@@ -93,14 +93,14 @@ def dead_leaves(rng: np.random.Generator, shape: tuple[int, int], smallest: floa
 
 
 def _mean_square(smallest: float, largest: float) -> float:
-    """Return the mean of r², in pixels², for radii of density r⁻³."""
+    """Return the mean of r², in pixels², if the density of the radii is proportional to r⁻³."""
     return float(2 * np.log(largest / smallest) / (smallest**-EXPONENT - largest**-EXPONENT)) or smallest**2
 
 
 def _drawn(
     rng: np.random.Generator, first: int, count: int, shape: tuple[int, int], smallest: float, largest: float
 ) -> Drawn:
-    """Draw `count` leaves that touch a picture of `shape` (rows, cols). The leaves are numbered from `first`."""
+    """Draw `count` leaves at positions in or near a picture of `shape` (rows, cols), numbered from `first`."""
     radius = _radii(rng, count, smallest, largest)
     return Drawn(
         number=np.arange(first, first + count, dtype=np.int32),
@@ -114,17 +114,17 @@ def _drawn(
 
 
 def _radii(rng: np.random.Generator, count: int, smallest: float, largest: float) -> NDArray[np.float64]:
-    """Draw `count` radii of density r⁻³ between `smallest` and `largest`."""
+    """Draw `count` radii between `smallest` and `largest`, with a density proportional to r⁻³."""
     share = rng.random(count)
     most, least = smallest**-EXPONENT, largest**-EXPONENT
     return (most + share * (least - most)) ** (-1.0 / EXPONENT)
 
 
 def _may_show(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> NDArray[np.bool_]:
-    """Return whether the bounding square of each leaf touches a block with an uncovered pixel.
+    """Return whether each leaf's bounding square touches a block with an uncovered pixel.
 
-    All other leaves are hidden and need not be drawn. When the picture is nearly covered, most leaves are hidden. The canvas
-    has a margin of `room` pixels around the picture.
+    All other leaves are hidden and need not be drawn, which saves most of the work when the picture is nearly covered. The
+    canvas has a margin of `room` pixels around the picture.
     """
     free = (canvas == FREE).view(np.uint64)  # each word contains BLOCK pixels of a row
     blocks = functools.reduce(np.bitwise_or, (free[row::BLOCK] for row in range(BLOCK))) != 0
@@ -136,9 +136,9 @@ def _may_show(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> NDArray[np.
 
 
 def _span(centre: NDArray, radius: NDArray, blocks: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the range of blocks that the bounding square of each leaf touches along one axis.
+    """Return the range of blocks that each leaf's bounding square touches along one axis.
 
-    The two returned arrays contain the index of the first block of each leaf, and the index after its last block.
+    The arrays contain the index of the first block, and the index after the last block.
     """
     first = np.clip((centre - radius) // BLOCK, 0, blocks).astype(np.intp)
     last = np.clip((centre + radius) // BLOCK + 1, 0, blocks).astype(np.intp)
@@ -163,10 +163,9 @@ def _lay(label: NDArray[np.int32], drawn: Drawn, leaf: int) -> None:
 
 
 def _lay_small(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> None:
-    """Draw many small leaves.
+    """Draw many small leaves into the canvas, which has a margin of `room` pixels around the picture.
 
-    Leaves with the same shape and similar sizes are drawn together in windows of the same size. The canvas has a margin of
-    `room` pixels around the picture.
+    Leaves with the same shape and similar sizes are drawn together, in windows of the same size.
     """
     if not drawn.number.size:
         return
@@ -217,12 +216,12 @@ def _seen(label: NDArray[np.int32], batches: list[Drawn]) -> Leaves:
 
 
 def inside(shape: int, y: Field, x: Field, radius: Size, angle: Size, slimness: Size) -> NDArray[np.bool_]:
-    """Return which points are inside a leaf with its centre at (0, 0).
+    """Return which points are inside a leaf that is centred at (0, 0).
 
     Parameters
     ----------
     shape : int
-        0 for a disc, 1 for an ellipse, 2 for a rectangle, 3 for a triangle, 4 for a lobed leaf.
+        0: disc; 1: ellipse; 2: rectangle; 3: triangle; 4: lobed leaf.
     y, x : ndarray
         Coordinates of the points, down and across, in pixels.
     radius : float or ndarray
@@ -230,7 +229,7 @@ def inside(shape: int, y: Field, x: Field, radius: Size, angle: Size, slimness: 
     angle : float or ndarray
         Orientation in radians.
     slimness : float or ndarray
-        Ratio of width to length, not used for discs and lobed leaves.
+        Ratio of width to length. It is ignored for discs and lobed leaves.
     """
     if shape == 0:
         return x**2 + y**2 < radius**2
@@ -250,8 +249,8 @@ def inside(shape: int, y: Field, x: Field, radius: Size, angle: Size, slimness: 
 def _lobed(along: Field, across: Field, radius: Size, angle: Size) -> NDArray[np.bool_]:
     """Return the mask of a lobed leaf.
 
-    The distance of the edge from the centre in direction θ is radius · (0.7 + 0.15 sin(3θ + angle) + 0.12 sin(5θ + 9
-    angle)). The sines are computed from powers of along + i · across, which avoids an arctangent per pixel.
+    In direction θ, the edge is at the distance radius · (0.7 + 0.15 sin(3θ + angle) + 0.12 sin(5θ + 9 · angle)) from the
+    centre. The sines are computed from powers of along + i · across, to avoid an arctangent per pixel.
     """
     squared = along * along + across * across
     squared += np.float32(1e-12)  # avoids a division by zero at the centre
