@@ -1,7 +1,7 @@
-"""Training frames: simulated from a scene, or made from a raw file and a picture of the same scene.
+"""Training frames: simulated from scenes, or paired from a raw file and a picture of the same scene.
 
-To simulate a frame, l3 computes how a lens and a sensor record a scene under an illuminant, and computes the target from the
-scene (docs/method.md#simulation, docs/method.md#optics). `SimulationRun` contains the settings that all frames share.
+The simulation computes the raw frame that a lens and a sensor record of a scene under an illuminant, and the ideal target
+outputs of the same scene (docs/method.md#simulation, docs/method.md#optics).
 """
 
 import functools
@@ -50,14 +50,14 @@ from l3cli.simulation.recipe import Lens, Pair, SceneRecipe, Shot
 from l3cli.simulation.sensor import averaging_exposure, saturating_exposure
 from l3cli.simulation.sources import DeadLeaves, WantedScene
 
-PAIR_LIGHT = "picture"  # illuminant name that is stored with a pair; the picture of a pair is white-balanced to D65
-BRIGHT = 0.9  # fraction of full scale above which pixels may be clipped and are not used to fit the scale of a pair
+PAIR_LIGHT = "picture"  # illuminant name of real pairs, whose pictures are already white-balanced to D65
+BRIGHT = 0.9  # pixels above this fraction of full scale may be clipped, and are excluded from the fit of a pair's scale
 Array = NDArray[np.floating]
 Automatic = Callable[[CameraModel, NDArray[np.float32]], float]  # exposure time in s for a mosaic (row, col) in e-/s
 LOW_RANK_ERROR = 5e-5  # largest error of the transfer function at any sampled frequency and wavelength
-STRIP_PIXELS = 1 << 16  # number of pixels of a polarised scene that are projected together, which limits the memory
-RADIAL_SAMPLES = 2048  # number of frequencies at which transfer functions are sampled
-# Number, size in rows and columns, and random seed of the frames on which the spectral estimators are trained.
+STRIP_PIXELS = 1 << 16  # pixels of a polarised scene that are projected together, which limits memory use
+RADIAL_SAMPLES = 2048  # spatial frequencies at which transfer functions are sampled
+# number, size (rows, columns) and seed of the frames on which spectral estimators are trained
 DRAWN, DRAWN_SIZE, DRAWN_SEED = 48, (64, 64), 20
 
 
@@ -71,9 +71,9 @@ def simulate(
     target: Target = XYZ,
     noises: str = "all",
 ) -> TrainingFrame:
-    """Simulate one training frame: the raw frame, the signals of all channels at full resolution, and the target.
+    """Simulate one training frame: raw frame, electrons of all channels at full resolution, and target.
 
-    Each scene sample is the mean of the scene over the area of one pixel, so the frame and the target are registered.
+    Each scene sample is the mean over the area of one pixel, so frame and target are registered.
 
     Parameters
     ----------
@@ -86,11 +86,11 @@ def simulate(
     exposure : float or callable
         Exposure time in s, or a function that computes the time from the camera and the mosaic in e-/s.
     lens : Lens
-        Imperfections of the lens.
+        Diffraction, defocus and vignetting of the lens.
     seed : tuple of int
         Seed of the noise.
     target : Target
-        Target outputs, computed without lens blur or noise.
+        Target outputs, which are computed without lens blur and noise.
     noises : str
         One of `sensor.NOISES`, or the name of a noise model.
 
@@ -101,8 +101,8 @@ def simulate(
 
     Notes
     -----
-    All steps before the noise are linear, so one matrix product projects the bands onto outputs and channels. If the blur
-    depends on the wavelength, each channel needs a few projections (see LOW_RANK_ERROR).
+    All steps before the noise are linear, so a single matrix product projects the bands onto outputs and channels. If the
+    blur depends on the wavelength, each channel needs a few projections (see `LowRankTransfer`).
     """
     ideal, rates, white = _collected(camera, scene, light, lens, target)
     seconds = exposure(camera, sensor.mosaic(rates, camera.cfa)) if callable(exposure) else exposure
@@ -130,7 +130,7 @@ def _ignored(scene: Scene | ChannelPicture) -> IgnoredPixels | None:
 
 
 def exposed_again(frame: TrainingFrame, camera: CameraModel, gain: float) -> TrainingFrame:
-    """Simulate a frame again with the analog gain multiplied by `gain` and the exposure time divided by `gain`.
+    """Repeat the simulation of a frame at a higher gain and a proportionally shorter exposure time.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def exposed_again(frame: TrainingFrame, camera: CameraModel, gain: float) -> Tra
     camera : CameraModel
         The camera of the frame, with its original gain.
     gain : float
-        Factor by which the analog gain is multiplied.
+        Factor by which the analog gain is multiplied and the exposure time is divided.
 
     Returns
     -------
@@ -153,7 +153,7 @@ def exposed_again(frame: TrainingFrame, camera: CameraModel, gain: float) -> Tra
 
 
 class AtGain:
-    """The simulated frames of a training set, simulated again with the analog gain multiplied by `gain`."""
+    """A view of a training set's simulated frames, re-simulated with the analog gain multiplied by `gain`."""
 
     def __init__(self, reader: TrainingSetReader, gain: float) -> None:
         self.head = replace(reader.head, camera=reader.head.camera.at_gain(gain))
@@ -166,24 +166,24 @@ class AtGain:
 
 
 def frames_like(head: TrainingSet) -> Callable[[TrainingPair, LightSpectrum], Iterator[TrainingFrame]]:
-    """Return a function that simulates more frames with the camera and the target of a training set.
+    """Prepare a function that simulates additional frames with the camera and the target of a training set.
 
     Parameters
     ----------
     head : TrainingSet
-        Head of the training set.
+        Header of the training set.
 
     Returns
     -------
     callable
-        Function that takes a frame and an illuminant spectrum. The function yields frames of dead-leaves scenes under this
-        illuminant, with the luminance and the exposure time of the given frame.
+        Function of a frame and an illuminant spectrum. It yields frames of dead-leaves scenes under this illuminant, with
+        the luminance and the exposure time of the given frame.
     """
     camera = replace(head.camera, rows=DRAWN_SIZE[0], cols=DRAWN_SIZE[1], flat_field=None, defects=None)
     target = target_of(head)
 
     def drawn(like: TrainingPair, spectrum: LightSpectrum) -> Iterator[TrainingFrame]:
-        from l3cli.simulation import procedural  # imported here, so that commands that draw no scenes start faster
+        from l3cli.simulation import procedural  # imported here, so that commands without scenes start faster
 
         light = _lit(spectrum, like.luminance)
         for number in range(DRAWN):
@@ -197,7 +197,7 @@ def frames_like(head: TrainingSet) -> Callable[[TrainingPair, LightSpectrum], It
 def target_of(head: TrainingSet) -> Target:
     """Return the target for additional frames of a training set.
 
-    If a file of matching functions defined the outputs, the target is XYZ, because a training set does not store the file.
+    The target is XYZ if the outputs were defined by a file of matching functions, which a training set does not store.
     """
     kinds = {names: kind for kind, names in OUTPUTS.items()} | {head.camera.channels: CAMERA}
     light = _lit(head.target_light, 1.0) if head.target_light else None
@@ -213,7 +213,7 @@ def _lit(spectrum: LightSpectrum, luminance: float) -> Light:
 def _collected(
     camera: CameraModel, scene: Scene | ChannelPicture, light: Light, lens: Lens, target: Target
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-    """Compute the photo-electron rates at the sensor, and the target.
+    """Compute the mean photo-electron rates of all channels, and the target.
 
     Returns
     -------
@@ -231,7 +231,7 @@ def _collected(
     collected = electron_weights(camera, light, bands)
     transfer = lens_transfer(camera.optics, pitch, bands, lens.diffraction, lens.defocus_um * 1e-6)
     terms = np.ones((1, bands.size)) if transfer is None else transfer.spectral
-    # The common scale is removed before rounding to float32, so that the rounding is the same at every luminance.
+    # Normalised weights make the rounding to float32 independent of the luminance.
     unit = collected.max() or 1.0
     through = (collected[:, None] / unit * terms).reshape(-1, bands.size)
     if scene.polarisation is None:
@@ -244,7 +244,7 @@ def _collected(
     if transfer is not None:
         shape = (len(collected), len(terms), *rates.shape[1:])
         rates = blurred_channels(rates.reshape(shape), transfer, pitch)
-        np.maximum(rates, 0.0, out=rates)  # the approximate blur of a bright point can have negative values
+        np.maximum(rates, 0.0, out=rates)  # the approximate blur around a bright point can become negative
     rates *= np.float32(unit)
     if lens.off_axis:
         distance, shape = camera.optics.image_distance, (rates.shape[1], rates.shape[2])
@@ -253,10 +253,10 @@ def _collected(
 
 
 def project_stokes(scene: Scene, weights: Array) -> NDArray[np.float32]:
-    """Sum the Stokes parameters S0, S1 and S2 of a scene over its bands, with weights for each channel.
+    """Compute weighted sums over the Stokes parameters and bands of a scene.
 
-    The sums are computed in float64, because large terms with different signs can nearly cancel. This happens if the
-    polariser of a pixel is perpendicular to the polarisation of the light.
+    The sums are computed in float64, because large terms of opposite sign nearly cancel if a pixel's polariser is
+    perpendicular to the polarisation of the light.
 
     Parameters
     ----------
@@ -268,7 +268,7 @@ def project_stokes(scene: Scene, weights: Array) -> NDArray[np.float32]:
     Returns
     -------
     ndarray, (channel, row, col)
-        Sums over the Stokes parameters and the bands.
+        The weighted sums.
     """
     assert scene.polarisation is not None
     (rows, cols, bands), shares = scene.reflectance.shape, scene.polarisation.weights(scene.wavelength)
@@ -290,7 +290,7 @@ def project_stokes(scene: Scene, weights: Array) -> NDArray[np.float32]:
 def spectral_planes(
     camera: CameraModel, scene: Scene, light: Light, lens: Lens, basis: Array
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Project a scene onto an orthogonal basis of photon spectra, with and without the lens.
+    """Project a scene onto an orthogonal basis of photon spectra, with and without lens blur.
 
     Parameters
     ----------
@@ -301,16 +301,16 @@ def spectral_planes(
     light : Light
         Illuminant of the scene.
     lens : Lens
-        Imperfections of the lens.
+        Diffraction and defocus of the lens.
     basis : ndarray, (wavelength, term)
         Orthogonal spectra.
 
     Returns
     -------
     blurred, sharp : ndarray, (term, row, col)
-        Coefficients of the photon spectrum at each pixel, with and without the blur of the lens.
+        Coefficients of the photon spectrum at each pixel, with and without lens blur.
     target : ndarray, (output, row, col)
-        XYZ relative to white, without the blur of the lens.
+        XYZ relative to white, without lens blur.
     """
     bands, pitch = scene.wavelength, camera.pixel_pitch
     wanted = output_weights(XYZ, camera, light, bands)
@@ -329,10 +329,7 @@ def spectral_planes(
 def _signalled(
     camera: CameraModel, picture: ChannelPicture, light: Light
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-    """Compute the photo-electron rates and the target from a picture of channel signals.
-
-    The returned arrays are the same as for `_collected`. The outputs are the bands of the camera.
-    """
+    """As `_collected`, but for a picture of channel signals, for which the outputs are the camera's bands."""
     full = (white_rates(camera, light) * camera.channel_gains).max()
     white = full * camera.saturation_exposure / camera.full_scale
     signal = np.moveaxis(picture.signal, -1, 0)
@@ -345,24 +342,24 @@ def _signalled(
 def make_pair(
     raw: RawFrame, picture: NDArray[np.float32], outputs: tuple[str, ...], camera: CameraModel, pair: Pair, name: str
 ) -> TrainingPair:
-    """Make a training pair from a raw frame and a picture of the same scene. The picture becomes the target.
+    """Combine a raw frame and a picture of the same scene, which becomes the target, to a training pair.
 
-    The raw frame and the picture are cropped so that their first pixel is the CFA site (0, 0).
+    Raw frame and picture are cropped to begin at CFA site (0, 0).
 
     Parameters
     ----------
     raw : RawFrame
         The raw frame.
     picture : ndarray, (row, col, output)
-        Linear picture, upright.
+        Linear picture in upright orientation.
     outputs : tuple of str
         Names of the outputs.
     camera : CameraModel
         The camera.
     pair : Pair
-        Offset and scale from the recipe. The scale converts a picture value to the fraction of full scale that a white
-        surface of the same brightness reaches. If the recipe has no scale, the scale is fitted under the assumption that the
-        mean of the scene is grey.
+        Offset and scale from the recipe. Multiplied by the scale, a white surface's value in the picture becomes the
+        fraction of full scale that the surface reaches in the raw frame. By default, the scale is fitted under the
+        assumption that the scene is grey on average.
     name : str
         Name of the pair.
 
@@ -375,16 +372,16 @@ def make_pair(
     own_levels = (raw.black_level, raw.white_level) == (camera.black_level, camera.white_level)
     if own_levels and raw.values.max() >= 2**camera.bits:
         raise ValueError(
-            f"the raw frame contains the value {raw.values.max()} DN, which does not fit into {camera.bits} bits; correct "
-            "sensor.bits in the camera recipe"
+            f"the raw frame contains {raw.values.max()} DN, which does not fit into {camera.bits} bits; correct sensor.bits "
+            "in the camera recipe"
         )
     levelled = raw.at_levels(camera.black_level, camera.white_level, camera.bits).values
     rows, cols = picture.shape[:2]
     top, left = pair.offset
     if top + rows > levelled.shape[0] or left + cols > levelled.shape[1]:
         raise ValueError(
-            f"the picture of {rows}×{cols} pixels at offset {top}, {left} extends beyond the raw frame of "
-            f"{levelled.shape[0]}×{levelled.shape[1]}; crop the picture to the area of the raw frame"
+            f"the picture with {rows}×{cols} pixels at offset {top}, {left} extends beyond the raw frame with "
+            f"{levelled.shape[0]}×{levelled.shape[1]} pixels; crop the picture to the area of the raw frame"
         )
     down, across = (
         -(phase + start) % period for phase, start, period in zip(raw.phase, pair.offset, camera.cfa.shape, strict=True)
@@ -408,17 +405,17 @@ def make_pair(
 
 
 def _grey_world_scale(values: NDArray[np.uint16], picture: NDArray[np.float32], camera: CameraModel) -> float:
-    """Fit the scale of a pair, assuming that the mean of the scene is grey under D65.
+    """Fit the scale of a pair under the assumption that the scene is grey on average, under D65.
 
-    Raises ValueError if the picture has no pixels that are neither black nor clipped.
+    Raises ValueError if all pixels are black or nearly white.
     """
     share = (values - camera.black_level) / (camera.white_level - camera.black_level)
     bright = picture[1] if len(picture) == 3 else picture.mean(axis=0)
     usable = (share < BRIGHT) & (bright < BRIGHT)
     if not usable.any() or bright[usable].mean() <= 0:
         raise ValueError(
-            "the scale cannot be fitted, because all pixels of the picture are black or near white; use another picture, or "
-            "set scale"
+            "the scale cannot be fitted, because all pixels of the picture are black or nearly white; use another picture, "
+            "or set scale"
         )
     rates = white_rates(camera, make_light("D65", {}, camera.wavelength))
     response = (rates / rates.max())[camera.cfa].mean()
@@ -427,24 +424,24 @@ def _grey_world_scale(values: NDArray[np.uint16], picture: NDArray[np.float32], 
 
 @dataclass(frozen=True)
 class LowRankTransfer:
-    """Optical transfer functions at all wavelengths, approximated by a sum of a few terms.
+    """Optical transfer functions at all wavelengths, approximated by a sum of few separable terms.
 
-    Each term is a function of spatial frequency, multiplied by a function of wavelength.
+    Each term is the product of a function of spatial frequency (radial) and a function of wavelength (spectral).
     """
 
     frequency: Array  # (sample,), cycles/m
-    radial: Array  # (term, sample), values of each radial term at `frequency`
-    spectral: Array  # (term, wavelength), values of each spectral term
+    radial: Array  # (term, sample), radial factors at `frequency`
+    spectral: Array  # (term, wavelength), spectral factors
 
 
 @functools.lru_cache(maxsize=4)
 def low_rank_transfer(highest: float, wavelength: tuple[float, ...], f_number: float) -> LowRankTransfer:
-    """Approximate the diffraction MTF by as few terms as possible, using a singular value decomposition.
+    """Approximate the diffraction MTF by as few separable terms as possible, with a singular value decomposition.
 
     Parameters
     ----------
     highest : float
-        Highest frequency in cycles/m.
+        Highest spatial frequency in cycles/m.
     wavelength : tuple of float
         Wavelengths in nm.
     f_number : float
@@ -453,7 +450,7 @@ def low_rank_transfer(highest: float, wavelength: tuple[float, ...], f_number: f
     Returns
     -------
     LowRankTransfer
-        The approximation. Its error is at most LOW_RANK_ERROR at all sampled frequencies and wavelengths.
+        The approximation, with an error of at most LOW_RANK_ERROR at all sampled frequencies and wavelengths.
     """
     frequency = np.linspace(0.0, highest, RADIAL_SAMPLES)
     exact = diffraction_transfer(frequency, np.array(wavelength), f_number)
@@ -467,7 +464,7 @@ def low_rank_transfer(highest: float, wavelength: tuple[float, ...], f_number: f
 def lens_transfer(
     optics: Optics, pixel_pitch: float, wavelength: Array, diffraction: bool, defocus: float
 ) -> LowRankTransfer | None:
-    """Return the transfer function of the lens at each wavelength.
+    """Compute the transfer function of the lens at each wavelength, from diffraction and defocus.
 
     Parameters
     ----------
@@ -500,12 +497,12 @@ def lens_transfer(
 
 
 def blurred_channels(planes: NDArray[np.float32], transfer: LowRankTransfer, pixel_pitch: float) -> NDArray[np.float32]:
-    """Apply the blur of the lens to the signals of each channel. `planes` is overwritten.
+    """Apply the lens blur to the channel signals. `planes` is overwritten.
 
     Parameters
     ----------
     planes : ndarray, (channel, term, row, col)
-        Projections of the reflectance onto the channels, weighted with each spectral term of the transfer function.
+        Channel signals, computed with the spectral factor of each term of the transfer function.
     transfer : LowRankTransfer
         Transfer function of the lens.
     pixel_pitch : float
@@ -514,11 +511,11 @@ def blurred_channels(planes: NDArray[np.float32], transfer: LowRankTransfer, pix
     Returns
     -------
     ndarray, (channel, row, col)
-        Sum of the terms. Each term is filtered with its radial part of the transfer function.
+        Blurred signals: the planes, filtered with the radial factors and summed over the terms.
 
     Notes
     -----
-    The blur is applied with the discrete cosine transform, which mirrors frames at their borders.
+    The filters are applied in the discrete cosine transform domain, so frames are mirrored at their borders.
     """
     from scipy import fft
 
@@ -535,7 +532,7 @@ def blurred_channels(planes: NDArray[np.float32], transfer: LowRankTransfer, pix
 
 
 def project(cube: NDArray[np.float32], weights: Array) -> NDArray[np.float32]:
-    """Compute weighted sums over the bands of a cube.
+    """Compute weighted sums over the bands of a cube, in float32.
 
     Parameters
     ----------
@@ -555,19 +552,19 @@ def project(cube: NDArray[np.float32], weights: Array) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class SimulationRun:
-    """Checked settings that all frames of a simulation share: recipe, camera, target and illuminants."""
+    """Validated settings that all frames of a simulation share: recipe, camera, target and illuminants."""
 
     recipe: SceneRecipe
     camera: CameraModel
     target: Target
-    lights: Mapping[str, Light]  # illuminants at 1 cd/m²
-    recorded: Mapping[str, Light]  # illuminants under which scenes were recorded
+    lights: Mapping[str, Light]  # illuminants of the simulation, at 1 cd/m²
+    recorded: Mapping[str, Light]  # illuminants under which scene files were recorded
     seed: int
     base: Path  # folder of the recipe
 
     @property
     def frame_bytes(self) -> int:
-        """Size in bytes of the largest frame: the electrons in all channels, the raw mosaic and the target."""
+        """Size of the largest frame in bytes, including the electrons of all channels, the mosaic and the target."""
         return self.camera.rows * self.camera.cols * (4 * len(self.camera.channels) + 2 + 4 * len(self.target.outputs))
 
     def frame(self, scene: Scene | ChannelPicture, shot: Shot, seconds: float | None = None) -> TrainingFrame:
@@ -580,7 +577,7 @@ class SimulationRun:
         shot : Shot
             Illuminant and exposure of the frame.
         seconds : float, optional
-            Exposure time in s. By default, the exposure in the recipe.
+            Exposure time in s. [default: as in the recipe]
 
         Raises
         ------
@@ -594,7 +591,7 @@ class SimulationRun:
             return simulate(self.camera, scene, light, exposure, self.recipe.lens, seed, self.target, noise)
 
     def exposure_time(self, scene: Scene | ChannelPicture, shot: Shot) -> float:
-        """Return the exposure time of a frame according to the recipe, in s.
+        """Return the exposure time in s that the recipe specifies for a frame.
 
         Raises
         ------
@@ -616,7 +613,7 @@ class SimulationRun:
         return self.lights[shot.illuminant].at(shot.luminance)
 
     def _exposure(self, light: Light, shot: Shot) -> float | Automatic:
-        """Return the exposure time in s or, for an automatic exposure, a function that computes the time from a frame."""
+        """Return the exposure time in s, or a function that computes it from a mosaic if the exposure is automatic."""
         control, _ = self.recipe.exposures()
         if control == "share":
             return automatic_exposure(self.camera, light, shot.exposure)

@@ -1,6 +1,6 @@
-"""The virtual lab, which simulates the laboratory measurements of a known camera.
+"""The virtual lab: simulated laboratory measurements of a known camera.
 
-The result of a calibration from these measurements can be compared with the true camera.
+A calibration from these measurements can be compared with the true camera.
 """
 
 import re
@@ -21,37 +21,37 @@ from l3cli.recipes.faults import Fault, fault, refuse_first
 from l3cli.recipes.toml import MAX_COUNT, Count, CountOrNone, NotNegative, Positive, Recipe
 from l3cli.simulation.sensor import DefectRecipe, FixedPattern, defects_of, fixed_pattern, read_out, with_masked
 
-# Margin in nm by which the spectrometer extends beyond the wavelengths of the camera and the monochromator at each end.
+# nm; the spectrometer covers the wavelengths of the camera and the monochromator plus this margin at each end
 SPECTROMETER_MARGIN = 5.0
 MAX_STRAY_LIGHT, MAX_DRIFT = 0.01, 0.2  # largest permitted stray light and lamp drift, as fractions
 FOLDERS = ("mono", "chart", "white", "dark", "polariser", "spectra")  # one for each type of capture, and one for spectra
 PATCH_SIDE = 0.8  # side of a patch as a fraction of its cell in the chart; the rest of the cell is black mount
-BORDER_FRACTION = 0.08  # width of the border around the chart, as a fraction of the height of the frame
+BORDER_FRACTION = 0.08  # width of the border around the chart, as a fraction of the frame height
 MOUNT = 0.03  # reflectance between and around the patches
-OVEREXPOSURE = 2.0  # signal, relative to full scale, in the overexposed captures of the monochromator
+OVEREXPOSURE = 2.0  # signal of the overexposed monochromator captures, relative to full scale
 DRIFT_CORRELATION = 0.8  # correlation of the lamp drift between consecutive captures
 Nanometres = Annotated[float, msgspec.Meta(gt=0, le=spectra.LONGEST_NM)]
 Several = Annotated[tuple[Positive, ...], msgspec.Meta(min_length=1)]
-Trials = Annotated[int, msgspec.Meta(ge=2, le=MAX_COUNT)]  # at least 2, because noise is measured from pairs of frames
+Trials = Annotated[int, msgspec.Meta(ge=2, le=MAX_COUNT)]  # frames; noise is measured from pairs of frames
 SMALLEST_SENSOR = (64, 96)  # rows and columns; a smaller sensor does not resolve the patches of a chart
 Array = NDArray[np.float64]
 
 
 class MonoRecipe(Recipe):
-    """A monochromator that fills the field of view. Its slit function is a triangle plus stray light."""
+    """A monochromator that fills the field of view, with a triangular slit function plus stray light."""
 
     first_nm: Nanometres | None = None  # default: bandwidth_nm above the shortest wavelength of the camera
     last_nm: Nanometres | None = None  # default: bandwidth_nm below the longest wavelength of the camera
     step_nm: Positive = 10.0
     bandwidth_nm: Nanometres = 10.0  # full width at half maximum
-    # Stray light at each wavelength, as a fraction of the peak.
+    # stray light at each wavelength, as a fraction of the peak
     stray_light: Annotated[float, msgspec.Meta(ge=0, lt=MAX_STRAY_LIGHT)] = 0.0005
     trials: Count = 1  # number of frames per step
-    # Number of steps that are captured a second time with overexposure, never the first or the last step.
+    # number of steps that are captured a second time with overexposure; the first and the last step are never repeated
     overexposed: CountOrNone = 4
     level: Positive = 0.5  # fraction of full scale that the brightest channel reaches
     radiance: Positive = 1e18  # photons/s/sr/m² in each step
-    longest_exposure_s: Positive = 2.0  # largest exposure time, for wavelengths at which no channel is sensitive
+    longest_exposure_s: Positive = 2.0  # limit of the exposure time, for wavelengths at which no channel is sensitive
 
 
 class ChartRecipe(Recipe):
@@ -64,7 +64,7 @@ class ChartRecipe(Recipe):
 
 
 class WhiteRecipe(Recipe):
-    """Uniform light at several exposures."""
+    """Captures of uniform light at several exposures."""
 
     illuminant: str = "D65"
     luminance: Positive = 500.0  # cd/m²
@@ -80,19 +80,19 @@ class DarkRecipe(Recipe):
 
 
 class PolariserRecipe(Recipe):
-    """Uniform light behind a rotating polariser, for cameras whose pixels have polarisers."""
+    """Captures of uniform light through a rotating polariser, for cameras with polarisers in front of their pixels."""
 
     illuminant: str = "D65"
-    luminance: Positive = 500.0  # cd/m² of the light in front of the polariser
-    step_deg: Annotated[float, msgspec.Meta(gt=0, le=60)] = 15.0  # angle between captures; the polariser turns by 180°
+    luminance: Positive = 500.0  # cd/m², before the light passes the polariser
+    step_deg: Annotated[float, msgspec.Meta(gt=0, le=60)] = 15.0  # rotation between captures, up to 180° in total
     extinction: Annotated[float, msgspec.Meta(gt=1)] = 10000.0  # extinction ratio of the polariser
-    angle_error_deg: NotNegative = 0.02  # standard deviation of the error of each polariser angle
+    angle_error_deg: NotNegative = 0.02  # standard deviation of each angle's random error
     level: Positive = 0.7  # fraction of full scale that the brightest channel reaches
     trials: Count = 2  # number of frames per angle
 
 
 class LabRecipe(Recipe):
-    """A lab recipe, which describes the measurements. configs/lab/default.toml contains the default of each key."""
+    """Description of the simulated measurements. configs/lab/default.toml lists all keys with their defaults."""
 
     title: ClassVar[str] = "a lab recipe"
 
@@ -103,9 +103,9 @@ class LabRecipe(Recipe):
     polariser: PolariserRecipe = msgspec.field(default_factory=PolariserRecipe)
     defects: DefectRecipe = msgspec.field(default_factory=DefectRecipe)
     spectrometer_step_nm: Positive = 1.0  # sampling interval of the measured spectra
-    wavelength_error_nm: NotNegative = 0.1  # standard deviation of the wavelength error, which is constant in a session
+    wavelength_error_nm: NotNegative = 0.1  # standard deviation of the spectrometer's wavelength error, fixed per session
     lamp_drift: Annotated[float, msgspec.Meta(ge=0, lt=MAX_DRIFT)] = 0.01  # relative standard deviation of the slow drift
-    monitor_error: NotNegative = 0.001  # relative standard deviation of the readings of the lamp monitor
+    monitor_error: NotNegative = 0.001  # relative standard deviation of the lamp monitor's readings
     falloff: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.1  # relative loss of light in the corners, for all lamps
 
     @property
@@ -115,15 +115,12 @@ class LabRecipe(Recipe):
 
 
 def lab_faults(recipe: LabRecipe, camera: CameraModel | None) -> Iterator[Fault]:
-    """Yield the faults of a lab recipe.
-
-    If `camera` is not None, the reasons why the lab cannot measure the camera are also faults.
-    """
+    """Find the faults of a lab recipe, including reasons why the lab cannot measure `camera` if it is known."""
     mono = recipe.mono
     if mono.bandwidth_nm <= recipe.spectrometer_step_nm:
         message = (
-            f"mono.bandwidth_nm {mono.bandwidth_nm:g} is not above spectrometer_step_nm {recipe.spectrometer_step_nm:g}; "
-            "set a smaller spectrometer_step_nm"
+            f"mono.bandwidth_nm is {mono.bandwidth_nm:g}, but must be larger than spectrometer_step_nm, which is "
+            f"{recipe.spectrometer_step_nm:g}; set a smaller spectrometer_step_nm"
         )
         yield fault(message, "mono.bandwidth_nm", "spectrometer_step_nm")
     elif camera is not None:
@@ -131,8 +128,8 @@ def lab_faults(recipe: LabRecipe, camera: CameraModel | None) -> Iterator[Fault]
     if camera is not None and (camera.rows < SMALLEST_SENSOR[0] or camera.cols < SMALLEST_SENSOR[1]):
         least = "×".join(map(str, SMALLEST_SENSOR))
         message = (
-            f"the sensor of {camera.rows}×{camera.cols} pixels is too small for a chart; use a sensor with at least {least} "
-            "pixels"
+            f"the sensor has {camera.rows}×{camera.cols} pixels, which is too small for a chart; use a sensor with at least "
+            f"{least} pixels"
         )
         yield fault(message)
     if camera is not None and not camera.absolute:
@@ -143,15 +140,18 @@ def lab_faults(recipe: LabRecipe, camera: CameraModel | None) -> Iterator[Fault]
 
 
 def _step_faults(recipe: LabRecipe, camera: CameraModel) -> Iterator[Fault]:
-    """Yield a fault if the monochromator or the spectrometer has too many or too few steps."""
+    """Find wavelength ranges that give the monochromator or the spectrometer too many or too few steps."""
     mono, ends = recipe.mono, ("mono.first_nm", "mono.last_nm")
     first, last = mono.first_nm or camera.wavelength[0], mono.last_nm or camera.wavelength[-1]
     reach = last - first + 2 * (mono.bandwidth_nm + SPECTROMETER_MARGIN)
     if first >= last:
-        yield fault(f"mono.first_nm {first:g} is not below mono.last_nm {last:g}; set a smaller first_nm", *ends)
+        message = (
+            f"mono.first_nm is {first:g}, but must be less than mono.last_nm, which is {last:g}; set a smaller first_nm"
+        )
+        yield fault(message, *ends)
         return
     if reach / mono.step_nm > MAX_WAVELENGTHS or reach / recipe.spectrometer_step_nm > MAX_WAVELENGTHS:
-        message = f"mono.step_nm or spectrometer_step_nm leads to more than {MAX_WAVELENGTHS} steps; set a larger value"
+        message = f"mono.step_nm or spectrometer_step_nm results in more than {MAX_WAVELENGTHS} steps; set a larger value"
         yield fault(message, "mono.step_nm", "spectrometer_step_nm")
         return
     centres = slit_centres(camera, mono)
@@ -172,17 +172,17 @@ def slit_centres(camera: CameraModel, mono: MonoRecipe) -> Array:
 
 @dataclass(frozen=True)
 class LabCapture:
-    """A planned capture in the lab, with the signals of the camera and the spectra that the spectrometer measures."""
+    """A planned capture in the lab, with the camera signals and the spectra measured with the spectrometer."""
 
     kind: str  # "mono", "chart", "white", "dark" or "polariser"
     name: str  # file name, in a folder named after the kind
-    light: str  # illuminant, wavelength or angle of the polariser, as text
+    light: str  # illuminant, wavelength or polariser angle, as text
     exposure: float  # s
     trials: int  # number of frames
-    first: int  # number of the first frame of the capture, counted through the whole session
+    first: int  # number of the capture's first frame, counted over the whole session
     electrons: Array  # (region, channel), mean photo-electrons; the regions of a chart are 24 patches and the mount
     falloff: float  # relative loss of light in the corners
-    monitor: float  # reading of the lamp monitor, relative to the reading when the spectrum was measured
+    monitor: float  # lamp monitor reading, relative to the reading when the spectrum was measured
     wavelength: Array  # (wavelength,), measured wavelengths in nm
     radiance: Array  # (spectrum, wavelength), measured photons/s/sr/m²/nm; only mono and chart captures have spectra
     angle: float = 0.0  # angle of the rotating polariser on its scale, in degrees
@@ -190,15 +190,15 @@ class LabCapture:
 
 @dataclass(frozen=True)
 class _Response:
-    """Response of a camera at the wavelengths of the spectrometer."""
+    """Response of a camera at the spectrometer's wavelengths."""
 
     camera: CameraModel
     wavelength: Array  # (wavelength,), nm
-    per_radiance: Array  # (channel, wavelength), e-/s for a radiance of 1 photon/s/sr/m²/nm at one wavelength
+    per_radiance: Array  # (channel, wavelength), e-/s per photon/s/sr/m²/nm at each wavelength
     per_polarised: Array  # (2, channel, wavelength), additional e-/s for 1 photon/s/sr/m²/nm of S1 or S2
 
     def electrons(self, radiance: Array, polarisation: float = 0.0, angle: float = 0.0) -> Array:
-        """Return the photo-electron rates of a pixel, in e-/s, with one row per spectrum and one column per channel.
+        """Return the photo-electron rates of a pixel in e-/s, (spectrum, channel).
 
         Parameters
         ----------
@@ -215,9 +215,9 @@ class _Response:
         return radiance @ weights.T
 
     def exposure_for(self, level: float, radiance: Array) -> float:
-        """Return the exposure time, in s, at which the brightest channel reaches the fraction `level` of full scale.
+        """Return the exposure time in s at which the brightest channel reaches the fraction `level` of full scale.
 
-        The time is rounded to three digits. If no channel responds to the radiance, the time is infinite.
+        The time is rounded to three significant digits. It is infinite if no channel responds to the radiance.
         """
         with np.errstate(divide="ignore"):
             signals = self.electrons(radiance) * self.camera.channel_gains
@@ -226,7 +226,7 @@ class _Response:
 
 @dataclass
 class _Session:
-    """The captures planned so far, and the state of the lamps and of the spectrometer."""
+    """A lab session: the captures planned so far, and the current errors of lamps and spectrometer."""
 
     recipe: LabRecipe
     response: _Response
@@ -249,11 +249,10 @@ class _Session:
         polarisation: float = 0.0,
         angle: float = 0.0,
     ) -> None:
-        """Plan a capture of light with the given radiance and linear polarisation.
+        """Plan a capture of one or more radiance spectra, with optional linear polarisation.
 
-        `radiance` contains one or more spectra. The drift of the lamp and the error of the polariser angle are random, and
-        both affect the signals. A capture of a chart or of the monochromator also contains the spectra that the spectrometer
-        measures.
+        The signals include random lamp drift and a random error of the polariser angle. Captures of charts and of the
+        monochromator also contain the measured spectra.
         """
         last = self.captures[-1] if self.captures else None
         name = f"{kind}/{len(self.captures):03d}_{re.sub(r'[^A-Za-z0-9.]+', '-', light)}"
@@ -280,7 +279,7 @@ class _Session:
         )
 
     def _next_light(self) -> tuple[float, float]:
-        """Return the output of the lamp, relative to its measured spectrum, and the reading of the lamp monitor."""
+        """Return the lamp's next output, relative to its measured spectrum, and the lamp monitor's reading."""
         fresh = self.recipe.lamp_drift * np.sqrt(1.0 - DRIFT_CORRELATION**2) * self.rng.standard_normal()
         self.drift = DRIFT_CORRELATION * self.drift + fresh
         light = 1.0 + self.drift
@@ -289,7 +288,7 @@ class _Session:
 
 
 def plan(camera: CameraModel, recipe: LabRecipe, seed: int) -> tuple[LabCapture, ...]:
-    """Plan all captures of a camera, in chronological order.
+    """Plan all captures that the lab takes of a camera, in chronological order.
 
     Raises
     ------
@@ -325,37 +324,32 @@ def plan(camera: CameraModel, recipe: LabRecipe, seed: int) -> tuple[LabCapture,
 
 
 def _plan_polariser(session: _Session, recipe: PolariserRecipe) -> None:
-    """Plan the captures behind a rotating polariser.
-
-    These captures come last, so that they do not change the random numbers of all other frames.
-    """
+    """Plan the captures through a rotating polariser. They come last, so that all other frames keep their random numbers."""
     wavelength = session.response.wavelength
     leakage = 1.0 / recipe.extinction
     light = _light(recipe.illuminant, wavelength, recipe.luminance)[None] * (1.0 + leakage) / 2.0
     polarisation = (1.0 - leakage) / (1.0 + leakage)
-    # A channel whose polariser is parallel to the rotating polariser receives nearly twice as much as in unpolarised light.
+    # If its polariser is parallel to the rotating polariser, a channel receives nearly twice its signal in unpolarised
+    # light.
     exposure = float(f"{session.response.exposure_for(recipe.level, light) / 2.0:.3g}")
     for angle in np.arange(0.0, 180.0, recipe.step_deg).tolist():
         session.add("polariser", f"{angle:g}deg", exposure, recipe.trials, light, polarisation, angle)
 
 
 def _response_of(camera: CameraModel, mono: MonoRecipe, step: float) -> _Response:
-    """Return the response of a camera at the wavelengths of the spectrometer.
-
-    The spectrometer covers the wavelengths of the camera and of the monochromator.
-    """
+    """Compute a camera's response at the wavelengths of a spectrometer that covers the camera and the monochromator."""
     centres = slit_centres(camera, mono)
     first = min(camera.wavelength[0], centres[0] - mono.bandwidth_nm) - SPECTROMETER_MARGIN
     last = max(camera.wavelength[-1], centres[-1] + mono.bandwidth_nm) + SPECTROMETER_MARGIN
     wavelength = np.arange(first, last + step / 2, step)
-    # Triangular weights around each sample of the responsivity, as in the simulation of frames. The outermost triangles
-    # extend half a step beyond the ends.
+    # As in the simulation of frames, each responsivity sample has triangular weights. The outermost triangles extend half a
+    # step beyond the ends.
     sampling = spectra.sampling_matrix(wavelength, camera.wavelength)
     return _Response(camera, wavelength, camera.electron_weights @ sampling, camera.stokes_weights[1:] @ sampling)
 
 
 def _slit(wavelength: Array, centre: float, mono: MonoRecipe) -> Array:
-    """Return the spectral radiance of the monochromator: a triangle plus stray light, whose integral is `mono.radiance`."""
+    """Return the monochromator's spectral radiance: a triangle plus stray light, with the integral `mono.radiance`."""
     shape = np.maximum(0.0, 1.0 - np.abs(wavelength - centre) / mono.bandwidth_nm) + mono.stray_light
     return np.asarray(shape * (mono.radiance / (shape @ spectra.bin_widths(wavelength))), dtype=np.float64)
 
@@ -366,14 +360,14 @@ def _light(name: str, wavelength: Array, luminance: float) -> Array:
 
 
 def chart_corners(camera: CameraModel) -> list[tuple[float, float]]:
-    """Return the outer corners of the patches 1, 6, 24 and 19, as (column, row) in pixels."""
+    """Return the chart's corners, the outer corners of patches 1, 6, 24 and 19, as (column, row) in pixels."""
     margin = round(BORDER_FRACTION * camera.rows)
     right, bottom = camera.cols - 1.0 - margin, camera.rows - 1.0 - margin
     return [(margin, margin), (right, margin), (right, bottom), (margin, bottom)]
 
 
 def chart_regions(camera: CameraModel) -> NDArray[np.int64]:
-    """Return the index of the chart patch at each pixel (row, col): 0 to 23 for patches, and 24 for the mount."""
+    """Return the chart patch at each pixel (row, col): 0 to 23 for patches, and 24 for the mount."""
     (left, top), _, (right, bottom), _ = chart_corners(camera)
     x = (np.arange(camera.cols) - left) / (right - left) * CHART_COLS
     y = (np.arange(camera.rows) - top) / (bottom - top) * CHART_ROWS
@@ -386,7 +380,7 @@ def chart_regions(camera: CameraModel) -> NDArray[np.int64]:
 def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe: DefectRecipe) -> NDArray[np.uint16]:
     """Simulate one frame of a capture.
 
-    The noise depends only on the seed and on the number of the frame, not on the order of the calls.
+    The noise depends only on the seed and the frame number, not on the order of the calls.
 
     Parameters
     ----------
@@ -395,7 +389,7 @@ def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe
     capture : LabCapture
         The capture.
     trial : int
-        Number of the frame in the capture.
+        Number of the frame in the capture, from 0.
     seed : int
         Seed of the noise.
     recipe : DefectRecipe
@@ -404,7 +398,7 @@ def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe
     Returns
     -------
     ndarray of uint16, (row, col)
-        Raw values in DN, with the masked pixels of the camera.
+        Raw values in DN, including the camera's masked pixels.
     """
     rng = np.random.default_rng([seed, 1 + capture.first + trial])
     defects = defects_of(camera, recipe)
@@ -427,7 +421,7 @@ def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe
 
 
 def falloff(y: Array, x: Array, missing: float) -> Array:
-    """Return the illumination at positions (y, x), relative to the illumination at the centre of the frame.
+    """Return the illumination at positions (y, x), relative to the centre of the frame.
 
     The coordinates are −1 and 1 at the edges of the frame. `missing` is the relative loss of light in the corners.
     """
@@ -435,7 +429,7 @@ def falloff(y: Array, x: Array, missing: float) -> Array:
 
 
 def falloff_at_patches(camera: CameraModel, missing: float) -> Array:
-    """Return the illumination at the centre of each patch of the chart, relative to the centre of the frame."""
+    """Return the illumination at the centre of each chart patch, relative to the centre of the frame."""
     (left, top), _, (right, bottom), _ = chart_corners(camera)
     row, col = np.divmod(np.arange(PATCHES), CHART_COLS)
     x = left + (col + 0.5) / CHART_COLS * (right - left)
@@ -444,10 +438,7 @@ def falloff_at_patches(camera: CameraModel, missing: float) -> Array:
 
 
 def lab_recipe_faults(recipe: LabRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults of a lab recipe.
-
-    If `source` has a camera, the reasons why the lab cannot measure this camera are also faults.
-    """
+    """Find the faults of a lab recipe, including unknown illuminants and reasons why the lab cannot measure the camera."""
     yield from lab_faults(recipe, source.camera)
     yield from source.attempt(("white", "illuminant"), spectra.require_illuminant, recipe.white.illuminant)
     yield from source.attempt(("polariser", "illuminant"), spectra.require_illuminant, recipe.polariser.illuminant)

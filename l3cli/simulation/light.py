@@ -1,4 +1,4 @@
-"""Illuminants, the electrons that a camera collects from their light, and the target outputs (docs/method.md#simulation)."""
+"""Illuminants, the electrons that a camera collects under them, and target outputs (docs/method.md#simulation)."""
 
 import hashlib
 import itertools
@@ -25,7 +25,7 @@ from l3cli.spectra.table import NOISE, gaps
 Array = NDArray[np.floating]
 Curve = tuple[Array, Array]  # (sample,), wavelengths in nm; (curve, sample), values
 
-SCENE_LIGHT = "scene"  # the name that recipes use for the illuminant under which a scene was measured
+SCENE_LIGHT = "scene"  # name in recipes for the illuminant that is stored with a scene
 WIDEST_GAP = 20.0  # largest permitted distance between samples of a measured illuminant, in nm
 INCOMPLETE_FRACTION = 0.01  # a measured spectrum is incomplete if its first or last value exceeds this fraction of the peak
 
@@ -41,7 +41,7 @@ OUTPUTS = {
 }
 UNLIT = "reflectance 31"  # key of the outputs that do not depend on the illuminant
 NOTICEABLE = 0.01  # l3 warns if wavelengths without data produce more than this fraction of a channel's electrons
-CAMERA = "camera"  # the name that recipes use for the outputs of a camera's bands at full resolution
+CAMERA = "camera"  # name in recipes for a target with all camera bands at full resolution
 
 
 @dataclass(frozen=True)
@@ -55,12 +55,12 @@ class Light:
     measured: str = ""  # digest of the measured spectra in the illuminant
 
     def at(self, luminance: float) -> "Light":
-        """Return this illuminant, scaled to a luminance in cd/m²."""
+        """Scale the illuminant to a luminance in cd/m²."""
         return replace(self, luminance=luminance, radiance=self.radiance * (luminance / self.luminance))
 
     @property
     def spectrum(self) -> LightSpectrum:
-        """Spectrum for a luminance of 1 cd/m², in the format of training sets."""
+        """Spectrum at 1 cd/m², in the format of training sets."""
         return LightSpectrum(self.wavelength.astype(np.float64), (self.radiance / self.luminance).astype(np.float32))
 
 
@@ -70,24 +70,24 @@ def mixture(text: str) -> list[tuple[float, str]]:
     Returns
     -------
     list of (float, str)
-        Proportion of the luminance, and name, of each component.
+        Each component's proportion of the luminance, and its name.
 
     Raises
     ------
     RecipeError
-        If a proportion is not above 0.
+        If a proportion is 0.
     """
     weighted_parts = []
     for term in re.split(r"\s+\+\s+", text.strip()):
         weighted = re.fullmatch(r"(\d*\.?\d+)\s+(?!K$)(.+)", term)
         weighted_parts.append((float(weighted[1]), weighted[2]) if weighted else (1.0, term))
     if min(share for share, _ in weighted_parts) <= 0:
-        raise RecipeError(f'illuminant "{text}" contains a proportion of 0; set proportions above 0')
+        raise RecipeError(f'illuminant "{text}" contains a proportion of 0; use only proportions greater than 0')
     return weighted_parts
 
 
 def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
-    """Return an illuminant at a luminance of 1 cd/m².
+    """Compute the spectrum of an illuminant at a luminance of 1 cd/m².
 
     Parameters
     ----------
@@ -105,10 +105,10 @@ def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
 
     Notes
     -----
-    The illuminant is tabulated in steps of 1 nm in the range in which the observer or the camera is sensitive. Power between
-    two wavelengths of this grid is divided between the two wavelengths, so that no spectral line is lost. An illuminant that
-    was measured at the wavelengths of the camera keeps these wavelengths. All sums are then computed on the same grid, as in
-    ISETCam.
+    The illuminant is tabulated in steps of 1 nm over the range in which the observer or the camera is sensitive. Power
+    between two wavelengths of this grid is shared between both, so that no spectral line is lost. If all components were
+    measured at the camera's own wavelengths, the illuminant keeps these wavelengths, and all sums are computed on this grid
+    as in ISETCam.
     """
     names = mixture(text)
     wavelength = spectra.light_grid(seen)
@@ -130,11 +130,11 @@ def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
 
 
 class Sees(Protocol):
-    """Protocol of objects that convert light to electrons, such as a camera or the colour filters on a pixel."""
+    """Protocol of anything that converts light to electrons, such as a camera or colour filters on a pixel."""
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Names of the channels or filters."""
+        """Channel or filter names."""
 
     @property
     def wavelength(self) -> NDArray[np.float64]:
@@ -142,11 +142,11 @@ class Sees(Protocol):
 
     @property
     def electron_weights(self) -> NDArray[np.float64]:
-        """Electrons for unit photon radiance, up to a common factor: one row per channel, one column per wavelength."""
+        """Electrons per unit photon radiance, up to a common factor: (channel, wavelength)."""
 
 
 class Filters(NamedTuple):
-    """Colour filters on a pixel. `Filters` can be used in place of a camera (see `Sees`)."""
+    """Colour filters on a pixel, which can be used in place of a camera (see `Sees`)."""
 
     channels: tuple[str, ...]
     wavelength: NDArray[np.float64]
@@ -154,27 +154,14 @@ class Filters(NamedTuple):
 
     @classmethod
     def of(cls, curves: Mapping[str, Array], wavelength: Array) -> "Filters":
-        """Create filters. `curves` contains the quantum efficiency of each named filter at each `wavelength`, in nm."""
+        """Create filters from their names and quantum efficiencies in `curves`, sampled at `wavelength` in nm."""
         return cls(tuple(curves), np.asarray(wavelength), np.array(list(curves.values())) * spectra.bin_widths(wavelength))
 
 
 def named_beyond_known(names: Iterable[str], camera: Sees) -> list[str]:
-    """Return the warnings of `beyond_known` for standard illuminants.
+    """Return the warnings of `beyond_known` for all standard illuminants in `names`.
 
-    Measured illuminants, scene illuminants and unknown names are skipped, because their spectra are not available to this
-    function.
-
-    Parameters
-    ----------
-    names : iterable of str
-        Names of illuminants.
-    camera : CameraModel or Filters
-        The camera.
-
-    Returns
-    -------
-    list of str
-        The warnings.
+    Measured illuminants, scene illuminants and unknown names are skipped, because their spectra are not available here.
     """
     warnings = []
     for name in dict.fromkeys(names):
@@ -189,24 +176,24 @@ def named_beyond_known(names: Iterable[str], camera: Sees) -> list[str]:
 
 
 def beyond_known(light: Light, measured: Mapping[str, Curve], camera: Sees) -> str:
-    """Return a warning if a channel collects more than 1 % of its electrons at wavelengths where an illuminant has no data.
+    """Warn if a channel collects more than 1 % of its electrons at wavelengths without data for the illuminant.
 
-    Outside the tabulated range, l3 extends a standard illuminant with its last value, and a measured illuminant with zero.
-    The warning assumes that a measured illuminant also continues with its last value.
+    Outside its tabulated range, l3 extends a standard illuminant with its last value and a measured illuminant with zero. To
+    estimate the fraction, both are extended with their last value.
 
     Parameters
     ----------
     light : Light
         The illuminant.
     measured : mapping of str to Curve
-        Measured illuminants: wavelength in nm and power per nm.
-    camera : CameraModel
+        Measured illuminants: wavelengths in nm and power per nm.
+    camera : CameraModel or Filters
         The camera.
 
     Returns
     -------
     str
-        The warning, or "" if there is nothing to warn about.
+        The warning, or "" if the fraction is at most 1 %.
     """
     found = (0.0, "")
     parts = mixture(light.name)
@@ -232,15 +219,15 @@ def beyond_known(light: Light, measured: Mapping[str, Curve], camera: Sees) -> s
 
 
 def lens_beyond_known(name: str, transmittance: Curve, light: Light, camera: CameraModel) -> str:
-    """Return a warning if a channel collects electrons at wavelengths at which the transmittance of a lens is unknown.
+    """Warn if a channel could collect more than 1 % of its electrons where the lens transmittance is unknown.
 
-    l3 uses a transmittance of zero outside the wavelength range of the file. To estimate the missing fraction of the
-    electrons, the warning assumes that the last value of the file continues.
+    Outside the wavelength range of the file, l3 assumes zero transmittance. The fraction is estimated from a transmittance
+    that is extended with its last value.
 
     Parameters
     ----------
     name : str
-        Name of the file.
+        Name of the transmittance file.
     transmittance : Curve
         Contents of the file.
     light : Light
@@ -251,7 +238,7 @@ def lens_beyond_known(name: str, transmittance: Curve, light: Light, camera: Cam
     Returns
     -------
     str
-        The warning if the fraction is 1 % or more, otherwise "".
+        The warning, or "" if the fraction is at most 1 %.
     """
     grid, held = transmittance[0], _held(transmittance, camera.wavelength)[0]
     passing = Filters(camera.channels, camera.wavelength, camera.electron_weights * held)
@@ -260,15 +247,15 @@ def lens_beyond_known(name: str, transmittance: Curve, light: Light, camera: Cam
 
 
 def functions_beyond_known(name: str, functions: Curve, names: Sequence[str], light: Light) -> str:
-    """Return a warning if wavelengths outside a file of matching functions would contribute to an output.
+    """Warn if an output could miss more than 1 % of its value because the file of matching functions ends too early.
 
-    l3 uses zero outside the wavelength range of the file. To estimate the missing fraction of an output for a white surface,
-    the warning assumes that the last values of the file continue.
+    Outside the wavelength range of the file, l3 assumes zero. The missing fraction is estimated for a white surface, with
+    matching functions that are extended with their last values.
 
     Parameters
     ----------
     name : str
-        Name of the file.
+        Name of the file with the matching functions.
     functions : Curve
         Contents of the file.
     names : sequence of str
@@ -279,7 +266,7 @@ def functions_beyond_known(name: str, functions: Curve, names: Sequence[str], li
     Returns
     -------
     str
-        The warning if the fraction is 1 % or more, otherwise "".
+        The warning, or "" if the fraction is at most 1 %.
     """
     grid, wavelength = functions[0], light.wavelength
     weights = np.abs(spectra.matching_weights(_held(functions, wavelength), wavelength) * light.radiance)
@@ -292,24 +279,24 @@ def functions_beyond_known(name: str, functions: Curve, names: Sequence[str], li
 
 
 def curves_beyond_known(recipe: Path, light: Light, camera: CameraModel) -> str:
-    """Return a warning if a channel is sensitive at wavelengths that the curve file of the camera recipe does not cover.
+    """Warn if a channel could collect more than 1 % of its electrons outside the range of its responsivity file.
 
-    l3 uses a responsivity of zero outside the wavelength range of the file. To estimate the missing fraction of the
-    electrons, the warning assumes that the last values of the file continue.
+    Outside the wavelength range of the file, l3 assumes zero responsivity. The fraction is estimated from responsivities
+    that are extended with their last values.
 
     Parameters
     ----------
     recipe : Path
-        File of the camera recipe.
+        The camera recipe.
     light : Light
         The illuminant.
     camera : CameraModel
-        The camera that the recipe describes.
+        The camera from this recipe.
 
     Returns
     -------
     str
-        The warning if the fraction is 1 % or more, otherwise "".
+        The warning, or "" if the fraction is at most 1 % or the recipe uses no responsivity file.
     """
     curves = curves_in_file(recipe)
     if curves is None:
@@ -324,37 +311,34 @@ def curves_beyond_known(recipe: Path, light: Light, camera: CameraModel) -> str:
 
 
 def camera_unknown(path: Path, camera: CameraModel, lights: Sequence[str]) -> list[str]:
-    """Return warnings about wavelengths that the curve file of a camera, or a standard illuminant, does not cover.
+    """Warn about wavelengths that a camera's responsivity file or a standard illuminant does not cover.
 
     Parameters
     ----------
     path : Path
-        File of the camera recipe.
+        The camera recipe.
     camera : CameraModel
-        The camera that the recipe describes.
+        The camera from this recipe.
     lights : sequence of str
         Illuminants under which the camera is used.
 
     Returns
     -------
     list of str
-        At most one warning for each standard illuminant, and at most one warning for the curve file.
+        At most one warning for each standard illuminant, and at most one for the responsivity file.
     """
     ends = (curves_beyond_known(path, make_light(name, {}, camera.wavelength), camera) for name in lights)
     return [*named_beyond_known(lights, camera), *itertools.islice(filter(None, ends), 1)]
 
 
 def _held(curves: Curve, wavelength: Array) -> Array:
-    """Resample curves to `wavelength` (nm). Outside the range of a curve, its end values are used.
-
-    The result has the shape (curve, wavelength).
-    """
+    """Resample curves to `wavelength` (nm), and extend them with their end values: (curve, wavelength)."""
     order = np.argsort(curves[0])
     return np.array([np.interp(wavelength, curves[0][order], each[order]) for each in curves[1]])
 
 
 def _file_ends(name: str, grid: Array, there: str, taken: float, wanted: str) -> str:
-    """Return a warning about wavelengths that a file of curves does not cover.
+    """Compose a warning about a file of curves that ends too early, or return "" if at most 1 % is missing.
 
     Parameters
     ----------
@@ -363,16 +347,11 @@ def _file_ends(name: str, grid: Array, there: str, taken: float, wanted: str) ->
     grid : ndarray
         Wavelengths in the file, in nm.
     there : str
-        Clause that says how much is missing, for the message.
+        Part of the message that states how much is missing.
     taken : float
         Missing fraction.
     wanted : str
-        Wavelengths that the file should cover, for the message.
-
-    Returns
-    -------
-    str
-        The warning, or "" if the missing fraction is at most 1 %.
+        Part of the message with the wavelengths that the file should cover.
     """
     if taken <= NOTICEABLE:
         return ""
@@ -381,21 +360,9 @@ def _file_ends(name: str, grid: Array, there: str, taken: float, wanted: str) ->
 
 
 def surfaces_beyond_known(light: Light, camera: CameraModel) -> str:
-    """Return a warning if a channel collects more than 1 % of its electrons at wavelengths without measured reflectances.
+    """Warn if a channel collects more than 1 % of its electrons at wavelengths without measured reflectances.
 
-    The estimate assumes that reflectances continue with their last values outside the measured range.
-
-    Parameters
-    ----------
-    light : Light
-        The illuminant.
-    camera : CameraModel
-        The camera.
-
-    Returns
-    -------
-    str
-        The warning, or "" if there is nothing to warn about.
+    Outside the measured range, reflectances are extended with their last values. Returns "" if the fraction is at most 1 %.
     """
     taken, channel = share_beyond(camera, light, light, spectra.SURFACES_MEASURED)
     if taken <= NOTICEABLE:
@@ -413,10 +380,10 @@ def share_beyond(camera: Sees, part: Light, whole: Light, ends: tuple[float, flo
 
     Parameters
     ----------
-    camera : CameraModel
+    camera : CameraModel or Filters
         The camera.
     part : Light
-        Component of the illuminant whose electrons are counted.
+        The component of the illuminant that is examined.
     whole : Light
         The complete illuminant.
     ends : tuple of float
@@ -443,10 +410,9 @@ def span_of(camera: Sees) -> str:
 
 
 def recorded_under(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
-    """Return the illuminant under which a scene was recorded.
+    """Compute the spectrum of the illuminant under which a scene was recorded.
 
-    In contrast to `make_light`, a single measured illuminant keeps its wavelengths, because these wavelengths are often the
-    bands of the scene.
+    Unlike with `make_light`, a single measured illuminant keeps its wavelengths, which are often the bands of the scene.
     """
     return make_light(text, measured, measured[text][0] if text in measured else seen)
 
@@ -457,7 +423,8 @@ def check_measured(curve: Curve, name: str) -> None:
     Raises
     ------
     InputFileError
-        If the spectrum has gaps, if it contains large negative values, or if it does not cover the visible range.
+        If the file contains several curves, or if the spectrum is zero, has gaps, contains large negative values or does not
+        cover the visible range.
     """
     wavelength, power = curve[0], curve[1][0]
     if len(curve[1]) != 1:
@@ -472,8 +439,8 @@ def check_measured(curve: Curve, name: str) -> None:
         )
     if power.min() < 0:
         raise InputFileError(
-            f"{name} is negative at {wavelength[power.argmin()]:g} nm by more than {NOISE:.0%} of its peak; correct the "
-            "subtraction of the dark spectrum"
+            f"{name} is negative at {wavelength[power.argmin()]:g} nm, by more than {NOISE:.0%} of its peak; correct the "
+            "dark subtraction"
         )
     for end, visible in ((0, wavelength[0] > 420), (-1, wavelength[-1] < 680)):
         if visible and power[end] > INCOMPLETE_FRACTION * power.max():
@@ -490,7 +457,7 @@ def read_curve(path: Path, role: str) -> Curve:
     path : Path
         The file.
     role : {"light", "transmittance", "functions"}
-        Use of the file in the recipe.
+        Purpose of the file in the recipe.
 
     Returns
     -------
@@ -517,7 +484,7 @@ def read_curve(path: Path, role: str) -> Curve:
 def scene_light(scene: Scene, luminance: float) -> Light:
     """Return the illuminant that is stored with a scene, scaled to a luminance in cd/m².
 
-    The spectrum of this illuminant is known only at the wavelengths of the scene.
+    Its spectrum is known only at the wavelengths of the scene.
 
     Raises
     ------
@@ -541,7 +508,7 @@ def electron_weights(camera: Sees, light: Light, bands: Array) -> Array:
 
     Parameters
     ----------
-    camera : CameraModel
+    camera : CameraModel or Filters
         The camera.
     light : Light
         Illuminant of the scene.
@@ -561,32 +528,12 @@ def electron_weights(camera: Sees, light: Light, bands: Array) -> Array:
 
 
 def stokes_weights(camera: CameraModel, light: Light, bands: Array) -> Array:
-    """Return the photo-electrons per second that S0, S1 and S2 of each band contribute to each channel.
-
-    The parameters are the same as for `electron_weights`. The result has the shape (stokes, channel, band).
-    """
+    """As `electron_weights`, but separately for the Stokes parameters S0, S1 and S2: (stokes, channel, band)."""
     return _of_bands(camera.stokes_weights, camera, light, bands)
 
 
 def _of_bands(weights: Array, camera: Sees, light: Light, bands: Array) -> Array:
-    """Return the electrons that each band of a scene contributes.
-
-    Parameters
-    ----------
-    weights : ndarray, (…, wavelength)
-        Electrons for unit photon radiance at each wavelength of the camera.
-    camera : CameraModel or Filters
-        The camera.
-    light : Light
-        Illuminant of the scene.
-    bands : ndarray, (band)
-        Wavelengths of the scene, in nm.
-
-    Returns
-    -------
-    ndarray, (…, band)
-        Electrons for a reflectance of 1 in the band.
-    """
+    """Convert electron weights at the camera's wavelengths, (…, wavelength), to weights of scene bands, (…, band)."""
     seen = weights @ spectra.sampling_matrix(light.wavelength, camera.wavelength)
     return (seen * light.radiance) @ spectra.held_interpolation(bands, light.wavelength)
 
@@ -594,7 +541,7 @@ def _of_bands(weights: Array, camera: Sees, light: Light, bands: Array) -> Array
 def photon_weights(camera: CameraModel, light: Light, bands: Array) -> Array:
     """Return the photons per second that each band contributes to a pixel, at each wavelength of the camera.
 
-    The matrix product of the responsivities and the result is `electron_weights`.
+    Without polarisers and a readout per channel, `electron_weights` is the matrix product responsivity @ photon_weights.
 
     Parameters
     ----------
@@ -616,7 +563,7 @@ def photon_weights(camera: CameraModel, light: Light, bands: Array) -> Array:
 
 
 def matching_weights(functions: Array, light: Light, bands: Array) -> Array:
-    """Return the contribution of each band to the outputs of matching functions.
+    """Return each band's contribution to the outputs that matching functions define.
 
     Parameters
     ----------
@@ -637,12 +584,12 @@ def matching_weights(functions: Array, light: Light, bands: Array) -> Array:
 
 
 def white_rates(camera: Sees, light: Light) -> Array:
-    """Return the photo-electrons per second that a pixel of each channel collects from a perfect white."""
+    """Return the photo-electrons per second that each channel collects from a perfect white."""
     return electron_weights(camera, light, light.wavelength).sum(axis=1)
 
 
 def colour_matrix(camera: CameraModel, light: Light) -> Array:
-    """Fit the matrix that converts XYZ to camera channels for surfaces under an illuminant.
+    """Fit the matrix that converts the XYZ of surfaces under an illuminant to camera signals.
 
     Parameters
     ----------
@@ -654,9 +601,9 @@ def colour_matrix(camera: CameraModel, light: Light) -> Array:
     Returns
     -------
     ndarray, (channel, 3)
-        Matrix M with channels = M @ XYZ, where a white has Y = 1 and a signal of 1 in its brightest channel. The matrix is
-        fitted to measured reflectances by least squares. It is exact for white, because raw converters derive the white
-        balance from the matrix.
+        Matrix M with signals = M @ XYZ, where white has Y = 1 and a signal of 1 in its brightest channel. M is a
+        least-squares fit to measured reflectances. It is exact for white, because raw converters derive the white balance
+        from M.
     """
     library = spectra.reflectance_library(light.wavelength)
     weights = electron_weights(camera, light, light.wavelength)
@@ -680,9 +627,9 @@ def automatic_exposure(camera: CameraModel, light: Light, share: float) -> float
 
 
 def uncovered_share(camera: CameraModel, bands: Array) -> float:
-    """Return the largest fraction of a channel's electrons that comes from wavelengths outside the bands of a scene.
+    """Return the fraction of electrons from wavelengths outside a scene's bands, for the most affected channel.
 
-    The fraction is computed for a white under an equal-photon illuminant.
+    The fraction applies to a white under an illuminant with equal photon radiance at all wavelengths.
     """
     weights = camera.electron_weights
     outside = (camera.wavelength < bands[0]) | (camera.wavelength > bands[-1])
@@ -702,7 +649,7 @@ class Target:
 
     @property
     def luminance(self) -> int:
-        """Index of the output that contains the luminance, if the outputs contain Stokes parameters."""
+        """Index of the luminance output, for targets with Stokes parameters."""
         return self.outputs.index(luminance_name(self.outputs))
 
 
@@ -744,7 +691,7 @@ def make_target(
 
 
 def output_weights(target: Target, camera: CameraModel, light: Light, bands: Array) -> Array:
-    """Return the contribution of each band to the target outputs.
+    """Return each band's contribution to the target outputs.
 
     Parameters
     ----------
@@ -760,8 +707,8 @@ def output_weights(target: Target, camera: CameraModel, light: Light, bands: Arr
     Returns
     -------
     ndarray, (output, band)
-        Outputs for a reflectance of 1 in the band, in cd/m². Camera bands are fractions of full scale per second, multiplied
-        by the saturation exposure of the camera. The light is not polarised, so the outputs S1 and S2 are 0.
+        Outputs in cd/m² for a reflectance of 1 in the band. Outputs that are camera bands are fractions of full scale per
+        second, times the camera's saturation exposure. S1 and S2 are 0, because the light is unpolarised.
     """
     if target.light:
         light = target.light.at(light.luminance)
@@ -790,10 +737,9 @@ def output_weights(target: Target, camera: CameraModel, light: Light, bands: Arr
 
 
 def polarised_weights(target: Target, camera: CameraModel, light: Light, bands: Array) -> Array:
-    """Return the contribution of S1 and S2 of each band to the target outputs.
+    """As `output_weights`, but for the Stokes parameters S1 and S2 of each band: (2, output, band).
 
-    The parameters are the same as for `output_weights`. The result has the shape (2, output, band). The bands of a camera
-    include the polarised light that passes their polarisers.
+    S1 and S2 contribute to Stokes outputs and, through the polarisers, to outputs that are camera bands.
     """
     if target.kind == CAMERA:
         seen = target.light.at(light.luminance) if target.light else light
@@ -806,19 +752,19 @@ def polarised_weights(target: Target, camera: CameraModel, light: Light, bands: 
 
 
 def _band_unit(camera: CameraModel) -> Array:
-    """Return the factor (channel, 1) that converts electrons per second to the unit of the outputs of a camera's bands."""
+    """Return the factors, (channel, 1), that convert electrons per second to outputs that are camera bands."""
     unit = np.full((len(camera.channels), 1), camera.saturation_exposure / camera.full_scale)
     return unit if camera.readout is None else unit * camera.channel_gains[:, None]
 
 
-LEAST_SEEN = 0.1  # smallest permitted fraction of the spectral weight of a target that the bands of a scene cover
+LEAST_SEEN = 0.1  # smallest permitted fraction of a target's spectral weight within the bands of a scene
 
 
 def require_seen(bands: Array, target: Target, camera: CameraModel) -> None:
     """Check that the bands of a scene cover the wavelengths that a target needs.
 
-    A colour target needs the wavelengths that contribute to luminance, and a spectral target needs 400 to 700 nm. If the
-    outputs are the bands of the camera or matching functions from a file, the scene must cover at least one output.
+    Colour targets need the wavelengths that contribute to luminance, and spectral targets need 400 to 700 nm. If the outputs
+    are camera bands or are defined by matching functions from a file, the scene must cover at least one output.
 
     Parameters
     ----------
@@ -832,7 +778,7 @@ def require_seen(bands: Array, target: Target, camera: CameraModel) -> None:
     Raises
     ------
     ValueError
-        If the bands cover less than LEAST_SEEN of the spectral weight of the target.
+        If the bands cover less than the fraction LEAST_SEEN of the target's spectral weight.
     """
     grid: Array = np.arange(300.0, 1101.0)
     wanted: Array
@@ -850,17 +796,13 @@ def require_seen(bands: Array, target: Target, camera: CameraModel) -> None:
     seen = weight[:, inside].sum(axis=1) / np.maximum(weight.sum(axis=1), np.finfo(float).tiny)
     if seen.max() < LEAST_SEEN:
         raise ValueError(
-            f"the bands at {bands[0]:g}…{bands[-1]:g} nm cover only {seen.max():.1%} of the spectral "
-            f"weight of the target ({', '.join(target.outputs[:3])}); check the unit of the wavelengths, or remove the "
-            "scene from the recipe"
+            f"the bands at {bands[0]:g}…{bands[-1]:g} nm cover only {seen.max():.1%} of the target's spectral weight "
+            f"({', '.join(target.outputs[:3])}); check the unit of the wavelengths, or remove the scene from the recipe"
         )
 
 
 def column_names(path: Path) -> tuple[str, ...]:
-    """Return the column names of a file of matching functions.
-
-    If the names are missing, repeated or numeric, the columns are numbered.
-    """
+    """Return the column names in a file of matching functions, or numbered names if they are missing or ambiguous."""
     table = read_table(path)
     unnamed = tuple(f"output {number}" for number in range(1, len(table.values) + 1))
     names = table.names or ()

@@ -1,7 +1,7 @@
 """The table [scene.motion] of a scene recipe: a clip with a moving camera and moving leaves (docs/method.md#motion).
 
-Positions are (down, right), measured from the centre of the scene in pixels of a frame without zoom. The unit of time is the
-frame interval. In the middle of the clip, the centre of the frame shows the centre of the scene.
+Positions (down, right) are measured from the scene's centre, in pixels of a frame without zoom. The unit of time is the
+frame interval. In the middle of the clip, the frame is centred on the scene.
 """
 
 from collections.abc import Iterator
@@ -20,11 +20,11 @@ Zoom = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
 Radius = Annotated[float, msgspec.Meta(gt=0, le=256)]
 FARTHEST_SHAKE = 3.0  # limit of random displacements, in standard deviations
 LEAST_ZOOM = 1e-6  # avoids a division by zero in very long clips that zoom out
-SUBFRAMES = 8  # number of instants during the exposure over which a frame is averaged
+SUBFRAMES = 8  # instants during the exposure over which a frame is averaged for motion blur
 
 
 class MovingLeaves(Recipe):
-    """Leaves that move across the scene in straight lines. Each leaf has one material. The first leaf is in front."""
+    """Leaves of one material each that move across the scene in straight lines. The first leaf is in front."""
 
     count: Annotated[int, msgspec.Meta(ge=1, le=64)] = 1
     radius_pixels: tuple[Radius, Radius] = (8.0, 24.0)  # smallest and largest radius
@@ -32,7 +32,7 @@ class MovingLeaves(Recipe):
 
 
 class Motion(Recipe):
-    """Settings of a simulated clip. The camera moves over a scene, and each frame shows a part of the scene."""
+    """Settings of a simulated clip, in which the camera moves over a scene and each frame shows a part of it."""
 
     frames: Count
     size: tuple[Count, Count]  # rows and columns of each frame, in pixels
@@ -40,7 +40,7 @@ class Motion(Recipe):
     pan_pixels_per_frame: tuple[float, float] = (0.0, 0.0)
     zoom_per_frame: Zoom = 1.0  # magnification about the centre, relative to the previous frame
     shake_pixels: NotNegative = 0.0  # standard deviation of each frame's random displacement, which is clipped to 3 σ
-    shutter: Share = 0.0  # fraction of the frame interval during which the shutter is open, which causes motion blur
+    shutter: Share = 0.0  # exposure time as a fraction of the frame interval, which determines the motion blur
     leaves: MovingLeaves | None = None
 
 
@@ -48,13 +48,13 @@ class Motion(Recipe):
 class View:
     """Position and zoom of the camera at one instant."""
 
-    centre: tuple[float, float]  # position in the scene that the centre of the frame shows
-    zoom: float  # pixels of the frame per pixel of a frame without zoom
+    centre: tuple[float, float]  # position in the scene at the centre of the frame
+    zoom: float  # magnification relative to a frame without zoom
 
 
 @dataclass(frozen=True)
 class Course:
-    """Motion of the camera and of the leaves in one clip, drawn at random by the function `course`."""
+    """Motion of the camera and the leaves in one clip, drawn at random by the function `course`."""
 
     motion: Motion
     shake: Array  # (frame, 2), random displacement in pixels
@@ -63,18 +63,18 @@ class Course:
     radius: Array  # (leaf,), pixels
 
     def view(self, frame: int, moment: float = 0.0) -> View:
-        """Return the view `moment` frame intervals after the middle of the exposure of frame number `frame`."""
+        """Return the view in frame number `frame`, `moment` frame intervals after mid-exposure."""
         since = self._since_middle(frame) + moment
         pan, shake = self.motion.pan_pixels_per_frame, self.shake[frame]
         centre = tuple(speed * since + float(aside) for speed, aside in zip(pan, shake, strict=True))
         return View((centre[0], centre[1]), self.motion.zoom_per_frame**since)
 
     def leaves(self, frame: int, moment: float = 0.0) -> Array:
-        """Return the row and column of each leaf, `moment` frame intervals after the middle of the exposure of a frame."""
+        """Return the position of each leaf in frame number `frame`, `moment` frame intervals after mid-exposure."""
         return self.start + self.velocity * (self._since_middle(frame) + moment)
 
     def moments(self) -> list[float]:
-        """Return the instants over which a frame is averaged for motion blur, relative to the middle of the exposure."""
+        """Return the instants over which a frame is averaged for motion blur, in frame intervals from mid-exposure."""
         if self.motion.shutter == 0:
             return [0.0]
         return [self.motion.shutter * ((step + 0.5) / SUBFRAMES - 0.5) for step in range(SUBFRAMES)]
@@ -84,9 +84,9 @@ class Course:
 
 
 def course(motion: Motion, seed: tuple[int, ...]) -> Course:
-    """Draw the motion of a clip at random, depending on the seed.
+    """Draw the motion of a clip at random.
 
-    The shake and the leaves have separate random generators, so that a change of the shake does not change the leaves.
+    Shake and leaves have separate random generators, so that a change in the shake does not affect the leaves.
     """
     shaking, flying = np.random.default_rng(seed).spawn(2)
     shake = np.clip(shaking.standard_normal((motion.frames, 2)), -FARTHEST_SHAKE, FARTHEST_SHAKE) * motion.shake_pixels
@@ -100,7 +100,7 @@ def course(motion: Motion, seed: tuple[int, ...]) -> Course:
 
 
 def room(motion: Motion) -> tuple[float, float]:
-    """Return the largest area of the scene that a clip can show with any seed: rows and columns in pixels without zoom."""
+    """Return the area (rows, columns) of the scene that a clip needs at most with any seed, in pixels without zoom."""
     last = (motion.frames - 1) / 2 + motion.shutter / 2
     widest = max(min(motion.zoom_per_frame, 1 / motion.zoom_per_frame) ** last, LEAST_ZOOM)
     shake, pan = FARTHEST_SHAKE * motion.shake_pixels, motion.pan_pixels_per_frame
@@ -109,7 +109,7 @@ def room(motion: Motion) -> tuple[float, float]:
 
 
 def before(view: View, earlier: View, size: tuple[int, int], moved: Array | float = 0.0) -> Array:
-    """Return, for each pixel of a frame, where the previous frame shows the same point of the scene.
+    """Find the position in the previous frame of the scene point at each pixel of a frame.
 
     Parameters
     ----------
@@ -132,10 +132,10 @@ def before(view: View, earlier: View, size: tuple[int, int], moved: Array | floa
 
 
 def motion_faults(motion: Motion, name: str) -> Iterator[Fault]:
-    """Yield the faults in the motion settings of a scene. `name` is the name of the scene in messages."""
+    """Find the faults in a scene's motion settings. Messages begin with `name`, the scene."""
     leaves = motion.leaves
     for key in ("radius_pixels", "speed_pixels_per_frame") if leaves is not None else ():
         low, high = getattr(leaves, key)
         if low > high:
-            message = f"{name}: {key} {[low, high]} is not a range; set the smaller value first"
+            message = f"{name}: {key} is {[low, high]}; write the smaller value first"
             yield fault(message, f"motion.leaves.{key}")

@@ -1,12 +1,13 @@
 """Polarisation of dead leaves, for cameras with polarisers (docs/method.md#polarised-scenes).
 
-Each leaf has one of five kinds of surface, which are drawn in the proportions of SHARES:
+Each leaf has one of five kinds of surface, in the proportions SHARES. They differ in the degree and the angle of linear
+polarisation:
 
 matt       weakly polarised, with an angle that changes little over the leaf
-smooth     reflections on a curved dielectric: Fresnel's equations determine the degree, the curvature determines the angle
-flat       reflections on a plane such as a window, with nearly constant degree and angle
+smooth     reflections from a curved dielectric: the degree follows from Fresnel's equations, the angle from the curvature
+flat       reflections from a plane such as a window, with nearly constant degree and angle
 sky        a degree that increases linearly across the leaf, as in the sky
-plastic    transparent, birefringent plastic in polarised light, whose degree and angle depend on the wavelength
+plastic    transparent, birefringent plastic in polarised light, with a degree and angle that depend on the wavelength
 
 Metals are smooth leaves with a low degree.
 """
@@ -22,28 +23,28 @@ Floats = NDArray[np.float32]
 
 MATT, SMOOTH, FLAT, SKY, PLASTIC = range(5)
 SHARES = (0.64, 0.18, 0.10, 0.05, 0.03)  # fraction of the leaves with each kind of surface
-NODES = np.array([450.0, 550.0, 650.0])  # wavelengths at which the polarisation of a leaf is drawn, in nm
+NODES = np.array([450.0, 550.0, 650.0])  # nm; wavelengths at which polarisation is computed
 INDEX = 1.5  # refractive index of smooth surfaces
 MAX_DEGREE = 0.95
 MATT_DEGREE = 0.1  # largest degree of matt leaves
 COLOURED = 0.25  # fraction of the leaves whose degree depends on the wavelength
-CALM = 0.2  # fraction of the scenes with weak polarisation, and factor that multiplies the degrees in these scenes
-RIM = 0.98  # largest sine of the angle of incidence on smooth leaves, near the rim of a leaf
+CALM = 0.2  # fraction of scenes with weak polarisation, and factor on the degrees in these scenes
+RIM = 0.98  # limit of the sine of the angle of incidence near the rim of smooth leaves
 
 
 @dataclass(frozen=True)
 class Sheen:
-    """Polarisation of each leaf. Positions on a leaf are relative to its centre and its radius."""
+    """Polarisation of each leaf. Positions on a leaf are in leaf radii from its centre."""
 
     kind: NDArray[np.intp]  # (leaf) MATT, SMOOTH, FLAT, SKY or PLASTIC
     degree: Floats  # (leaf) degree of polarisation, or its largest value on the leaf
     angle: Floats  # (leaf) angle of polarisation at the centre, in radians
-    # (2, leaf) vertical and horizontal change of the angle over one leaf radius; for SKY, direction of increasing degree
+    # (2, leaf) vertical and horizontal change of the angle per leaf radius; for SKY, direction of increasing degree
     slope: Floats
-    # (leaf) The degree is proportional to brightness^-power. The power is 1 if only the surface reflects polarised light.
+    # (leaf) exponent p with degree ∝ brightness^-p; 1 if all polarised light is reflected at the surface itself
     albedo_power: Floats
     colour: Floats  # (leaf) relative change of the degree per 100 nm
-    # (3, leaf) in cycles at 550 nm: value at the centre, vertical change and horizontal change over one leaf radius
+    # (3, leaf) in cycles at 550 nm: value at the centre, vertical and horizontal change per leaf radius
     retardance: Floats
 
 
@@ -66,7 +67,7 @@ def draw_sheen(rng: np.random.Generator, count: int) -> Sheen:
 
 
 def fresnel_degree(sine: Floats) -> Floats:
-    """Return the degree of polarisation of light that a dielectric reflects, from the sine of the angle of incidence."""
+    """Return the degree of polarisation of light reflected by a dielectric, from the sine of the angle of incidence."""
     cosine = np.sqrt(1 - sine**2)
     refracted = np.sqrt(1 - (sine / INDEX) ** 2)
     across = ((cosine - INDEX * refracted) / (cosine + INDEX * refracted)) ** 2
@@ -77,7 +78,7 @@ def fresnel_degree(sine: Floats) -> Floats:
 def stokes_of(
     sheen: Sheen, cover: Leaves, label: NDArray[np.intp], place: tuple[NDArray, NDArray], shade: Floats
 ) -> tuple[Floats, Floats]:
-    """Return S1/S0 and S2/S0 of samples of a scene.
+    """Compute the Stokes ratios S1/S0 and S2/S0 of each sample of a scene.
 
     Parameters
     ----------
@@ -90,7 +91,7 @@ def stokes_of(
     place : tuple of ndarray
         Row (row, 1) and column (col,) of the samples.
     shade : ndarray, (row, col)
-        Natural logarithm of the brightness of each sample, relative to the mean of its leaf.
+        Natural logarithm of each sample's brightness, relative to the mean of its leaf.
 
     Returns
     -------
@@ -111,7 +112,8 @@ def stokes_of(
     curved = np.nonzero(kind == SMOOTH)
     v, u = down[curved], across[curved]
     square = np.maximum(u * u + v * v, np.float32(1e-12))
-    # The light is polarised perpendicular to the plane of incidence. This plane contains the direction to the leaf's centre.
+    # Reflected light is polarised perpendicular to the plane of incidence, which contains the direction to the leaf's
+    # centre.
     first[curved], second[curved] = (v * v - u * u) / square, 2 * u * v / square
     degree[curved] *= fresnel_degree(np.minimum(np.sqrt(square), np.float32(RIM)))
     degree = np.minimum(degree, np.float32(MAX_DEGREE))[..., None]
@@ -124,9 +126,9 @@ def stokes_of(
         cycles = (
             sheen.retardance[0][leaf] + sheen.retardance[1][leaf] * down[clear] + sheen.retardance[2][leaf] * across[clear]
         )
-        axis = (angle[clear] - 2 * sheen.angle[leaf])[:, None]  # twice the angle of the fast axis, which changes slowly
+        axis = (angle[clear] - 2 * sheen.angle[leaf])[:, None]  # twice the angle of the slowly varying fast axis
         source = 2 * sheen.angle[leaf][:, None]  # twice the angle of the polarised light behind the plastic
-        # The plastic keeps the component along its fast axis, and turns the other component partly to circular polarisation.
+        # Retardance preserves the Stokes component along the fast axis and converts the other one partly to circular light.
         kept = np.cos(source - axis)
         turned = np.sin(source - axis) * np.cos(2 * np.pi * cycles[:, None] * (550.0 / NODES))
         strength = np.minimum(sheen.degree[leaf], np.float32(MAX_DEGREE))[:, None]

@@ -1,7 +1,7 @@
 """Scenes from pictures behind a polariser, and from pictures of Stokes parameters (docs/polarisation.md#pictures-as-scenes).
 
-S0 is converted to reflectances in the same way as ordinary pictures. Pictures with one channel become grey surfaces. The
-ratios S1/S0 and S2/S0 of colour pictures depend on the wavelength, because the polarisation of the three colours can differ.
+S0 is converted to reflectances in the same way as ordinary pictures, and single-channel pictures become grey surfaces. In
+colour pictures, S1/S0 and S2/S0 depend on the wavelength, because the three colours can be polarised differently.
 """
 
 from dataclasses import dataclass, replace
@@ -20,9 +20,9 @@ Floats = NDArray[np.float32]
 # Wavelengths in nm at which the polarisation of colour pictures is sampled. Interpolation changes S1 and S2 by less than
 # 0.3 % of S0 (RMS), even if the polarisations of the colours are unrelated.
 NODES = np.arange(450.0, 651.0, 20.0)
-BLOCK = 16  # side in pixels of the blocks over which differences from Malus's law are averaged to reduce the noise
+BLOCK = 16  # side in pixels of the blocks over which residuals of Malus's law are averaged to reduce the noise
 CONTRADICTION = 0.01  # l3 warns if `StokesPicture.contradiction` is larger; photos from good cameras reach 0.004
-NOISE_LIMIT = 3.0  # smaller differences from Malus's law count as noise; in standard deviations of the noise
+NOISE_LIMIT = 3.0  # smaller residuals of Malus's law, in standard deviations of the noise, count as noise
 ROUNDING = 1e-4  # rounding tolerance for degrees of polarisation above 1
 
 
@@ -30,13 +30,13 @@ ROUNDING = 1e-4  # rounding tolerance for degrees of polarisation above 1
 class StokesPicture:
     """Linear pictures of S0, S1 and S2, where an S0 of 1 is white."""
 
-    stokes: Floats  # (3, row, col, colour); there are 1 or 3 colours; the degree of polarisation is at most 1
-    contradiction: float  # RMS difference from Malus's law, relative to the mean intensity; 0 if the differences are noise
-    impossible: float  # fraction of the pixels whose degree of polarisation was above 1
+    stokes: Floats  # (3, row, col, colour) with 1 or 3 colours; the degree of polarisation is at most 1
+    contradiction: float  # RMS residual of Malus's law, relative to the mean intensity; 0 if noise explains it
+    impossible: float  # fraction of the pixels with a degree of polarisation above 1 before it was limited
 
 
 def stokes_of_pictures(content: PolarisedPictures, source: sources.PolarisedPictures) -> StokesPicture:
-    """Compute Stokes parameters from the stored pictures of a source.
+    """Compute Stokes parameters from the pictures of a source.
 
     Raises
     ------
@@ -59,7 +59,8 @@ def stokes_of_pictures(content: PolarisedPictures, source: sources.PolarisedPict
         stokes = linear
     else:
         fitted, residual = fit_stokes(linear, content.angles)
-        # A white is 1 behind the polariser, which transmits half of unpolarised light, so the fitted S0 of white is 2.
+        # Pictures are scaled so that white is 1 behind the polariser, which transmits half of unpolarised light. The fitted
+        # S0 of white is therefore 2.
         stokes = fitted * np.float32(0.5)
         contradiction = _contradiction(residual, float(linear.mean(dtype=np.float64)))
     usual = float(np.median(stokes[0]))
@@ -70,10 +71,9 @@ def stokes_of_pictures(content: PolarisedPictures, source: sources.PolarisedPict
 
 
 def _contradiction(residual: Floats, intensity: float) -> float:
-    """Return how strongly pictures behind a polariser contradict each other, relative to the mean intensity.
+    """Return the RMS residual of Malus's law, averaged over blocks of pixels, relative to the mean intensity.
 
-    The residual of the pictures is averaged over blocks of pixels, and the RMS of the block means is returned. If noise can
-    explain the residual, the result is 0.
+    The result is 0 if noise explains the residual.
     """
     rows, cols = (length // BLOCK for length in residual.shape[1:3])
     if not (rows and cols and intensity > 0):

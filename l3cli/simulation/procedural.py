@@ -1,4 +1,4 @@
-"""Scenes that l3 generates: dead leaves for training, a composition for viewing, and charts.
+"""Scenes without a file: dead leaves for training, a composition for viewing, and charts.
 
 See docs/method.md#procedural-scenes.
 """
@@ -23,10 +23,10 @@ from l3cli.simulation.reflectances import DRAWN, drawn_bands, dyed, materials, p
 Array = NDArray[np.floating]
 Cube = NDArray[np.float32]  # (row, col, band)
 
-OVERSAMPLING = 2  # samples per pixel in each direction, so that edges can be at fractions of a pixel
+OVERSAMPLING = 2  # samples per pixel in each direction, so that edges need not coincide with pixel borders
 SMALLEST_RADIUS, LARGEST_RADIUS = 3.0, 100.0  # range of the leaf radii, in pixels
 MAX_TIMES_WHITE = 3.0  # largest value in a scene, including highlights, relative to a perfect white
-STRIP = 8  # number of rows that are drawn together, small enough for the processor cache
+STRIP = 8  # rows that are drawn together, few enough for the processor cache
 Wavelength = NDArray[np.float64]
 Painter = Callable[[Any, np.random.Generator, Wavelength], NDArray[np.float32]]
 
@@ -35,10 +35,9 @@ FINER = 8  # samples per pixel in each direction for straight edges
 
 
 def grid(wavelength: Array) -> NDArray[np.float64]:
-    """Return the wavelengths at which procedural scenes are drawn for a camera. All wavelengths are in nm.
+    """Return the wavelengths (nm) at which procedural scenes are drawn for a camera with the wavelengths `wavelength`.
 
-    `wavelength` contains the wavelengths of the camera. The result contains the wavelengths DRAWN, and is extended in steps
-    of 10 nm to the range of the camera.
+    The result contains the wavelengths in DRAWN, and extends them to the range of the camera in steps of 10 nm.
     """
     first = max(np.floor(min(wavelength[0], DRAWN[0]) / 10.0) * 10.0, 10.0)  # not 0: materials divide by the wavelength
     last = np.ceil(max(wavelength[-1], DRAWN[-1]) / 10.0) * 10.0
@@ -50,20 +49,20 @@ def grid(wavelength: Array) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Coat:
-    """Material and shading of each leaf. Positions are relative to the centre of the leaf, in radii."""
+    """Material and shading of each leaf. Positions are in leaf radii from the leaf's centre, and ln is the natural log."""
 
     reflectance: NDArray[np.float32]  # (leaf, band)
-    brightness: NDArray[np.float32]  # (leaf,), natural logarithm of the mean brightness
-    slope: NDArray[np.float32]  # (2, leaf), gradient of the logarithm of the brightness, down and across
-    hollow: NDArray[np.float32]  # (leaf,), decrease of the logarithm of the brightness from the centre to the rim
-    texture: NDArray[np.float32]  # (leaf,), amplitude of the texture in the logarithm of the brightness
+    brightness: NDArray[np.float32]  # (leaf,), mean ln(brightness)
+    slope: NDArray[np.float32]  # (2, leaf), gradient of ln(brightness), down and across
+    hollow: NDArray[np.float32]  # (leaf,), decrease of ln(brightness) from the centre to the rim
+    texture: NDArray[np.float32]  # (leaf,), amplitude of the texture in ln(brightness)
     highlight: NDArray[np.float32]  # (leaf,), peak of the highlight relative to a perfect white; 0 for matt leaves
     sharpness: NDArray[np.float32]  # (leaf,), sharpness of the highlight
     position: NDArray[np.float32]  # (2, leaf), position of the highlight, down and across
 
 
 def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Array, patterned: float = 0.0) -> Cube:
-    """Draw a dead-leaves scene with `drawn_leaves`, and return only its reflectance."""
+    """As `drawn_leaves`, but return only the reflectance."""
     return drawn_leaves(rng, size, wavelength, patterned)[0]
 
 
@@ -85,8 +84,8 @@ def drawn_leaves(
     wavelength : ndarray, (band)
         Wavelengths in nm.
     patterned : float
-        Fraction of the leaves with fine regular patterns. The patterns have their own random generator, so that the rest of
-        the scene does not depend on this fraction.
+        Fraction of the leaves with fine regular patterns. Patterns have their own random generator, so this fraction does
+        not affect the rest of the scene.
     polarising : Generator, optional
         Source of the random numbers for the polarisation. [default: the light is not polarised]
 
@@ -125,7 +124,7 @@ def drawn_leaves(
 def _coats(rng: np.random.Generator, materials: Array, count: int) -> Coat:
     """Draw the appearance of `count` leaves.
 
-    With a probability of 60 %, a leaf consists of one of the `materials`, otherwise of a mixture of two materials.
+    With a probability of 60 %, a leaf has one of the `materials`. Otherwise it has a mixture of two materials.
     """
     one, other = materials[rng.integers(len(materials), size=(2, count))]
     share = np.where(rng.random(count) < 0.4, rng.random(count), 1.0)[:, None]
@@ -145,10 +144,10 @@ def _coats(rng: np.random.Generator, materials: Array, count: int) -> Coat:
 
 
 def _light(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Draw the relative illumination of a scene at each pixel.
+    """Draw the relative illumination of each sample of a scene.
 
-    The illumination always varies smoothly. In 30 % of the scenes, shadows with soft, ragged edges are added. The number of
-    shadows is random and can be 0.
+    The illumination varies smoothly. In 30 % of the scenes, a random number of shadows (possibly none) with soft, ragged
+    edges is added.
     """
     logarithm = 0.4 * fields.pink(rng, shape, 1.8)
     shadows = rng.poisson(1.0) if rng.random() < 0.3 else 0
@@ -174,10 +173,10 @@ def _draw(
     sheen: Sheen | None,
     stokes: Cube,
 ) -> None:
-    """Compute the reflectance of some rows of a scene, and write the reflectance into `cube`.
+    """Compute some rows of a scene, and write their reflectance, including highlights, into `cube`.
 
-    Each pixel is the mean of its samples. Highlights are added, and values are limited to MAX_TIMES_WHITE. If `sheen` is not
-    None, the mean of S0 over the bands, S1 and S2 are written into `stokes`.
+    Each pixel is the mean of its samples. Values are limited to MAX_TIMES_WHITE. If `sheen` is not None, the mean of S0 over
+    the bands, and S1 and S2 at each node, are written into `stokes`.
     """
     label = cover.label[rows].astype(np.intp)
     down = np.arange(rows.start, rows.stop, dtype=np.float32)[:, None]
@@ -214,10 +213,7 @@ def _block_mean(values: NDArray[np.float32]) -> NDArray[np.float32]:
 def _shading(
     cover: leaves.Leaves, coat: Coat, label: NDArray[np.intp], place: tuple[Array, Array], textures: Textures
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the shading and the gloss of each sample.
-
-    Shading multiplies the reflectance of the material. Gloss is a specular reflection, which is added to the product.
-    """
+    """Return each sample's shading, a factor on the reflectance, and its gloss, a specular reflection that is added."""
 
     def of(values: NDArray[Any]) -> NDArray[Any]:
         return np.take(values, label, mode="clip")
@@ -237,10 +233,10 @@ def _shading(
 
 
 def _average(cube: Cube, materials: NDArray[np.float32], label: NDArray[np.integer], amount: NDArray[np.float32]) -> None:
-    """Fill `cube` with the mean over each block of OVERSAMPLING × OVERSAMPLING samples.
+    """Average the samples of each pixel, and write the result into `cube`.
 
-    The value of a sample is the spectrum of its leaf, multiplied by a factor. Most blocks show a single leaf. In these
-    blocks, the factors are summed first, so that the spectrum is multiplied only once.
+    A sample's spectrum is the spectrum of its leaf times a factor. Most pixels show a single leaf. In these pixels, the
+    factors are summed first, so that the spectrum needs to be multiplied only once.
 
     Parameters
     ----------
@@ -269,8 +265,8 @@ def _average(cube: Cube, materials: NDArray[np.float32], label: NDArray[np.integ
 def _blurred(cube: Cube, sigma: float) -> Cube:
     """Blur a scene with a Gaussian of `sigma` pixels, in place, to imitate the lens of a real picture.
 
-    A blur of less than 0.2 pixels has no effect and is skipped. The scene is mirrored at its borders. The data are processed
-    row by row, so that they remain in the processor cache. This function takes a fifth of the time of scipy.ndimage.
+    A blur of up to 0.2 pixels has no visible effect and is skipped. The scene is mirrored at its borders. Working row by row
+    keeps the data in the processor cache, so this function takes a fifth of the time of scipy.ndimage.
     """
     if sigma <= 0.2:
         return cube
@@ -281,7 +277,7 @@ def _blurred(cube: Cube, sigma: float) -> Cube:
     around = np.pad(np.arange(rows), reach, mode="symmetric").tolist()
     sides = np.pad(np.arange(cols), reach, mode="symmetric")
     scratch, window = np.empty((cols, bands), np.float32), np.empty((reach, cols, bands), np.float32)
-    wide = np.empty((cols + 2 * reach, bands), np.float32)  # a row after the vertical blur, extended by mirroring
+    wide = np.empty((cols + 2 * reach, bands), np.float32)  # a vertically blurred row, mirrored at its ends
     for row in range(rows):
 
         def sharp(at: int, row: int = row) -> Array:  # `window` keeps sharp copies of the rows that are already blurred
@@ -305,7 +301,7 @@ def _blurred(cube: Cube, sigma: float) -> Cube:
 
 
 def composition(rng: np.random.Generator, size: tuple[int, int], wavelength: Array) -> Cube:
-    """Draw the demonstration scene with `drawn_composition`, and return only its reflectance."""
+    """As `drawn_composition`, but return only the reflectance."""
     return drawn_composition(rng, size, wavelength)[0]
 
 
@@ -346,21 +342,21 @@ def drawn_composition(
     return cube, polarisation
 
 
-# Size (rows, columns) of the ColorChecker in a composition of 18 × 32 units, in units, and relative position of its centre.
+# ColorChecker in a composition of 18 × 32 units: size (rows, columns) in units, and relative position of its centre
 CHART_PANEL = (8, 12), (0.66, 0.25)
 
 
 def _placed(
     size: tuple[int, int], units: tuple[int, int], centre: tuple[float, float]
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return the upper left corner and the shape, in pixels, of a panel in a composition."""
+    """Return a panel's upper left corner and shape in a composition, in pixels."""
     unit = min(size[0] // 18, size[1] // 32)
     height, width = units[0] * unit, units[1] * unit
     return (round(size[0] * centre[0] - height / 2), round(size[1] * centre[1] - width / 2)), (height, width)
 
 
 def chart_places(size: tuple[int, int]) -> list[list[tuple[slice, slice]]]:
-    """Return the possible positions of a ColorChecker in a picture.
+    """Return the two places where l3's scenes contain a ColorChecker.
 
     Parameters
     ----------
@@ -370,7 +366,7 @@ def chart_places(size: tuple[int, int]) -> list[list[tuple[slice, slice]]]:
     Returns
     -------
     list of list of (slice, slice)
-        Rows and columns of the 24 patches, first for a chart that fills the picture, then for the chart in a composition.
+        Rows and columns of the 24 patches: for a chart that fills the picture, then for the chart in a composition.
     """
     (top, left), shape = _placed(size, *CHART_PANEL)
     within = [
@@ -403,7 +399,7 @@ POLARISATION_SEED = 60  # part of the seed that makes the polarisation independe
 
 
 def draw(wanted: sources.WantedScene, seed: int, camera_wavelength: Wavelength, polarised: bool = False) -> Scene:
-    """Draw a procedural scene for a camera. The recipe and the seed determine the scene.
+    """Draw a procedural scene for a camera. Equal recipes and seeds result in equal scenes.
 
     Parameters
     ----------
@@ -414,12 +410,12 @@ def draw(wanted: sources.WantedScene, seed: int, camera_wavelength: Wavelength, 
     camera_wavelength : ndarray, (wavelength,)
         Wavelengths of the camera, in nm.
     polarised : bool
-        Whether leaves polarise light, for cameras with polarisers. The reflectances do not depend on this setting.
+        Whether leaves polarise light, for cameras with polarisers. This does not affect the reflectances.
 
     Returns
     -------
     Scene
-        A ColorChecker has the wavelengths at which it was measured. All other scenes have the wavelengths of `grid`.
+        The scene, at the wavelengths returned by `grid`. A ColorChecker has the wavelengths at which it was measured.
     """
     source = wanted.source
     measured = isinstance(source, sources.ColorChecker)
@@ -446,7 +442,7 @@ def colorchecker(size: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def colorchecker_patches(size: tuple[int, int]) -> list[tuple[slice, slice]]:
-    """Return the rows and columns of each of the 24 square patches of a ColorChecker in a picture of the given size.
+    """Return the rows and columns of the 24 square patches if a ColorChecker fills a picture of the given size.
 
     The patches are listed row by row. The gap between patches is a fifth of a patch.
     """
@@ -461,7 +457,7 @@ def colorchecker_patches(size: tuple[int, int]) -> list[tuple[slice, slice]]:
 
 
 def patch_grid(reflectance: Array, rows: int, size: tuple[int, int]) -> Cube:
-    """Arrange patches with the given reflectances in rows that fill the scene. Large patches have dark borders."""
+    """Arrange patches, (patch, band), in a grid that fills the scene. Large patches get dark borders."""
     cols = len(reflectance) // rows
     row = np.arange(size[0]) * rows // size[0]
     col = np.arange(size[1]) * cols // size[1]
@@ -525,9 +521,9 @@ MUNSELL_HUES, MUNSELL_VALUES, MUNSELL_CHROMAS = 20, (30, 50, 70, 85), (8, 20, 35
 
 
 def munsell(size: tuple[int, int], wavelength: Array) -> Cube:
-    """Return a chart of colours in CIE LCh under D65. Hue varies along rows, and lightness and chroma vary along columns.
+    """Draw a chart of regularly spaced CIE LCh colours under D65, with smooth reflectances.
 
-    Each patch has a smooth reflectance. The chroma of colours outside sRGB is reduced until the colours are inside sRGB.
+    Hue varies along rows, lightness and chroma along columns. Colours outside sRGB are reduced in chroma until they fit.
     """
     hue = np.arange(MUNSELL_HUES) * (2 * np.pi / MUNSELL_HUES)
     value, chroma, hue = (axis.ravel() for axis in np.meshgrid(MUNSELL_VALUES, MUNSELL_CHROMAS, hue, indexing="ij"))
@@ -544,7 +540,7 @@ def munsell(size: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def slanted_edge(size: tuple[int, int], wavelength: Array, angle: float, dark: float, bright: float) -> Cube:
-    """Return a straight edge that passes through the middle of the scene (ISO 12233).
+    """Draw a straight, slanted edge through the centre of the scene (ISO 12233).
 
     Parameters
     ----------
@@ -569,7 +565,7 @@ def slanted_edge(size: tuple[int, int], wavelength: Array, angle: float, dark: f
 
 
 def zone_plate(size: tuple[int, int], wavelength: Array, highest: float) -> Cube:
-    """Return concentric rings whose frequency increases linearly with the distance from the centre.
+    """Draw a zone plate: concentric rings with a frequency that increases linearly from the centre.
 
     At the nearest edges of the picture, the frequency is `highest` cycles per pixel.
     """
@@ -579,7 +575,7 @@ def zone_plate(size: tuple[int, int], wavelength: Array, highest: float) -> Cube
 
 
 def frequencies(size: tuple[int, int], wavelength: Array, orders: int) -> Cube:
-    """Return a row of gratings. The frequency increases from left to right, and the contrast decreases from top to bottom.
+    """Draw a row of gratings with frequencies that increase from left to right and contrast that decreases downwards.
 
     The frequency doubles from grating to grating, up to 0.5 cycles per pixel in the last grating. The contrast is 1 at the
     top and 1/100 at the bottom.
@@ -592,7 +588,7 @@ def frequencies(size: tuple[int, int], wavelength: Array, orders: int) -> Cube:
 
 
 def grey_ramp(size: tuple[int, int], wavelength: Array, octaves: float) -> Cube:
-    """Return greys from 2^-octaves on the left to 1 on the right.
+    """Draw a grey ramp from a reflectance of 2^-octaves on the left to 1 on the right.
 
     The upper half is continuous. The lower half has steps of half an octave.
     """
@@ -607,7 +603,7 @@ def grey_ramp(size: tuple[int, int], wavelength: Array, octaves: float) -> Cube:
 
 
 def ramp_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
-    """Return a grey ramp whose reflectance increases from 1 % to 100 % on a logarithmic scale.
+    """Draw a logarithmic grey ramp from a reflectance of 1 % on the left to 100 % on the right.
 
     The upper half is continuous, and the lower half has 16 steps.
     """
@@ -618,7 +614,7 @@ def ramp_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def zone_plate_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
-    """Return a zone plate with 0.4 cycles per pixel at its rim, which is a difficult test for demosaicking methods."""
+    """Draw a zone plate with 0.4 cycles per pixel at its rim, a difficult test of demosaicking."""
     down, across = _centred(shape)
     panel = zone_plate(shape, wavelength, 0.4)
     panel[down**2 + across**2 >= (min(shape) / 2) ** 2] = BOARD
@@ -626,7 +622,7 @@ def zone_plate_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def slanted_bars_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
-    """Return dark and bright bars, slanted by 5°, whose width decreases from left to right.
+    """Draw dark and bright bars that are slanted by 5° and become narrower from left to right.
 
     The edges are suitable for the slanted-edge method of ISO 12233.
     """
@@ -638,7 +634,7 @@ def slanted_bars_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def _centred(shape: tuple[int, int], finer: int = 1) -> tuple[Array, Array]:
-    """Return the vertical and horizontal positions of samples, in pixels from the centre of a picture.
+    """Return the positions (down, across) of samples in pixels from the picture's centre.
 
     The picture has `shape` (rows, columns) pixels, each with `finer` × `finer` samples.
     """

@@ -1,7 +1,4 @@
-"""The scene recipe, which lists the scenes to simulate, the illuminants and the exposures.
-
-Each scene is simulated under each illuminant, at each luminance and with each exposure.
-"""
+"""The scene recipe, which lists the scenes, illuminants, luminances and exposures to simulate, in all combinations."""
 
 import itertools
 from collections.abc import Iterator, Mapping
@@ -29,12 +26,12 @@ EXPOSURES = {"exposure_share": "share", "exposure_saturated": "saturated", "expo
 
 
 class Lens(Recipe):
-    """Lens effects to simulate, and settings that replace the lens of the camera (docs/method.md#optics)."""
+    """Lens effects to simulate, and settings that replace those of the camera's lens (docs/method.md#optics)."""
 
     diffraction: bool = True
-    off_axis: bool = False  # whether to darken the corners; a table cannot correct dark corners
+    off_axis: bool = False  # whether to simulate vignetting, which tables cannot correct
     defocus_um: NotNegative = 0.0  # standard deviation of a Gaussian blur on the sensor
-    # Transmittance as a number or as the name of a CSV file. The transmittance multiplies the responsivities of the camera.
+    # Transmittance as a number or as the name of a CSV file. It multiplies the responsivities of the camera.
     transmittance: Annotated[float, msgspec.Meta(gt=0, le=1)] | str | None = None
     focal_length_mm: Positive | None = None
     f_number: Positive | None = None
@@ -51,7 +48,7 @@ class SensorSetting(Recipe):
 
 
 class TargetRecipe(Recipe):
-    """The outputs that the table computes from a raw frame."""
+    """The target: the outputs that a table should compute from raw frames."""
 
     # "CIE 1931", "CIE 1964", "luminance", "CIE 1931 + IR", "reflectance 31" or "radiance 31" (both at 400…700 nm), "Stokes"
     # or "CIE 1931 + Stokes" (docs/polarisation.md), "camera" (the bands of the camera), or the name of a CSV file of
@@ -61,14 +58,14 @@ class TargetRecipe(Recipe):
 
 
 class Pair(Recipe):
-    """A raw file, and the picture that a table should compute from the raw file. The two are registered pixel by pixel."""
+    """A raw file and the picture that a table should compute from it, registered pixel by pixel."""
 
     raw: str  # path relative to the recipe
     picture: str  # encoded sRGB, or an EXR file whose channels have the names of the target outputs
     offset: tuple[CountOrNone, CountOrNone] = (0, 0)  # row and column of the picture's first pixel in the raw frame
     phase: tuple[int, int] | None = None  # row and column of the CFA at the first raw pixel; default: read from the file
-    # A picture value multiplied by this scale is the fraction of full scale that a white surface of the same brightness
-    # reaches. By default, the scale is fitted.
+    # Multiplied by this scale, a white surface's value in the picture becomes the fraction of full scale that the surface
+    # reaches in the raw frame. Default: the scale is fitted
     scale: Positive | None = None
 
 
@@ -84,7 +81,7 @@ class SceneRecipe(Recipe):
     illuminants: Annotated[list[str], msgspec.Meta(min_length=1)] = msgspec.field(default_factory=lambda: ["D65"])
     luminances_cd_m2: Several | None = None  # luminances of a perfect white; default: 100
     lux: Several | None = None  # illuminances, as an alternative to luminances_cd_m2; π times the luminance of white
-    # Automatic exposure: fraction of full scale that the brightest channel of a white reaches.
+    # Automatic exposure: fraction of full scale that a white reaches in the brightest channel.
     exposure_share: Several | None = None
     # Automatic exposure: fraction of the pixels that reach full scale.
     exposure_saturated: Annotated[list[Annotated[float, msgspec.Meta(gt=0, lt=1)]], msgspec.Meta(min_length=1)] | None = None
@@ -102,7 +99,7 @@ class SceneRecipe(Recipe):
         return self.luminances_cd_m2 or [100.0]
 
     def exposures(self) -> tuple[str, list[float]]:
-        """Return the type of exposure and the settings in the recipe. The type is one of the values of EXPOSURES.
+        """Return the type of exposure, which is a value of EXPOSURES, and the settings in the recipe.
 
         Raises
         ------
@@ -119,14 +116,14 @@ class SceneRecipe(Recipe):
 
 
 def recorded_lights(recipe: SceneRecipe) -> list[str]:
-    """Return the illuminants under which scenes were recorded, as stated in the recipe."""
+    """Return the illuminants under which the recipe's scene files were recorded."""
     return [
         source.light for source in recipe.scene if isinstance(source, sources.Spectral | sources.IsetScenes) and source.light
     ]
 
 
 def curve_files(recipe: SceneRecipe) -> dict[str, str]:
-    """Return the files of spectra in a recipe, each with its role: "light", "transmittance" or "functions"."""
+    """Return the role of each file of spectra in a recipe: "light", "transmittance" or "functions"."""
     lights = [*recipe.illuminants, *filter(None, [recipe.target.illuminant])]
     lights += recorded_lights(recipe)
     curves = {name: "light" for text in lights for _, name in mixture(text) if names_file(name)}
@@ -152,12 +149,12 @@ def set_up(camera: CameraModel, recipe: SceneRecipe, curves: Mapping[str, Curve]
     Returns
     -------
     CameraModel
-        The camera that is stored in the training set.
+        The camera to simulate, which is also stored in the training set.
 
     Raises
     ------
     RecipeError
-        If the settings of the lens are physically impossible.
+        If the lens settings are physically impossible.
     """
     lens, optics = recipe.lens, camera.optics
     focal = optics.focal_length if lens.focal_length_mm is None else lens.focal_length_mm * 1e-3
@@ -182,20 +179,7 @@ def set_up(camera: CameraModel, recipe: SceneRecipe, curves: Mapping[str, Curve]
 
 
 def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fault]:
-    """Yield the faults of a scene recipe.
-
-    Parameters
-    ----------
-    recipe : SceneRecipe
-        The recipe.
-    camera : CameraModel or None
-        The camera for which the recipe is used, if known.
-
-    Yields
-    ------
-    Fault
-        A message and the keys to which the message refers.
-    """
+    """Find the faults of a scene recipe, including conflicts with `camera` if it is known."""
     if not (recipe.scene or recipe.pair):
         yield fault("the recipe contains no scenes; add [[scene]] or [[pair]]", "scene", "pair")
     if recipe.luminances_cd_m2 is not None and recipe.lux is not None:
@@ -273,13 +257,13 @@ class Shot:
     index: int  # number of the frame in the training set
     illuminant: str
     luminance: float  # cd/m²
-    # Fixed exposure time in s, or target fraction of an automatic exposure. `SceneRecipe.exposures` returns the type.
+    # exposure time in s, or target fraction of an automatic exposure, depending on `SceneRecipe.exposures`
     exposure: float
     moment: int = 0  # number of the frame in its clip
 
 
 def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[sources.WantedScene, list[Shot]]]:
-    """Yield each scene of a recipe with its frames.
+    """List the scenes of a recipe, each with its frames, which are numbered consecutively over the whole recipe.
 
     Parameters
     ----------
@@ -291,9 +275,7 @@ def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[source
     Yields
     ------
     scene : WantedScene
-        The scene.
     frames : list of Shot
-        Frames of the scene. Frames are numbered consecutively through the whole recipe.
     """
     index = itertools.count()
     for source, paths in zip(recipe.scene, files, strict=True):
@@ -304,7 +286,7 @@ def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[source
 
 
 def curve_faults(recipe: SceneRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults of a scene recipe that concern illuminants or files of spectra."""
+    """Find unknown illuminants and unusable files of spectra in a scene recipe."""
     lens, target = recipe.lens, recipe.target
     for text, key in _lights(recipe):
         yield from _light_faults(text, key, source)
@@ -315,7 +297,7 @@ def curve_faults(recipe: SceneRecipe, source: RecipeSource) -> Iterator[Fault]:
 
 
 def _lights(recipe: SceneRecipe) -> Iterator[tuple[str, KeyPath]]:
-    """Yield each illuminant in a recipe with its key."""
+    """List the illuminants in a recipe, each with its key."""
     yield from ((text, ("illuminants", number)) for number, text in enumerate(recipe.illuminants))
     if recipe.target.illuminant is not None:
         yield recipe.target.illuminant, ("target", "illuminant")

@@ -6,8 +6,8 @@ Random materials are varied, smooth and physically valid (docs/method.md#procedu
 2. a Gaussian distribution fitted to the measured surfaces in logit space,
 3. models of materials that are common in pictures: skin, leaves and hair.
 
-The saturation is low and varies between scenes. For each pixel of an RGB picture, l3 computes a smooth reflectance with the
-colour of the pixel (docs/method.md#pictures-converted-to-spectra).
+Saturation is mostly low and varies between scenes. RGB pictures are converted to smooth reflectances with the colours of the
+pixels (docs/method.md#pictures-converted-to-spectra).
 """
 
 import functools
@@ -26,13 +26,13 @@ from l3cli.simulation.light import make_light, matching_weights
 Array = NDArray[np.floating]
 
 COMPONENTS = 8  # number of principal components of the Gaussian in logit space
-# Wavelengths in nm at which materials are drawn. The wavelengths do not depend on the camera, so a material has the same
-# colour for all cameras.
+# Wavelengths in nm at which materials are drawn. They do not depend on the camera, so that a material always has the same
+# colour.
 DRAWN = np.arange(SHOWN[0], SHOWN[1] + 1.0, 10.0)
 
-# Relative frequency of each type of material (docs/method.md#procedural-scenes).
+# relative frequencies of materials (docs/method.md#procedural-scenes)
 KIND_FREQUENCIES = {"library": 0.25, "mixture": 0.2, "gaussian": 0.35, "skin": 0.12, "leaf": 0.04, "hair": 0.04}
-# Types of material whose saturation is drawn at random. All other types have their natural saturation.
+# types of material with random saturation; all other types have their natural saturation
 DYED = ("library", "mixture", "gaussian")
 VIVID = (0.0, 1.2)  # range of the saturation in charts of dyed materials; 0 is grey, 1 is the measured saturation
 VESSEL = 0.007  # radius of the blood vessels of the skin, in cm
@@ -56,7 +56,7 @@ EXACTNESS = 1e4  # weight of the colour equations relative to smoothness
 
 @dataclass(frozen=True)
 class Surfaces:
-    """Measured reflectances, and a Gaussian distribution fitted to these reflectances in logit space."""
+    """Measured reflectances, and a Gaussian distribution that is fitted to their logits."""
 
     wavelength: Array  # (band,), nm
     measured: Array  # (sample, band), reflectance
@@ -67,10 +67,10 @@ class Surfaces:
 
 @functools.lru_cache(maxsize=2)
 def surfaces(wavelength: tuple[float, ...]) -> Surfaces:
-    """Return measured reflectances from colour-science, except the ColorChecker, and a Gaussian fitted to them.
+    """Load measured reflectances from colour-science, without the ColorChecker, and fit a Gaussian to their logits.
 
-    The Gaussian is fitted at the wavelengths of DRAWN. Values at other wavelengths are predicted by linear regression, so
-    that a random material has the same colour on any wavelength grid.
+    The Gaussian is fitted at the wavelengths in DRAWN. At other wavelengths, its components are computed by linear
+    regression, so that a random material has the same colour on any wavelength grid.
 
     Parameters
     ----------
@@ -96,12 +96,12 @@ def _logit(reflectance: Array) -> Array:
 
 
 def drawn_bands(wavelength: Array) -> NDArray[np.bool_]:
-    """Return whether each wavelength, in nm, is one of DRAWN."""
+    """Return a mask of the wavelengths (nm) that are in DRAWN."""
     return np.isin(wavelength, DRAWN)
 
 
 def palette(rng: np.random.Generator, of: Surfaces) -> Array:
-    """Draw the reflectances of the 6 to 60 materials of one scene, one row per material.
+    """Draw 6 to 60 materials for one scene, as reflectances (material, band).
 
     In half of the scenes, one type of material is dominant.
     """
@@ -115,12 +115,12 @@ def palette(rng: np.random.Generator, of: Surfaces) -> Array:
 
 
 def materials(kind: str, rng: np.random.Generator, of: Surfaces, count: int) -> Array:
-    """Draw `count` reflectances of one type of material, one per row. `kind` is a key of KIND_FREQUENCIES."""
+    """Draw reflectances, (count, band), of one type of material, which is a key of KIND_FREQUENCIES."""
     return np.array([_material(rng, of, kind, 1.0) for _ in range(count)])
 
 
 def dyed(rng: np.random.Generator, of: Surfaces, count: int) -> Array:
-    """Draw `count` reflectances of dyed surfaces, one per row, from grey to slightly more saturated than measured."""
+    """Draw reflectances, (count, band), of dyed surfaces, from grey to slightly more saturated than measured surfaces."""
     shares = np.array([KIND_FREQUENCIES[kind] for kind in DYED])
     kinds = rng.choice(DYED, size=count, p=shares / shares.sum())
     return np.array([_dye(rng, of, kind, rng.uniform(*VIVID)) for kind in kinds])
@@ -138,10 +138,7 @@ def _dye(rng: np.random.Generator, of: Surfaces, kind: str, saturation: float) -
 
 
 def _painted(rng: np.random.Generator, reflectance: Array, wavelength: Array) -> Array:
-    """Apply the absorption edge of titanium white to a reflectance.
-
-    Titanium white occurs in paints, plastics and papers.
-    """
+    """Add the absorption edge of titanium white, which is common in paints, plastics and papers."""
     edge = np.exp(rng.normal(np.log(0.2), 0.7))
     return with_titanium_white(reflectance, wavelength, edge, rng.uniform(5.0, 11.0))
 
@@ -160,7 +157,7 @@ def _mixture(rng: np.random.Generator, of: Surfaces) -> Array:
 def _gaussian(rng: np.random.Generator, of: Surfaces) -> Array:
     scores = rng.standard_normal(COMPONENTS)
     logit = of.mean + scores @ of.components
-    # The bands of DRAWN are computed in a separate product, so that their rounding does not depend on the grid.
+    # A separate product for the bands in DRAWN keeps their rounding independent of the grid.
     logit[of.drawn] = of.mean[of.drawn] + scores @ np.compress(of.drawn, of.components, axis=1)
     return 1.0 / (1.0 + np.exp(-logit))
 
@@ -173,7 +170,7 @@ def _skin(rng: np.random.Generator, of: Surfaces) -> Array:
     The absorption coefficient, in cm⁻¹, has three parts: the absorption of whole blood with 150 g/l haemoglobin (64 500
     g/mol), the baseline of blood-free skin [1]_, and the absorption of melanin [1]_, which is proportional to λ^−3.33. The
     reduced scattering coefficient is 46 (λ/500)^−b cm⁻¹. The absorption of blood is reduced, because hardly any light
-    reaches the middle of a vessel [2]_. The mean blood and melanin contents and VESSEL are chosen so that the mean
+    reaches the middle of a vessel [2]_. VESSEL and the mean contents of blood and melanin are chosen so that the mean
     reflectance agrees within 2 % with the mean of 41 measured skins (Vrhel and others 1994; University of Utah). The mean of
     71 other skins differs by at most 5 %.
 
@@ -197,7 +194,7 @@ def _skin(rng: np.random.Generator, of: Surfaces) -> Array:
 
 
 def _leaf(rng: np.random.Generator, of: Surfaces) -> Array:
-    """Draw the reflectance of a plant leaf, modelled as Gaussian absorption bands of chlorophyll and carotenoids.
+    """Draw the reflectance of a plant leaf, from Gaussian absorption bands of chlorophyll and carotenoids.
 
     A quarter of the leaves also contain anthocyanin.
     """
@@ -215,7 +212,7 @@ def _leaf(rng: np.random.Generator, of: Surfaces) -> Array:
 
 
 def _hair(rng: np.random.Generator, of: Surfaces) -> Array:
-    """Draw the reflectance of hair or fur, from dark brown to blond, as a grey gloss plus the spectral slope of melanin."""
+    """Draw the reflectance of hair or fur, from dark brown to blond: grey gloss plus the spectral slope of melanin."""
     slope = (of.wavelength / 680.0) ** rng.uniform(0.3, 5.0)
     return rng.uniform(0.01, 0.04) + np.exp(rng.normal(np.log(0.06), 0.8)) * slope
 
@@ -226,7 +223,7 @@ _DRAW = {"library": _library, "mixture": _mixture, "gaussian": _gaussian, "skin"
 def raise_to_spectra(linear: NDArray[np.float32], wavelength: NDArray[np.float64], name: str) -> Scene:
     """Convert a linear sRGB picture to a spectral scene: reflectance = red · R + green · G + blue · B.
 
-    The three spectra of `primaries` are not negative, and their sum is 1 at each wavelength. Values from 0 to 1 therefore
+    The three spectra come from `primaries`. They are not negative and add up to 1 at each wavelength, so values from 0 to 1
     become reflectances from 0 to 1.
 
     Parameters
@@ -234,7 +231,7 @@ def raise_to_spectra(linear: NDArray[np.float32], wavelength: NDArray[np.float64
     linear : ndarray, (row, col, 3)
         Linear sRGB; 1 is white.
     wavelength : ndarray, (band,)
-        Wavelengths in nm. Each wavelength must be one of DRAWN or be outside the range of DRAWN, where spectra are constant.
+        Wavelengths in nm, either in DRAWN or outside its range, where spectra are constant.
     name : str
         Name of the scene.
 
@@ -244,7 +241,7 @@ def raise_to_spectra(linear: NDArray[np.float32], wavelength: NDArray[np.float64
         The scene, without an illuminant.
     """
     cube = np.maximum(linear, np.float32(0.0)) @ primaries().astype(np.float32)
-    if not np.array_equal(wavelength, DRAWN):  # selecting bands after the product gives all cameras identical values
+    if not np.array_equal(wavelength, DRAWN):  # selected after the product, so that all cameras get identical values
         cube = cube[..., abs(np.subtract.outer(wavelength, DRAWN)).argmin(axis=1)]
     return Scene(name, wavelength, cube, NO_ILLUMINANT)
 

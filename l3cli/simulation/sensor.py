@@ -1,4 +1,4 @@
-"""Simulation of the sensor, which converts mean photo-electrons to a raw frame in digital numbers (docs/method.md#sensor).
+"""Simulation of the sensor, from mean photo-electrons to raw values in DN (docs/method.md#sensor).
 
 This module also generates the sensor defects of the virtual lab.
 """
@@ -17,21 +17,21 @@ from l3cli.errors import RecipeError, shortened, suggestion
 from l3cli.recipes.toml import NotNegative, Recipe, Share
 from l3cli.system.plugins import NOISE, blamed, plugins
 
-MAX_ELECTRONS = 1e15  # limit in e-, larger than any full-well capacity and small enough for the Poisson generator
+MAX_ELECTRONS = 1e15  # limit in e-, above any full-well capacity and small enough for the Poisson generator
 NOISES = ("all", "shot", "none")  # "shot": only the shot noise of light and dark current; "none": only quantisation
 OfMillion = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
 
 
 @dataclass(frozen=True)
 class FixedPattern:
-    """Differences between the pixels of a camera that are the same in every frame."""
+    """Fixed differences between the pixels of a camera, which are the same in every frame."""
 
-    prnu: NDArray[np.float32]  # (row, col), relative deviation of the response, including the row and the column
-    dsnu: NDArray[np.float32]  # (row, col), offset in e-, including the fixed offsets of the row and of the column
+    prnu: NDArray[np.float32]  # (row, col), relative deviation of the response, including row and column deviations
+    dsnu: NDArray[np.float32]  # (row, col), offset in e-, including fixed row and column offsets
 
 
 def fixed_pattern(camera: CameraModel) -> FixedPattern:
-    """Return the PRNU and DSNU of each pixel of the sensor, as determined by the `fixed_pattern_seed` of the camera."""
+    """Generate the PRNU and DSNU of each pixel, as determined by the camera's `fixed_pattern_seed`."""
     return _fixed_pattern(camera.fixed_pattern_seed, (camera.rows, camera.cols), camera.noise)
 
 
@@ -49,7 +49,7 @@ def _fixed_pattern(seed: int, shape: tuple[int, int], noise: Noise) -> FixedPatt
 
 
 def mosaic(electrons: NDArray[np.float32], cfa: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Select the electrons of each pixel's channel according to the CFA. The first pixel is at site (0, 0)."""
+    """Sample the electrons of all channels, (channel, row, col), with the CFA. The first pixel is at site (0, 0)."""
     down, across = cfa.shape
     values = np.empty(electrons.shape[1:], electrons.dtype)
     for row, col in np.ndindex(cfa.shape):
@@ -58,15 +58,15 @@ def mosaic(electrons: NDArray[np.float32], cfa: NDArray[np.uint8]) -> NDArray[np
 
 
 def signals(camera: CameraModel, rates: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Multiply the electron rate of each pixel, in e-/s, by the relative gain of its channel.
+    """Multiply each pixel's electron rate, in e-/s, by the relative gain of its channel.
 
-    The result, multiplied by the gain of the camera, is the signal in DN per second.
+    The result times the camera gain is the signal in DN/s.
     """
     return rates if camera.readout is None else rates * camera.channel_gains[camera.channel_map(rates.shape)]
 
 
 def saturating_exposure(camera: CameraModel, rates: NDArray[np.floating], share: float) -> float:
-    """Return the exposure time, in s, at which a given fraction of the pixels saturates.
+    """Return the exposure time in s at which a given fraction of the pixels saturates.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def saturating_exposure(camera: CameraModel, rates: NDArray[np.floating], share:
 
 
 def averaging_exposure(camera: CameraModel, rates: NDArray[np.floating], share: float) -> float:
-    """Return the exposure time, in s, at which the mean signal before clipping is a given fraction of full scale.
+    """Return the exposure time in s at which the mean signal before clipping is a given fraction of full scale.
 
     Parameters
     ----------
@@ -112,9 +112,9 @@ def averaging_exposure(camera: CameraModel, rates: NDArray[np.floating], share: 
 
 
 def with_analog_gain(camera: CameraModel, gain: float) -> CameraModel:
-    """Return the camera with its analog gain multiplied by `gain`.
+    """Multiply the analog gain of a camera by `gain`.
 
-    The black level does not change. With a higher gain, pixels reach the white level with fewer electrons.
+    The black level does not change. At a higher gain, fewer electrons are needed to reach the white level.
     """
     white_level = min(camera.black_level + gain * (camera.white_level - camera.black_level), 2.0**camera.bits - 1)
     return replace(camera.at_gain(gain), white_level=white_level)
@@ -125,7 +125,7 @@ def expose(
 ) -> NDArray[np.uint16]:
     """Simulate one raw frame (docs/method.md#sensor).
 
-    If the camera has masked pixels, the frame is a frame after the correction with these pixels.
+    If the camera has masked pixels, the result is a frame that has already been corrected with them.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def expose(
     Returns
     -------
     ndarray of uint16, (row, col)
-        Raw values in DN. A frame that is smaller than the sensor has the fixed pattern of the upper left part of the sensor.
+        Raw values in DN. A frame that is smaller than the sensor gets the fixed pattern of the sensor's upper left part.
 
     Raises
     ------
@@ -153,7 +153,7 @@ def expose(
     rows, cols = electrons.shape
     if rows > camera.rows or cols > camera.cols:
         raise ValueError(
-            f"a frame of {rows}×{cols} pixels is larger than the sensor of {camera.rows}×{camera.cols}; use a smaller frame"
+            f"the frame has {rows}×{cols} pixels, but the sensor has only {camera.rows}×{camera.cols}; use a smaller frame"
         )
     camera = camera.as_corrected()
     whole = fixed_pattern(camera)
@@ -169,9 +169,9 @@ def read_out(
     rng: np.random.Generator,
     noises: str = "all",
 ) -> NDArray[np.uint16]:
-    """Simulate one raw frame, in DN, of a sensor with a given fixed pattern (docs/method.md#sensor).
+    """Simulate one raw frame in DN, with a given fixed pattern of the same shape as `electrons`.
 
-    `pattern` has the same shape as `electrons`. See `expose` for all other parameters.
+    The other parameters are as in `expose`.
     """
     noise, readout = camera.noise, camera.readout
     time: Any = exposure
@@ -195,10 +195,10 @@ def _collected(
     camera: CameraModel, pattern: FixedPattern, electrons: NDArray[np.floating], time: Any, read_noise: Any,
     rng: np.random.Generator, noises: str,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Return the electrons in each pixel, with dark current and noise.
+    """Add dark current and noise to the electrons in each pixel.
 
-    `noises` is "all", "shot" (shot noise only) or "none". The fixed pattern is only applied with "all". Signals are limited
-    to MAX_ELECTRONS before noise is added.
+    `noises` is "all", "shot" (only shot noise) or "none". Only "all" includes the fixed pattern. Signals are limited to
+    MAX_ELECTRONS before noise is added.
     """
     noise = camera.noise
     signal = np.clip(electrons, 0.0, MAX_ELECTRONS) + np.minimum(noise.dark_current * time, MAX_ELECTRONS)
@@ -210,7 +210,7 @@ def _collected(
         signal *= 1 + pattern.prnu
         signal += pattern.dsnu
         for axis, deviation in enumerate((noise.row_temporal_noise, noise.column_temporal_noise)):
-            if deviation:  # one offset per row or column, drawn only if needed, so that other random numbers stay the same
+            if deviation:  # drawn only if needed, so that cameras without line noise keep their random numbers
                 offsets = rng.standard_normal(signal.shape[axis], dtype=np.float32) * np.float32(deviation)
                 signal += offsets[:, None] if axis == 0 else offsets
     return signal
@@ -219,11 +219,10 @@ def _collected(
 def with_masked(
     camera: CameraModel, pattern: FixedPattern, electrons: NDArray[np.floating]
 ) -> tuple[FixedPattern, NDArray[np.floating]]:
-    """Surround the pixels of the sensor with its masked pixels, which collect no light, for `read_out`.
+    """Surround the light-sensitive pixels with the camera's masked pixels, which collect no light, for `read_out`.
 
-    Masked pixels above and below a column have the fixed offset of the column, which is estimated by the mean of `pattern`
-    over the column. The same applies to masked pixels beside a row. Masked columns have fixed offsets of their own. If the
-    camera has no masked pixels, the arguments are returned.
+    Masked pixels share the fixed offset of their column and their row, which is estimated by the mean of `pattern` over the
+    column or row. Fully masked columns get random offsets. If the camera has no masked pixels, the arguments are returned.
     """
     masked, noise = camera.masked, camera.noise
     if masked is None:
@@ -260,17 +259,14 @@ def noise_plugin(name: str) -> EntryPoint:
 def _noisy_by(
     name: str, electrons: NDArray[np.floating], time: Any, camera: CameraModel, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Return the electrons in each pixel after the plugin `name` has added noise.
-
-    Raises L3Error if the plugin returns invalid values.
-    """
+    """Let the noise model `name`, a plugin, add noise to the electrons. Raises L3Error if it returns invalid values."""
     entry = noise_plugin(name)
     with blamed(entry):
         signal = np.array(entry.load()(electrons.copy(), time, camera, rng), np.float32)
         if signal.shape != electrons.shape or not np.isfinite(signal).all():
             raise ValueError(
-                f"the noise model returned an array of shape {signal.shape}; return finite numbers of electrons, in shape "
-                f"{electrons.shape}"
+                f"the noise model returned an array with the shape {signal.shape}; it must return finite numbers of "
+                f"electrons with the shape {electrons.shape}"
             )
     return signal
 
@@ -282,7 +278,7 @@ class DefectRecipe(Recipe):
     hot_current_e_per_s: NotNegative = 4000.0  # additional dark current of a hot pixel
     dead_pixels_per_million: OfMillion = 10.0
     dust_specks_per_million: Annotated[float, msgspec.Meta(ge=0, le=10_000)] = 4.0  # each speck casts a soft shadow
-    dust_depth: Share = 0.03  # fraction of the light lost at the centre of a shadow
+    dust_depth: Share = 0.03  # fraction of the light that is lost at the centre of a shadow
     dust_radius_px: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 12.0
     blinking_pixels_per_million: OfMillion = 0.0  # pixels that switch between two levels at random (telegraph noise)
     blinking_step_e: NotNegative = 50.0  # mean difference of the two levels, which is exponentially distributed
@@ -296,17 +292,17 @@ class SensorDefects:
     dead: NDArray[np.int64]  # (pixel, 2), row and column of each dead pixel
     shade: NDArray[np.float32]  # (row, col), transmittance of the dust
     blinking: NDArray[np.int64]  # (pixel, 2), row and column of each blinking pixel
-    steps: NDArray[np.float32]  # (pixel,), difference between the two levels of each blinking pixel in e-
+    steps: NDArray[np.float32]  # (pixel,), difference between the two levels of each blinking pixel, in e-
 
     def blinks(self, rng: np.random.Generator) -> NDArray[np.float32]:
-        """Draw the offset of each blinking pixel in one frame, in e-. A pixel is on either level with equal probability."""
+        """Draw each blinking pixel's offset in one frame, in e-. Both levels are equally probable."""
         return self.steps * rng.integers(0, 2, self.steps.size).astype(np.float32)
 
 
 def defects_of(camera: CameraModel, recipe: DefectRecipe) -> SensorDefects:
-    """Draw the sensor defects of a camera at random, in the numbers and strengths that `recipe` specifies.
+    """Draw the sensor defects that `recipe` specifies.
 
-    The random seed is the `fixed_pattern_seed` of the camera, so each call returns the same defects.
+    They are random, but the camera's `fixed_pattern_seed` is the seed, so each call returns the same defects.
     """
     return _draw(camera.fixed_pattern_seed, camera.rows, camera.cols, msgspec.structs.astuple(recipe))
 

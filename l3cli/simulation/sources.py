@@ -1,6 +1,6 @@
-"""The [[scene]] tables of a scene recipe: the source of a scene, and its position on the sensor.
+"""The [[scene]] tables of a scene recipe, which specify the source of a scene and its position on the sensor.
 
-A scene can be cropped, mirrored, rotated and scaled. This module also converts stored spectral cubes to scenes.
+Scenes can be cropped, mirrored, rotated and scaled. This module also converts spectral cubes to scenes.
 """
 
 import itertools
@@ -27,12 +27,12 @@ from l3cli.simulation.motion import Motion, motion_faults, room
 from l3cli.spectra.file import other_unit
 
 CODED = ("r", "g", "b")  # order of the channels in a picture with holds = "codes"
-GLOB_TEXT = re.compile(r"[^\W_]+")  # letters and digits of a glob, without wildcards
+GLOB_TEXT = re.compile(r"[^\W_]+")  # letters and digits in a glob
 MIN_SIDE_PIXELS = 16  # smallest permitted number of rows or columns
 
 
 class Framing(Recipe, kw_only=True):
-    """Crop, orientation and scale of a scene, which are applied in this order."""
+    """Crop, flip, rotation and scale of a scene, which are applied in this order."""
 
     # first row, first column, number of rows and number of columns, in samples of the scene
     crop: tuple[CountOrNone, CountOrNone, CountOrNone, CountOrNone] | None = None
@@ -52,7 +52,7 @@ class Synthetic(Framing, kw_only=True):
 
 class Random(Synthetic, kw_only=True):
     count: Count = 1  # number of scenes
-    seed: Seed = 0  # combined with --seed; with different seeds, all scenes differ
+    seed: Seed = 0  # combined with --seed; different seeds result in different scenes
 
 
 class DeadLeaves(Random, tag_field="source", tag="dead leaves", kw_only=True):
@@ -72,7 +72,7 @@ class Foliage(Random, tag_field="source", tag="foliage", kw_only=True):
 
 
 class Surfaces(Random, tag_field="source", tag="surfaces", kw_only=True):
-    """A chart of paints, plastics and textiles, for training colours. It contains no patches of the ColorChecker."""
+    """A chart of paints, plastics and textiles for training colours, without patches of the ColorChecker."""
 
     patches: tuple[Count, Count] = (6, 9)
 
@@ -82,7 +82,7 @@ class ColorChecker(Synthetic, tag_field="source", tag="colorchecker", kw_only=Tr
 
 
 class Munsell(Synthetic, tag_field="source", tag="munsell", kw_only=True):
-    """A regular grid of colours with smooth reflectances. Hue varies along rows. Lightness and chroma vary along columns."""
+    """A grid of colours with smooth reflectances. Hue varies along rows, lightness and chroma along columns."""
 
 
 class SlantedEdge(Synthetic, tag_field="source", tag="slanted edge", kw_only=True):
@@ -114,23 +114,24 @@ class IsetScenes(FileSource, tag_field="source", tag="iset", kw_only=True):
 
 
 class Pictures(FileSource, kw_only=True):
-    shrink: Count = 1  # side of the blocks of pixels that are averaged, which also removes JPEG and demosaicking artifacts
+    # side of the blocks of pixels that are averaged, which also reduces JPEG and demosaicking artifacts
+    shrink: Count = 1
 
 
 class RgbPictures(Pictures, tag_field="source", tag="rgb", kw_only=True):
-    # "sRGB": the values are colours. "codes": the values are linear signals of the camera channels r, g and b.
+    # "sRGB": the values are sRGB colours. "codes": the values are linear signals of the camera channels r, g and b.
     holds: Literal["sRGB", "codes"] = "sRGB"
 
 
 class PolarisedPictures(Pictures, kw_only=True):
-    # Stored value of a perfect white that is not polarised. For pictures behind a polariser, the white is also behind the
-    # polariser. The default is 1 for floats, 255 for 8-bit integers, and 65535 for 16-bit integers that use the whole range.
-    # For all other integers, this key is required.
+    # Stored value of a perfect, unpolarised white, seen through the polariser if there is one. The default is 1 for floats,
+    # 255 for 8-bit integers, and 65535 for 16-bit integers that use the whole range. For all other integers, this key is
+    # required.
     white: Positive | None = None
 
 
 class BehindPolariser(PolarisedPictures, tag_field="source", tag="polariser", kw_only=True):
-    """Pictures behind a polariser at three or more angles: a folder with one picture per angle, or a stack in one file."""
+    """Pictures through a polariser at three or more angles: a folder with one picture per angle, or a stack in one file."""
 
     pictures: str = "*"  # glob that selects the pictures in the folder, such as "*_1.png"
     # Angle of the polariser of each picture, in the order of the file names or of the stack; default: read from the names.
@@ -145,23 +146,23 @@ class StokesPictures(PolarisedPictures, tag_field="source", tag="stokes", kw_onl
 
 
 class Spectral(FileSource, kw_only=True):
-    """A spectral cube. The keys supply information that the file of the cube does not contain."""
+    """A spectral cube. The keys add or override information in its file."""
 
     wavelengths_nm: list[float] | None = None  # wavelengths of the bands; default: read from the file
     wavelength_range_nm: tuple[float, float, float] | None = None  # first, last and step; an alternative to wavelengths_nm
     # "radiance": the values are power per nm. "photons": the values are numbers of photons per nm.
     holds: Literal["reflectance", "radiance", "photons"] = "reflectance"
-    # Stored value of a perfect white. The default is the value in the file. If the file contains no such value, the default
-    # is 1 for floats, 255 for 8-bit integers, and 65535 for 16-bit integers that use the whole range. For all other
-    # integers, this key is required.
+    # Stored value of a perfect white. By default, this value is read from the file. If the file does not specify it, the
+    # default is 1 for floats, 255 for 8-bit integers, and 65535 for 16-bit integers that use the whole range. For all other
+    # integers, this key is then required.
     white: Positive | None = None
-    # Stored value that marks pixels without data, which training ignores. The default is the value in the file.
+    # Value that marks pixels without data, which training ignores. By default, it is read from the file.
     ignored: float | Literal["nan"] | None = None
     light: str | None = None  # name or CSV file of the illuminant under which radiance was measured
 
 
 class BandFolder(Spectral, tag_field="source", tag="bands", kw_only=True):
-    """A folder with one picture per band. The order of the bands is the order of the file names."""
+    """A folder with one picture per band, in the order of the file names."""
 
 
 class Envi(Spectral, tag_field="source", tag="envi", kw_only=True):
@@ -188,7 +189,7 @@ Source = (
 
 @dataclass(frozen=True)
 class WantedScene:
-    """One scene of a recipe: a file or, for a synthetic source, the scene with the index `number`."""
+    """One scene of a recipe: a file, or scene number `number` of a synthetic source."""
 
     source: Source
     path: Path | None = None
@@ -197,34 +198,34 @@ class WantedScene:
     @property
     def name(self) -> str:
         if self.path is not None:
-            # A folder can contain the pictures of several scenes. The glob distinguishes them: "colour 1" for *_1.png.
+            # If a folder contains the pictures of several scenes, the glob distinguishes them, as in "colour 1" for *_1.png.
             glob = Path(self.source.pictures).stem if isinstance(self.source, BehindPolariser) else ""
             return " ".join([self.path.stem, *GLOB_TEXT.findall(glob)])
         return f"{name_of(self.source)} {getattr(self.source, 'seed', 0)}.{self.number}"
 
     @property
     def error(self) -> type[L3Error]:
-        """Class of exceptions for faults in this scene: InputFileError if the scene is a file, otherwise RecipeError."""
+        """Exception class for faults in this scene: InputFileError if the scene is a file, otherwise RecipeError."""
         return RecipeError if self.path is None else InputFileError
 
 
 def name_of(source: Source) -> str:
-    """Return the name of the type of a source, as written in the recipe."""
+    """Return the type of a source, as written in recipes, such as "dead leaves"."""
     return str(source.__struct_config__.tag)
 
 
 def wanted_scenes(source: Source, files: list[Path]) -> list[WantedScene]:
-    """Return the scenes of a source. `files` contains the scene files of the source."""
+    """List the scenes of a source. `files` contains its scene files, if it uses files."""
     if isinstance(source, FileSource):
         return [WantedScene(source, path) for path in files]
     return [WantedScene(source, number=number) for number in range(getattr(source, "count", 1))]
 
 
 def source_faults(source: Source, camera: CameraModel | None, name: str) -> Iterator[Fault]:
-    """Yield the errors in the settings of a source. `name` is the name of the source in messages.
+    """Find the faults in the settings of a source, including conflicts with `camera` if it is known.
 
-    If `camera` is not None, the settings must also suit the camera. For example, a synthetic scene must not be larger than
-    the sensor, unless the scene is cropped, scaled or moved.
+    For example, a synthetic scene must not be larger than the sensor, unless it is cropped, scaled or moved. Messages begin
+    with `name`, the source.
     """
     whole = source.scale is None and source.field_of_view_deg is None
     if not whole and source.scale is not None and source.field_of_view_deg is not None:
@@ -232,8 +233,8 @@ def source_faults(source: Source, camera: CameraModel | None, name: str) -> Iter
         yield fault(message, "field_of_view_deg", "scale")
     if source.crop and min(source.crop[2:]) < 1:
         message = (
-            f"{name}: crop {list(source.crop)} is empty; set crop to first row, first column, number of rows and number of "
-            "columns"
+            f"{name}: crop {list(source.crop)} is empty; write [first row, first column, number of rows, number of columns] "
+            "with at least one row and one column"
         )
         yield fault(message, "crop")
     if isinstance(source, Synthetic):
@@ -281,8 +282,8 @@ def _spectral_faults(source: Spectral, name: str) -> Iterator[Fault]:
         first, last, step = source.wavelength_range_nm
         if not (0 < first < last and step > 0):
             message = (
-                f"{name}: wavelength_range_nm {[first, last, step]} is not a range; set first, last and step, with first < "
-                "last and a positive step"
+                f"{name}: wavelength_range_nm is {[first, last, step]}; write [first, last, step] with 0 < first < last and "
+                "step > 0"
             )
             yield fault(message, "wavelength_range_nm")
     if source.light is not None and source.holds == "reflectance":
@@ -291,26 +292,26 @@ def _spectral_faults(source: Spectral, name: str) -> Iterator[Fault]:
 
 
 def has_light(source: Source) -> bool:
-    """Whether the scenes of a source contain an illuminant, as a separate spectrum or as a factor of their radiance."""
+    """Return whether a source's scenes contain an illuminant, as a separate spectrum or as a factor in their radiance."""
     return isinstance(source, IsetScenes) or (isinstance(source, Spectral) and source.holds != "reflectance")
 
 
 def of_measured_surfaces(source: Source) -> bool:
-    """Whether the scenes of a source consist of the measured reflectances that come with l3."""
+    """Return whether a source's scenes are based on the measured reflectances that l3 includes."""
     if isinstance(source, Synthetic):
         return not isinstance(source, SlantedEdge | ZonePlate | Frequencies | GreyRamp)
     return isinstance(source, Pictures) and not holds_codes(source)
 
 
 def holds_codes(source: Source) -> bool:
-    """Whether the scenes of a source contain signals of the camera channels instead of spectra."""
+    """Return whether a source's scenes contain camera signals instead of spectra."""
     return isinstance(source, RgbPictures) and source.holds == "codes"
 
 
 def can_be_relit(source: Source) -> bool:
-    """Whether the reflectances of a source are known, so that scenes can be simulated under any illuminant.
+    """Return whether a source's scenes can be simulated under any illuminant.
 
-    If the illuminant of a radiance is unknown, the reflectances are unknown too.
+    This requires reflectances, or radiances under a known illuminant.
     """
     return not (isinstance(source, Spectral) and source.holds != "reflectance" and source.light is None)
 
@@ -325,9 +326,9 @@ def check_size(size: tuple[int, ...], camera: CameraModel | None, error: type[L3
     camera : CameraModel or None
         The camera, or None to check only the smallest size.
     error : type
-        Class of the error.
+        Exception class.
     name : str
-        Name of the scene for the message.
+        Name of the scene, for the message.
     """
     rows, cols = size
     if min(size) < MIN_SIDE_PIXELS:
@@ -337,9 +338,7 @@ def check_size(size: tuple[int, ...], camera: CameraModel | None, error: type[L3
         )
     if camera and (rows > camera.rows or cols > camera.cols):
         smaller = "set scale, crop or (pictures only) shrink" if error is InputFileError else "set a smaller size"
-        raise error(
-            f"{name} has {rows}×{cols} pixels and is larger than the sensor of {camera.rows}×{camera.cols}; {smaller}"
-        )
+        raise error(f"{name} has {rows}×{cols} pixels, but the sensor has only {camera.rows}×{camera.cols}; {smaller}")
 
 
 def framed(cube: NDArray[np.float32], framing: Framing, camera: CameraModel) -> NDArray[np.float32]:
@@ -372,9 +371,9 @@ def framed(cube: NDArray[np.float32], framing: Framing, camera: CameraModel) -> 
 
 
 def on_sensor(scene: Scene, framing: Framing, camera: CameraModel) -> Scene:
-    """Apply `framed` to a scene and to its mask of ignored samples.
+    """Crop, mirror, rotate and scale a scene, including its polarisation and its mask of ignored samples.
 
-    A pixel is ignored if any ignored sample contributes to the pixel.
+    A pixel is ignored if any ignored sample contributes to it.
     """
     ignored = scene.ignored
     if ignored is not None:
@@ -390,8 +389,8 @@ def _polarisation_on_sensor(
 ) -> Polarisation:
     """Apply `framed` to the polarisation of a scene.
 
-    Samples are weighted with their brightness, which is the mean of `reflectance` over the bands. Mirroring changes the sign
-    of S2, and a quarter turn changes the signs of S1 and S2.
+    Samples are weighted with their brightness, the mean of `reflectance` over the bands. Mirroring changes the sign of S2. A
+    quarter turn changes the signs of S1 and S2.
     """
     bright = np.maximum(reflectance.mean(axis=2, dtype=np.float32), np.float32(1e-6))[..., None]
     rows, cols, _, nodes = polarisation.ratio.shape
@@ -418,7 +417,7 @@ def turned(cube: NDArray[np.float32], framing: Framing) -> NDArray[np.float32]:
 
 
 def framed_size(size: tuple[int, int], framing: Framing, camera: CameraModel) -> tuple[int, int]:
-    """Return the rows and columns of the result of `framed` for a scene of `size`. For a clip, return the size of a frame.
+    """Return the size (rows, columns) of a scene after `framed`. For a clip, return the size of its frames.
 
     Raises
     ------
@@ -438,24 +437,21 @@ def framed_size(size: tuple[int, int], framing: Framing, camera: CameraModel) ->
 
 
 def _cropped(size: tuple[int, ...], framing: Framing) -> tuple[int, int, int, int]:
-    """Return the crop of a scene: first row, first column, number of rows and number of columns.
+    """Return the crop of a scene (first row, first column, rows, columns), or the whole scene if the recipe has no crop.
 
-    Without a crop in the recipe, the result is the whole scene. Raises ValueError if the crop extends beyond the scene.
+    Raises ValueError if the crop extends beyond the scene.
     """
     if framing.crop is None:
         return 0, 0, size[0], size[1]
     top, left, rows, cols = framing.crop
     if top + rows > size[0] or left + cols > size[1]:
-        extent = f"the scene of {size[0]}×{size[1]} samples"
-        raise ValueError(f"crop {list(framing.crop)} extends beyond {extent}; set a smaller crop")
+        extent = f"{size[0]}×{size[1]} samples"
+        raise ValueError(f"crop {list(framing.crop)} extends beyond the scene with {extent}; set a smaller crop")
     return framing.crop
 
 
 def _require_room(motion: Motion, size: tuple[int, int], scale: float) -> None:
-    """Raise ValueError if the moving camera would show parts beyond the edges of a scene.
-
-    `size` contains the rows and columns of the scene. `scale` is the number of pixels per sample.
-    """
+    """Raise ValueError if the camera would move beyond a scene of `size` (rows, columns) with `scale` pixels per sample."""
     rows, cols = (math.ceil(min(length / scale - 1e-6, 1e9)) for length in room(motion))
     if rows > size[0] or cols > size[1]:
         raise ValueError(
@@ -465,7 +461,7 @@ def _require_room(motion: Motion, size: tuple[int, int], scale: float) -> None:
 
 
 def scale_of(framing: Framing, camera: CameraModel, cols: int) -> float | None:
-    """Return the number of pixels per sample for a scene with `cols` columns, or None if the scene is not resampled."""
+    """Return the scale of a scene with `cols` columns in pixels per sample, or None if the scene is not resampled."""
     if framing.field_of_view_deg is None:
         return framing.scale
     width = 2.0 * camera.optics.image_distance * np.tan(np.radians(framing.field_of_view_deg) / 2.0)
@@ -477,15 +473,15 @@ def _pixels(length: int, scale: float) -> int:
 
 
 def _scaled(cube: NDArray[np.float32], scale: float, most: tuple[int, int]) -> NDArray[np.float32]:
-    """Resample a cube to `scale` pixels per sample. Crop the result to at most `most` rows and columns."""
+    """Resample a cube to `scale` pixels per sample, and crop the result to at most `most` (rows, columns)."""
     down, across = (_resampling(length, scale, limit) for length, limit in zip(cube.shape, most, strict=False))
     return resampled(cube, down, across)
 
 
 def resampled(cube: NDArray[np.float32], down: Any, across: Any) -> NDArray[np.float32]:
-    """Resample the rows of a cube (row, col, band) with the sparse matrix `down`, and the columns with `across`.
+    """Resample a cube (row, col, band) vertically with the sparse matrix `down` and horizontally with `across`.
 
-    The columns are resampled row by row, which limits the use of memory.
+    The horizontal step works row by row, which limits memory use.
     """
     rows, cols, bands = cube.shape
     tall = (down @ cube.reshape(rows, cols * bands)).reshape(-1, cols, bands)
@@ -498,7 +494,7 @@ def resampled(cube: NDArray[np.float32], down: Any, across: Any) -> NDArray[np.f
 def _resampling(length: int, scale: float, most: int) -> Any:
     """Return the sparse matrix (pixel, sample) that resamples a line of samples.
 
-    The line is interpolated if pixels are smaller than samples, and averaged if pixels are larger than samples.
+    The samples are interpolated if pixels are smaller than samples, and averaged if pixels are larger.
     """
     from scipy.sparse import csr_array
 
@@ -515,11 +511,11 @@ def _resampling(length: int, scale: float, most: int) -> Any:
 
 
 AXES = ("row", "col", "band")
-BRIGHT_QUANTILE = 0.999  # quantile of the pixel values that is used as white if the radiance of white is unknown
+BRIGHT_QUANTILE = 0.999  # quantile of the pixel values that counts as white if the value of white is unknown
 MAX_MEDIAN_REFLECTANCE = 2.0  # if the median is larger, the values are probably percent, counts or radiance
 FULL_RANGE = 0.75  # if the brightest pixels reach this fraction of 65535, l3 assumes that 65535 is white
 MEDIAN_STEP = 8  # the median is computed from every eighth row and column
-STRIP_ROWS = 128  # number of rows that are converted together, which limits the memory
+STRIP_ROWS = 128  # rows that are converted together, which limits memory use
 
 
 def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | None) -> Scene:
@@ -539,16 +535,16 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
     Raises
     ------
     ValueError
-        If the cube contradicts the recipe, or if the white or the wavelengths of the cube are unknown.
+        If the cube contradicts the recipe, or if its wavelengths or its value of white are unknown.
 
     Notes
     -----
-    Reflectances are divided by the stored value of a perfect white. Radiances are divided by the radiance of a perfect white
-    under `light`. If the illuminant is unknown, an equal-photon spectrum is assumed. If the recipe does not contain the key
-    `white`, the brightest pixels of a radiance scene are assumed to be white.
+    Reflectances are divided by the stored value of a perfect white, and radiances by the radiance of a perfect white under
+    `light`. If the illuminant is unknown, equal photon radiance at all wavelengths is assumed. If the recipe does not
+    contain the key `white`, the brightest pixels of a radiance scene are assumed to be white.
 
-    Small negative values become zero (docs/method.md#simulation). Bad bands are removed. Pixels without data obtain the
-    reflectance of the nearest pixel with data, and are marked as ignored.
+    Small negative values become zero (docs/method.md#simulation). Bad bands are removed. Pixels without data are filled with
+    the nearest pixel that has data, and are marked as ignored.
     """
     wavelength, values, ignored = _bands(cube, source)
     white = source.white or cube.white or usual_white(values, source.holds == "reflectance", ignored)
@@ -562,7 +558,7 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
             illuminant = spectra.average(stored, light.wavelength, wavelength) * _photons(wavelength, source)
             if not (illuminant > 0).all():
                 dark = wavelength[illuminant <= 0][0]
-                raise ValueError(f"the illuminant in light has no power at {dark:g} nm; set a light that covers all bands")
+                raise ValueError(f"light has no power at {dark:g} nm; use an illuminant that covers all bands of the cube")
         illuminant = illuminant / illuminant.max()
         per_white /= illuminant
     reflectance = np.empty(values.shape, np.float32)
@@ -579,16 +575,16 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
     usual = float(np.median(reflectance[::MEDIAN_STEP, ::MEDIAN_STEP]))
     if source.holds == "reflectance" and usual > MAX_MEDIAN_REFLECTANCE:
         raise ValueError(
-            f"the median reflectance of the cube is {usual:.3g}, although white has a reflectance of 1; set white "
-            '(100 for percent), or correct the key "holds"'
+            f"the median reflectance of the cube is {usual:.3g}, which is above white (1); set white to the stored value of "
+            'white (100 for percent), or correct the key "holds"'
         )
     return Scene(name, wavelength, reflectance, illuminant, ignored)
 
 
 def usual_white(values: NDArray, is_reflectance: bool = True, ignored: NDArray[np.bool_] | None = None) -> float:
-    """Guess the stored value of a perfect white from the data type. Raise ValueError if this is impossible.
+    """Guess the stored value of a perfect white from the data type. Raises ValueError if this is impossible.
 
-    `values` contains a spectral cube (row, col, band) or several pictures (picture, row, col, colour).
+    `values` is a spectral cube (row, col, band) or a stack of pictures (picture, row, col, colour).
     """
     if values.dtype.kind not in "iu":
         return 1.0
@@ -606,7 +602,7 @@ def usual_white(values: NDArray, is_reflectance: bool = True, ignored: NDArray[n
 
 
 def _fill(reflectance: NDArray[np.float32], ignored: NDArray[np.bool_]) -> None:
-    """Fill each pixel without data with the nearest pixel with data. Raise ValueError if no pixel has data."""
+    """Fill pixels without data from the nearest pixel with data. Raises ValueError if no pixel has data."""
     from scipy.ndimage import distance_transform_edt
 
     if ignored.all():
@@ -632,7 +628,7 @@ def _require_no_mark(values: NDArray, ignored: NDArray[np.bool_] | None) -> None
 
 
 def _photons(wavelength: np.ndarray, source: Spectral) -> np.ndarray:
-    """Return how many photons one unit of the stored values represents at each wavelength, up to a common factor."""
+    """Return the number of photons per unit of the stored values at each wavelength, up to a common factor."""
     one = np.ones(wavelength.size)
     return spectra.photons_from_energy(wavelength, one) if source.holds == "radiance" else one
 
@@ -649,9 +645,9 @@ def _normalise(reflectance: np.ndarray) -> None:
 
 
 def _bands(cube: SpectralCube, source: Spectral) -> tuple[np.ndarray, np.ndarray, NDArray[np.bool_] | None]:
-    """Return the good bands of a cube in increasing order of wavelength.
+    """Select the good bands of a cube, in order of increasing wavelength.
 
-    Wavelengths in the recipe replace the wavelengths in the file.
+    Wavelengths in the recipe take precedence over wavelengths in the file.
 
     Returns
     -------

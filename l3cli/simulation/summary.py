@@ -15,11 +15,11 @@ from l3cli.simulation.light import camera_unknown, make_light, named_beyond_know
 from l3cli.system.text import array_lines, columns, counted, seconds_text, size_text
 
 LIGHTS = ("D65", "A")
-LUMINANCE = 100.0  # luminance of white, in cd/m², for which exposure times are reported; typical of indoor scenes
+LUMINANCE = 100.0  # cd/m², luminance of white for the reported exposure times; typical indoors
 
 
 def camera_summary(camera: CameraModel) -> dict[str, Any]:
-    """Summarise a camera.
+    """Summarise a camera as JSON data: channels, CFA, sensor, and the exposures at which white saturates a pixel.
 
     Parameters
     ----------
@@ -29,9 +29,8 @@ def camera_summary(camera: CameraModel) -> dict[str, Any]:
     Returns
     -------
     dict
-        JSON data. For each channel, the entry ``channels`` describes the responsivity curve, and contains the response to
-        white relative to the brightest channel. Other entries contain the CFA, properties of the sensor, and the exposures
-        at which white saturates a pixel.
+        JSON data. Names of numbers end in their unit. For each channel, the entry ``channels`` describes the responsivity
+        curve, and the response to white relative to the brightest channel.
 
     Raises
     ------
@@ -75,7 +74,7 @@ def camera_summary(camera: CameraModel) -> dict[str, Any]:
 
 
 def camera_meaning(recipe: CameraRecipe | PhaseRecipe, source: RecipeSource) -> Meaning:
-    """Return the summary of a camera, with warnings and a note about unused columns in its curve file."""
+    """Summarise a camera recipe, with warnings and a note about unused columns in its responsivity file."""
     camera = load_camera(source.path)
     unknown = {"warnings": camera_unknown(source.path, camera, LIGHTS)}
     return camera_summary(camera) | {"note": columns_left_out(source.path)} | unknown, []
@@ -111,9 +110,9 @@ def camera_lines(camera: dict[str, Any], width: int | None) -> list[str]:
 
 
 def lab_meaning(recipe: LabRecipe, source: RecipeSource) -> Meaning:
-    """Return what `l3 check` reports about a lab recipe: the number of captures of each type, and the size of the frames.
+    """Summarise a lab recipe for `l3 check`: captures of each type, and number and size of the frames.
 
-    The result is empty if `source` has no camera.
+    The result is empty if the camera is unknown.
     """
     camera = source.camera
     if camera is None:

@@ -83,7 +83,7 @@ monitor_error = -0.1  # monitor_error is -0.1; use at least 0
 [mono]
 step_nm = 0  # mono.step_nm is 0; use more than 0
 overexposed = -1  # use at least 0
-bandwidth_nm = 0.5  # is not above spectrometer_step_nm
+bandwidth_nm = 0.5  # must be larger than spectrometer_step_nm
 stray_light = 0.5  # mono.stray_light is 0.5; use less than 0.01
 [chart]
 illuminants = ["D99"]  # illuminant "D99" is unknown
