@@ -1,7 +1,7 @@
-"""Compares captures with each other to find wrong exposure times, units and illuminants.
+"""Consistency checks between captures, which find wrong exposure times, units and illuminants.
 
-A signal is proportional to exposure time × radiance. If an exposure time is mistyped, a unit is wrong or two illuminants are
-swapped, the signal therefore differs from its expected value by a large factor. The tolerances are much wider than the
+The signal is proportional to exposure time × radiance. A mistyped exposure time, a wrong unit or swapped illuminants
+therefore change the ratio between signal and expected signal by a large factor. The tolerances are much wider than the
 variations of lamps, lenses and sensors.
 """
 
@@ -15,29 +15,29 @@ from l3cli.errors import InputFileError
 from l3cli.frames.measurement import BandCapture, Capture, ChartCapture, MonoCapture
 
 FACTOR = 1.5  # largest plausible ratio between signals per second under the same illuminant
-# Largest plausible ratio between the scales of chart captures and monochromatic captures. The limit is high, because the
-# light of a monochromator fills the frame differently.
+# Largest plausible ratio between the responses to charts and to the monochromator. The limit is high, because the light of a
+# monochromator fills the frame differently.
 SCALE = 3.0
-STEP = 3.0  # largest plausible ratio between the response to a monochromatic capture and the responses to both neighbours
-# Like STEP, but for the first and the last capture, which are compared with the nearest capture and with an extrapolation
-# from the two nearest captures
+STEP = 3.0  # largest plausible ratio between the response in a monochromatic capture and in both neighbouring captures
+# As STEP, but for the first and the last capture, which are compared with the nearest capture and with an extrapolation from
+# the two nearest captures
 END = 20.0
 LEAST = 0.02  # differences below this fraction of the largest response or signal are ignored
 NEAR_TOP = 0.85  # signals above this fraction of the largest signal may be saturated
-LONGEST = 20.0  # largest plausible ratio between the expected signal of a saturated capture and the largest measured signal
+LONGEST = 20.0  # a saturated capture may be overexposed by at most this factor
 DRIFT = 0.05  # DN; tolerated drift of the black level
 Array = NDArray[np.float64]
 
 
 def check_whites(captures: Sequence[Capture], lit: Array, signal: Array) -> None:
-    """Raise InputFileError if the signal of a white capture is far from proportional to its exposure time.
+    """Raise InputFileError if a white capture's signal is far from proportional to its exposure time.
 
     Parameters
     ----------
     captures : sequence of Capture
         White captures.
     lit : ndarray, (capture,)
-        Exposure time in seconds, corrected for the brightness of the lamp.
+        Exposure time in s, corrected for the brightness of the lamp.
     signal : ndarray, (capture, channel)
         Mean signal above black in DN.
     """
@@ -64,7 +64,7 @@ def check_darks(captures: Sequence[Capture], signal: Array, deviation: float = 0
     signal : ndarray, (capture,)
         Mean raw value of each capture in DN.
     deviation : float
-        Standard deviation of these means in DN, due to the temporal noise of rows and columns.
+        Standard deviation of these means in DN, due to temporal row and column noise.
     """
     exposure = np.array([capture.exposure for capture in captures])
     worst, outlier = 0.0, None
@@ -88,7 +88,7 @@ def check_darks(captures: Sequence[Capture], signal: Array, deviation: float = 0
 
 
 def check_series(captures: Sequence[BandCapture], light: NDArray[np.int64], values: Array, valid: NDArray[np.bool_]) -> None:
-    """Raise InputFileError if a capture does not fit the other captures with the same filter.
+    """Raise InputFileError if a capture contradicts the other captures with the same filter.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def check_series(captures: Sequence[BandCapture], light: NDArray[np.int64], valu
 
 
 def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: Array, absolute: bool) -> None:
-    """Raise InputFileError if a chart does not fit the other charts or the monochromatic captures.
+    """Raise InputFileError if a chart contradicts the other charts or the monochromatic captures.
 
     Parameters
     ----------
@@ -127,13 +127,13 @@ def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: A
     measured : ndarray, (chart, channel)
         Measured signals.
     predicted : ndarray, (chart, channel)
-        Signals that the responsivity curves from the monochromatic captures predict.
+        Signals predicted by the responsivities from the monochromatic captures.
     absolute : bool
-        Whether the radiances of the monochromatic captures are in absolute units. If they are relative, the charts are
-        compared only with each other.
+        Whether the monochromatic radiances are in absolute units. If they are relative, the charts are compared only with
+        each other.
     """
     ratio = np.median(np.maximum(measured, 1e-9) / np.maximum(predicted, 1e-30), axis=1)
-    # If there are only two charts, the monochromatic captures decide which chart is wrong.
+    # With only two charts, the monochromatic captures determine which chart is wrong.
     votes = np.append(ratio, 1.0) if absolute and len(ratio) == 2 else ratio
     off = np.abs(np.log(ratio / np.median(votes)))
     if off.max() > np.log(FACTOR if votes.size > 2 else FACTOR**2):
@@ -141,17 +141,17 @@ def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: A
     scale = float(np.median(ratio))
     if absolute and not 1 / SCALE < scale < SCALE:
         raise InputFileError(
-            f"the [[chart]] captures are {_factor(scale)} than the [[mono]] captures predict; check the exposure times and "
-            'the radiances of both, or set unit = "relative photons" if the scale of the monochromator radiances is unknown'
+            f"the [[chart]] captures are {_factor(scale)} than predicted from the [[mono]] captures; check the exposure "
+            'times and radiances of both, or set unit = "relative photons" if the scale of the [[mono]] radiances is unknown'
         )
 
 
 def odd_steps(captures: Sequence[MonoCapture], sweep: Sweep) -> tuple[str, ...]:
-    """Describe the monochromatic captures whose response does not fit the responses at both neighbouring wavelengths.
+    """Describe implausible monochromatic captures.
 
-    The response to such a capture is far above or far below both of these responses, in every channel that responds to the
-    wavelength of the capture. The function finds the worst capture, removes it, and repeats the search with the
-    remaining captures.
+    A capture is implausible if the response is far above, or far below, the responses at both neighbouring wavelengths, in
+    every channel that is sensitive at this wavelength. The worst capture is removed and the search repeated, until all
+    remaining captures are plausible.
 
     Returns
     -------
@@ -174,9 +174,8 @@ def odd_steps(captures: Sequence[MonoCapture], sweep: Sweep) -> tuple[str, ...]:
 def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
     """Return the factor by which a monochromatic capture is brighter (> 1) or darker (< 1) than its neighbours allow.
 
-    The factor is 1 if the capture is plausible in at least one channel. Otherwise, the result is the factor of the channel
-    that deviates least. `order` contains the indices of captures, sorted by wavelength, and `place` is a position in
-    `order`.
+    The result is 1 if the capture is plausible in at least one channel, otherwise the factor in the channel that deviates
+    least. `order` contains capture indices, sorted by wavelength, and `place` is the position of the capture in `order`.
     """
     factors = []
     for channel in range(sweep.values.shape[1]):
@@ -202,9 +201,9 @@ def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
 
 
 def _check_alike(captures: Sequence[Capture], rates: Array, kind: str) -> None:
-    """Raise InputFileError if captures under one illuminant differ in signal per second by more than a factor of FACTOR.
+    """Raise InputFileError if the signal per second of a capture differs from the others by more than a factor of FACTOR.
 
-    Two captures are compared with each other. If there are more captures, each capture is compared with the median.
+    All captures must have the same illuminant. Three or more captures are compared with their median, two with each other.
     """
     if len(captures) < 2:
         return

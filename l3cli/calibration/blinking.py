@@ -1,16 +1,16 @@
-"""Finds blinking pixels in dark frames (docs/method.md#blinking-pixels).
+"""Detection of blinking pixels in dark frames (docs/method.md#blinking-pixels).
 
 A blinking pixel switches between two levels at random, for example because a single electron is trapped and released in its
-transistors (random telegraph noise). The values of such a pixel have two peaks. The values of a hot pixel have a larger
-variance than usual, but only one peak.
+transistors (random telegraph noise). The distribution of its values has two peaks. A hot pixel also has a higher variance
+than normal, but only one peak.
 
-1. Offsets of whole rows and columns of a frame are subtracted. The variance of every pixel over the frames is computed.
-2. Pixels whose variance is less than twice the usual variance are not blinking. For the other pixels, the values are sorted
-   and divided into a lower and an upper group, such that the variance between the groups is as large as possible (Otsu,
-   1979). Each group contains at least `MIN_STATE` values.
-3. The pixel blinks if the variance between the groups is a larger fraction of the whole variance than `highest_share`. For
-   normally distributed values, whatever their variance, the probability of a larger fraction is `FALSE_ALARMS`. In addition,
-   the levels must differ by `MIN_SIGMAS` standard deviations of a usual pixel, and by more than rounding can explain.
+1. Each frame's row and column offsets are subtracted. The variance of each pixel over the frames is computed.
+2. Pixels with less than twice the median variance are not blinking. The values of each remaining pixel are divided into a
+   lower and an upper group with at least `MIN_STATE` values each, such that the variance between the groups is as large as
+   possible (Otsu, 1979).
+3. The pixel is blinking if the variance between the groups, as a fraction of the total variance, exceeds `highest_share`.
+   Normally distributed values of any variance exceed this limit with a probability of `FALSE_ALARMS`. In addition, the
+   levels must differ by `MIN_SIGMAS` standard deviations of a normal pixel, and by more than rounding can explain.
 """
 
 import itertools
@@ -24,14 +24,14 @@ from l3cli.calibration.statistics import Defects, by_site
 from l3cli.frames.measurement import Body, Capture
 
 MIN_FRAMES = 32  # minimum number of dark frames with the same exposure time
-FALSE_ALARMS = 1e-6  # probability that a pixel with normally distributed noise is called blinking
-# Results of `two_levels` for normally distributed values, which a pixel exceeds with the probability FALSE_ALARMS, by number
-# of frames. They were simulated (tests/science/test_blinking.py checks them), with an exponential tail above 0.1 %.
+FALSE_ALARMS = 1e-6  # probability that a pixel with normally distributed noise is classified as blinking
+# Number of frames → share from `two_levels` that normally distributed values exceed with the probability FALSE_ALARMS. The
+# shares were simulated, and the tail below 0.1 % was extrapolated exponentially (checked by tests/science/test_blinking.py).
 SHARE_OF_COUNT = {32: 0.896, 64: 0.832, 128: 0.778, 256: 0.740, 512: 0.710}
-MIN_STATE = 3  # minimum number of values on each level, so that particles that hit a pixel once or twice have no effect
-MIN_SIGMAS = 4.0  # minimum difference of the levels, in standard deviations of a usual pixel
-MIN_STEP_DN = 2.0  # minimum difference of the levels in DN, because rounding alone produces two levels 1 DN apart
-MIN_EXCESS = 2.0  # minimum variance, relative to the usual variance
+MIN_STATE = 3  # minimum number of values on each level, so that one or two particle hits have no effect
+MIN_SIGMAS = 4.0  # minimum difference between the levels, in standard deviations of a normal pixel
+MIN_STEP_DN = 2.0  # minimum difference between the levels in DN, because rounding alone produces two levels 1 DN apart
+MIN_EXCESS = 2.0  # minimum variance, relative to the median variance
 Array = NDArray[np.float64]
 
 
@@ -45,9 +45,9 @@ class BlinkingPixels:
 
 
 def find_blinking(captures: Sequence[Capture], trials: Sequence[int], body: Body) -> BlinkingPixels | None:
-    """Find blinking pixels in the dark capture with the most frames. Return None if it has fewer than MIN_FRAMES frames.
+    """Find blinking pixels in the dark capture with the most frames.
 
-    `trials` contains the number of frames of each capture.
+    `trials` contains the number of frames in each capture. The result is None if no capture has MIN_FRAMES frames.
     """
     most = int(np.argmax(trials))
     if trials[most] < MIN_FRAMES:
@@ -70,7 +70,7 @@ def find_blinking(captures: Sequence[Capture], trials: Sequence[int], body: Body
 
 
 def _levelled(capture: Capture, body: Body) -> Iterator[Array]:
-    """Yield the difference between each frame and the first frame, without the offsets of rows and columns of the frame."""
+    """Yield the difference between each frame and the first frame, without row and column offsets."""
     frames = iter(capture.frames)
     first = next(frames)
     for frame in itertools.chain([first], frames):
@@ -82,7 +82,7 @@ def _levelled(capture: Capture, body: Body) -> Iterator[Array]:
 
 
 def two_levels(values: Array) -> tuple[Array, Array]:
-    """Divide the values of each pixel into two groups whose means differ most.
+    """Divide each pixel's values into two groups, with the largest possible variance between the groups (Otsu's method).
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def two_levels(values: Array) -> tuple[Array, Array]:
     Returns
     -------
     share : ndarray, (pixel,)
-        Variance between the groups as a fraction of the whole variance.
+        Variance between the groups as a fraction of the total variance.
     step : ndarray, (pixel,)
         Difference between the means of the groups.
     """
@@ -110,9 +110,6 @@ def two_levels(values: Array) -> tuple[Array, Array]:
 
 
 def highest_share(count: int) -> float:
-    """Return the share from `two_levels` that normally distributed values exceed with a probability of FALSE_ALARMS.
-
-    `count` is the number of values.
-    """
+    """Return the share that `count` normally distributed values exceed in `two_levels` with the probability FALSE_ALARMS."""
     counts, shares = zip(*SHARE_OF_COUNT.items(), strict=True)
     return float(np.interp(np.log(count), np.log(counts), shares))

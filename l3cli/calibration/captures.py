@@ -1,4 +1,4 @@
-"""Evaluates the captures of a measurement file, and computes defect maps and flat fields.
+"""Evaluation of the captures in a measurement file, and computation of defect maps and flat fields.
 
 The captures are dark and white frames, monochromatic captures, charts (docs/method.md#calibration), charts through
 narrow-band filters (docs/method.md#sweeps-and-band-series), and frames behind a rotating polariser
@@ -31,22 +31,20 @@ from l3cli.frames.measurement import (
 )
 from l3cli.physics import spectra
 
-OVEREXPOSED = 1e-3  # a monochromatic capture is not used for a channel with at least this fraction of saturated pixels
-CUT_OFF = 0.05  # a monochromatic spectrum whose ends exceed this fraction of its peak is cut off
+OVEREXPOSED = 1e-3  # a channel with at least this fraction of saturated pixels ignores the monochromatic capture
+CUT_OFF = 0.05  # a monochromatic spectrum is incomplete if its ends exceed this fraction of its peak
 Array = NDArray[np.float64]
-DEGREE = 4  # degree of the polynomial from which the flat field is computed
-# The frame is divided into at most this number of rows and columns of cells. The polynomial is fitted to the means of the
-# cells.
-CELLS = (36, 54)
-GRID = (33, 49)  # rows and columns of the stored grid; linear interpolation of cos⁴ is then accurate to 0.1 %
-UNEVEN = 0.05  # largest relative RMS deviation of the means from the polynomial; the shading of lenses deviates less
-LEAST_SIGNAL = 0.02  # fraction of full scale; white frames that are darker are not accepted
+DEGREE = 4  # degree of the polynomial that models the shading
+CELLS = (36, 54)  # largest numbers of rows and columns of cells; the polynomial is fitted to the means of the cells
+GRID = (33, 49)  # rows and columns of the stored grid, fine enough to interpolate cos⁴ with an accuracy of 0.1 %
+UNEVEN = 0.05  # largest relative RMS deviation of the means from the polynomial; lens shading deviates less
+LEAST_SIGNAL = 0.02  # smallest median of white frames, as a fraction of full scale
 MOST_DEFECTIVE = 0.05  # if a larger fraction of the pixels seems defective, the frames are unsuitable
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """Properties of the sensor, from dark and white frames."""
+    """Sensor properties, measured in dark and white frames."""
 
     dark: noise.DarkNoise
     transfer: noise.PhotonTransfer
@@ -54,23 +52,23 @@ class Sensor:
     exposure: Array  # (capture,): exposure times of the white captures in s
     defects: statistics.Defects
     blinking: BlinkingPixels | None = None  # None if there are too few dark frames to find blinking pixels
-    # blinking pixels that are part of `defects`
+    # the blinking pixels in `defects`; empty if the measurement file does not request their correction
     blinking_defects: statistics.Defects = field(default_factory=statistics.no_defects)
 
     @property
     def saturation(self) -> float:
-        """Raw value, in DN, from which a pixel counts as saturated."""
+        """Raw value in DN at and above which a pixel counts as saturated."""
         black_level = self.dark.black_level.mean()
         return float(black_level + noise.SATURATED * (self.transfer.white_level - black_level))
 
 
 @dataclass(frozen=True)
 class Charts:
-    """Measured values of the patches in all chart captures, and the photons that pixels received from these patches."""
+    """Measured patch values in all chart captures, and the photons that pixels received from these patches."""
 
     illuminants: tuple[str, ...]  # illuminant of each chart capture
     values: Array  # (chart, patch, channel): mean value in DN, without dark signal
-    # (chart, patch, wavelength): photons on a pixel in each hat function, reduced by the fall-off of the lens
+    # (chart, patch, wavelength): photons on a pixel in each hat function (triangular basis function), with lens falloff
     photons: Array
 
 
@@ -109,12 +107,12 @@ def measure_sensor(measurements: Measurements, each: statistics.Each = map) -> S
 def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Body) -> Array:
     """Compute the photons that a pixel on the optical axis receives during a capture.
 
-    The spectrum of the photons is integrated with hat functions that are centred on the wavelengths `nodes` in nm.
+    The spectrum is integrated with hat functions (triangles) that are centred on the wavelengths `nodes` in nm.
 
     Returns
     -------
     ndarray, (…, node)
-        Number of photons for each hat function. For charts, the first axis contains the patches.
+        Number of photons in each hat function. For charts, the first axis contains the patches.
     """
     photons = responsivity.node_photons(capture.wavelength, capture.radiance, nodes)
     return body.photons_per_radiance * capture.lit * photons
@@ -125,9 +123,9 @@ def measure_sweep(
 ) -> tuple[responsivity.Sweep, tuple[str, ...]]:
     """Set up the linear systems for the spectral responsivities (docs/method.md#responsivity).
 
-    Each monochromatic capture yields one equation per channel, from the mean signal of the whole frame. Both sides are
-    divided by the number of photons. The fall-off of the lens is the same in all captures, so it changes only the scale of
-    the responsivities, which the charts determine later.
+    Each monochromatic capture results in one equation per channel, from the mean signal of the whole frame. Both sides are
+    divided by the number of photons. Lens falloff is the same in all captures, so it affects only the scale of the
+    responsivities, which is later determined from the charts.
 
     Parameters
     ----------
@@ -143,15 +141,15 @@ def measure_sweep(
     Returns
     -------
     sweep : Sweep
-        The linear systems of all channels. If a channel is saturated in a capture, this capture is not used for the channel.
+        The linear systems of all channels. A channel ignores the captures in which it is saturated.
     left_out : tuple of str
         One line for each capture with a saturated channel.
 
     Raises
     ------
     InputFileError
-        If a channel is saturated or without signal in all captures, or if the spectrum of a capture does not fall to zero
-        at both ends.
+        If a channel is saturated or has no signal in all captures, or if a capture's spectrum does not fall to zero at both
+        ends.
     """
     for capture in captures:
         if max(capture.radiance[0], capture.radiance[-1]) > CUT_OFF * capture.radiance.max():
@@ -188,7 +186,7 @@ def measure_sweep(
 def measure_charts(
     captures: Sequence[ChartCapture], nodes: Array, body: Body, sensor: Sensor, each: statistics.Each = map
 ) -> Charts:
-    """Measure the mean value of every patch, and compute the photons that pixels receive from the patches.
+    """Measure the mean value of each patch, and compute the photons that pixels receive from it.
 
     Raises InputFileError if the measured radiances do not cover the wavelengths `nodes`, or if a patch is saturated.
     """
@@ -210,8 +208,7 @@ def measure_charts(
 def flat_field(response: Array, body: Body) -> FlatField:
     """Compute the gains that make the response to an evenly lit white target uniform.
 
-    A polynomial is fitted to the square root of the gain, because this root is a polynomial of degree two if the fall-off is
-    cos⁴.
+    A polynomial is fitted to the square root of the gain. For cos⁴ falloff, this root is exactly a polynomial of degree two.
 
     Parameters
     ----------
@@ -223,7 +220,7 @@ def flat_field(response: Array, body: Body) -> FlatField:
     Raises
     ------
     InputFileError
-        If the response is not positive and smooth, or if it falls off more than FlatField allows.
+        If the response is not positive and smooth, or if it falls off more steeply than FlatField allows.
     """
     gains = []
     for channel, name in enumerate(body.channels):
@@ -247,19 +244,19 @@ def flat_field(response: Array, body: Body) -> FlatField:
 
 
 def corner_falloff(field: FlatField) -> Array:
-    """Return, for each channel, the relative loss of light in the darkest corner, from 0 to 1."""
+    """Return each channel's relative loss of light in the darkest corner, from 0 to 1."""
     corners = field.shading_gain[:, [0, 0, -1, -1], [0, -1, 0, -1]]
     return np.asarray(1.0 - 1.0 / corners.max(axis=1))
 
 
 def _surface(y: Array, x: Array) -> Array:
-    """Return the terms of the polynomial at the given coordinates from −1 to 1: (point, term). The first term is 1."""
+    """Evaluate the terms of the polynomial at coordinates from −1 to 1: (point, term). The first term is 1."""
     powers = [(down, across) for down in range(DEGREE + 1) for across in range(DEGREE + 1 - down)]
     return np.stack([y**down * x**across for down, across in powers], axis=1)
 
 
 def _means(response: Array, body: Body, channel: int) -> tuple[Array, Array, Array]:
-    """Divide the pixels of a channel into cells. Return the mean y, the mean x and the mean response of each cell.
+    """Average the pixels of a channel over cells: mean y, mean x and mean response of each cell.
 
     The coordinates y and x range from −1 to 1.
     """
@@ -276,7 +273,7 @@ def _means(response: Array, body: Body, channel: int) -> tuple[Array, Array, Arr
 
 
 def _by_cell(site: Array) -> Array:
-    """Divide a picture into at most CELLS × CELLS equal cells, and return the mean of each cell."""
+    """Divide a picture into equal cells, at most CELLS rows and columns of them, and return the mean of each cell."""
     starts = [
         np.linspace(0, length, min(length, most) + 1).astype(int) for length, most in zip(site.shape, CELLS, strict=True)
     ]
@@ -285,10 +282,9 @@ def _by_cell(site: Array) -> Array:
 
 
 def with_corrections(camera: CameraModel, sensor: Sensor, body: Body) -> CameraModel:
-    """Return the camera model with a defect map and, if the white frames are evenly lit, a flat field.
+    """Add a defect map to the camera model and, if the white frames are evenly lit, a flat field.
 
-    If the white frames are uneven, the flat field is left out. This is not an error, because such frames are sufficient to
-    measure noise.
+    Uneven white frames are not an error, because they are sufficient to measure noise.
     """
     shape = (body.rows, body.cols)
     defects = statistics.defect_map(sensor.defects, sensor.dark.hot, shape, sensor.blinking_defects)
@@ -299,17 +295,16 @@ def with_corrections(camera: CameraModel, sensor: Sensor, body: Body) -> CameraM
 
 
 def correct_by_frames(camera: CameraModel, measurements: Measurements) -> CameraModel:
-    """Return the camera model with new corrections, and with its remaining properties unchanged.
+    """Replace the corrections of a camera model with new measurements. Its other properties stay unchanged.
 
-    If the measurements contain white frames, the result has a new defect map and a new flat field. If they contain frames
-    behind a rotating polariser, the result has newly measured polarisers. One exposure time is sufficient for the dark and
-    white frames.
+    White frames replace the defect map and the flat field. Frames behind a rotating polariser replace the polarisers. A
+    single exposure time is sufficient for dark and white frames.
 
     Raises
     ------
     InputFileError
         If the white frames are too dark, clipped or uneven, if too many pixels seem to be defective, or if the frames
-        behind the polariser cannot be used.
+        behind the polariser are unsuitable.
     """
     if measurements.polariser:
         fit = measure_polarisers(measurements, _figures_of(camera))
@@ -342,7 +337,7 @@ def correct_by_frames(camera: CameraModel, measurements: Measurements) -> Camera
 
 
 def _nearest(darks: Sequence[Capture], exposure: float) -> int:
-    """Return the index of the dark capture whose exposure time is nearest to `exposure` on a logarithmic scale."""
+    """Return the index of the dark capture with the most similar exposure time, on a logarithmic scale."""
     return int(np.argmin([abs(np.log(dark.exposure / exposure)) for dark in darks]))
 
 
@@ -370,9 +365,9 @@ class Series:
 def fit_series(
     captures: Sequence[BandCapture], darks: Sequence[Capture], body: Body, black_level: float, white_level: float
 ) -> tuple[Curves, SeriesFit]:
-    """Fit the response of each channel to the light that passes through each narrow-band filter, and measure the linearity.
+    """Fit each channel's response to the light through each narrow-band filter, and measure the linearity.
 
-    Saturated patches are not used.
+    Saturated patches are ignored.
 
     Parameters
     ----------
@@ -430,15 +425,14 @@ def fit_series(
 def measure_polarisers(
     measurements: Measurements, sensor: Sensor | SensorFigures, each: statistics.Each = map
 ) -> PolariserFit | None:
-    """Measure the polarisers of the channels from frames behind a rotating polariser.
+    """Measure the polarisers of the channels in frames behind a rotating polariser.
 
     Parameters
     ----------
     measurements : Measurements
         Captures and settings from a measurement file.
     sensor : Sensor or SensorFigures
-        Noise and levels of the sensor: `Sensor` if they were measured from dark and white frames, otherwise
-        `SensorFigures`.
+        Noise and levels of the sensor, either measured in dark and white frames (Sensor) or known (SensorFigures).
     each : callable
         Function with the signature of the built-in `map`, which may use several processes.
 
@@ -478,7 +472,7 @@ def measure_polarisers(
 
 
 def check_polarisers(measurements: Measurements) -> None:
-    """Check the frames behind a rotating polariser, before the long calibration starts.
+    """Check frames behind a rotating polariser before the long calibration starts.
 
     Nothing is checked if there are no such frames, or if the black level is unknown.
 
@@ -491,8 +485,8 @@ def check_polarisers(measurements: Measurements) -> None:
     if base is not None:
         sensor = _figures_of(base)
     elif sensor is None and measurements.darks:
-        # The black level is interpolated between dark frames. The noise only determines the weights of the captures, so any
-        # values are sufficient for this check.
+        # The black level comes from the dark frames. The noise affects only the weights of the captures, so any values are
+        # good enough for this check.
         sensor = SensorFigures(1.0, 0.0, 2.0**measurements.body.bits - 1.0, Noise(0.0, 0.0, 0.0, 0.0, math.inf))
     if sensor is not None:
         measure_polarisers(measurements, sensor)
@@ -505,7 +499,7 @@ def _figures_of(camera: CameraModel) -> SensorFigures:
 def measure_series(
     captures: Sequence[BandCapture], darks: Sequence[Capture], body: Body, black_level: float, limit: float
 ) -> Series:
-    """Measure the patches in every capture through narrow-band filters, and subtract the dark signal.
+    """Measure the patches in all captures through narrow-band filters, and subtract the dark signal.
 
     Parameters
     ----------
@@ -518,7 +512,7 @@ def measure_series(
     black_level : float
         Black level in DN, which is subtracted if there are no dark captures.
     limit : float
-        Value in DN at or above which a pixel counts as saturated. Patches with too many saturated pixels are marked as
+        Value in DN at and above which a pixel counts as saturated. Patches with too many saturated pixels are marked as
         invalid.
 
     Returns
@@ -542,8 +536,8 @@ def measure_series(
 def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body, black_level: float) -> Array:
     """Return the mean raw value in the dark at each exposure time, interpolated between dark captures.
 
-    If there are no dark captures, all values are `black_level`. Outside the range of the exposure times of `darks`, the
-    value at the nearest exposure time in `darks` is used.
+    Beyond the shortest and the longest dark exposure, the nearest dark capture is used. If there are no dark captures, all
+    values are `black_level`.
 
     Returns
     -------
@@ -561,14 +555,14 @@ def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body
 
 
 def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Fit signals that are proportional to the exposure time, and predict each capture from the other captures.
+    """Fit the signal per second of each patch, and predict each capture from the other captures with the same filter.
 
     Returns
     -------
     rates : ndarray, (filter, patch, channel)
         Signal per second in DN/s, fitted to all unsaturated captures with a filter. NaN if all captures are saturated.
     predicted : ndarray, (capture, patch, channel)
-        Signal in DN, predicted from the other captures with the same filter. 0 if there is no prediction.
+        Predicted signal in DN, or 0 if there is no prediction.
     used : ndarray of bool, (capture, patch, channel)
         Whether the patch is unsaturated and has a prediction.
     """
@@ -584,12 +578,12 @@ def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
 
 
 def band_centre(capture: BandCapture) -> float:
-    """Return the central wavelength in nm of the light that passes through a filter, from the radiances of all patches."""
+    """Return the central wavelength in nm of the light through a filter, from the radiances of all patches."""
     return light_centre(capture.wavelength, capture.radiance.sum(axis=0))
 
 
 def band_photons(captures: Sequence[BandCapture], series: Series) -> tuple[Array, Array]:
-    """Return the central wavelength of each filter, and the radiance of each patch as seen through each filter.
+    """Return the central wavelength of each filter, and the radiance of each patch through each filter.
 
     Returns
     -------
@@ -604,15 +598,15 @@ def band_photons(captures: Sequence[BandCapture], series: Series) -> tuple[Array
 
 
 def respond(rates: Array, photons: Array) -> tuple[Array, Array]:
-    """Return the mean response of the patches, seen through each filter, and the relative spread of this response.
+    """Compute the mean response over the patches, through each filter, and its relative spread.
 
-    Uneven illumination multiplies the signal of a patch by the same factor with all filters. This factor is estimated from
-    the channel with the largest response for each filter, and removed before the spread is computed.
+    Uneven illumination multiplies the signal of a patch by the same factor through all filters. This factor is estimated
+    from the channel with the largest response to each filter, and removed before the spread is computed.
 
     Parameters
     ----------
     rates : ndarray, (filter, patch, channel)
-        Signal per second of exposure. Values without an unsaturated capture are NaN, and are not used.
+        Signal per second of exposure. NaN values, from patches that are saturated in all captures, are ignored.
     photons : ndarray, (filter, patch)
         Photons per second from each patch.
 

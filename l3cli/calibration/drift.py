@@ -1,9 +1,9 @@
-"""Estimates the drift of lamps from disagreements between charts (docs/method.md#drift-of-lamps).
+"""Estimation of lamp drift from disagreements between charts (docs/method.md#drift-of-lamps).
 
-If a lamp is brighter during a capture than it was when its spectrum was measured, the signals of all channels increase by
-the same factor. During a monochromator sweep, this factor changes slowly with wavelength and deforms the curves. The curves
-alone do not reveal the deformation. In a chart capture, the factor changes the scale of the signals. Both effects become
-visible when the measured values of each chart and channel are compared with the predictions from the curves.
+If a lamp is brighter during a capture than when its spectrum was measured, all channel signals increase by the same factor.
+During a monochromator sweep, this factor changes slowly with wavelength and deforms the responsivity curves, which the
+curves alone do not reveal. In a chart capture, the factor changes the scale of the signals. Both effects become visible when
+the measured values of each chart and channel are compared with predictions from the curves.
 """
 
 from dataclasses import dataclass
@@ -15,26 +15,26 @@ from l3cli.calibration.captures import Charts
 from l3cli.calibration.responsivity import Sweep, chart_factors, fit_gain, smoothers
 
 MEMORY = 0.8  # correlation of the drift between consecutive captures in the measurement file
-# relative error of a chart's mean in a channel; half of this error is due to errors of 0.5 % in single patches
+# relative error of a chart's mean in a channel, of which half is due to errors of 0.5 % in single patches
 CHART_ERROR = 0.002
-TRIED = np.geomspace(2e-4, 0.2, 100)  # trial values of the relative standard deviation of the drift
-EVIDENCE = 4.0  # the estimated drift replaces the declared drift if the log likelihood ratio is at least this value
+TRIED = np.geomspace(2e-4, 0.2, 100)  # trial values for the relative standard deviation of the drift
+EVIDENCE = 4.0  # log likelihood ratio at which the estimated drift replaces the declared drift
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class DriftError:
-    """Drift of the lamps, estimated from the charts, and the resulting uncertainty of the responsivities."""
+    """Lamp drift, estimated from the charts, and the resulting uncertainty of the responsivities."""
 
     deviation: float  # relative standard deviation of the lamps from their measured spectra
-    curve_error: Array  # (channel, wavelength): standard deviation of the responsivities, excluding the error of their scale
-    scale_error: float  # relative standard deviation of the scale of the responsivities
+    curve_error: Array  # (channel, wavelength): standard deviation of the responsivities, excluding their common scale
+    scale_error: float  # relative standard deviation of the common scale
 
 
 def estimate_drift(
     sweep: Sweep, charts: Charts, curves: Array, delta: float, black_level: Array, declared: float
 ) -> DriftError | None:
-    """Estimate the drift of the lamps from disagreements between the charts.
+    """Estimate the lamp drift from disagreements between the charts.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def estimate_drift(
     black_level : ndarray, (channel,)
         Black level of each channel in DN.
     declared : float
-        Relative standard deviation of the drift that the measurement file declares.
+        Relative standard deviation of the drift, as declared in the measurement file.
 
     Returns
     -------
@@ -58,18 +58,16 @@ def estimate_drift(
 
     Notes
     -----
-    For each chart and channel, the logarithm of measured signal / predicted signal is a linear function of the unknown
-    drifts of all captures. The drifts are assumed to be normally distributed, with an exponential correlation between
-    captures. The prior of the logarithm of the standard deviation of the drift is uniform. The returned deviation is the
-    square root of the posterior mean of the variance. With few charts, the returned deviation is larger than the most
-    probable deviation.
+    For each chart and channel, ln(measured / predicted signal) is a linear function of the unknown drifts of all captures.
+    The drifts are assumed to be normally distributed, with a correlation that decays exponentially between captures. Their
+    standard deviation has a prior that is uniform in its logarithm. The returned deviation is the square root of the
+    posterior mean variance, which exceeds the most probable deviation if there are few charts.
     """
     steps, count = len(sweep.values), len(charts.values)
     order = np.arange(steps + count)
     correlation = MEMORY ** np.abs(order[:, None] - order)
     factors = np.empty((count, len(curves)))
-    # (chart, channel, capture): derivative of ln(measured signal / predicted signal) with respect to the drift in each
-    # capture
+    # (chart, channel, capture): derivative of ln(measured / predicted signal) with respect to the drift in each capture
     response = np.zeros((count, len(curves), steps + count))
     deformations = []
     for channel, (curve, smoother) in enumerate(zip(curves, smoothers(sweep, delta), strict=True)):
@@ -84,7 +82,7 @@ def estimate_drift(
         scale = response[:, channel, :steps].mean(axis=0)
         deformations.append(deformation + curve[:, None] * scale)
     if not (factors > 0).all():
-        return None  # the charts contradict the curves completely; `fit_charts` later raises an error
+        return None  # the charts contradict the curves so strongly that `fit_charts` will raise an error
     seen_factors, cause = np.log(factors).ravel(), response.reshape(factors.size, -1)
     seen_factors, cause = seen_factors - seen_factors.mean(), cause - cause.mean(axis=0)
     deviation = _deviation(seen_factors, cause @ correlation @ cause.T, declared)
@@ -97,10 +95,10 @@ def estimate_drift(
 
 
 def _deviation(factors: Array, covariance: Array, declared: float) -> float | None:
-    """Return the standard deviation of the drift, or None if the declared drift explains the ratios.
+    """Estimate the standard deviation of the drift. Returns None if the declared drift explains the disagreements.
 
-    `factors` contains ln(measured signal / predicted signal) for all charts and channels. `covariance` is the covariance of
-    these logarithms if the drift has a standard deviation of 1.
+    `factors` contains ln(measured / predicted signal) for all charts and channels. `covariance` is the covariance of these
+    logarithms for a drift with a standard deviation of 1.
     """
     variance, directions = np.linalg.eigh(covariance)
     seen = (directions.T @ factors) ** 2

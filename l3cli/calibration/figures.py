@@ -1,4 +1,4 @@
-"""Results of a calibration for reports: EMVA 1288 parameters, errors relative to a known true camera, and warnings."""
+"""Calibration results for reports: EMVA 1288 parameters, errors relative to a known true camera, and warnings."""
 
 from typing import Any
 
@@ -19,10 +19,10 @@ from l3cli.system.text import columns, figure
 
 SHOWN = 8  # number of defective pixels in the text; JSON and the artifact contain all defective pixels
 LEAST_EFFICIENCY = 0.01  # a lower peak quantum efficiency is probably due to a wrong unit
-MOST_MISFIT = 0.03  # largest acceptable RMS error of the patches of a photo, as a fraction of the brightest patch
+MOST_MISFIT = 0.03  # largest acceptable RMS error of a photo's patches, as a fraction of the brightest patch
 LARGEST_POWER = 4  # factors of 10^4 and above are printed as powers of ten
-TINY_LEAKAGE = 1e-6  # smaller leakages are replaced by this value, so that errors of extinction ratios are finite
-LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # limits for the validation of each channel; the RMSE is relative to the mean signal
+TINY_LEAKAGE = 1e-6  # lower limit of leakages, so that errors of extinction ratios are finite
+LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # validation limits for each channel; the RMSE is relative to the mean signal
 
 
 def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
@@ -31,9 +31,9 @@ def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
     Returns
     -------
     dict
-        Value and unit of each parameter. The keys are the names in EMVA 1288. The noise of rows and columns is included only
-        if it is not zero. "row noise" and "column noise" are the fixed offsets, which "DSNU" does not contain. "PRNU" does
-        not contain the PRNU of rows and columns.
+        Value and unit of each parameter, by its name in EMVA 1288. Row and column noise are included only if they are not
+        zero. "row noise" and "column noise" are fixed offsets, which are not part of "DSNU". "PRNU" does not include the
+        PRNU of rows and columns.
     """
     noise = camera.noise
     lines = {
@@ -58,13 +58,12 @@ def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
 
 
 def noise_errors(camera: CameraModel) -> dict[str, tuple[float, str]]:
-    """Return the 95 % confidence intervals of DSNU, PRNU and the noise of rows and of columns.
+    """Return the 95 % confidence intervals of DSNU, PRNU, row noise and column noise.
 
     Returns
     -------
     dict
-        Half-width and unit of each interval. The keys are the names in the tables. Noise that is zero or was not measured is
-        omitted.
+        Half width and unit of each interval, by its name in tables. Noise that is zero or was not measured is omitted.
     """
     fit, noise = camera.fit.noise if camera.fit else None, camera.noise
     if fit is None:
@@ -84,9 +83,9 @@ def noise_errors(camera: CameraModel) -> dict[str, tuple[float, str]]:
 
 
 def _error_of_mean(camera: CameraModel, mean: float, deviations: Any, errors: Any) -> float:
-    """Return the standard error of the quadratic mean over all pixels of standard deviations per channel.
+    """Return the standard error of `mean`, the quadratic mean of the channels' `deviations` over all pixels.
 
-    The result is 0 if the mean is 0 or if the standard errors of the channels are unknown.
+    `errors` are the standard errors of the deviations. The result is 0 if they are unknown or if the mean is 0.
     """
     if errors is None or not mean:
         return 0.0
@@ -95,9 +94,9 @@ def _error_of_mean(camera: CameraModel, mean: float, deviations: Any, errors: An
 
 
 def blinking_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
-    """Return the number of blinking pixels per million, the number of dark frames, and the median difference of the levels.
+    """Return the blinking pixels per million, the number of dark frames used, and the median step between both levels.
 
-    The result is empty if there were too few dark frames. Without blinking pixels, the difference is left out.
+    The result is empty if there were too few dark frames. Without blinking pixels, it contains no step.
     """
     fit = camera.fit.noise if camera.fit else None
     if fit is None or not fit.blinking_frames:
@@ -113,13 +112,13 @@ def blinking_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
 
 
 def figures(camera: CameraModel) -> dict[str, Any]:
-    """Return all results of a calibration, ready for JSON.
+    """Return all calibration results as JSON data.
 
     Returns
     -------
     dict
-        Results for the camera as a whole, and for its channels, illuminants, filters, analog gains and photos. Entries
-        for which nothing was measured are empty or None.
+        Results for the whole camera, and for each channel, illuminant, filter, analog gain and photo. Entries without a
+        measurement are empty or None.
     """
     fit = camera.fit or Fit()
     columns: dict[str, Any] = {}
@@ -163,9 +162,9 @@ def figures(camera: CameraModel) -> dict[str, Any]:
 
 
 def _curves(camera: CameraModel) -> dict[str, Any]:
-    """Return the wavelength range of the responsivity curves, and the peak and the FWHM of each channel.
+    """Return the wavelength range of the responsivity curves, and each channel's peak wavelength and FWHM.
 
-    The FWHM is None if the curve does not fall to half its peak on both sides.
+    The FWHM is None if the curve does not fall below half maximum on both sides.
     """
     grid = camera.wavelength
     channels = {
@@ -176,7 +175,7 @@ def _curves(camera: CameraModel) -> dict[str, Any]:
 
 
 def _corners(camera: CameraModel) -> dict[str, float] | None:
-    """Return the loss of light in the darkest corner for each channel, in percent, or None without a flat field."""
+    """Return each channel's loss of light in the darkest corner, in percent, or None without a flat field."""
     if camera.flat_field is None:
         return None
     lost = 100.0 * corner_falloff(camera.flat_field)
@@ -184,10 +183,9 @@ def _corners(camera: CameraModel) -> dict[str, float] | None:
 
 
 def _efficiency_columns(camera: CameraModel, chart: ChartFit) -> dict[str, Any]:
-    """Return the peak quantum efficiency and the offset of each channel.
+    """Return each channel's peak quantum efficiency, the half width of its 95 % band if known, and its offset.
 
-    If confidence bands are known, the result also contains the half-width of the 95 % band at the peak. The offset is beta
-    in Eq. 2 (docs/method.md#gain-and-offset).
+    The offset is beta in Eq. 2 (docs/method.md#gain-and-offset).
     """
     peak = camera.responsivity.argmax(axis=1)[:, None]
     height, band = (np.take_along_axis(of, peak, 1)[:, 0] for of in (camera.responsivity, camera.responsivity_band))
@@ -198,7 +196,7 @@ def _efficiency_columns(camera: CameraModel, chart: ChartFit) -> dict[str, Any]:
 def _emva_columns(noise: NoiseFit) -> dict[str, Any]:
     """Return the EMVA 1288 parameters of each channel.
 
-    The dynamic range is the range from a signal-to-noise ratio of 1 to saturation.
+    The dynamic range extends from the absolute sensitivity threshold (SNR = 1) to saturation.
     """
     least = sensitivity_threshold(noise.read_noise, noise.conversion_gain)
     return {
@@ -214,10 +212,10 @@ def _emva_columns(noise: NoiseFit) -> dict[str, Any]:
 
 
 def _polariser_columns(fit: PolariserFit) -> dict[str, Any]:
-    """Return the angle, the extinction ratio and the relative gain of each channel, with 95 % confidence intervals.
+    """Return each channel's angle, extinction ratio and relative gain, with 95 % confidence intervals.
 
-    If a leakage is below its standard deviation, the standard deviation is used instead, so that the extinction ratio is
-    finite. The extinction ratio of a channel without a polariser is 1.
+    Leakages are raised to at least their standard deviation, so that extinction ratios are finite. A channel without a
+    polariser has the extinction ratio 1.
     """
     leakage = np.maximum(fit.leakage, fit.leakage_error)
     return {
@@ -231,7 +229,7 @@ def _polariser_columns(fit: PolariserFit) -> dict[str, Any]:
 
 
 def _lights(camera: CameraModel, chart: ChartFit) -> dict[str, dict[str, float]]:
-    """Return R² and the relative RMSE of each channel, for each chart capture."""
+    """Return each channel's R² and relative RMSE in each chart capture."""
     rows = {}
     for index, light in enumerate(chart.illuminants):
         measured, predicted = chart.measured[index][None], chart.predicted[index][None]
@@ -259,7 +257,7 @@ def _gains(camera: CameraModel) -> dict[str, dict[str, float]]:
 
 
 def _bands(camera: CameraModel, series: SeriesFit) -> dict[str, dict[str, float]]:
-    """Return the central wavelength of each filter, and, for each channel, the mean and the spread of the response."""
+    """Return each filter's central wavelength, and the mean and spread of each channel's response to it."""
     rows = {}
     for index, light in enumerate(series.lights):
         row = {"centre (nm)": float(camera.wavelength[index])}
@@ -271,7 +269,7 @@ def _bands(camera: CameraModel, series: SeriesFit) -> dict[str, dict[str, float]
 
 
 def _photo_columns(camera: CameraModel, fit: PhotoFit) -> dict[str, Any]:
-    """Return the uncertainty of the curves, and the uncertainty of the colours that they predict under other illuminants."""
+    """Return the uncertainties of the curves and of the colours predicted from them under other illuminants."""
     band = camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     return {
         "curve ± 95 % (% of peak)": 100.0 * np.sqrt(np.mean(band**2, axis=1)),
@@ -280,7 +278,7 @@ def _photo_columns(camera: CameraModel, fit: PhotoFit) -> dict[str, Any]:
 
 
 def _photos(fit: PhotoFit) -> dict[str, dict[str, Any]]:
-    """Return the illuminant, the chart, the unevenness of the illumination, the glare and the RMS error of each photo."""
+    """Return each photo's illuminant, chart, illumination unevenness, glare and RMS error."""
     rows = {}
     for index, name in enumerate(fit.names):
         place = np.stack(np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-1, 1, 5)), axis=-1)
@@ -302,7 +300,7 @@ def _photos(fit: PhotoFit) -> dict[str, dict[str, Any]]:
 
 
 def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
-    """Compare the parameters and the responsivity curves of a calibrated camera with the true camera.
+    """Compare the parameters and responsivities of a calibrated camera with the true camera.
 
     Parameters
     ----------
@@ -314,9 +312,9 @@ def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
     Returns
     -------
     dict
-        Entry "camera": measured value ("recovered"), true value, unit and error of each parameter. Noise of rows or columns
-        that only one of the cameras has is 0 in the other. Entry "channels": errors of the curves and, if both cameras have
-        polarisers, of the polarisers.
+        Entry "camera": each parameter's measured value ("recovered"), true value, unit and error. If only one of the cameras
+        has row or column noise, the value of the other camera is 0. Entry "channels": errors of the responsivities and, if
+        both cameras have polarisers, of the polarisers.
 
     Raises
     ------
@@ -353,9 +351,9 @@ def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
 
 
 def _polariser_errors(measured: Polarisers, truth: CameraModel) -> dict[str, Any]:
-    """Return the errors of the angles in degrees and the errors of the extinction ratios in percent.
+    """Return the angle errors in degrees and the extinction ratio errors in percent.
 
-    The true leakage is averaged over wavelength, weighted by the responsivity of the channel.
+    The true leakage is averaged over wavelength, weighted with the channel's responsivity.
     """
     assert truth.polarisers is not None
     true = (truth.polarisers.leakage * truth.responsivity).sum(axis=1) / truth.responsivity.sum(axis=1)
@@ -367,7 +365,7 @@ def _polariser_errors(measured: Polarisers, truth: CameraModel) -> dict[str, Any
 
 
 def _by_channel(camera: CameraModel, columns: dict[str, Any]) -> dict[str, dict[str, float]]:
-    """Convert columns, which are arrays with one value per channel, to one dict of Python numbers per channel."""
+    """Transpose columns, which contain one value per channel, to one dict of Python numbers per channel."""
     return {
         name: {title: float(column[index]) for title, column in columns.items()}
         for index, name in enumerate(camera.channels)
@@ -375,7 +373,7 @@ def _by_channel(camera: CameraModel, columns: dict[str, Any]) -> dict[str, dict[
 
 
 def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
-    """Format the results of a calibration as lines of text.
+    """Format calibration results as lines of text.
 
     Parameters
     ----------
@@ -417,7 +415,7 @@ def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
 
 
 def _curve_lines(curves: dict[str, Any], width: int | None) -> list[str]:
-    """Format the range of wavelengths, and the peak wavelength and width of each channel's curve."""
+    """Format the wavelength range, and each channel's peak wavelength and FWHM."""
     rows = []
     for name, curve in curves["channels"].items():
         wide = "–" if curve["FWHM (nm)"] is None else f"{curve['FWHM (nm)']:.0f}"
@@ -427,7 +425,6 @@ def _curve_lines(curves: dict[str, Any], width: int | None) -> list[str]:
 
 
 def _correction_lines(result: dict[str, Any]) -> list[str]:
-    """Format the number of defects of each type, and the loss of light in the darkest corner."""
     lines = []
     if found := result["defect map"]:
         lines.append("defect map: " + ", ".join(f"{what} {count}" for what, count in found.items()))
@@ -443,7 +440,7 @@ def matrix_lines(matrices: dict[str, dict[str, dict[str, Any]]], width: int | No
     Parameters
     ----------
     matrices : dict
-        Statistics of CIEDE2000 errors over measured surfaces, by illuminant and by matrix.
+        Statistics of CIEDE2000 errors over measured surfaces, by illuminant and matrix.
     width : int, optional
         Largest width in characters.
     """
@@ -462,17 +459,13 @@ def matrix_lines(matrices: dict[str, dict[str, dict[str, Any]]], width: int | No
 
 
 def _table(rows: dict[str, dict[str, float]], width: int | None) -> list[str]:
-    """Format a table with a heading of two lines.
-
-    The second line contains the units, which are in brackets in the titles.
-    """
+    """Format a table with two heading lines. The second line contains the units in brackets from the titles."""
     titles = list(next(iter(rows.values())))
     headings = ["channel\n", *("\n".join(title.rstrip(")").partition(" (")[::2]) for title in titles)]
     return columns(headings, [[name, *(figure(row[title], ".5g") for title in titles)] for name, row in rows.items()], width)
 
 
 def _photo_lines(result: dict[str, Any]) -> list[str]:
-    """Format the results from photos of charts."""
     lines = [""]
     for name, photo in result["photos"].items():
         light = guessed_light(photo["probable lights"]) if photo["guessed"] else photo["light"]
@@ -492,10 +485,10 @@ def _photo_lines(result: dict[str, Any]) -> list[str]:
 
 
 def doubts(camera: CameraModel) -> list[str]:
-    """Return warnings about a calibration whose result can still be used.
+    """Return warnings about a calibration that is still usable.
 
-    There is a warning if the lamps drifted more than the measurement file declares, and a warning for each photo whose
-    patches fit another illuminant much better than the illuminant that the user specified.
+    l3 warns if the lamps drifted more than declared in the measurement file, and if the patches of a photo fit another
+    illuminant much better than the specified one.
     """
     if camera.fit and camera.fit.drift:
         drift = camera.fit.drift
@@ -516,16 +509,16 @@ def doubts(camera: CameraModel) -> list[str]:
 
 
 def _times(logarithm: float) -> str:
-    """Format a factor with one significant digit, given its natural logarithm. Large factors become powers of ten."""
+    """Format a factor, given as its natural logarithm, with one significant digit or, if it is large, as a power of ten."""
     power = logarithm / np.log(10)
     return f"{float(f'{10**power:.1g}'):.0f}" if power < LARGEST_POWER else f"10^{power:.0f}"
 
 
 def shortfall(camera: CameraModel) -> str | None:
-    """Return the reason why the result of a calibration should not be used, or None if there is no such reason.
+    """Return the reason why a calibration should not be used, or None if it is usable.
 
-    Possible reasons are a monochromatic capture whose response is far from the responses at both neighbouring wavelengths,
-    an implausible quantum efficiency, a photo whose patches do not fit the curves, and a channel that fails the validation.
+    Possible reasons are an implausible monochromatic capture, an implausible quantum efficiency, photo patches that do not
+    fit the curves, and a channel that fails the validation.
     """
     if camera.fit and camera.fit.sweep and camera.fit.sweep.odd:
         odd = camera.fit.sweep.odd
@@ -550,7 +543,7 @@ def shortfall(camera: CameraModel) -> str | None:
 
 
 def _photo_shortfall(fit: PhotoFit, channels: tuple[str, ...]) -> str | None:
-    """Describe the first photo whose patches do not fit the curves. The result is None if all photos fit."""
+    """Describe the first photo with patches that do not fit the curves. Returns None if all photos fit."""
     for index, name in enumerate(fit.names):
         worst = int(fit.misfit[index].argmax())
         if fit.misfit[index, worst] > MOST_MISFIT:

@@ -1,4 +1,4 @@
-"""Builds a camera model from measurements (docs/method.md#calibration)."""
+"""Calibration: estimation of a camera model from measurements (docs/method.md#calibration)."""
 
 from dataclasses import replace
 from typing import Any
@@ -28,13 +28,13 @@ from l3cli.calibration.statistics import Each, channel_shares
 from l3cli.errors import InputFileError, raised_as
 from l3cli.frames.measurement import Body, Measurements, SensorFigures
 
-DELTAS = np.geomspace(1e-7, 1e1, 33)  # smoothing weights that are tried in Eq. 1 (docs/method.md#responsivity)
-LEAST_R_SQUARED = 0.5  # if R² is lower, the description of the charts in the measurement file is wrong
+DELTAS = np.geomspace(1e-7, 1e1, 33)  # smoothing weights to try in Eq. 1 (docs/method.md#responsivity)
+LEAST_R_SQUARED = 0.5  # a lower R² means that the measurement file describes the charts incorrectly
 Array = NDArray[np.float64]
 TOLERANCE = 0.1  # largest relative difference between a gain or exposure in the measurement file and its measured value
 SAME_SPEED = 1.25  # largest factor between a measured gain and the gain that the ISO speed implies
-# Noise of rows or columns that is weaker than this fraction of the temporal dark noise is left out of the camera model.
-# Such noise is not visible, but would make training slower. Stripes become visible at about twice this strength.
+# Row or column noise below this fraction of the temporal dark noise is omitted from the camera model. It is invisible, but
+# would slow down training. Stripes become visible at about twice this strength.
 LEAST_LINE_NOISE = 0.05
 CERTAIN = 4.0  # a measured gain contradicts the file only if it deviates by more than this number of standard deviations
 
@@ -57,7 +57,7 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
     Raises
     ------
     InputFileError
-        If a capture cannot be used, or if captures contradict each other. The message contains the name of the capture.
+        If a capture is unsuitable, or if captures contradict each other. The message names the capture.
     """
     body, drift = measurements.body, measurements.lamp_drift
     if measurements.base is not None:
@@ -107,7 +107,7 @@ def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = 
     Raises
     ------
     InputFileError
-        If a measured gain contradicts its ISO speed, or if a capture cannot be used.
+        If a measured gain contradicts its ISO speed, or if a capture is unsuitable.
     """
     body, found = measurements.body, {}
     if measurements.iso is None:
@@ -122,7 +122,7 @@ def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = 
                 f"the gain at ISO {captures.iso:g} is {times:.3g} times the gain at ISO {measurements.iso:g}, but the ISO "
                 f'speeds imply a factor of {stated:.3g}; use frames with analog gain only, or correct "iso"'
             )
-        # The camera model assumes that row noise and column noise change with the gain in proportion to the read noise.
+        # The camera model assumes that row and column noise scale with the read noise when the gain changes.
         found[times] = noise.noise.dark_noise * (
             camera.noise.read_noise / camera.noise.dark_noise if camera.noise.lines else 1
         )
@@ -131,19 +131,18 @@ def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = 
 
 
 def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:
-    """Build a camera model with relative responsivity curves from photos of charts.
+    """Build a camera model with relative responsivities from photos of charts.
 
-    If the measurements contain white and dark frames, the noise and the levels of the sensor come from these frames.
-    Otherwise the levels come from the raw files of the photos, and the noise is estimated from the patches. Raises
-    InputFileError if no responsivities explain the values of the patches.
+    Noise and levels come from white and dark frames, if there are any. Otherwise the levels come from the raw files of the
+    photos, and the noise is estimated from the patches. Raises InputFileError if no responsivities explain the patch values.
     """
     try:
         curves, fit, sensor = fit_photos(measurements)
     except np.linalg.LinAlgError as error:
         name = measurements.photos[0].name
         raise InputFileError(
-            f"{name}: no responsivities explain the values of the patches; check the chart, the illuminant, the black level "
-            "and the white level"
+            f"{name}: no responsivities explain the patch values; check the chart, the illuminant, the black level and the "
+            "white level"
         ) from error
     if not measurements.whites:
         polarisers = measure_polarisers(measurements, sensor, each)
@@ -156,10 +155,10 @@ def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:
 
 
 def from_data_sheet(measurements: Measurements, figures: SensorFigures, each: Each = map) -> CameraModel:
-    """Build a camera model with relative responsivity curves, and with the noise and the levels of a data sheet.
+    """Build a camera model with relative responsivities, and with noise and levels from a data sheet.
 
-    If the measurements contain curves, from a table or from a sweep with a photodiode, these curves are used. Otherwise the
-    responsivities are fitted to captures of a chart through narrow-band filters.
+    The responsivities come from a table or from a sweep with a photodiode, if the measurements contain one. Otherwise they
+    are fitted to captures of a chart through narrow-band filters.
     """
     body, drift, shift = measurements.body, measurements.lamp_drift, measurements.wavelength_uncertainty
     polarisers = measure_polarisers(measurements, figures, each)
@@ -183,12 +182,12 @@ def fit_curves(
     Returns
     -------
     Curves
-        Relative responsivities with confidence bands. The peak of every channel is 1.
+        Relative responsivities with confidence bands. Each channel has a peak of 1.
     SweepFit
         Details of the fit.
     DriftError or None
-        The estimated drift of the lamps, if the charts disagree more than the declared drift explains. The confidence bands
-        then include this drift. Otherwise None.
+        The estimated lamp drift, if the charts disagree by more than the declared drift explains, otherwise None. The
+        confidence bands include this drift.
     """
     errors = np.array([_validation_error(sweep, charts, delta, black_level) for delta in DELTAS])
     delta = responsivity.choose_smoothing(DELTAS, errors)
@@ -204,10 +203,7 @@ def fit_curves(
 
 
 def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, black_level: Array) -> float:
-    """Return the relative RMSE of a cross-validation over the charts, averaged over the channels.
-
-    `delta` is the smoothing weight of the curves.
-    """
+    """Cross-validate the curves with smoothing weight `delta` over the charts. Returns the mean relative RMSE."""
     photons = charts.photons @ responsivity.solve_channels(sweep, delta).T
     channels = range(len(black_level))
     return float(
@@ -218,9 +214,9 @@ def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, b
 def check_charts(
     measurements: Measurements, charts: Charts, sweep: responsivity.Sweep, smoothing: float, black_level: Array
 ) -> None:
-    """Raise InputFileError if a chart does not fit the other charts, or if the charts together do not fit the sweep.
+    """Raise InputFileError if a chart contradicts the other charts, or if the charts contradict the sweep.
 
-    `smoothing` is the smoothing weight with which the curves are computed from the sweep.
+    `smoothing` is the smoothing weight in the computation of the curves from the sweep.
     """
     curves = responsivity.solve_channels(sweep, smoothing)
     measured = (charts.values - black_level).sum(axis=1)
@@ -232,7 +228,7 @@ def check_charts(
 def fit_charts(
     charts: Charts, relative: Array, black_level: Array, drift: float, body: Body, odd: tuple[str, ...] = ()
 ) -> ChartFit:
-    """Fit the gain and the offset of every channel (Eq. 2 in docs/method.md#gain-and-offset), and check the fit.
+    """Fit each channel's gain and offset (Eq. 2 in docs/method.md#gain-and-offset), and check the fit.
 
     Parameters
     ----------
@@ -247,12 +243,12 @@ def fit_charts(
     body : Body
         Geometry and channels of the camera.
     odd : tuple of str
-        Descriptions of implausible monochromatic captures. The error message contains the first description.
+        Descriptions of implausible monochromatic captures, of which the error message quotes the first.
 
     Raises
     ------
     InputFileError
-        If R² of a channel is below LEAST_R_SQUARED.
+        If a channel's R² is below LEAST_R_SQUARED.
     """
     photons = charts.photons @ relative.T
     fits = []
@@ -269,8 +265,8 @@ def fit_charts(
             f"check {odd[0]}" if odd else 'check "corners", the order of the radiances, the exposure times and "cfa.pattern"'
         )
         raise InputFileError(
-            f"channel {body.channels[worst]}: the responsivity predicts the values of the charts poorly "
-            f"(R² {r_squared[worst]:.2f}); {cure}"
+            f"channel {body.channels[worst]}: the responsivity predicts the chart values poorly (R² "
+            f"{r_squared[worst]:.2f}); {cure}"
         )
     return ChartFit(
         alpha=alphas,
@@ -288,9 +284,9 @@ def fit_charts(
 
 
 def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
-    """Return the results from dark and white frames, with noise converted from DN to electrons.
+    """Collect the results from dark and white frames, and convert noise from DN to electrons.
 
-    Raises InputFileError if the measured gains of the channels contradict the measurement file.
+    Raises InputFileError if the measured channel gains contradict the measurement file.
     """
     dark, transfer, pixel_noise = sensor.dark, sensor.transfer, None
     gain = conversion_gain(sensor, body)
@@ -354,9 +350,9 @@ def _blinking(sensor: Sensor, body: Body) -> dict[str, Any]:
 def conversion_gain(sensor: Sensor, body: Body) -> float:
     """Return the conversion gain K of the whole sensor in DN/e-.
 
-    K is the weighted mean of the conversion gains of all channels. The weights are the numbers of pixels. If the channels
-    have different exposure times or gains, each gain is first divided by the relative gain of its channel, and the weights
-    are the inverse variances.
+    K is the mean of the channels' conversion gains, weighted with the numbers of pixels. If the channels have different
+    exposure times or gains, each conversion gain is first divided by the channel's relative gain, and the weights are the
+    inverse variances.
     """
     each = sensor.transfer.gain / body.channel_gains
     if body.readout is None:
@@ -365,7 +361,7 @@ def conversion_gain(sensor: Sensor, body: Body) -> float:
 
 
 def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
-    """Average the noise parameters of the channels over the whole sensor, weighted by the number of pixels per channel.
+    """Average the noise parameters over all channels, weighted with the numbers of pixels.
 
     The read noise is averaged only over the channels with the lowest gain.
     """
@@ -412,9 +408,9 @@ def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
 
 
 def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> CameraModel:
-    """Assemble the camera model.
+    """Assemble the camera model from the results of all fits.
 
-    The responsivity is absolute if charts determine the scale of the curves. Otherwise, the responsivity is relative.
+    The responsivity is absolute if charts determine the scale of the curves, otherwise relative.
 
     Parameters
     ----------
@@ -435,7 +431,7 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
     curve, band = curves.relative, curves.band
     if fit.chart is not None:
         curve, band = efficiency(curves, fit, sensor.gain, body)
-        # If the curves have no confidence bands, the error of the scale alone would result in bands that are too narrow.
+        # Without bands of the curves, the error of the scale alone would result in bands that are too narrow.
         band = band if curves.band.any() else np.zeros_like(band)
         check_exposures(curve, body)
         check_efficiency(curve, fit.sweep.odd if fit.sweep else ())
@@ -469,7 +465,7 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
 
 
 def _declared(fit: Fit) -> tuple[str, ...]:
-    """Return the names of the quantities that come from a data sheet or are assumed, because they were not measured."""
+    """Name the quantities that were not measured, but come from a data sheet or are assumed."""
     if fit.noise is not None:
         return ()
     if fit.photo is None:
@@ -478,7 +474,7 @@ def _declared(fit: Fit) -> tuple[str, ...]:
 
 
 def check_gains(measured: Array, error: Array, body: Body) -> None:
-    """Raise InputFileError if measured conversion gains contradict the channel gains in the measurement file.
+    """Raise InputFileError if measured conversion gains contradict the relative channel gains in the measurement file.
 
     Parameters
     ----------
@@ -504,9 +500,9 @@ def check_gains(measured: Array, error: Array, body: Body) -> None:
 
 
 def check_exposures(responsivity: Array, body: Body) -> None:
-    """Raise InputFileError if two channels with the same filter differ in quantum efficiency.
+    """Raise InputFileError if two channels with the same filter differ in quantum efficiency, (channel, wavelength).
 
-    If they differ, an exposure time in the measurement file is wrong. `responsivity` has the shape (channel, wavelength).
+    Such a difference means that an exposure time in the measurement file is wrong.
     """
     if body.readout is None:
         return
@@ -516,27 +512,23 @@ def check_exposures(responsivity: Array, body: Body) -> None:
         if abs(ratio - 1.0) > TOLERANCE:
             name, seen = body.channels[channel], body.channel_exposures[channel] * ratio
             raise InputFileError(
-                f"a comparison with channel {body.channels[first]} implies that the exposure time of channel {name} is "
-                f"{seen:.3g} of the exposure time of the frame, but the measurement file states "
-                f'{body.channel_exposures[channel]:.3g}; correct "channel.{name}.exposure"'
+                f"compared with channel {body.channels[first]}, the relative exposure time of channel {name} is {seen:.3g}, "
+                f"but the measurement file states {body.channel_exposures[channel]:.3g}; correct "
+                f'"channel.{name}.exposure"'
             )
 
 
 def filter_curves(curves: Array, band: Array, body: Body) -> tuple[Array, Array]:
-    """Divide curves and confidence bands by the gain and the exposure of their channel, and scale the highest peak to 1.
-
-    `curves` and `band` have the shape (channel, wavelength).
-    """
+    """Divide curves and bands, (channel, wavelength), by channel gain and exposure, and scale the highest peak to 1."""
     setting = (body.channel_gains * body.channel_exposures)[:, None]
     peak = float((curves / setting).max())
     return curves / setting / peak, band / setting / peak
 
 
 def measured_readout(body: Body, fit: NoiseFit | None, noise: Noise) -> Readout | None:
-    """Return the exposure, the gain and the read noise of each channel.
+    """Return each channel's exposure, gain and measured read noise, or None if all channels have the same readout.
 
-    The result is None if all channels have the same exposure and gain. If the noise was not measured (`fit` is None), all
-    channels have the read noise of `noise`.
+    If the noise was not measured (`fit` is None), the read noise of all channels comes from `noise`.
     """
     if body.readout is None:
         return None

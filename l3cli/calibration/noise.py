@@ -1,8 +1,7 @@
-"""Measures sensor noise as defined in EMVA 1288 (docs/method.md#dark-and-white-frames).
+"""Measurement of sensor noise as defined in EMVA 1288 (docs/method.md#dark-and-white-frames).
 
 Temporal variances are computed from differences between two frames, in which the fixed pattern cancels. Spatial variances
-are computed from averaged frames, and corrected for the temporal noise that remains in the average. Hot and dead pixels are
-left out.
+are computed from averaged frames, and corrected for the remaining temporal noise. Hot and dead pixels are excluded.
 """
 
 import functools
@@ -44,21 +43,22 @@ from l3cli.frames.measurement import Body, Capture
 SATURATED = 0.985  # pixels at or above this fraction of full scale are saturated
 TOLERATED = 1e-4  # largest fraction of saturated pixels in frames from which a variance is computed
 LINEAR = (0.05, 0.95)  # fractions of saturation between which EMVA 1288 evaluates linearity
-CHANCE = 0.01  # probability that row noise is found in a sensor without row noise; the same applies to column noise
-# side of the window of local means, in samples of one CFA site; with more than 9 samples, dust would increase the PRNU
+CHANCE = 0.01  # significance level of row noise and column noise
+# side of the window for local means, in samples of one CFA site; with more than 9 samples, dust would increase the PRNU
 WINDOW = 7
-# Each sample is part of its own local mean. The variance of the deviations from local means is therefore reduced to the
-# following fractions, for noise of pixels and for noise of rows or columns.
+# Each sample is part of its own local mean, which reduces the variance of deviations from local means to these fractions,
+# for pixel noise and for row or column noise.
 PIXELS_LEFT, LINES_LEFT = 1.0 - 1.0 / WINDOW**2, 1.0 - 1.0 / WINDOW
-# Deviations of neighbouring lines from local means are correlated. The number of independent lines is smaller by this
-# factor, the sum of the squared autocorrelation coefficients of white noise minus its moving average over 7 samples.
+# The deviations of neighbouring lines from their local means are correlated, so the effective number of independent lines is
+# smaller by this factor: the sum of the squared autocorrelation coefficients of white noise minus its moving average over 7
+# samples.
 LINE_CORRELATION = 1.0 + 2.0 * (8**2 + 9**2 + 10**2 + 3**2 + 2**2 + 1**2) / 42**2
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class DarkNoise:
-    """Results from dark frames. The arrays contain one value per channel, except for `hot`."""
+    """Results from dark frames. All arrays except `hot` contain one value per channel."""
 
     black_level: Array  # DN; mean value at zero exposure time
     slope: Array  # DN/s; dark signal per second of exposure
@@ -67,10 +67,10 @@ class DarkNoise:
     hot: Defects = field(default_factory=no_defects)
     pixel_variance: Array | None = None  # DN²; part of `variance` that pixels do not share with their row or column
     dsnu_error: Array | None = None  # DN; standard error of `dsnu`
-    # temporal noise of rows and of columns in the channels with the lowest gain; it is a part of `variance`
+    # temporal row and column noise in the channels with the lowest gain, included in `variance`
     rows: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
     columns: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
-    # fixed offsets of rows and of columns in the channels with the lowest gain; `dsnu` does not include them
+    # fixed row and column offsets in the channels with the lowest gain, not included in `dsnu`
     fixed_rows: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
     fixed_columns: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
     trials: tuple[int, ...] = ()  # number of frames of each capture
@@ -82,10 +82,7 @@ class DarkNoise:
 
 @dataclass(frozen=True)
 class LineNoise:
-    """Noise that all pixels of a row, or all pixels of a column, have in common.
-
-    Both values are 0 if the noise is not significant.
-    """
+    """Noise that all pixels of a row or column share. Both values are 0 if it is not significant."""
 
     deviation: float  # DN for offsets, relative to the response for PRNU
     error: float  # standard error of `deviation`, in the same unit
@@ -97,16 +94,16 @@ class ResponseNoise:
 
     prnu: Array  # (channel,): relative standard deviation of the response, including rows and columns
     prnu_error: Array  # (channel,): standard error of `prnu`
-    rows: LineNoise  # part of the PRNU that all pixels of a row have in common
-    columns: LineNoise  # part of the PRNU that all pixels of a column have in common
-    dead: Defects  # pixels whose response differs from the local mean by at least 10 %
-    slopes: Array  # (row, col): response in DN/s; the values of defective pixels are interpolated
+    rows: LineNoise  # part of the PRNU that all pixels of a row share
+    columns: LineNoise  # part of the PRNU that all pixels of a column share
+    dead: Defects  # pixels with a response that differs from the local mean by at least 10 %
+    slopes: Array  # (row, col): response in DN/s, interpolated at defective pixels
     pattern: Nonuniformity | None = None  # spectra, profiles and histograms, as fractions
 
 
 @dataclass(frozen=True)
 class PhotonTransfer:
-    """Results from white frames: the photon transfer curve and the quantities that are computed from it."""
+    """Results from white frames: the photon transfer curve and the quantities derived from it."""
 
     mean: Array  # (exposure, channel): mean signal above black in DN
     variance: Array  # (exposure, channel): temporal variance in DN²
@@ -122,14 +119,12 @@ class PhotonTransfer:
 
 
 def line_weights(exposures: Array) -> tuple[Array, Array]:
-    """Return weights that fit a line to values as a function of exposure time.
+    """Return the weights of a linear regression over exposure time.
 
     Returns
     -------
-    intercept : ndarray, (exposure,)
-        Weights. The weighted sum of the values is the intercept of the fitted line.
-    slope : ndarray, (exposure,)
-        Weights. The weighted sum of the values is the slope of the fitted line.
+    intercept, slope : ndarray, (exposure,)
+        Weights of the measured values in the intercept and in the slope of the fitted line.
     """
     centred = exposures - exposures.mean()
     slope = centred / (centred @ centred)
@@ -137,19 +132,19 @@ def line_weights(exposures: Array) -> tuple[Array, Array]:
 
 
 def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> DarkNoise:
-    """Measure black level, dark signal, read noise, DSNU and hot pixels from dark frames.
+    """Measure black level, dark signal, read noise, DSNU and hot pixels in dark frames.
 
-    The DSNU of the pixels is computed from three variances:
+    The DSNU is computed in three steps:
 
-    1. The temporal variance is computed from differences between frames. This variance contains all noise that changes
-       from frame to frame, including row noise and column noise. The read noise is computed from this variance too.
-    2. The spatial variance is the variance of the mean frame, extrapolated to zero exposure time. The variances of row means
-       and column means are subtracted, because row noise and column noise are measured separately (`fixed_line_noise`).
-       The result consists of the DSNU and the temporal noise that remains after averaging.
-    3. The remaining temporal noise is the temporal variance without row noise and column noise, divided by the number of
-       frames. This noise is subtracted from the spatial variance.
+    1. The temporal variance, from differences between frames, contains all noise that changes from frame to frame,
+       including row and column noise. It also determines the read noise.
+    2. The spatial variance is the variance of the mean frame, extrapolated to zero exposure time. The variances of row and
+       column means are subtracted, because row and column noise are measured separately (`fixed_line_noise`). This leaves
+       the DSNU and the temporal noise that remains after averaging.
+    3. The remaining temporal noise, which is the temporal variance without row and column noise divided by the number of
+       frames, is subtracted from the spatial variance.
 
-    Raises InputFileError if all frames have the same exposure time, or if a capture does not fit the other captures.
+    Raises InputFileError if all frames have the same exposure time, or if a capture contradicts the others.
     """
     exposures = np.array([capture.exposure for capture in captures])
     if np.unique(exposures).size < 2:
@@ -169,7 +164,7 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
     agreement.check_darks(captures, mean.mean(axis=1), float(np.sqrt(max(of_means))))
     variance = np.array([level.variance for level in levels])
     trials = np.array([level.trials for level in levels])
-    kept = intercept**2 / trials  # fraction of the temporal variance of each exposure that remains in `offsets`
+    kept = intercept**2 / trials  # fraction of each exposure's temporal variance that remains in `offsets`
     of_pixels = np.array([level.pixel_variance for level in levels])
     left = kept @ of_pixels
     spatial = pooled([pixel_variance(site) for _, site in by_site(offsets, body.cfa)], body.cfa)
@@ -203,8 +198,8 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
 def _noise_left(kept: Array, squares: Sequence[LineSquares], pixels: float, body: Body) -> NoiseLeft:
     """Return the temporal noise that remains in a mean of captures.
 
-    `kept` is the fraction of the variance of row noise and column noise of each capture that remains, and `pixels` is the
-    remaining variance of the pixels.
+    `kept` is the remaining fraction of each capture's row and column noise variance, and `pixels` is the remaining variance
+    of the pixels.
     """
     rows = float(kept @ [each.rows - each.pixels for each in squares]) / body.cols
     columns = float(kept @ [each.columns - each.pixels for each in squares]) / body.rows
@@ -212,32 +207,27 @@ def _noise_left(kept: Array, squares: Sequence[LineSquares], pixels: float, body
 
 
 def error_of_root(deviation: Any, error: Any) -> Any:
-    """Return the standard error of a standard deviation, from the standard error of its square.
+    """Convert the standard error of a variance to the standard error of the standard deviation.
 
-    For a deviation near 0, the error is limited to the square root of the error of the square.
+    Near a deviation of 0, the result is limited to √error.
     """
     return np.sqrt(error) * np.minimum(np.sqrt(error) / np.maximum(2 * np.asarray(deviation), np.finfo(float).tiny), 1.0)
 
 
 def line_noise(squares: Sequence[tuple[float, float, int]], pixels: int) -> LineNoise:
-    """Estimate the temporal noise of rows or columns (docs/method.md#row-and-column-noise).
+    """Estimate temporal row or column noise (docs/method.md#row-and-column-noise).
 
-    A line is a row or a column. The ratio between the mean square of the lines and the mean square of the pixels is tested.
-    The noise is significant if, in a sensor without line noise, a ratio at least this large has a probability of at most
-    `CHANCE`. Fixed patterns have no effect, because the mean squares are computed from differences between frames.
+    A line is a row or a column. The noise is significant if the ratio between the mean squares of lines and pixels is so
+    large that it has a probability of at most `CHANCE` in a sensor without line noise. Fixed patterns have no effect,
+    because the mean squares come from differences between frames.
 
     Parameters
     ----------
     squares : sequence of (float, float, int)
-        For each exposure time, the mean square of the lines, the mean square of the pixels, and the degrees of freedom of
-        the lines, from `LineSquares`.
+        For each exposure time: mean square of the lines, mean square of the pixels, and degrees of freedom of the lines, as
+        in `LineSquares`.
     pixels : int
         Number of pixels in a line.
-
-    Returns
-    -------
-    LineNoise
-        Both values are 0 if the noise is not significant.
     """
     from scipy.special import chdtrc
 
@@ -257,29 +247,28 @@ def line_noise(squares: Sequence[tuple[float, float, int]], pixels: int) -> Line
 def fixed_line_noise(
     fixed: tuple[float, float, float], temporal: Sequence[tuple[float, float, int]], kept: Array, pixels: int
 ) -> LineNoise:
-    """Estimate the fixed noise of rows or columns in a mean of frames (docs/method.md#row-and-column-noise).
+    """Estimate fixed row or column noise in a mean frame (docs/method.md#row-and-column-noise).
 
-    Without fixed line noise, the mean square of the lines in the mean frame has two parts: the mean square of the pixels,
-    and the temporal line noise that remains after averaging. The ratio between the mean square and the sum of these parts is
-    tested with the F distribution. The noise is significant if, in a sensor without fixed line noise, a ratio at least this
-    large has a probability of at most `CHANCE`.
+    Without fixed line noise, the lines of the mean frame have an expected mean square, which is the mean square of the
+    pixels plus the temporal line noise that remains after averaging. The noise is significant if the ratio between the
+    measured and the expected mean square is so large that it has a probability of at most `CHANCE`, according to the F
+    distribution.
 
     Parameters
     ----------
     fixed : (float, float, float)
-        In the mean frame, the mean square of the lines, the mean square of the pixels, and the degrees of freedom of the
-        lines.
+        In the mean frame: mean square of the lines, mean square of the pixels, and degrees of freedom of the lines.
     temporal : sequence of (float, float, int)
         The same values for the temporal noise of each capture, as for `line_noise`.
     kept : ndarray, (capture,)
-        For each capture, the fraction of the variance of the temporal line noise that remains in the mean frame.
+        Fraction of each capture's temporal line noise variance that remains in the mean frame.
     pixels : int
         Number of pixels in a line.
 
     Returns
     -------
     LineNoise
-        Both values are 0 if the noise is not significant. The error includes the finite number of lines.
+        The noise. Its error accounts for the finite number of lines.
     """
     from scipy.special import fdtrc
 
@@ -300,9 +289,9 @@ def fixed_line_noise(
 
 
 def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> PhotonTransfer:
-    """Fit the conversion gain, which is the slope of the temporal variance as a function of the mean signal.
+    """Fit the conversion gain, the slope of the temporal variance over the mean signal.
 
-    When the well or the converter saturates, the variance falls. Exposures after the maximum of the variance are not used
+    The variance falls when the well or the converter saturates. Exposures beyond the maximum variance are therefore ignored
     (docs/method.md#dark-and-white-frames).
 
     Parameters
@@ -323,7 +312,7 @@ def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> Pho
     variance = np.array([level.variance for level in levels])
     if not variance.max(axis=0).all():
         raise InputFileError(
-            "the white frames contain no noise, because they are saturated or are copies of one frame; use different white "
+            "the white frames contain no noise, because they are saturated or are copies of one frame; use other white "
             "frames"
         )
     white_level, reached = saturation(levels, variance, 2**body.bits - 1)
@@ -350,12 +339,9 @@ def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> Pho
 
 
 def _transfer_line(levels: Sequence[Level], mean: Array, channel: int) -> tuple[float, float]:
-    """Fit a line to the temporal variance of one channel as a function of its mean signal.
+    """Fit the photon transfer line of one channel. Returns its slope and the standard deviation of the slope.
 
-    The function returns the slope of the line and the standard deviation of the slope.
-
-    Each variance is weighted by its uncertainty: the standard deviation of a variance from n samples is √(2/n) times the
-    variance.
+    The weights follow from the relative standard deviation of a variance from n samples, which is √(2/n).
     """
     variance = np.array([level.variance[channel] for level in levels])
     samples = np.array([level.counts[channel].sum() / level.trials * (level.trials // 2) for level in levels])
@@ -366,9 +352,9 @@ def _transfer_line(levels: Sequence[Level], mean: Array, channel: int) -> tuple[
 def linearity_errors(
     levels: Sequence[Level], mean: Array, used: NDArray[np.bool_], dark: DarkNoise, white_level: float
 ) -> Array:
-    """Return the linearity error LE of EMVA 1288 for each channel, as a fraction.
+    """Return each channel's linearity error LE of EMVA 1288, as a fraction.
 
-    LE is the mean relative deviation of the signal from a line. It is 0 if a channel has fewer than three usable exposures.
+    LE is the mean relative deviation of the signal from a line. It is set to 0 with fewer than three usable exposures.
     """
     lit, exposure = np.array([(level.lit, level.exposure) for level in levels]).T
     errors = []
@@ -380,19 +366,19 @@ def linearity_errors(
 
 
 def linearity_error(lit: Array, signal: Array) -> float:
-    """Return the mean relative deviation of `signal` from a linear function of the exposure times `lit`.
+    """Return the mean relative deviation of `signal` from a line over the exposure times `lit`.
 
-    The linear function is fitted by minimising the squared relative deviations.
+    The line minimises the squared relative deviations.
     """
     line = np.polyval(np.polyfit(lit, signal, 1, w=1.0 / signal), lit)
     return float(np.mean(np.abs(signal / line - 1.0)))
 
 
 def saturation(levels: Sequence[Level], variance: Array, top: int) -> tuple[float, bool]:
-    """Return the raw value of saturated pixels in DN, and whether the longest exposure reached this value.
+    """Return the white level (DN), and whether the longest exposure reaches it.
 
-    A channel is saturated if its variance at the longest exposure is at most half its maximum. The result is then the median
-    of this channel. If no channel is saturated, the result is `top`, the maximum of the converter.
+    A channel is saturated if its variance at the longest exposure is at most half of its maximum variance. The white level
+    is then the median value of this channel. If no channel is saturated, it is `top`, the maximum of the converter.
     """
     fallen = variance[-1] / variance.max(axis=0)
     channel = int(fallen.argmin())
@@ -410,10 +396,10 @@ def response_noise(
     dark: DarkNoise,
     each: Each = map,
 ) -> ResponseNoise:
-    """Measure the PRNU and find dead pixels, from the slope of each pixel's signal as a function of exposure time.
+    """Measure the PRNU and find dead pixels, from the slope of each pixel's signal over exposure time.
 
-    The PRNU is the relative standard deviation of the slopes around their local mean. Uneven light changes a slope and its
-    local mean by the same factor, so it does not increase the PRNU.
+    The PRNU is the relative standard deviation of the slopes around their local mean. Uneven light affects a slope and its
+    local mean equally, so it does not increase the PRNU.
 
     Parameters
     ----------
@@ -471,21 +457,21 @@ def _response_pattern(unpatched: Array, slopes: Array, levels: Sequence[Level], 
 
 
 def _spread(deviation: Array) -> float:
-    """Return the variance of the response of one CFA site, from deviations from local means."""
+    """Return the response variance of one CFA site, from relative deviations from local means."""
     return float(np.mean(deviation**2)) / PIXELS_LEFT
 
 
 def _spread_of_pixels(deviation: Array) -> float:
-    """Return the part of the variance of the response that pixels do not share with their row or column."""
+    """As `_spread`, but without the variance that all pixels of a row or column share."""
     centred = deviation - deviation.mean()
     lines = sum(float(np.mean(centred.mean(axis=axis) ** 2)) for axis in (0, 1))
     return (float(np.mean(centred**2)) - lines) / (PIXELS_LEFT - LINES_LEFT * sum(1 / count for count in deviation.shape))
 
 
 def relative_deviation(site: Array) -> tuple[Array, Array]:
-    """Return the relative deviation of each pixel of a CFA site from its local mean, and the local mean.
+    """Return each pixel's relative deviation from its local mean, and the local mean, for one CFA site.
 
-    Both results lack the pixels at the border, whose local mean would extend beyond the frame.
+    Both arrays exclude border pixels, for which the window of the local mean would extend beyond the frame.
     """
     inner = slice(WINDOW // 2, -(WINDOW // 2))
     local = _local_mean(site)[inner, inner]
@@ -495,7 +481,7 @@ def relative_deviation(site: Array) -> tuple[Array, Array]:
 def _response_lines(
     deviations: Sequence[tuple[Array, Array]], levels: Sequence[Level], weights: Array, body: Body
 ) -> tuple[LineNoise, LineNoise]:
-    """Estimate the PRNU of rows and of columns: differences in response that all pixels of a line have in common.
+    """Estimate row and column PRNU: differences in response that all pixels of a row or column share.
 
     Parameters
     ----------
@@ -511,7 +497,7 @@ def _response_lines(
     down, across = body.cfa.shape
     shape = (body.rows - (WINDOW - 1) * down, body.cols - (WINDOW - 1) * across)
     deviation = np.empty(shape)
-    # relative deviation of the response that is caused by an offset of 1 DN in a capture
+    # relative change in response due to an offset of 1 DN in a capture
     scale = np.empty((len(levels), down, across))
     places = zip(deviations, by_site(deviation, body.cfa), np.ndindex(down, across), strict=True)
     for (relative, local), (channel, target), (row, col) in places:
@@ -537,17 +523,17 @@ def _response_lines(
 
 
 def dead_pixels(response: Array, cfa: NDArray[np.uint8]) -> tuple[Defects, Array]:
-    """Find pixels whose response to uniform light differs from the local mean by at least 10 %.
+    """Find pixels with a response to uniform light that differs from the local mean by at least 10 %.
 
-    The search is repeated once, with local means that do not contain the pixels from the first search. Without the second
-    search, intact pixels next to a defective row or cluster would be found too.
+    A second search excludes the pixels found in the first search from the local means. Otherwise, intact pixels next to a
+    defective row or cluster would be found too.
 
     Returns
     -------
     dead : ndarray, (defect, 2)
         Row and column of each dead pixel.
     response : ndarray, (row, col)
-        The response. The values of dead pixels are interpolated.
+        The response, interpolated at dead pixels.
     """
     suspect = outliers(_over_local_mean(response, response, cfa), cfa, LEAST_LOSS)
     if not suspect.size:
@@ -564,7 +550,7 @@ def _local_mean(site: Array) -> Array:
 
 
 def _over_local_mean(picture: Array, patched: Array, cfa: NDArray[np.uint8]) -> Array:
-    """Return the relative deviation of each pixel in `picture` from the local mean of its CFA site in `patched`."""
+    """Return each pixel's relative deviation in `picture` from the local mean of its CFA site in `patched`."""
     deviation = np.empty_like(picture)
     for (_, into), (_, site), (_, whole) in zip(
         *(by_site(each, cfa) for each in (deviation, picture, patched)), strict=True

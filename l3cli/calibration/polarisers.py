@@ -1,13 +1,13 @@
-"""Measures the polarisers of the channels behind a rotating linear polariser (docs/method.md#rotating-polariser).
+"""Measurement of the channels' polarisers with a rotating linear polariser (docs/method.md#rotating-polariser).
 
-A channel whose polariser has the angle θ and the leakage k (the inverse of the extinction ratio) responds to light that is
-polarised at the angle φ according to Malus's law:
+If a channel's polariser has the angle θ and the leakage k (the inverse of the extinction ratio), its response to light
+polarised at the angle φ follows Malus's law:
 
     signal = brightness · gain / 2 · [(1 + k) + p (1 − k) cos 2(θ − φ)]
 
-The degree of polarisation p of the light follows from the extinction ratio of the rotating polariser. The brightness may
-change between captures, because lamps drift, and because the light of a lamp can itself be polarised. The brightness is
-therefore estimated for each capture, which is possible because the channels have different angles.
+The light's degree of polarisation p follows from the extinction ratio of the rotating polariser. The brightness may change
+between captures, because lamps drift and their light can itself be polarised. It is therefore estimated for each capture,
+which is possible because the channels have different angles.
 """
 
 import functools
@@ -25,29 +25,29 @@ from l3cli.errors import InputFileError, listed
 from l3cli.frames.measurement import LEAKAGE_NM, Body, Capture, PolariserCapture, Rotator
 from l3cli.physics.stokes import angle_difference, malus
 
-BRIGHTNESS = 0.05  # prior relative standard deviation of the brightness of a capture
+BRIGHTNESS = 0.05  # relative standard deviation of a capture's brightness (prior)
 BLACK_ERROR = 0.05  # DN; standard deviation of the black level, which may drift after the dark frames
 LARGEST_CONDITION = 20.0  # largest condition number of the fit of Malus's law; with angles of 0°, 10° and 20°, it is 64
-LEAST_MODULATION = 0.2  # if the modulation is smaller, the light is not polarised, or the channel has no polariser
-WRONG_ANGLE = 3.0  # degrees; if the stated angle of a capture is wrong by more, it is reported as a mistake
-OTHER_ANGLE = 10.0  # degrees; if the stated angle of a channel is wrong by more, it is reported as a mistake
+LEAST_MODULATION = 0.2  # a smaller modulation means that the light is unpolarised, or that the channel has no polariser
+WRONG_ANGLE = 3.0  # degrees; larger errors of a capture's stated angle are reported
+OTHER_ANGLE = 10.0  # degrees; larger errors of a channel's stated angle are reported
 Array = NDArray[np.float64]
 
 
 def harmonics(degrees: Array) -> Array:
-    """Return the terms 1, cos 2φ and sin 2φ for each angle φ in degrees, with the shape (angle, 3)."""
+    """Return 1, cos 2φ and sin 2φ for each angle φ in degrees: (angle, 3)."""
     twice = 2.0 * np.radians(degrees)
     return np.stack([np.ones_like(twice), np.cos(twice), np.sin(twice)], axis=-1)
 
 
 @dataclass(frozen=True)
 class Guess:
-    """First estimate of the parameters of Malus's law. Each channel is fitted separately."""
+    """First estimate of the parameters of Malus's law, from separate fits of the channels."""
 
     gain: Array  # (channel,): DN/s
     angle: Array  # (channel,): degrees
     leakage: Array  # (channel,): inverse of the extinction ratio
-    modulation: Array  # (channel,): amplitude of the signal, divided by its mean
+    modulation: Array  # (channel,): amplitude of the signal relative to its mean
 
 
 # ---------------------------------------------------------------------------------------------------------- the fit
@@ -71,22 +71,21 @@ def fit_polarisers(
     rate : ndarray, (capture, channel)
         Signal per second of exposure in DN/s, without dark signal.
     deviation : ndarray, (capture, channel)
-        Standard deviation of each rate in DN/s. Rates with an infinite standard deviation are not used.
+        Standard deviation of each rate in DN/s. Rates with an infinite standard deviation are ignored.
     polarised : ndarray of bool, (channel,)
         Whether each channel has a polariser. At least one channel must have a polariser.
     light_polarisation : float
         Degree of linear polarisation of the light.
     light_angle_error : float
-        Standard deviation of each value of `light_angle` in degrees. The errors of the captures are independent.
+        Standard deviation of each `light_angle` in degrees. The errors of the captures are independent.
     black_error : ndarray, (capture,), or float
-        Standard deviation of the dark signal that was subtracted, in DN/s. The error in DN is the same in all captures, but
-        differs between channels.
+        Standard deviation of the subtracted dark signal in DN/s. In DN, each channel has the same error in all captures.
 
     Returns
     -------
     PolariserFit
-        Angle, leakage and relative gain of each channel. The standard deviations include the scatter of the rates around
-        the fit if the scatter exceeds `deviation`.
+        Angle, leakage and relative gain of each channel. If the rates scatter more than `deviation` explains, the standard
+        deviations of the results are increased accordingly.
     """
     from scipy.optimize import least_squares
 
@@ -94,8 +93,8 @@ def fit_polarisers(
     first = first_guess(light_angle, rate, used, polarised, light_polarisation)
     count = int(polarised.sum())
     black = np.broadcast_to(black_error, captures)[:, None]
-    # The parameters of each channel are ln gain and angle, relative to the first estimate, and leakage. The remaining
-    # parameters are the black levels, the brightnesses and the angles of the light, in units of their prior standard
+    # The channel parameters are ln gain and angle, both relative to the first estimate, and leakage. The remaining
+    # parameters are the black level errors, ln brightnesses and light angle errors, in units of their prior standard
     # deviations.
     parts = np.cumsum([channels, count, count, channels, captures])
 
@@ -115,8 +114,8 @@ def fit_polarisers(
 
     start = np.concatenate([np.zeros(channels + count), first.leakage[polarised], np.zeros(channels + 2 * captures)])
     solved = least_squares(residuals, start, method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    # Number of degrees of freedom: rates minus parameters. The errors of angles and black levels do not count, because their
-    # priors are narrow. One brightness does not count, because the gains contain the overall brightness.
+    # Degrees of freedom: number of rates minus number of parameters. Angle and black level errors do not count, because
+    # their priors are narrow. One brightness does not count, because the gains include the overall brightness.
     spare = int(used.sum()) - parts[2] - (len(rate) - 1)
     scatter = 2.0 * solved.cost / spare if spare > 0 else 1.0
     covariance = np.linalg.inv(solved.jac.T @ solved.jac) * max(1.0, scatter)
@@ -147,10 +146,7 @@ def fit_polarisers(
 def first_guess(
     light_angle: Array, rate: Array, used: NDArray[np.bool_], polarised: NDArray[np.bool_], light_polarisation: float
 ) -> Guess:
-    """Estimate the gain, the angle and the leakage of each channel with a linear fit.
-
-    Each channel is fitted separately, and the brightness of the light is assumed to be the same in all captures.
-    """
+    """Estimate each channel's gain, angle and leakage with a linear fit, assuming constant brightness of the light."""
     terms = harmonics(light_angle)
     law = np.array([np.linalg.lstsq(terms[use], of[use], rcond=None)[0] for use, of in zip(used.T, rate.T, strict=True)])
     mean, amplitude = law[:, 0], np.hypot(law[:, 1], law[:, 2])
@@ -168,13 +164,13 @@ def first_guess(
 
 @dataclass(frozen=True)
 class Electronics:
-    """Properties of the sensor that are needed to compute rates and their uncertainty from raw values."""
+    """Sensor properties that are needed to convert raw values to rates with uncertainties."""
 
     dark: Array  # (capture, channel): mean value in the dark in DN, including the black level
     saturation: float  # DN; pixels at or above this value are saturated
     gain: Array  # (channel,): conversion gain in DN/e-
     dark_variance: Array  # (channel,): temporal variance in the dark in DN²
-    defects: statistics.Defects  # defective pixels, which are not used
+    defects: statistics.Defects  # defective pixels, which are ignored
 
 
 def measure_polarisers(
@@ -184,17 +180,16 @@ def measure_polarisers(
     electronics: Electronics,
     each: statistics.Each = map,
 ) -> PolariserFit:
-    """Measure the polarisers of all channels from frames behind a rotating polariser.
+    """Measure the polarisers of all channels in frames behind a rotating polariser.
 
-    A channel is measured only from captures in which the channel is not saturated. If the measurement file does not state
-    which channels have polarisers, l3 assumes that a channel has a polariser if its signal changes with the angle of the
-    rotating polariser.
+    Each channel ignores captures in which it is saturated. If the measurement file does not specify polarisers, l3 assumes
+    that a channel has a polariser if its signal depends on the angle of the rotating polariser.
 
     Raises
     ------
     InputFileError
         If the usable captures have too few different angles, if the light is not polarised, if captures contradict each
-        other, or if the measured angles contradict the angles that the measurement file states.
+        other, or if the measured angles contradict the measurement file.
     """
     read = functools.partial(_means, body=body, saturation=electronics.saturation, defects=electronics.defects)
     mean, pixels, saturated = (np.array(values) for values in zip(*each(read, captures), strict=True))
@@ -209,8 +204,8 @@ def measure_polarisers(
     if weak.any():
         name, modulation = body.channels[int(weak.argmax())], guess.modulation[weak.argmax()]
         raise InputFileError(
-            f"the signal of channel {name} changes by only {modulation:.1%} when the polariser in front of the light turns; "
-            'check this polariser and "polariser_deg"'
+            f"the signal of channel {name} changes by only {modulation:.1%} when the polariser in front of the light "
+            'rotates; check this polariser and "polariser_deg"'
         )
     deviation = np.where(used, np.sqrt(variance / pixels) / lit, np.inf)
     fit = fit_polarisers(
@@ -225,13 +220,13 @@ def measure_polarisers(
 
 
 def _means(capture: Capture, body: Body, saturation: float, defects: statistics.Defects) -> tuple[Array, Array, Array]:
-    """Return, for each channel, the mean value in DN, the number of pixels in all frames, and the saturated fraction."""
+    """Return each channel's mean value in DN, number of pixels in all frames, and saturated fraction."""
     counts = statistics.count_values(capture, body, defects)
     return statistics.mean_value(counts), counts.sum(axis=1), statistics.share_from(counts, saturation)
 
 
 def _check_angles(angle: Array, used: NDArray[np.bool_], body: Body) -> None:
-    """Raise InputFileError if the angles of the usable captures do not determine the parameters of Malus's law."""
+    """Raise InputFileError if the usable captures have too few different angles to fit Malus's law."""
     for name, chosen in zip(body.channels, used.T, strict=True):
         count = np.unique(angle[chosen] % 180.0).size
         if count < 3 or np.linalg.cond(harmonics(angle[chosen])) > LARGEST_CONDITION:
@@ -242,10 +237,10 @@ def _check_angles(angle: Array, used: NDArray[np.bool_], body: Body) -> None:
 
 
 def _check_captures(captures: Sequence[PolariserCapture], fit: PolariserFit) -> None:
-    """Raise InputFileError if the stated polariser angle of a capture differs from the angle that its frames imply.
+    """Raise InputFileError if the stated polariser angle of a capture contradicts its frames.
 
-    The implied angle is computed from the ratios between the channels. A capture is checked only if at least three channels
-    with different angles are usable.
+    The true angle is computed from the ratios between the channels. This requires at least three usable channels with
+    different angles, so other captures are not checked.
     """
     response = fit.gain[:, None] * np.stack([1.0 + fit.leakage, *(1.0 - fit.leakage) * harmonics(fit.angle).T[1:]], axis=1)
     seen = []
@@ -265,15 +260,15 @@ def _check_captures(captures: Sequence[PolariserCapture], fit: PolariserFit) -> 
 
 
 def _with_reference(fit: PolariserFit, reference: str, body: Body) -> PolariserFit:
-    """Return the fit with all angles shifted so that the channel `reference` has its stated angle.
+    """Shift all angles so that the channel `reference` has its stated angle.
 
-    The standard deviation of the angle of this channel is added in quadrature to the standard deviations of the other
-    angles, and is itself set to 0.
+    The other angles then inherit the error of the reference channel, which is added in quadrature. The reference channel's
+    own error becomes 0.
     """
     if body.polarisers is None or reference not in body.channels:
         raise InputFileError(
-            f'"rotator.reference" is "{reference}", which is not a channel with a stated polariser; write the name of a '
-            "channel with polariser_deg"
+            f'"rotator.reference" is "{reference}", which is not a channel with a stated polariser angle; write the name of '
+            "a channel with polariser_deg"
         )
     channel = body.channels.index(reference)
     shift = angle_difference(body.polarisers.polariser_deg[channel], fit.angle[channel])
@@ -288,12 +283,12 @@ def _with_reference(fit: PolariserFit, reference: str, body: Body) -> PolariserF
 
 
 def contradiction(body: Body, measured: Array) -> str:
-    """Return an error message if measured angles contradict the stated angles of the channels, otherwise "".
+    """Return an error message if the measured angles contradict the stated angles of the channels, otherwise "".
 
     Parameters
     ----------
     body : Body
-        The camera, with the stated angles.
+        The camera, with its stated angles.
     measured : ndarray, (channel,)
         Measured angle of each channel in degrees.
     """
@@ -323,7 +318,7 @@ def contradiction(body: Body, measured: Array) -> str:
 
 
 def polarisers_of(fit: PolariserFit | None, body: Body, wavelength: Array) -> Polarisers | None:
-    """Return the polarisers of a camera. Measured polarisers take precedence over stated polarisers.
+    """Return the measured polarisers of a camera or, if they were not measured, the stated polarisers.
 
     Parameters
     ----------
@@ -349,11 +344,11 @@ def polarisers_of(fit: PolariserFit | None, body: Body, wavelength: Array) -> Po
 
 
 def with_polarisers(camera: CameraModel, fit: PolariserFit | None, body: Body) -> CameraModel:
-    """Add polarisers to a camera model whose responsivities were measured in unpolarised light.
+    """Add polarisers to a camera model with responsivities that were measured in unpolarised light.
 
-    The responsivity of a channel with a polariser is converted to the responsivity to light that is polarised along the
-    transmission axis. With the leakage k, the conversion factor is 2 / (1 + k). Relative responsivities are scaled so that
-    their highest peak is 1. If there are no polarisers, the camera model is returned unchanged.
+    In channels with a polariser, the responsivity is multiplied by 2 / (1 + k), where k is the leakage. It then applies to
+    light polarised along the transmission axis. Relative responsivities are rescaled to a highest peak of 1. Without
+    polarisers, the camera model is returned unchanged.
     """
     polarisers = polarisers_of(fit, body, camera.wavelength)
     if polarisers is None:

@@ -1,7 +1,7 @@
-"""Estimates spectral responsivities, and the gain of each channel.
+"""Estimation of spectral responsivities and of each channel's gain.
 
-Eq. 1 determines the responsivities from monochromatic captures (docs/method.md#responsivity). Eq. 2 determines the gain and
-the offset of each channel from charts under known illuminants (docs/method.md#gain-and-offset). Sweep tables and finished
+Eq. 1 determines the responsivities from monochromatic captures (docs/method.md#responsivity). Eq. 2 determines each
+channel's gain and offset from charts under known illuminants (docs/method.md#gain-and-offset). Sweep tables and finished
 curves need no fit.
 """
 
@@ -19,14 +19,14 @@ from l3cli.physics import spectra
 
 NODE_STEP = 5.0  # nm; distance between hat functions; 10 nm would double the error (docs/method.md#responsivity)
 EDGE = 0.01  # radiances below this fraction of the peak are ignored
-PLATEAU = 1.05  # smoothing weights are equally good if their error is at most 5 % above the smallest error
-PILOT = 10.0  # smoothing weight of the pilot curve for the confidence band, relative to the smoothing weight of the curve
+PLATEAU = 1.05  # smoothing weights with an error up to 5 % above the minimum are equally good
+PILOT = 10.0  # smoothing weight of the pilot curve for confidence bands, relative to the curve itself
 BAND_FLOOR = 0.0002  # smallest half width of a confidence band, as a fraction of the peak
 COVERAGE = 1.96  # half width of a 95 % band in standard deviations
 Array = NDArray[np.float64]
 USUAL = (0.03, 1.0)  # range of plausible peak quantum efficiencies, including lens and filters
 PHOTONS_PER_JOULE = 2.5e18  # at 500 nm
-# Common mistakes in a measurement file, and the factor by which each mistake multiplies the quantum efficiency.
+# common mistakes in measurement files, and their factor on the quantum efficiency
 MISTAKES = {
     "exposure times are in ms (use exposure_ms)": 1e-3,
     "exposure times are in µs (use exposure_us)": 1e-6,
@@ -36,8 +36,8 @@ MISTAKES = {
     "radiances are per µm": 1e-3,
     "exposure times are in s but declared as ms": 1e3,
 }
-CORE = 0.25  # half the side of the central square that is averaged in each patch, as a fraction of the spacing of patches
-# Standard deviation of the mean value of a patch: relative, and in DN (docs/method.md#gain-and-offset).
+CORE = 0.25  # half the side of the central square that is averaged in each patch, as a fraction of the patch spacing
+# standard deviation of a patch's mean value: relative, and in DN (docs/method.md#gain-and-offset)
 RELATIVE_ERROR, ABSOLUTE_ERROR = 0.005, 0.3
 
 
@@ -52,9 +52,9 @@ class Sweep:
 
 
 def node_grid(lights: list[tuple[Array, Array]]) -> Array:
-    """Return the centres in nm of hat functions that cover all spectra. The spacing is NODE_STEP.
+    """Return the centres in nm of hat functions (triangles) that cover all spectra, spaced by NODE_STEP.
 
-    `lights` contains each spectrum as a pair (wavelength in nm, radiance).
+    Each spectrum in `lights` is a pair (wavelength in nm, radiance).
     """
     lit = [wavelength[radiance >= EDGE * radiance.max()] for wavelength, radiance in lights]
     first = np.floor(min(part[0] for part in lit) / NODE_STEP) * NODE_STEP
@@ -63,16 +63,13 @@ def node_grid(lights: list[tuple[Array, Array]]) -> Array:
 
 
 def light_centre(wavelength: Array, radiance: Array) -> float:
-    """Return the central wavelength of a narrow spectrum in nm.
-
-    This wavelength is the centroid of the part of the spectrum in which the radiance is at least half the peak radiance.
-    """
+    """Return the central wavelength of a narrow spectrum in nm: the centroid of the part above half maximum."""
     inside = np.where(radiance >= radiance.max() / 2, radiance * spectra.bin_widths(wavelength), 0.0)
     return float(inside @ wavelength / inside.sum())
 
 
 def node_photons(wavelength: Array, radiance: Array, nodes: Array) -> Array:
-    """Integrate the product of a radiance and each hat function over wavelength.
+    """Integrate a radiance, multiplied by each hat function, over wavelength.
 
     Parameters
     ----------
@@ -92,7 +89,7 @@ def node_photons(wavelength: Array, radiance: Array, nodes: Array) -> Array:
 
 
 def roughness(nodes: int) -> Array:
-    """Return the matrix that computes the second differences of a curve, with the shape (nodes − 2, nodes)."""
+    """Return the matrix (nodes − 2, nodes) that computes the second differences of a curve."""
     return np.diff(np.eye(nodes), n=2, axis=0)
 
 
@@ -104,7 +101,7 @@ def solve(design: Array, values: Array, delta: float) -> Array:
     design : ndarray, (capture, node)
         System matrix.
     values : ndarray, (capture,)
-        Right-hand side, which is scaled to a peak of 1 for the fit, so that the effect of `delta` does not depend on the
+        Right-hand side. It is scaled to a peak of 1 during the fit, so that the effect of `delta` does not depend on the
         channel or the unit.
     delta : float
         Smoothing weight.
@@ -135,7 +132,7 @@ def solve_channels(sweep: Sweep, delta: float) -> Array:
 
 
 def residuals(sweep: Sweep, responsivity: Array) -> Array:
-    """Return the RMS residual of Eq. 1 for each channel, relative to the largest value of the channel."""
+    """Return each channel's RMS residual of Eq. 1, relative to its largest value."""
     relative = []
     for values, valid, curve in zip(sweep.values.T, sweep.valid.T, responsivity, strict=True):
         rest = values[valid] - sweep.design[valid] @ curve
@@ -146,9 +143,8 @@ def residuals(sweep: Sweep, responsivity: Array) -> Array:
 def choose_smoothing(deltas: Array, errors: Array) -> float:
     """Choose a smoothing weight from the validation errors of several weights (docs/method.md#responsivity).
 
-    Around the weight with the smallest error, other weights have nearly the same error, so the minimum depends on chance.
-    The result is therefore the geometric centre of the adjacent weights whose error is at most PLATEAU times the smallest
-    error.
+    Neighbours of the best weight have nearly the same error, so the exact minimum depends on chance. The result is therefore
+    the geometric centre of the contiguous range of weights with errors of at most PLATEAU times the minimum.
 
     Parameters
     ----------
@@ -168,7 +164,7 @@ def choose_smoothing(deltas: Array, errors: Array) -> float:
 
 
 def confidence_bands(sweep: Sweep, responsivity: Array, delta: float, drift: float, wavelength_error: float) -> Array:
-    """Compute the half width of the 95 % confidence bands of the responsivities (docs/method.md#confidence-bands).
+    """Compute the half widths of the responsivities' 95 % confidence bands (docs/method.md#confidence-bands).
 
     Parameters
     ----------
@@ -190,11 +186,11 @@ def confidence_bands(sweep: Sweep, responsivity: Array, delta: float, drift: flo
 
     Notes
     -----
-    The half width is the root sum of squares of five errors:
+    The half width is the root sum of squares of five contributions:
 
-    1. The standard deviation that the curve would have if the signs of the residuals were random (wild bootstrap). The
-       residuals come from a smoother pilot curve and are divided by 1 − leverage. Because the estimate is linear where r >
-       0, this error has a closed form.
+    1. The standard deviation of the curve for residuals with random signs (wild bootstrap). The residuals come from a
+       smoother pilot curve and are divided by 1 − leverage. Because the estimate is linear where r > 0, this contribution
+       has a closed form.
     2. The bias of the pilot curve.
     3. The effect of the lamp drift.
     4. The effect of the wavelength error.
@@ -225,18 +221,15 @@ def confidence_bands(sweep: Sweep, responsivity: Array, delta: float, drift: flo
 
 
 def _smoother(design: Array, delta: float) -> Array:
-    """Return the matrix that converts the values of captures to a responsivity: (node, capture).
-
-    Unlike in `solve`, responsivities may be negative.
-    """
+    """Return the matrix (node, capture) that converts capture values to a responsivity, without the constraint r ≥ 0."""
     penalty = roughness(design.shape[1])
     return np.asarray(np.linalg.solve(design.T @ design + delta * penalty.T @ penalty, design.T), dtype=np.float64)
 
 
 def smoothers(sweep: Sweep, delta: float) -> list[Array]:
-    """Return, for each channel, the matrix that converts the values of the captures to the responsivity: (node, capture).
+    """Return each channel's matrix (node, capture) that converts capture values to a responsivity.
 
-    The columns of captures in which the channel is saturated contain zeros.
+    Columns of captures in which the channel is saturated contain zeros.
     """
     matrices = []
     for valid in sweep.valid.T:
@@ -265,14 +258,14 @@ class Curves:
         return replace(self, relative=self.relative / peak, band=self.band / peak)
 
     def widened(self, light_error: float, wavelength_error: float) -> "Curves":
-        """Widen the confidence bands by the errors of the light with which the curves were measured.
+        """Widen the confidence bands by the brightness and wavelength errors of the light used for the measurement.
 
         Parameters
         ----------
         light_error : float
-            Relative standard deviation of the brightness of the light.
+            Relative standard deviation of the brightness.
         wavelength_error : float
-            Standard deviation of the wavelength of the light in nm.
+            Standard deviation of the wavelength in nm.
         """
         slope = np.gradient(self.relative, self.wavelength, axis=1) if self.wavelength.size > 1 else 0.0
         stated = COVERAGE * np.hypot(light_error * self.relative, wavelength_error * slope)
@@ -280,9 +273,9 @@ class Curves:
 
 
 def from_sweep(table: SweepTable, body: Body) -> Array:
-    """Compute the responsivities per photon from a sweep that was measured with a photodiode.
+    """Compute the responsivities per photon from a wavelength sweep with a photodiode as reference.
 
-    Dark readings are subtracted from the readings of the camera and of the photodiode. Negative responsivities become zero.
+    Dark readings are subtracted for camera and photodiode. Negative responsivities become zero.
 
     Returns
     -------
@@ -298,14 +291,13 @@ def from_sweep(table: SweepTable, body: Body) -> Array:
     dark = np.flatnonzero(~(energy > 0))
     if dark.size:
         raise InputFileError(
-            f"the photodiode receives no light at {table.wavelength[dark[0]]:g} nm; remove this row from the table of the "
-            "sweep"
+            f"the photodiode receives no light at {table.wavelength[dark[0]]:g} nm; remove this row from the sweep table"
         )
     per_energy = np.maximum(table.light - table.dark, 0.0) / energy
     blind = np.flatnonzero(per_energy.max(axis=1) <= 0)
     if blind.size:
         raise InputFileError(
-            f"channel {body.channels[blind[0]]} has no signal in the table of the sweep; check the columns of this channel"
+            f"channel {body.channels[blind[0]]} has no signal in the sweep table; check the columns of this channel"
         )
     return np.asarray(per_energy / table.wavelength, dtype=np.float64)
 
@@ -313,8 +305,8 @@ def from_sweep(table: SweepTable, body: Body) -> Array:
 def without_fit(curve: SweepTable | FinishedCurves, body: Body, light_error: float, wavelength_error: float) -> Curves:
     """Convert a sweep table or finished curves to relative responsivities with a highest peak of 1.
 
-    The confidence bands are computed from the declared errors of brightness and wavelength. If one of these errors is 0
-    (unknown), the bands are 0.
+    The confidence bands follow from the declared errors of brightness and wavelength. They are 0 (unknown) if one of these
+    errors is 0.
     """
     relative = from_sweep(curve, body) if isinstance(curve, SweepTable) else curve.responsivity
     curves = Curves(curve.wavelength, relative, np.zeros_like(relative))
@@ -341,7 +333,7 @@ def efficiency(curves: Curves, fit: Fit, gain: float, body: Body) -> tuple[Array
     Returns
     -------
     efficiency, band : ndarray, (channel, wavelength)
-        Quantum efficiency, and the half width of its 95 % confidence band, which includes the errors of alpha and K.
+        Quantum efficiency, and half width of its 95 % confidence band, including the errors of alpha and K.
     """
     assert fit.chart is not None
     assert fit.noise is not None
@@ -355,8 +347,8 @@ def efficiency(curves: Curves, fit: Fit, gain: float, body: Body) -> tuple[Array
 def check_efficiency(responsivity: Array, odd: tuple[str, ...] = ()) -> None:
     """Raise InputFileError if a quantum efficiency exceeds 1.
 
-    `odd` contains descriptions of implausible captures. If `odd` is not empty, the message asks the user to check the first
-    of these captures.
+    If `odd` contains descriptions of implausible captures, the message recommends checking the first one. Otherwise it
+    recommends checking the units.
     """
     peak = float(responsivity.max())
     if peak > 1.0:
@@ -367,17 +359,17 @@ def check_efficiency(responsivity: Array, odd: tuple[str, ...] = ()) -> None:
 
 
 def likely_mistake(peak: float) -> str:
-    """Return advice to check the units, with the mistakes that would explain an implausible peak quantum efficiency."""
+    """Recommend checking the units, and list mistakes that would explain an implausible peak quantum efficiency."""
     likely = [mistake for mistake, factor in MISTAKES.items() if USUAL[0] <= peak / factor <= USUAL[1]]
     general = "the units of radiances (photons/s/sr/m²/nm), exposure times, pixel_pitch_um and f_number"
     return f"check {general}" + (f"; perhaps {' or '.join(likely)}" if likely else "")
 
 
 def patch_map(corners: Array, rows: int, cols: int) -> NDArray[np.int64]:
-    """Return the index of the ColorChecker patch to which each pixel belongs, with the shape (row, col).
+    """Return the index of the ColorChecker patch at each pixel: (row, col).
 
-    A pixel belongs to a patch if it is within the central square of the patch. All remaining pixels have the index 24. The
-    chart may be rotated and seen in perspective.
+    Only the central square of each patch gets its index, and all other pixels get 24. The chart may be rotated and seen in
+    perspective.
 
     Parameters
     ----------
@@ -393,8 +385,8 @@ def patch_map(corners: Array, rows: int, cols: int) -> NDArray[np.int64]:
 def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> tuple[Array, NDArray[np.bool_]]:
     """Measure the patches of a chart, averaged over all frames of the capture.
 
-    A patch is saturated in a channel if, in any frame, more than 0.1 % of the pixels in its central square have at least
-    `limit` DN. Defective pixels are not used.
+    A patch is saturated in a channel if more than 0.1 % of the pixels in its central square reach `limit` DN in any frame.
+    Defective pixels are ignored.
 
     Returns
     -------
@@ -422,10 +414,7 @@ def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defec
 
 
 def unsaturated_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> Array:
-    """Return the mean value of each patch and channel in DN.
-
-    Raises InputFileError if a patch is saturated, and for the same reasons as `patch_values`.
-    """
+    """As `patch_values`, but return only the values, and raise InputFileError if a patch is saturated."""
     values, saturated = patch_values(capture, body, limit, defects)
     if saturated.any():
         patch, channel = np.argwhere(saturated)[0]
@@ -436,10 +425,7 @@ def unsaturated_values(capture: ChartCapture, body: Body, limit: float, defects:
 
 
 def patch_illumination(capture: ChartCapture, body: Body, defects: Defects) -> Array:
-    """Return the relative illumination (cos⁴ falloff of the lens) at the image of each patch: (patch, 1).
-
-    On the optical axis, the relative illumination is 1.
-    """
+    """Return the illumination of each patch's image relative to the optical axis, due to cos⁴ falloff: (patch, 1)."""
     pixels, label, count = _cores(capture, body, defects)
     channels = len(body.channels)
     light = _per_label(label, body.relative_illumination.ravel()[pixels], channels)
@@ -447,7 +433,7 @@ def patch_illumination(capture: ChartCapture, body: Body, defects: Defects) -> A
 
 
 def _cores(capture: ChartCapture, body: Body, defects: Defects) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Find the pixels in the central squares of the patches, except for defective pixels.
+    """Find the pixels in the patches' central squares, except defective pixels.
 
     Returns
     -------
@@ -467,7 +453,7 @@ def _cores(capture: ChartCapture, body: Body, defects: Defects) -> tuple[NDArray
     if (capture.corners < 0).any() or (capture.corners > (cols, rows)).any():
         raise InputFileError(
             f"{capture.name}: a corner of the chart is outside the frame, which has {cols} columns and {rows} rows; "
-            'correct "corners", which contains the column and row of each corner'
+            'correct "corners", the column and row of each corner'
         )
     try:
         patches = patch_map(capture.corners, rows, cols)
@@ -525,9 +511,8 @@ def fit_gain(photons: Array, values: Array, black_level: float) -> tuple[float, 
 def gain_error(photons: Array, values: Array, black_level: float, alpha: float, beta: float, drift: float) -> float:
     """Return the standard error of `alpha`, the slope of the fit in Eq. 2.
 
-    The slope is also fitted to each chart separately. The standard error is the standard deviation of these slopes, divided
-    by the square root of the number of charts. If the declared lamp drift would cause a larger standard deviation, that
-    standard deviation is used instead.
+    It is the standard deviation of the slopes of separate fits to each chart, or the standard deviation due to the declared
+    lamp drift if that is larger, divided by the square root of the number of charts.
 
     Parameters
     ----------
@@ -570,7 +555,7 @@ def relative_rmse(measured: Array, predicted: Array, black_level: Array | float)
 
 
 def r_squared(measured: Array, predicted: Array) -> Array:
-    """Return R²: the fraction of the variance over charts and patches that the prediction explains.
+    """Return R², the fraction of the variance over charts and patches that the prediction explains.
 
     The arrays have the shape (chart, patch, …), and the result has the shape (…).
     """
@@ -581,8 +566,7 @@ def r_squared(measured: Array, predicted: Array) -> Array:
 def cross_validate(photons: Array, values: Array, black_level: float) -> float:
     """Return the relative RMSE of a leave-one-out cross-validation over the charts.
 
-    Each chart is predicted with alpha and beta from the other charts. `photons` and `values` have the shape (chart,
-    patch).
+    Each chart is predicted with alpha and beta from the other charts. `photons` and `values` are arrays (chart, patch).
     """
     predicted = np.empty_like(values)
     for left_out in range(len(values)):

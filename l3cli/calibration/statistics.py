@@ -1,7 +1,7 @@
-"""Statistics of frames, and the search for defective pixels.
+"""Statistics of frames, and detection of defective pixels.
 
-Histograms, means and temporal variances are computed for each channel, without defective pixels. The parameter `each` is a
-function with the signature of the built-in `map`, which applies a function to each capture and may use several processes.
+Histograms, means and temporal variances are computed per channel, without defective pixels. The parameter `each` is the
+built-in `map` or a parallel replacement, which applies a function to each capture.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -15,10 +15,10 @@ from l3cli.artifacts.camera import DefectMap
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import Body, Capture
 
-# limit in robust standard deviations; a normally distributed pixel exceeds this limit with a probability below 10⁻⁸
+# limit in robust standard deviations, which normally distributed pixels exceed with a probability below 10⁻⁸
 OUTLIER = 6.0
-LEAST_LOSS = 0.1  # a smaller relative deviation from neighbouring pixels counts as PRNU, not as a defect
-WHOLE_LINE = 0.9  # if this fraction of a row or column is defective, the whole row or column is marked as defective
+LEAST_LOSS = 0.1  # smaller relative deviations from neighbouring pixels count as PRNU, not as a defect
+WHOLE_LINE = 0.9  # if at least this fraction of a row or column is defective, the whole line is marked as defective
 Defects = NDArray[np.int64]  # (defect, 2): row and column of each defective pixel
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]  # (channel, value): number of pixels with each raw value
@@ -32,10 +32,10 @@ def no_defects() -> Defects:
 def outliers(picture: Array, cfa: NDArray[np.uint8], least: float = 0.0) -> Defects:
     """Find defective pixels, rows and columns by their deviation from other pixels at the same CFA site.
 
-    A pixel is an outlier if its deviation from the median of the site exceeds both OUTLIER standard deviations and `least`.
-    The rows and columns of a site are also tested. The median of a row is compared with the medians of all rows, and all
-    pixels of the row are outliers if the deviation exceeds three limits: OUTLIER standard deviations of the medians, one
-    standard deviation of the pixels, and `least`. The same applies to columns.
+    A pixel is an outlier if its deviation from the site's median exceeds both OUTLIER standard deviations and `least`. A
+    whole row is an outlier if its median deviates from the typical row median by more than each of three limits: OUTLIER
+    standard deviations of the row medians, one standard deviation of the pixels, and `least`. Columns are tested in the same
+    way.
     """
     rows, cols = cfa.shape
     defects = []
@@ -59,12 +59,12 @@ def _middle_and_spread(values: Array) -> tuple[float, float]:
 
 
 def joined_defects(*parts: Defects) -> Defects:
-    """Merge lists of defective pixels. The result is sorted by row and column, and contains each pixel once."""
+    """Merge lists of defective pixels, without duplicates and sorted by row and column."""
     return np.unique(np.concatenate(parts), axis=0).astype(np.int64)
 
 
 def patched(picture: Array, cfa: NDArray[np.uint8], defects: Defects) -> Array:
-    """Return a picture in which defective pixels are replaced by the median of neighbours at the same CFA site."""
+    """Replace defective pixels by the median of neighbouring pixels at the same CFA site."""
     rows, cols = cfa.shape
     result = picture.copy()
     for row, col in defects:
@@ -77,7 +77,7 @@ def patched(picture: Array, cfa: NDArray[np.uint8], defects: Defects) -> Array:
 def defect_map(defects: Defects, hot: Defects, shape: tuple[int, int], blinking: Defects | None = None) -> DefectMap:
     """Build the defect map of a sensor.
 
-    If nearly all pixels of a row or column are defective, the whole row or column is marked as defective.
+    A row or column is marked as a whole if nearly all of its pixels are defective (WHOLE_LINE).
 
     Parameters
     ----------
@@ -88,8 +88,7 @@ def defect_map(defects: Defects, hot: Defects, shape: tuple[int, int], blinking:
     shape : tuple of int
         Rows and columns of the sensor.
     blinking : ndarray, (defect, 2), optional
-        Row and column of the defective pixels that blink. They have the type "blinking" even if they are also hot.
-        [default: none]
+        Row and column of the blinking pixels. They get the type "blinking" even if they are also hot. [default: none]
     """
     bad, named = np.zeros(shape, bool), np.full(shape, "dead", dtype="<U8")
     bad[tuple(defects.T)] = True
@@ -105,7 +104,7 @@ def defect_map(defects: Defects, hot: Defects, shape: tuple[int, int], blinking:
 
 
 def defect_counts(defects: DefectMap, shape: tuple[int, int]) -> dict[str, int]:
-    """Count the defects of each type in a defect map, and the clusters of adjacent hot or dead pixels."""
+    """Count the defects of each type in a defect map, and the clusters of adjacent single-pixel defects."""
     from scipy.ndimage import label
 
     kind, (row, col) = np.array(defects.pixel_kind, dtype=str), defects.position.T
@@ -126,24 +125,24 @@ def defect_counts(defects: DefectMap, shape: tuple[int, int]) -> dict[str, int]:
 
 @dataclass(frozen=True)
 class Level:
-    """Statistics of a capture, whose frames all have the same exposure time."""
+    """Statistics of a capture, which is a set of frames with the same exposure time."""
 
     exposure: float  # s
     lit: float  # s; exposure time, corrected for the brightness of the lamp
     trials: int  # number of frames
     counts: Counts  # sum of the histograms of all frames
-    variance: Array  # (channel,): temporal variance in DN², including row noise and column noise
-    pixel_variance: Array  # (channel,): temporal variance in DN² without row noise and column noise
-    lines: "LineSquares"  # analysis of the temporal variance by rows and columns
+    variance: Array  # (channel,): temporal variance in DN², including row and column noise
+    pixel_variance: Array  # (channel,): temporal variance in DN², without row and column noise
+    lines: "LineSquares"  # temporal variance, split into rows, columns and pixels
 
 
 @dataclass(frozen=True)
 class LineSquares:
     """Mean squares from a two-way analysis of variance of a picture.
 
-    If there is no row noise, `rows` and `pixels` have the same expected value. Row noise increases the expected value of
-    `rows` by the variance of the rows, multiplied by the number of pixels in a row. The same applies to columns. For the
-    temporal noise, the picture is the difference between two frames, and the mean squares are halved.
+    Without row noise, `rows` and `pixels` have the same expected value. Row noise increases the expected value of `rows` by
+    its variance times the number of pixels in a row. The same applies to columns. To measure temporal noise, the picture is
+    the difference between two frames, and the mean squares are halved.
     """
 
     rows: float  # DN²
@@ -154,10 +153,9 @@ class LineSquares:
 
 
 def line_squares(picture: NDArray[Any], body: Body) -> Array:
-    """Return the sums of squares of rows, of columns and of pixels in a picture.
+    """Return the sums of squares of the rows, columns and pixels of a picture, for `mean_squares`.
 
-    Before the sums are computed, the picture is divided by the relative gain of each channel, and the mean of each CFA site
-    is subtracted.
+    First, the mean of each CFA site is subtracted, and the pixels are divided by the relative gain of their channel.
     """
     scaled = np.empty(picture.shape)
     for (channel, site), (_, target) in zip(by_site(picture, body.cfa), by_site(scaled, body.cfa), strict=True):
@@ -167,10 +165,9 @@ def line_squares(picture: NDArray[Any], body: Body) -> Array:
 
 
 def mean_squares(sums: Sequence[Array], body: Body) -> LineSquares:
-    """Return the mean squares of rows, of columns and of pixels.
+    """Combine the sums of squares of several pictures with the same noise, from `line_squares`, to mean squares.
 
-    `sums` contains the result of `line_squares` for each of several pictures with the same noise, for example for each pair
-    of frames with the same exposure time.
+    The pictures can be, for example, the pairs of frames with the same exposure time.
     """
     (down, across), pairs = body.cfa.shape, len(sums)
     rows, columns = body.rows - down, body.cols - across
@@ -180,14 +177,14 @@ def mean_squares(sums: Sequence[Array], body: Body) -> LineSquares:
 
 
 def by_site(values: NDArray, cfa: NDArray[np.uint8]) -> Iterator[tuple[int, NDArray]]:
-    """Yield the channel and the pixels of each CFA site, row by row. The pixels are a view of `values` with two axes."""
+    """Iterate over the CFA sites, row by row. Yields each site's channel and a view of its pixels (row, col)."""
     rows, cols = cfa.shape
     for row, col in np.ndindex(rows, cols):
         yield int(cfa[row, col]), values[row::rows, col::cols]
 
 
 def pooled(per_site: Sequence[float], cfa: NDArray[np.uint8]) -> Array:
-    """Average numbers over the CFA sites of each channel. `per_site` has one number per site, in the order of `by_site`."""
+    """Average `per_site`, one number per CFA site in the order of `by_site`, over the sites of each channel."""
     count = np.bincount(cfa.ravel())
     return np.bincount(cfa.ravel(), weights=np.asarray(per_site, dtype=np.float64)) / count
 
@@ -204,7 +201,7 @@ def histogram(values: NDArray[np.uint16], body: Body, defects: Defects) -> Count
 
 
 def count_values(capture: Capture, body: Body, defects: Defects) -> Counts:
-    """Return the sum of the histograms of all frames of a capture, without defective pixels: (channel, value)."""
+    """Sum the histograms of all frames of a capture, without defective pixels: (channel, value)."""
     counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
     for frame in capture.frames:
         counts += histogram(frame, body, defects)
@@ -212,12 +209,12 @@ def count_values(capture: Capture, body: Body, defects: Defects) -> Counts:
 
 
 def mean_value(counts: Counts) -> Array:
-    """Return the mean value of each channel in DN, from its histogram."""
+    """Compute each channel's mean value in DN from its histogram."""
     return counts @ np.arange(counts.shape[1]) / counts.sum(axis=1)
 
 
 def share_from(counts: Counts, value: float) -> Array:
-    """Return, for each channel, the fraction of pixels with at least `value` DN, from the histogram of the channel."""
+    """Compute each channel's fraction of pixels with at least `value` DN from its histogram."""
     return counts[:, int(np.ceil(value)) :].sum(axis=1) / counts.sum(axis=1)
 
 
@@ -225,8 +222,8 @@ def measure_level(capture: Capture, body: Body, defects: Defects) -> Level:
     """Measure the histogram and the temporal variance of a capture in uniform light or in the dark.
 
     The temporal variance is half the variance of the difference between two consecutive frames, averaged over pairs (frames
-    1 and 2, frames 3 and 4…). Fixed-pattern noise cancels in the difference. Drifts of the lamp or of the black level hardly
-    matter between consecutive frames. Raises InputFileError if the capture contains only one frame.
+    1 and 2, frames 3 and 4…). Fixed-pattern noise cancels in the difference, and lamp and black level hardly drift between
+    consecutive frames. Raises InputFileError if the capture contains only one frame.
     """
     counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
     variances, pixel_variances, squares, trials = [], [], [], 0
@@ -297,7 +294,7 @@ def weighted_sums(captures: Sequence[Capture], weights: Array, body: Body, each:
 
 
 def mean_frame(capture: Capture) -> NDArray[np.float32]:
-    """Return the mean of all frames of a capture in DN: (row, col)."""
+    """Average all frames of a capture, in DN: (row, col)."""
     total: NDArray | None = None
     trials = 0
     for frame in capture.frames:

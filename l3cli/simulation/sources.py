@@ -338,7 +338,9 @@ def check_size(size: tuple[int, ...], camera: CameraModel | None, error: type[L3
         )
     if camera and (rows > camera.rows or cols > camera.cols):
         smaller = "set scale, crop or (pictures only) shrink" if error is InputFileError else "set a smaller size"
-        raise error(f"{name} has {rows}×{cols} pixels, but the sensor has only {camera.rows}×{camera.cols}; {smaller}")
+        raise error(
+            f"{name} has {rows}×{cols} pixels, which is larger than the sensor ({camera.rows}×{camera.cols}); {smaller}"
+        )
 
 
 def framed(cube: NDArray[np.float32], framing: Framing, camera: CameraModel) -> NDArray[np.float32]:

@@ -161,7 +161,7 @@ def test_sums_for_low_noise_are_those_of_all_sites(bayer: CameraModel, tmp_path:
         assert reader.conditions == 1
         assert equal(reader.site(0, 1), sums)
     write_partial_sums(tmp_path / "less.h5", head, iter([sums]), iter([]))
-    with pytest.raises(InputFileError, match="sums of one or more sites are missing"), open_partial_sums(tmp_path / "less.h5"):
+    with pytest.raises(InputFileError, match="sums of one or more sites"), open_partial_sums(tmp_path / "less.h5"):
         pass
     layer, _ = some_layer_sums(bayer)
     with pytest.raises(ValueError, match="gradients must contain one scale"):
