@@ -1,4 +1,4 @@
-"""The stage of `l3 calibrate`, which estimates a camera model from measurements or drafts a measurement file."""
+"""The `l3 calibrate` stage, which estimates a camera model from measurements or drafts a measurement file."""
 
 import itertools
 import os
@@ -30,7 +30,7 @@ from l3cli.system.files import FilesUsed, files_to_read, write_whole
 from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import counted
 
-MAX_PRINTED = 8  # largest number of assumptions, and of missing entries, that are printed
+MAX_PRINTED = 8  # printed lines about assumed values, and about missing values
 
 
 def calibrate(
@@ -38,8 +38,8 @@ def calibrate(
 ) -> tuple[CameraModel, dict[str, Any], FilesUsed]:
     """Calibrate a camera from a measurement file or from raw photos of a ColorChecker, and write the camera model.
 
-    Warnings about the fit are sent to the console. If the measurement file only corrects an existing camera model, the fit
-    is not checked.
+    The quality of the fit is checked, unless the measurement file only corrects an existing camera model. Warnings are
+    printed on the console.
 
     Parameters
     ----------
@@ -62,9 +62,9 @@ def calibrate(
     Raises
     ------
     InputFileError, RecipeError
-        If the measurements cannot be used, or if `measurements` and `options.photos` are both set or both missing.
+        If the measurements are unsuitable, or if `measurements` and `options.photos` are both set or both missing.
     L3Error
-        If the model predicts the charts badly and `accept` is not set, or if the output cannot be written.
+        If the model predicts the charts poorly and `accept` is not set, or if the output cannot be written.
     """
     photos, light, truth = options.photos, options.light, options.truth
     console, force = options.console, options.force
@@ -125,9 +125,9 @@ def calibrate(
 def draft(folder: Path, output: Path, options: DraftOptions) -> FilesUsed:
     """Write a draft of a measurement file for a folder of captures.
 
-    If the folder contains no raw frames, the draft describes the tables of responsivities in the folder. The frames contain
-    no information about sensor, CFA and optics, so these values come from `options.camera`. In the draft, unknown values are
-    marked TODO and assumed values are marked ASSUMED. The most important values of both types are also printed.
+    If the folder contains no raw frames, the draft describes its tables of responsivities. Sensor, CFA and optics come from
+    `options.camera`, because frames contain no information about them. The draft marks unknown values with TODO and assumed
+    values with ASSUMED. The most important of these values are also printed.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def draft(folder: Path, output: Path, options: DraftOptions) -> FilesUsed:
     InputFileError
         If the folder contains neither raw frames nor responsivities.
     RecipeError
-        If the frames do not fit the camera, or if the name of the output does not end in .toml.
+        If the frames do not fit the camera, or if the output file name does not end in .toml.
     L3Error
         If the output cannot be written.
     """
@@ -196,7 +196,7 @@ def draft(folder: Path, output: Path, options: DraftOptions) -> FilesUsed:
 
 
 def _problem(text: str, output: Path) -> str:
-    """Return the error that `l3 calibrate` would report for a complete draft, or "" if the draft has no errors."""
+    """Return the error that `l3 calibrate` would report for a draft without missing values, or "" if there is none."""
     try:
         measurements_of(parse_measurements(text, output), output)
     except L3Error as error:
@@ -208,18 +208,15 @@ def _problem(text: str, output: Path) -> str:
 
 
 def named_from(path: Path, output: Path) -> str:
-    """Return a path as written in the measurement file `output`.
-
-    Paths inside the folder of the measurement file are relative to this folder. All other paths are absolute.
-    """
+    """Return a path for use in the measurement file `output`: relative if it is inside the file's folder, else absolute."""
     relative = os.path.relpath(path, output.parent)
     return str(path.absolute()) if relative.startswith("..") else Path(relative).as_posix()
 
 
 def spectra_of(listing: CaptureFolder, output: Path, notes: list[str]) -> list[Spectra]:
-    """Return the tables of spectra in a folder, in natural order of their names.
+    """Read the tables of spectra in a folder, in natural order of their names.
 
-    `notes` receives a message about each skipped file.
+    A message about each skipped file is appended to `notes`.
     """
     tables = read_spectra(listing, notes)
     spectra = [Spectra(named_from(listing.folder / name, output), read_name(name), table) for name, table in tables]

@@ -1,8 +1,8 @@
-"""The stages of `l3 check` and `l3 schema`.
+"""The `l3 check` and `l3 schema` stages.
 
-`l3 check` finds errors in recipes and prints the lines on which they occur. `l3 schema` prints the JSON schema of a type of
-recipe. The checks of design recipes and scene files are in this module, because they need several packages that do not
-import each other. The other checks are in the packages that define the recipes.
+`l3 check` finds faults in recipes and prints their line numbers. `l3 schema` prints the JSON schema of a type of recipe.
+Most checks are in the packages that define the recipes. The checks of design recipes and scene files are in this module,
+because they need several packages that do not import each other.
 """
 
 import contextlib
@@ -51,16 +51,15 @@ from l3cli.training.summary import class_lines, class_meaning
 
 
 def files_named(path: Path, content: Mapping[str, Any]) -> tuple[Path, ...]:
-    """Return the existing files to which a recipe refers.
+    """Find the existing files to which a recipe refers.
 
-    A recipe refers to a file by its name, by a pattern such as "*.exr", or within the description of a mixture of
-    illuminants, such as "0.7 D65 + 0.3 lamp.csv". Every text in the recipe is tried as a file name. Missing files are
-    skipped.
+    Recipes can contain file names, patterns such as "*.exr", and mixtures of illuminants such as "0.7 D65 + 0.3 lamp.csv".
+    Every text in the recipe is tried as a file name. Missing files are skipped.
 
     Parameters
     ----------
     path : Path
-        File of the recipe. File names in a recipe are relative to the folder of the recipe.
+        Path of the recipe, to whose folder file names are relative.
     content : mapping
         Content of the recipe.
     """
@@ -76,7 +75,7 @@ def files_named(path: Path, content: Mapping[str, Any]) -> tuple[Path, ...]:
 
 
 def design_recipe_faults(recipe: DesignRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults of a design recipe. The files of spectra are checked only if the recipe itself has no faults."""
+    """Find the faults of a design recipe. Its files of spectra are checked only if the recipe itself has no faults."""
     wrong = list(design_faults(recipe))
     yield from wrong
     if not wrong:
@@ -89,10 +88,9 @@ def _design_curves(recipe: DesignRecipe, source: RecipeSource) -> Any:
 
 
 def design_meaning(recipe: DesignRecipe, source: RecipeSource) -> Meaning:
-    """Return the summary of a design recipe for `l3 check`, and an empty list of faults.
+    """Summarise a design recipe for `l3 check`: peak quantum efficiencies of the filters, light levels, and warnings.
 
-    The summary contains the peak quantum efficiencies of the filters, the illuminants and exposures of the levels, and
-    warnings.
+    The returned list of faults is empty.
     """
     curves = _design_curves(recipe, source)
     camera = pixel_of(recipe.pixel, source.path.parent)
@@ -111,10 +109,7 @@ def design_lines(figures: dict[str, Any], width: int | None) -> list[str]:
 
 
 def scene_recipe_faults(recipe: SceneRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults of a scene recipe, including missing files.
-
-    If `source` has a camera, the recipe is checked for this camera.
-    """
+    """Find the faults of a scene recipe, including missing files and, if the camera is known, conflicts with the camera."""
     yield from scene_faults(recipe, source.camera)
     yield from curve_faults(recipe, source)
     for number, scene in enumerate(recipe.scene):
@@ -127,11 +122,10 @@ def scene_recipe_faults(recipe: SceneRecipe, source: RecipeSource) -> Iterator[F
 
 
 def scene_meaning(recipe: SceneRecipe, source: RecipeSource) -> Meaning:
-    """Return the summary of a scene recipe for `l3 check`, and faults in its scene files.
+    """Summarise a scene recipe for `l3 check`: numbers of scenes, clips and frames, illuminants, luminances and exposures.
 
-    The summary contains the numbers of scenes, clips and frames, the illuminants, the luminances and the exposures. If
-    `source` has a camera, the scene files are also checked, for example for their size, and the summary contains the sizes
-    of the frames and warnings. If `source` has no camera, the list of faults is empty.
+    If the camera is known, l3 also checks the scene files, for example their size, and adds frame sizes and warnings to the
+    summary. Returns the summary and the faults in the scene files.
     """
     run = None
     if source.camera is None:
@@ -163,11 +157,7 @@ def scene_meaning(recipe: SceneRecipe, source: RecipeSource) -> Meaning:
 
 
 def _sizes(recipe: SceneRecipe, run: SimulationRun, files: list[list[Path]]) -> dict[str, Any]:
-    """Return the size of the frames that a scene recipe produces with a camera, for the summary of `l3 check`.
-
-    The result contains the name of the camera, the size of the largest frame in pixels and in bytes, and the total number of
-    bytes.
-    """
+    """Summarise frame sizes: camera name, largest frame in pixels and in bytes, and total number of bytes."""
     sizes = []
     for scene, paths in zip(recipe.scene, files, strict=True):
         each = len(recipe.illuminants) * len(recipe.luminances()) * len(recipe.exposures()[1])
@@ -186,10 +176,10 @@ def _sizes(recipe: SceneRecipe, run: SimulationRun, files: list[list[Path]]) -> 
 
 
 def measurement_meaning(recipe: MeasurementRecipe | CorrectionRecipe, source: RecipeSource) -> Meaning:
-    """Return the summary of a measurement file for `l3 check`, and faults in its polariser frames.
+    """Summarise a measurement file for `l3 check`, and find faults in its polariser frames.
 
-    A fault is reported if the frames behind a rotating polariser contradict each other or the stated angles of the channels.
-    If the file states no angles, the angles of the camera in `source` are used.
+    Frames behind a rotating polariser must agree with each other and with the stated angles of the channels. If the file
+    contains no angles, the angles of the camera in `source` are used.
     """
     measured = measurements_of(recipe, source.path)
     camera, body = source.camera, measured.body
@@ -203,21 +193,21 @@ class Kind(NamedTuple):
     """A type of recipe, such as camera recipes or class recipes."""
 
     name: str
-    # The structure of a complete recipe and, if different, the structure of a recipe with the key `base`.
+    # class of a complete recipe and, if it differs, class of a recipe with the key `base`
     recipes: tuple[type[Recipe], ...]
-    folder: str | None  # folder in configs/ that contains the recipes of this type that come with l3
+    folder: str | None  # folder in configs/ with l3's own recipes of this type
 
     @property
     def title(self) -> str:
         return self.recipes[0].title
 
     def structure(self, content: Mapping[str, Any]) -> type[Recipe]:
-        """Return the class that defines the structure of a recipe. The key `base` can change the structure."""
+        """Return the class that defines the keys of a recipe, which depends on whether the recipe has a base."""
         return self.recipes[-1] if "base" in content else self.recipes[0]
 
 
 CAMERA = "camera"
-# Additional keys that identify the type of a recipe with the key `base`.
+# additional keys that identify the type of a recipe with the key `base`
 BASED = {"a camera recipe": ("base", "phase"), "a measurement file": ("dark", "white")}
 KINDS = {
     kind.name: kind
@@ -233,10 +223,10 @@ KINDS = {
 
 
 def kind_of(content: Mapping[str, Any]) -> Kind | None:
-    """Determine the type of a recipe from its keys and tables. Return None if two types fit equally well.
+    """Determine the type of a recipe from its keys. Returns None if two types fit equally well.
 
-    For each type, the keys that occur only in this type are counted. The type with the largest count is chosen. If several
-    types have the same count, the number of keys whose values have the right form decides.
+    The type with the most matching characteristic keys, which occur in no other type, is chosen. If several types have the
+    same number of matches, the number of keys with suitable values decides.
     """
     ranked = sorted(KINDS.values(), key=lambda kind: _likeness(content, kind), reverse=True)
     best, second = (_likeness(content, kind) for kind in ranked[:2])
@@ -251,10 +241,7 @@ def _likeness(content: Mapping[str, Any], kind: Kind) -> tuple[int, int]:
 
 
 def _fits(field: msgspec.structs.FieldInfo, value: Any) -> bool:
-    """Whether a value has the form that a field requires: a table, a list or a single value.
-
-    The content of a table or list is not checked.
-    """
+    """Return whether a value has the required form: table, list or single value. The content is not checked."""
     try:
         msgspec.convert(value, field.type)
     except msgspec.ValidationError as error:
@@ -263,13 +250,7 @@ def _fits(field: msgspec.structs.FieldInfo, value: Any) -> bool:
 
 
 def names() -> dict[str, list[tuple[Kind, Path]]]:
-    """Return the recipes that come with l3.
-
-    Returns
-    -------
-    dict
-        For each name, the type and the file of every recipe with this name.
-    """
+    """List the recipes included with l3: for each name, the type and path of every recipe with this name."""
     known: dict[str, list[tuple[Kind, Path]]] = {}
     for kind in KINDS.values():
         for name, path in (known_recipes(kind.folder) if kind.folder else {}).items():
@@ -287,7 +268,7 @@ class Checks(NamedTuple):
 
     faults: Callable[[Any, RecipeSource], Iterator[Fault]]
     meaning: Callable[[Any, RecipeSource], Meaning]
-    lines: Callable[[dict[str, Any], int | None], list[str]]  # formats the meaning as text of the given width
+    lines: Callable[[dict[str, Any], int | None], list[str]]  # formats the summary as text of a given width
 
 
 CHECKS = {
@@ -299,10 +280,10 @@ CHECKS = {
     "measurements": Checks(measurement_faults, measurement_meaning, measurement_lines),
 }
 INDENT = "  "
-# Similar faults have messages that differ only in the number of a list entry, or in the name of a missing file.
+# parts in which the messages of similar faults may differ: the number of a list entry, or the name of a missing file
 ENTRY = re.compile(r"\[\d+\]|^.*(?= does not exist)")
-MAX_LISTED = 3  # a larger number of similar faults is printed as one line
-MAX_LINE_NUMBERS = 8  # largest number of line numbers in a line about similar faults
+MAX_LISTED = 3  # more similar faults than this are printed as one line
+MAX_LINE_NUMBERS = 8  # line numbers that are listed for similar faults
 SYNTAX = re.compile(r"\(at line (\d+), column \d+\)")  # position in an error message of the TOML parser
 
 
@@ -326,7 +307,7 @@ class Judgement:
     files: tuple[Path, ...] = ()  # existing files to which the recipe refers
 
     def document(self) -> dict[str, Any]:
-        """Return the result as `l3 check --json` prints it."""
+        """Return the result as JSON data, as printed by `l3 check --json`."""
         found = [finding._asdict() for finding in self.findings]
         return {
             "file": str(self.path),
@@ -340,14 +321,13 @@ class Judgement:
 def check(given: Sequence[str]) -> list[Judgement]:
     """Check recipes and return the results in the order of the arguments.
 
-    Camera recipes are checked first, because the check of any other recipe needs a camera. The camera is the first camera
-    without faults in the folder of the recipe. If this folder contains no such camera, the first camera without faults in
-    any folder is used. A file that occurs twice is checked once.
+    Camera recipes are checked first. All other recipes are then checked for the first camera without faults in the same
+    folder or, if there is none, in any folder. Duplicate files are checked once.
 
     Parameters
     ----------
     given : sequence of str
-        Paths of files, paths of folders, or names of recipes that come with l3.
+        Paths of files or folders, or names of recipes included with l3.
 
     Returns
     -------
@@ -371,15 +351,15 @@ def check(given: Sequence[str]) -> list[Judgement]:
 
 
 def recipes_of(name: str) -> list[Path]:
-    """Return the recipe files for an argument of `l3 check`.
+    """Find the recipe files that an argument of `l3 check` specifies.
 
     In a folder, camera.toml comes first. The other files are sorted by name.
 
     Parameters
     ----------
     name : str
-        Path of a file, path of a folder of recipes, or name of a recipe or benchmark that comes with l3. Recipes of
-        different types may have the same name.
+        Path of a file or of a folder of recipes, or name of a recipe or benchmark included with l3. Recipes of different
+        types may have the same name.
 
     Raises
     ------
@@ -389,7 +369,7 @@ def recipes_of(name: str) -> list[Path]:
         If no recipe has this name.
     """
     path = Path(name)
-    if path.exists() and not path.is_dir():  # devices and other special files are refused when they are read
+    if path.exists() and not path.is_dir():  # reading the file will reject devices and other special files
         return [path]
     if name in names():
         return [file for _, file in names()[name]]
@@ -413,11 +393,10 @@ def _is_camera(path: Path) -> bool:
 
 
 def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
-    """Check one file.
+    """Check one file and, if `camera` is set, whether it suits this camera.
 
-    The type of a recipe that comes with l3 is determined by its folder. The type of any other file is determined by the keys
-    in the file. A file that cannot be read, is not valid TOML, or has an unknown type has a single fault. If `camera` is
-    set, the recipe is checked for this camera.
+    The folder determines the type of l3's own recipes, and the keys determine the type of all other files. A file that is
+    unreadable, not valid TOML or of unknown type results in a single fault.
     """
     try:
         text = read_text(path, "a recipe or a measurement file")
@@ -430,8 +409,8 @@ def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
     if kind is None:
         kinds = ", ".join(each.title for each in KINDS.values())
         message = (
-            f"the keys do not show whether this file is {kinds}; add a key that only one type of file has, such as "
-            "responsivity"
+            f"the type of this file is unclear from its keys: {kinds}; add a key that occurs in only one of these types, "
+            "such as responsivity"
         )
         return Judgement(path, None, (Finding(1, "", message),))
     meaning, faults = _judged(kind, RecipeSource(path, content, camera))
@@ -441,15 +420,15 @@ def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
 
 
 def _judged(kind: Kind, source: RecipeSource) -> tuple[dict[str, Any], list[Fault]]:
-    """Check a recipe. Return the summary of its content, and its faults.
+    """Check a recipe, and return its summary and its faults.
 
-    The types of the values are checked first, and then the values. If both checks find no faults, the summary is computed.
-    The summary can reveal further faults, for example in files to which the recipe refers.
+    The types of the values are checked first, then their meaning. If there are no faults, the summary is computed, which can
+    reveal further faults, for example in files to which the recipe refers.
     """
     recipe, faults = typed(dict(source.content), kind.structure(source.content))
     if recipe is not None:
         others = about_others(CHECKS[kind.name].faults(recipe, source), faults)
-        # Only LISTED_FAULTS faults are printed. One more is enough to know that the list is not complete.
+        # One fault more than is printed shows that the list is incomplete.
         faults += itertools.islice(others, max(LISTED_FAULTS + 1 - len(faults), 0))
     meaning: dict[str, Any] = {}
     if not faults:
@@ -462,7 +441,7 @@ def _judged(kind: Kind, source: RecipeSource) -> tuple[dict[str, Any], list[Faul
 
 
 def _findings(faults: Iterable[Fault], text: str) -> tuple[Finding, ...]:
-    """Return the faults with their line numbers, sorted by line."""
+    """Add line numbers to faults, and sort them by line."""
     lines = key_lines(text)
     found = []
     for message, keys in faults:
@@ -472,7 +451,7 @@ def _findings(faults: Iterable[Fault], text: str) -> tuple[Finding, ...]:
 
 
 def _written(key: KeyPath) -> str:
-    """Return a key as it is written in messages, such as scene[2].size. List entries are counted from 1."""
+    """Format a key for messages, such as scene[2].size. List entries are counted from 1."""
     return "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in key).lstrip(".")
 
 
@@ -482,8 +461,8 @@ def _written(key: KeyPath) -> str:
 def as_text(judgement: Judgement, width: int | None = None) -> list[str]:
     """Format the result of a check as lines of text.
 
-    Each fault has a line of the form `file:line: message`, which editors understand. Similar faults share a line. If there
-    are no faults, the lines summarise the recipe and end with its warnings. Tables are at most `width` characters wide.
+    Faults are printed as `file:line: message`, which editors recognise. Similar faults share a line. Without faults, the
+    lines summarise the recipe and end with its warnings. Tables are at most `width` characters wide.
     """
     if judgement.findings:
         lines = [f"{judgement.path}:{line}: {message}" for line, message in folded(judgement.findings)]
@@ -497,10 +476,10 @@ def as_text(judgement: Judgement, width: int | None = None) -> list[str]:
 
 
 def folded(findings: Iterable[Finding]) -> list[tuple[int, str]]:
-    """Return the line number and the message of each finding, and combine similar findings.
+    """Return line number and message of each finding, but combine similar findings.
 
-    Findings are similar if their messages differ only in the number of a list entry or in the name of a missing file. If
-    more than MAX_LISTED findings are similar, only the first is returned. Its message lists the lines of the other findings.
+    Messages of similar findings differ only in the number of a list entry or in the name of a missing file. If more than
+    MAX_LISTED findings are similar, only the first is returned, and its message lists the lines of the others.
     """
     alike: dict[str, list[Finding]] = {}
     for finding in findings:

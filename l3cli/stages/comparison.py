@@ -1,4 +1,4 @@
-"""The stage of `l3 compare`, which compares the metrics of several cameras at each scene luminance."""
+"""The `l3 compare` stage, which compares the metrics of several cameras at each scene luminance."""
 
 import itertools
 import json
@@ -18,14 +18,14 @@ EXPECTED = 'use a file that contains the output of "l3 evaluate --json"'
 def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOptions) -> tuple[Comparison, FilesUsed]:
     """Compare the metrics of several cameras at each luminance, and optionally write a page with curves.
 
-    If the evaluations may not be comparable, a warning is sent to the console.
+    A warning is printed on the console if the evaluations may not be comparable.
 
     Parameters
     ----------
     evaluations : tuple of Path
         Files with the output of `l3 evaluate --json`.
     page : Path or None
-        HTML page to write, with a curve of each metric against luminance.
+        HTML page to write, which plots each metric against luminance.
     options : CompareOptions
         Options of `l3 compare`.
 
@@ -39,10 +39,10 @@ def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOp
     Raises
     ------
     InputFileError
-        If a file is not an evaluation, if an evaluation lacks one of the metrics, or if the files differ in their
+        If a file is not an evaluation, if an evaluation lacks one of the metrics, or if the files contain different
         luminances.
     RecipeError
-        If the name of the page does not end in .html.
+        If the file name of the page does not end in .html.
     L3Error
         If the page cannot be written.
     """

@@ -1,9 +1,9 @@
-"""The stages of `l3 design moments` and `l3 design`.
+"""The `l3 design moments` and `l3 design` stages.
 
 `l3 design moments` simulates how a lens and the bare pixels of a sensor record scenes, and stores second moments of image
-patches. From these moments, l3 can predict the error of any colour filter array. `l3 design` ranks the arrays that can be
-made from a library of filters by their predicted error. Optionally, `l3 design` also trains and evaluates tables for the
-best arrays, which shows how good the prediction is.
+patches, from which l3 can predict the error of any colour filter array. `l3 design` ranks all arrays that are possible with
+a library of filters by their predicted error. Optionally, it trains and evaluates tables for the best arrays to verify the
+predictions.
 """
 
 import dataclasses
@@ -71,19 +71,19 @@ Arrays = Mapping[str, NDArray]
 
 
 class Parts(PartsFolder):
-    """The stored intermediate results of a run. Each result is a file with named NumPy arrays."""
+    """Stored intermediate results of a run, as files with named NumPy arrays."""
 
     def each(
         self, what: str, work: Callable[[T], Arrays], items: Sequence[T], pool: WorkerPool, console: Console
     ) -> Iterator[dict[str, NDArray]]:
-        """Apply `work` to each item, store the results, and yield the results in order.
+        """Apply `work` to each item, store the results, and yield them in order.
 
-        If an earlier run has already stored the result for an item, `work` is not called for this item.
+        Items with a stored result from an earlier run are skipped, and the stored result is yielded.
 
         Parameters
         ----------
         what : str
-            Name of the results in the plural, for file names and for the progress bar.
+            Name of the results in the plural, for file names and the progress bar.
         work : callable
             Function that computes a dictionary of arrays from an item. The function must be picklable.
         items : sequence
@@ -92,11 +92,6 @@ class Parts(PartsFolder):
             The worker processes.
         console : Console
             Shows the progress.
-
-        Yields
-        ------
-        dict of str to ndarray
-            The result for the next item.
         """
         paths = [self.folder / f"{what}-{number:05d}.npz" for number in range(len(items))]
         done = [path.is_file() for path in paths]
@@ -110,13 +105,11 @@ class Parts(PartsFolder):
                 yield {name: arrays[name] for name in arrays.files}
 
 
-PARTS = 8  # number of parts into which the scenes are divided, independent of the number of processes
+PARTS = 8  # parts into which the scenes are divided, whatever the number of processes
 
 
 def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -> tuple[SceneMoments, FilesUsed]:
-    """Compute and write the second moments of scenes that the bare pixels of a camera record through the lens.
-
-    The colour filters of the camera are ignored.
+    """Compute and write second moments of scenes as recorded by a camera's pixels and lens, without its colour filters.
 
     Parameters
     ----------
@@ -139,7 +132,7 @@ def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOpt
     Raises
     ------
     RecipeError, InputFileError
-        If the recipe, the camera or a scene file cannot be used.
+        If the recipe, the camera or a scene file is unsuitable.
     L3Error
         If the output cannot be written.
     """
@@ -197,9 +190,9 @@ def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOpt
 
 
 def _is_finished(output: Path, parts: Parts, options: PartsOptions) -> bool:
-    """Whether `resume` is set and an earlier run with the same inputs and options has already finished the output.
+    """Return whether `resume` is set and an earlier run with the same inputs and options has finished the output.
 
-    If the output is finished, the stored parts are removed and a message is sent to the console.
+    In this case, stored parts are removed, and the console shows a message.
 
     Raises
     ------
@@ -210,13 +203,13 @@ def _is_finished(output: Path, parts: Parts, options: PartsOptions) -> bool:
     if not finished:
         refuse_existing(output, options.force)
     if finished:
-        parts.remove()  # stored parts remain if a run was killed just after it had written the output
+        parts.remove()  # parts remain if a run was killed just after writing the output
         options.console.info(f"{output} is already finished")
     return finished
 
 
 def _refuse(recipe: SceneRecipe, path: Path) -> None:
-    """Raise RecipeError if the scenes cannot be simulated under every illuminant and behind every filter.
+    """Raise RecipeError unless the scenes can be simulated under all illuminants and behind all filters.
 
     Scenes must have reflectance spectra, and the recipe must not set a lens transmittance.
     """
@@ -226,7 +219,7 @@ def _refuse(recipe: SceneRecipe, path: Path) -> None:
         )
     if recipe.pair or not recipe.scene or any(map(holds_codes, recipe.scene)):
         raise RecipeError(
-            f"{path}: moments can only be computed from spectral scenes; remove each [[pair]] and each scene with "
+            f"{path}: moments can be computed only from spectral scenes; remove each [[pair]] and each scene with "
             'holds = "codes"'
         )
     if any(isinstance(each, Spectral) and each.holds != "reflectance" and each.light is None for each in recipe.scene):
@@ -251,10 +244,7 @@ def _scene(wanted: WantedScene, run: SimulationRun) -> Scene:
 
 
 def _spectra(run: SimulationRun, chunk: Chunk) -> dict[str, NDArray]:
-    """Sum the second moments of the photon spectra over the scenes of a chunk.
-
-    The result is one array "power", with the axes (illuminant, wavelength, wavelength).
-    """
+    """Sum the second moments of photon spectra over scenes: "power", (illuminant, wavelength, wavelength)."""
     power = np.zeros((len(run.recipe.illuminants), run.camera.wavelength.size, run.camera.wavelength.size))
     for _, wanted in chunk:
         scene = _scene(wanted, run)
@@ -265,24 +255,24 @@ def _spectra(run: SimulationRun, chunk: Chunk) -> dict[str, NDArray]:
 
 
 def _moments(run: SimulationRun, bases: Sequence[NDArray[np.float64]], patches: int, chunk: Chunk) -> dict[str, NDArray]:
-    """Sum the second moments of randomly chosen patches over the scenes of a chunk.
+    """Sum the second moments of random patches over scenes, using the same patches under all illuminants.
 
-    The name of each array ends in the index of the illuminant. The same patches are used under all illuminants.
+    The names of the returned arrays end in the index of the illuminant.
     """
     sums = [empty_sums(basis.shape[1]) for basis in bases]
     for place, wanted in chunk:
         scene = _scene(wanted, run)
         for of_light, name, basis in zip(sums, run.recipe.illuminants, bases, strict=True):
             planes, sharp, target = spectral_planes(run.camera, scene, run.lights[name], run.recipe.lens, basis)
-            rng = np.random.default_rng([run.seed, place])  # independent of the illuminant, so that patches are the same
+            rng = np.random.default_rng([run.seed, place])  # the same patches under all illuminants
             gather(of_light, planes, target, sharp, patches, rng)
     return {f"{name}-{number}": value for number, of_light in enumerate(sums) for name, value in of_light.items()}
 
 
-CLASS_RECIPE = "single"  # class recipe for training tables of CFAs
-CROP = 72  # side in pixels of the square crop of the first scene, which a design stores
-FIGURES = ("mean_delta_e", "scielab", "output_psnr")  # metrics that a design stores, as attributes of Quality
-# Scene recipe for training the tables.
+CLASS_RECIPE = "single"  # class recipe for tables that verify the predictions
+CROP = 72  # side in pixels of the crop from the first scene that is stored in a design
+FIGURES = ("mean_delta_e", "scielab", "output_psnr")  # attributes of Quality that are stored in a design
+# scene recipe for training the tables
 TRAINING_SCENES = """illuminants = {lights}
 exposure_share = [0.9]
 [[scene]]
@@ -295,7 +285,7 @@ size = [160, 160]
 count = 2
 patches = [4, 4]
 """
-# Scene recipe for evaluating the tables.
+# scene recipe for evaluating the tables
 EVALUATION_SCENES = """illuminants = ["{light}"]
 luminances_cd_m2 = [{luminance}]
 {exposure}
@@ -313,7 +303,7 @@ count = 2
 
 @dataclass(frozen=True)
 class Trial:
-    """A camera with one of the CFAs, and the conditions under which a table for this camera is evaluated."""
+    """A camera with one of the CFAs, and the conditions for evaluating its table."""
 
     camera: CameraModel
     levels: Sequence[tuple[str, Level]]  # illuminant and exposure of each condition
@@ -321,7 +311,7 @@ class Trial:
 
 
 def trained(trial: Trial) -> dict[str, NDArray]:
-    """Train a table for a CFA and evaluate it on other scenes. All files are temporary.
+    """Train a table for a CFA and evaluate it on other scenes, using only temporary files.
 
     Returns
     -------
@@ -357,7 +347,7 @@ def _simulated(text: str, folder: Path, name: str, seed: int) -> Path:
 
 
 def _judged(table: TransformTable, frames: Path, shown: "hashlib._Hash") -> tuple[NDArray, NDArray, NDArray]:
-    """Evaluate a table on simulated frames, and add the content of their scenes to the hash `shown`.
+    """Evaluate a table on simulated frames, and add their scenes to the hash `shown`.
 
     Returns
     -------
@@ -385,17 +375,17 @@ def _judged(table: TransformTable, frames: Path, shown: "hashlib._Hash") -> tupl
     return np.array(rows), ours, ideal
 
 
-CFAS_PER_PART = 64  # number of CFAs whose errors a process predicts before the errors are stored
-ANNEALING_RUNS = 2  # runs of simulated annealing for each pattern; see Task.annealed for their starting points
-TUNING_STARTS = 4  # starting points for tuning the filters; the first starting point is the recipe
-TUNED = " (tuned)"  # suffix of the name of a CFA with tuned filters
+CFAS_PER_PART = 64  # predicted errors are stored after this number of CFAs
+ANNEALING_RUNS = 2  # runs of simulated annealing per pattern; see Task.annealed for their starting points
+TUNING_STARTS = 4  # starting points for filter tuning, of which the first is the recipe
+TUNED = " (tuned)"  # suffix for the names of CFAs with tuned filters
 
 
 def design(recipe: Path, output: Path, options: DesignOptions) -> tuple[Design, FilesUsed]:
-    """Rank the CFAs of a design recipe by their predicted error, and write the design.
+    """Rank the possible CFAs of a design recipe by their predicted error, and write the design.
 
     If the recipe contains the table [optimise], filters are also tuned. If `options.truth` is set, tables for the best CFAs
-    are trained and evaluated.
+    are trained and evaluated to verify the predictions.
 
     Parameters
     ----------
@@ -416,12 +406,12 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> tuple[Design, 
     Raises
     ------
     RecipeError, InputFileError
-        If the recipe, the moments or a file of spectra cannot be used.
+        If the recipe, the moments or a file of spectra is unsuitable.
     L3Error
         If the output cannot be written.
     """
     if options.moments is None:
-        raise RecipeError('the option ‹moments› is missing; set it to a file that "l3 design moments" has written')
+        raise RecipeError('the option ‹moments› is missing; set it to a file from "l3 design moments"')
     console = options.console
     with OutputGuard(console) as guard:
         guard.protect(recipe, options.moments)
@@ -433,7 +423,7 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> tuple[Design, 
         seen, noise = task.problem.seen, task.problem.noise
         if wrong := [each.name for each in task.levels if clips_everything(seen[each.light], each, noise)]:
             raise RecipeError(
-                f"at the level {listed(wrong)}, all pixels of all scenes clip behind every filter; reduce the exposure"
+                f"at the light level {listed(wrong)}, all pixels of all scenes clip behind every filter; reduce the exposure"
             )
         lists = [task.arrays_of(pattern, number) for number, pattern in enumerate(task.wanted.pattern)]
         sums = {"recipe": [sha256(path) for path in files], "moments": [sha256(options.moments)]}
@@ -462,7 +452,7 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> tuple[Design, 
 
 @dataclasses.dataclass(frozen=True)
 class _Run:
-    """The steps of a design. Each step stores its results, so that an interrupted run can continue."""
+    """The steps of a design run, which store their results so that an interrupted run can be resumed."""
 
     task: Task
     parts: Parts
@@ -475,13 +465,13 @@ class _Run:
     def candidates(self, lists: Sequence[list[Cfa] | None]) -> Iterator[Cfa]:
         """Yield each candidate CFA once.
 
-        All CFAs that fit a pattern of the recipe are candidates. If too many CFAs fit a pattern, the candidates are the
-        results of simulated annealing. All Bayer CFAs from the library of filters are also candidates.
+        Candidates are all CFAs that match a pattern in the recipe or, if too many match, the results of simulated annealing.
+        All Bayer CFAs with filters from the library are candidates too.
 
         Parameters
         ----------
         lists : sequence of list of CFA, or None
-            The CFAs of each pattern, or None for a pattern that too many CFAs fit.
+            The CFAs that match each pattern, or None if there are too many.
         """
         runs = [(number, run) for number, arrays in enumerate(lists) if arrays is None for run in range(ANNEALING_RUNS)]
         work = functools.partial(self.task.annealed, self.options.seed)
@@ -495,12 +485,12 @@ class _Run:
                 yield cfa
 
     def judged(self, arrays: Sequence[Cfa]) -> NDArray[np.float64]:
-        """Predict the errors of CFAs, and return them as an array (CFA, light level, group of patches)."""
+        """Predict the errors of CFAs: (CFA, light level, group of patches)."""
         groups = [arrays[start : start + CFAS_PER_PART] for start in range(0, len(arrays), CFAS_PER_PART)]
         return np.concatenate([part["errors"] for part in self._each("arrays", self.task.judged, groups)])
 
     def tuned(self, asked: OptimiseRecipe) -> Tuned:
-        """Tune the filters of a CFA from several starting points, and return the result with the smallest error."""
+        """Tune the filters of a CFA from several starting points, and return the best result."""
         task = self.task
         ends = list(self._each("tunings", functools.partial(task.descended, self.options.seed), range(TUNING_STARTS)))
         parameters = min(ends, key=lambda end: float(end["score"]))["parameters"]
@@ -518,10 +508,10 @@ class _Run:
         )
 
     def truth(self, made: Design, most: int) -> Truth:
-        """Train a table for several CFAs, and evaluate the tables.
+        """Train and evaluate tables, to verify the predicted errors.
 
         The CFAs are the `most` best CFAs of the design, the best Bayer CFA, and the rival CFAs in the recipe. If filters
-        were tuned, the CFA with tuned filters is also trained, both with the original and with the tuned filters.
+        were tuned, their CFA is included with the original and with the tuned filters.
 
         Raises
         ------

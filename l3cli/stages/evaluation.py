@@ -1,4 +1,4 @@
-"""The stage of `l3 evaluate`. It evaluates a table on frames with known targets, or a rendered video over time."""
+"""The `l3 evaluate` stage, which evaluates a table on frames with known targets, or a rendered video over time."""
 
 import contextlib
 import dataclasses
@@ -52,24 +52,23 @@ from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import counted
 
 PlanesOf = Callable[[TrainingFrame], dict[str, NDArray[np.floating]]]  # frame → outputs of each pipeline
-CHART_LUMINANCE = 1e4  # luminance of white on the charts in cd/m², at which dark current is negligible
+CHART_LUMINANCE = 1e4  # cd/m², luminance of white on the charts, so high that dark current is negligible
 LUX = 1e-9, 1e9  # range of plausible illuminances in lux
-CHART_BANDS = np.array([*np.arange(SHOWN[0], SHOWN[1], 20.0), SHOWN[1]])  # wavelengths in nm, dense enough for diffraction
+CHART_BANDS = np.array([*np.arange(SHOWN[0], SHOWN[1], 20.0), SHOWN[1]])  # nm, dense enough for diffraction
 
 
 def standard_figures(head: TrainingSet, planes: PlanesOf) -> dict[str, Any]:
-    """Compute sharpness, signal-to-noise ratio and colour uncertainty of pipelines on simulated charts.
+    """Compute the sharpness, signal-to-noise ratio and colour uncertainty of pipelines on simulated charts.
 
     The signal-to-noise ratio is None for cameras with relative responsivities. The colour uncertainty is None for outputs
-    other than X, Y and Z, and for cameras without a confidence band of the responsivities.
+    other than X, Y, Z, and for cameras without confidence bands.
 
     Parameters
     ----------
     head : TrainingSet
-        Head of a training set. The charts are simulated with its camera and its outputs.
+        Header of a training set, which defines the camera and the outputs for the simulation of the charts.
     planes : callable
-        Function that takes a frame and returns a dictionary. The keys are the names of the pipelines. The values are the
-        output planes (output, row, col) of the frame.
+        Function that returns the output planes (output, row, col) of a frame for each pipeline, by pipeline name.
 
     Returns
     -------
@@ -95,7 +94,7 @@ def standard_figures(head: TrainingSet, planes: PlanesOf) -> dict[str, Any]:
 
 
 def edge_frame(camera: CameraModel, light: Light, across: str, target: Target) -> TrainingFrame:
-    """Return a noise-free frame of a slanted edge. The exposure is chosen automatically.
+    """Simulate a noise-free frame of a slanted edge, with automatic exposure.
 
     Parameters
     ----------
@@ -116,11 +115,11 @@ def edge_frame(camera: CameraModel, light: Light, across: str, target: Target) -
 
 
 def _chart(camera: CameraModel, light: Light, target: Target, planes: PlanesOf) -> dict[str, Any]:
-    """Return the mean colour difference that the uncertainty of the responsivities causes in each pipeline.
+    """Return the mean colour difference in each pipeline that is due to uncertain responsivities.
 
-    A chart is simulated without noise for `camera`, and for cameras whose responsivities are drawn at random within the
-    confidence band of `camera`. Each pipeline processes all frames as if they were from `camera`. The colours are compared
-    with the colours of the frame from `camera`.
+    A chart is simulated without noise for `camera`, and for cameras with random responsivities within its confidence bands.
+    The pipelines process all frames as if they came from `camera`, and the colours are compared with those of the frame that
+    does.
     """
     size = standards.SIDE, standards.SIDE
     cube = surface_patches(np.random.default_rng(0), standards.PATCHES, size, CHART_BANDS)
@@ -143,9 +142,9 @@ def _chart(camera: CameraModel, light: Light, target: Target, planes: PlanesOf) 
 def _greys(
     camera: CameraModel, light: Light, target: Target, outputs: tuple[str, ...], planes: PlanesOf
 ) -> dict[str, Any] | None:
-    """Return the signal-to-noise ratio of grey patches at several illuminances.
+    """Measure the signal-to-noise ratio of grey patches at several illuminances.
 
-    The result is None if no channel reaches the reference ratio, or if dark current alone saturates the pixels.
+    Returns None if no channel reaches the reference ratio, or if the dark current alone saturates the pixels.
     """
     side, part = (standards.RAW_SIDE,) * 2, np.s_[: standards.GREY_SIDE, : standards.GREY_SIDE]
     camera, channel = dataclasses.replace(camera, rows=side[0], cols=side[1]), camera.channel_map(side)
@@ -171,19 +170,19 @@ def _greys(
     return standards.grey_document(camera, noise, lux, raw, snr)
 
 
-FRAMES_PER_LIGHT = 2  # largest number of frames per illuminant that are evaluated at several gains
-MAX_RENDERERS = 8  # cache size; several renderers are needed, because consecutive frames have different illuminants
+FRAMES_PER_LIGHT = 2  # frames per illuminant that are evaluated at several gains
+MAX_RENDERERS = 8  # cache size; consecutive frames have different illuminants, which need different renderers
 DECIDING_METRIC = "mean_delta_e"  # a baseline counts as better than the table if this metric is smaller
-OTHER_LIGHT = 0.005  # two whites with a larger distance in CIE 1960 uv count as different illuminants
-ONE_LIGHT = 0.001  # illuminants of a training set with a smaller distance in CIE 1960 uv count as the same
-# If two sequences differ in brightness by more than this factor, differences in exposure dominate the lightness error.
+OTHER_LIGHT = 0.005  # CIE 1960 uv; whites at a larger distance count as different illuminants
+ONE_LIGHT = 0.001  # CIE 1960 uv; a training set with a smaller spread of whites has a single illuminant
+# if two sequences differ in brightness by more than this factor, the exposure difference dominates the lightness error
 DIFFERENT_BRIGHTNESS = 1.05
 
 
 def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> tuple[dict[str, Any], FilesUsed]:
     """Evaluate a table, the baselines and rival pipelines on the frames of a training set.
 
-    If `options.pictures` is set, the pictures of all pipelines are written into this folder. Warnings are sent to the
+    The pictures of all pipelines are written into the folder `options.pictures`, if it is set. Warnings are printed on the
     console, for example if the table was trained on these frames or for another camera.
 
     Parameters
@@ -203,7 +202,7 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> tuple[dict[
     Raises
     ------
     InputFileError, RecipeError
-        If the table, the frames and the pictures of the rivals do not fit one another.
+        If the table, the frames and the pictures of the rivals do not match.
     L3Error
         If the folder of pictures cannot be written.
     """
@@ -263,10 +262,9 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> tuple[dict[
 def document_of(
     evaluation: Evaluation, renderers: "FrameRenderers", head: TrainingSet, by_gain: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Return the output of `l3 evaluate --json`.
+    """Compose the output of `l3 evaluate --json`: metrics of all frames, at several gains, and on simulated charts.
 
-    The output contains the metrics of all evaluated frames, the metrics at several gains, and metrics on simulated charts.
-    This function computes the metrics on charts.
+    The metrics on charts are computed here.
     """
 
     def planes(frame: TrainingPair) -> dict[str, NDArray]:
@@ -280,17 +278,17 @@ def warn_of_other_lights(
 ) -> None:
     """Warn if a baseline is better than a table under an illuminant for which the table was not trained.
 
-    Two types of table are not checked: tables with outputs other than XYZ, and tables that were trained under several
-    illuminants but have a single set of transforms. Tables of the second type do not store their illuminants.
+    Tables with outputs other than XYZ are not checked. Tables that were trained under several illuminants, but have a single
+    set of transforms, are not checked either, because they do not store their illuminants.
 
     Parameters
     ----------
     table : TransformTable
         The table.
     document : dict
-        Output of `l3 evaluate --json`. The pipeline with the smaller mean ΔE00 is the better one.
+        Output of `l3 evaluate --json`. A smaller mean ΔE00 is better.
     whites : mapping of str to ndarray, (output,)
-        White under each illuminant of the frames, by the name of the illuminant.
+        White under each illuminant of the frames, by illuminant name.
     console : Console
         Receives the warning.
     """
@@ -318,7 +316,7 @@ GAINS = (1.0, 4.0, 16.0, 64.0)  # analog gains at which a table is evaluated
 def for_frames(
     table: tuple[object, TransformTable], frames: tuple[object, CameraModel], console: Console
 ) -> tuple[TransformTable, str]:
-    """Adapt a table to the analog gain of frames, and warn if the table was trained for another camera.
+    """Adapt a table to the analog gain of a training set, and warn if the table was trained for another camera.
 
     Parameters
     ----------
@@ -334,7 +332,7 @@ def for_frames(
     TransformTable
         The table with the transforms for the gain of the frames.
     str
-        The warning, or "" if the table was trained for the camera of the frames.
+        The warning, or "" if there is none.
 
     Raises
     ------
@@ -364,14 +362,14 @@ def figures_by_gain(
 ) -> list[dict[str, Any]]:
     """Evaluate a table on a few frames per illuminant at several analog gains.
 
-    The frames are simulated again at each of the gains 1, 4, 16 and 64 for which the noise of the camera is known.
+    The frames are re-simulated at the gains 1, 4, 16 and 64, as far as the camera's noise is known at these gains.
 
     Parameters
     ----------
     table : TransformTable
         The table, not adapted to a gain.
     reader : TrainingSetReader
-        The training set. Real pairs are not used.
+        The training set. Real pairs are ignored.
     backend : str
         Name of the renderer.
     console : Console
@@ -384,8 +382,8 @@ def figures_by_gain(
     Returns
     -------
     list of dict
-        Metrics for each gain and illuminant, as in `Evaluation.document`. The list is empty if the noise is known at one
-        gain only, or if all frames are real.
+        Metrics for each gain and illuminant, as in `Evaluation.document`. The list is empty if the noise is known at only
+        one gain, or if all frames are real.
     """
     least, most = known_gains(table)
     gains, lights = [gain for gain in GAINS if least <= gain <= most], dict[str, list[int]]()
@@ -405,10 +403,10 @@ def figures_by_gain(
 
 
 class FrameRenderers:
-    """Renderers for the frames of a training set, with a cache of the most recent renderers.
+    """A cache of renderers for the frames of a training set.
 
-    If a table has transforms for several illuminants, each frame is rendered with transforms that are blended for its
-    illuminant (docs/method.md#several-illuminants). The blend is reported once for each illuminant.
+    If the table has transforms for several illuminants, they are blended for each frame's illuminant
+    (docs/method.md#several-illuminants). The blend is reported once per illuminant.
     """
 
     def __init__(self, backend: str, table: TransformTable, console: Console) -> None:
@@ -417,7 +415,7 @@ class FrameRenderers:
         self._reported: set[str] = set()
 
     def of(self, frame: TrainingPair) -> Renderer:
-        """Return the renderer for a frame. The blend of the first frame under each illuminant is reported on the console."""
+        """Return the renderer for a frame, and report the blend if the illuminant is new."""
         mix = mix_for(self._table, white_of(frame)) if self._table.lights else None
         if mix and frame.illuminant not in self._reported:
             self._reported.add(frame.illuminant)
@@ -450,7 +448,7 @@ def evaluate_frame(
     index : int
         Index of the frame.
     rivals : mapping of str to Path, optional
-        For each rival pipeline, the file of the picture that the rival rendered from this frame.
+        Picture file of this frame from each rival pipeline.
     counted : bool
         Whether to add the metrics of the frame to the evaluation.
 
@@ -459,7 +457,7 @@ def evaluate_frame(
     TrainingPair
         The frame, with its target converted by `Evaluation.wanted`.
     dict
-        Output planes of each pipeline and of each rival, as in `Evaluation.planes`.
+        Output planes of each pipeline and rival, as in `Evaluation.planes`.
     """
     frame = evaluation.wanted(reader.frame(index))
     theirs = {name: _planes(path, frame) for name, path in (rivals or {}).items()}
@@ -493,7 +491,7 @@ def _planes(path: Path, frame: TrainingPair) -> NDArray[np.floating]:
 
 
 def _name_of(rival: Path) -> str:
-    """Return the name of a rival pipeline, which is the name of the folder with its pictures."""
+    """Return the name of a rival pipeline: the name of the folder with its pictures."""
     return (rival if rival.is_dir() else rival.parent).absolute().name
 
 
@@ -501,7 +499,7 @@ def _name_of(rival: Path) -> str:
 
 
 def evaluate_sequence(rendered: Path, options: SequenceOptions) -> tuple[SequenceFigures, FilesUsed]:
-    """Evaluate a rendered sequence over time and, optionally, compare it with an ideal sequence whose motion is known.
+    """Evaluate a rendered sequence over time and, optionally, against an ideal sequence with known motion.
 
     If the sequences differ in brightness, a warning suggests another exposure.
 

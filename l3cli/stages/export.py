@@ -1,6 +1,6 @@
-"""The stage of `l3 export`, which writes a camera model or a transform table as files for other software.
+"""The `l3 export` stage, which writes a camera model or a transform table as files for other software.
 
-A camera is exported as curves, colour matrices, tuning files and a data sheet. A table is exported as C source or as arrays.
+A camera is exported as curves, colour matrices, tuning files and a data sheet, and a table as C source or as arrays.
 """
 
 from pathlib import Path
@@ -36,7 +36,7 @@ pixels with the usual set, which is exported separately and has its own test fil
 
 
 def is_table(path: Path) -> bool:
-    """Return True if a file is a transform table, and False if it is a camera.
+    """Return True for a transform table, and False for a camera.
 
     A file with the suffix .toml counts as a camera and is not read.
 
@@ -71,7 +71,7 @@ def export(camera: Path, output: Path, options: ExportOptions) -> tuple[dict[str
     Returns
     -------
     dict
-        Colour errors of the matrices for each illuminant.
+        Colour errors of the matrices, by illuminant.
     FilesUsed
         The files that were read and written.
 
@@ -102,8 +102,8 @@ def export(camera: Path, output: Path, options: ExportOptions) -> tuple[dict[str
 def export_table(table: Path, output: Path, options: ExportOptions) -> tuple[list[str], FilesUsed]:
     """Write a transform table into a folder, as C source or as arrays.
 
-    The options can select the transforms for one white, one gain, or frames after temporal filtering. If a table has several
-    sets of transforms and the options select none, a message says which set is exported.
+    The options can select the transforms for one white, one gain, or temporally filtered frames. If a table has several sets
+    of transforms and the options select none, l3 reports which set is exported.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""The stages of `l3 info` and `l3 bench`.
+"""The `l3 info` and `l3 bench` stages.
 
-`l3 info` describes and verifies artifacts and lists the versions of libraries. `l3 bench` measures the time per frame.
+`l3 info` describes and verifies artifacts, and lists library versions. `l3 bench` measures the time per frame.
 """
 
 import itertools
@@ -31,12 +31,12 @@ from l3cli.rendering.opencl.devices import cache_warning, survey
 from l3cli.system.files import sha256
 from l3cli.system.limits import trusted
 
-# Types of artifacts that are small enough to be read as a whole.
+# types of artifacts that are small enough to be read as a whole
 WHOLE: tuple[type[Artifact], ...] = (CameraModel, TransformTable, SceneMoments, Design)
 
 
 def content(file: Path) -> dict[str, Any]:
-    """Return the output of `l3 info --json`.
+    """Describe an artifact as JSON data, for `l3 info --json`.
 
     Parameters
     ----------
@@ -46,8 +46,8 @@ def content(file: Path) -> dict[str, Any]:
     Returns
     -------
     dict
-        For an artifact: type, version, history and datasets. For a transform table, the entry "insight" summarises the
-        training. For a raw file: see `raw_frame`.
+        For an artifact: type, version, history and datasets, as from `describe`. For a transform table, the entry "insight"
+        summarises the training. For a raw file: see `raw_frame`.
 
     Raises
     ------
@@ -65,18 +65,18 @@ def content(file: Path) -> dict[str, Any]:
 
 
 def raw_frame(file: Path) -> dict[str, Any]:
-    """Describe the content of a raw file as l3 reads it, without a table.
+    """Describe a raw file as l3 reads it without a table.
 
     Parameters
     ----------
     file : Path
-        The raw file. It must contain one frame, and state its own size.
+        The raw file. It must contain a single frame and its size.
 
     Returns
     -------
     dict
-        Size in pixels, levels and values in DN, filter array, signals of a grey surface, exposure time in s, other settings
-        of the camera, and what the file asks of a raw converter. A property that the file does not state is None.
+        Size in pixels, levels and values in DN, filter array, signals of a grey surface, exposure time in s, other camera
+        settings, and the file's instructions for raw converters. Missing properties are None.
 
     Raises
     ------
@@ -122,14 +122,14 @@ def _colour(code: float) -> str:
 
 @dataclass(frozen=True)
 class Verification:
-    """Result of verifying an artifact, and of comparing its history with other files."""
+    """Result of verifying an artifact and comparing its history with other files."""
 
     intact: Intact
     links: tuple[Link, ...]  # one entry per role of input files in the history, such as "training set"
-    strangers: tuple[Path, ...]  # input files that do not occur in the history
+    strangers: tuple[Path, ...]  # the user's files that do not occur in the history
 
     def document(self) -> dict[str, Any]:
-        """Return the result as a dictionary that can be written as JSON."""
+        """Return the result as JSON data."""
         return {
             "kind": self.intact.kind,
             "version": self.intact.version,
@@ -140,17 +140,16 @@ class Verification:
 
 
 def verification(file: Path, inputs: tuple[Path, ...]) -> Verification:
-    """Verify an artifact.
+    """Verify the digest and the content of an artifact, and compare its history with the digests of `inputs`.
 
-    l3 checks the digest of the file, reads its whole content, and compares the digests of `inputs` with its history.
-    Differences between `inputs` and the history do not raise an error, but are part of the result.
+    An input that does not match the history is not an error, but part of the result.
 
     Parameters
     ----------
     file : Path
         The artifact.
     inputs : tuple of Path
-        Files from which the artifact may have been made.
+        Files from which the artifact may have been computed.
 
     Raises
     ------
@@ -163,10 +162,7 @@ def verification(file: Path, inputs: tuple[Path, ...]) -> Verification:
 
 
 def _read_whole(file: Path) -> None:
-    """Read the whole content of an artifact. Raises InputFileError if values are missing or invalid.
-
-    Large artifacts are read frame by frame or site by site.
-    """
+    """Read the whole content of an artifact, large ones in parts. Raises InputFileError if values are missing or invalid."""
     with open_artifact(file, *WHOLE, TrainingSet, *SUMS, unchanged=True) as root:
         kind = str(root.attrs["kind"])
         if kind == TrainingSet.kind:
@@ -181,14 +177,14 @@ def _read_whole(file: Path) -> None:
 
 
 def versions() -> dict[str, Any]:
-    """Return the versions for a bug report: l3, Python, system, libraries and OpenCL devices.
+    """Collect the versions for a bug report: l3, Python, system, libraries and OpenCL devices.
 
-    The version of a library that is not installed is None. If OpenCL cannot be used, the list of devices contains the
-    reason. The entry "decoding" describes how untrusted files are decoded.
+    The version of a missing library is None. If OpenCL is unavailable, the list of devices contains the reason. The entry
+    "decoding" describes how untrusted files are decoded.
     """
     try:
         required = metadata.requires("l3cli") or []
-    except metadata.PackageNotFoundError:  # l3 is run from its sources and is not installed
+    except metadata.PackageNotFoundError:  # l3 runs from its source folder without being installed
         required = []
     used = [each for each in required if not re.search(r"""extra == ['"](dev|docs|fuzz|peers)['"]""", each)]
     names = sorted({re.split(r"[^\w.-]", each)[0] for each in used}, key=str.lower)
@@ -207,7 +203,7 @@ def versions() -> dict[str, Any]:
 
 
 def _decoding() -> str:
-    """Describe how untrusted files are decoded on this machine, and how the decoding process is isolated."""
+    """Describe how the decoding of untrusted files is isolated on this machine."""
     from l3cli.io.decoder_process import SECCOMP, measures  # imported here, because the import searches for libseccomp
 
     try:
@@ -230,15 +226,15 @@ def _version(library: str) -> str | None:
 
 
 def measure(options: BenchOptions) -> dict[str, Any]:
-    """Measure frame times, and return the output of `l3 bench --json`.
+    """Measure frame times for `l3 bench`.
 
-    If `options.variant` is set, only this variant of the kernel is measured. If compiled kernels cannot be cached, a warning
-    is sent to the console.
+    If `options.variant` is set, only this kernel variant is measured. A warning is printed on the console if compiled
+    kernels cannot be cached.
 
     Returns
     -------
     dict
-        "devices": the OpenCL devices. "results": the frame times for each measured case.
+        JSON data with the OpenCL devices ("devices") and the frame times of each measured case ("results").
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The stage of `l3 lab`, which simulates the laboratory measurements of a camera."""
+"""The `l3 lab` stage, which simulates laboratory measurements of a camera."""
 
 import functools
 import shlex
@@ -23,14 +23,14 @@ from l3cli.system.files import FilesUsed, files_to_read, refuse_existing, refuse
 from l3cli.system.locks import sole_writer_of_folder
 from l3cli.system.outputs import OutputGuard, refuse_unwritable
 
-MONO = "spectra/mono.csv"  # file with the spectrum of the light at each step of the monochromator
+MONO = "spectra/mono.csv"  # file with the monochromator's spectrum at each step
 
 
 def measure(camera: Path, output: Path, options: LabOptions) -> tuple[Path, FilesUsed]:
-    """Simulate the lab measurements of a camera and write them into a folder.
+    """Simulate the lab measurements of a camera, and write them into a folder.
 
-    The folder contains the frames, the files of spectra, and the measurement file MEASUREMENTS.toml. The frames are written
-    by `options.jobs` processes.
+    The folder contains the frames, files of spectra, and the measurement file MEASUREMENTS.toml. `options.jobs` processes
+    simulate and write the frames.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def measure(camera: Path, output: Path, options: LabOptions) -> tuple[Path, File
     Raises
     ------
     RecipeError, InputFileError
-        If the camera or the lab recipe cannot be used.
+        If the camera or the lab recipe is unsuitable.
     L3Error
         If the folder already contains a measurement file and `force` is not set, or if the folder cannot be written.
     """
@@ -63,7 +63,7 @@ def measure(camera: Path, output: Path, options: LabOptions) -> tuple[Path, File
         refuse_unwritable(file)
         refuse_existing(file, options.force)
         guard.hold(sole_writer_of_folder(output, inside=FOLDERS), output)
-        refuse_existing(file, options.force)  # checked again, because another run may have written the file before the lock
+        refuse_existing(file, options.force)  # checked again, because another run may have written it before the lock
         guard.protect(*camera_files(camera))
         model = load_camera(camera)
         chosen = load_recipe(recipe, LabRecipe) if recipe else LabRecipe()
@@ -76,7 +76,7 @@ def measure(camera: Path, output: Path, options: LabOptions) -> tuple[Path, File
         lights = (*chosen.lights, *([] if model.polarisers is None else [chosen.polariser.illuminant]))
         for unknown in camera_unknown(camera, model, tuple(dict.fromkeys(lights))):
             console.warn(unknown)
-        # The measurement file is written last. An old measurement file is removed, because the frames are replaced.
+        # The measurement file is written last. An old one is removed first, because it would no longer match the frames.
         file.unlink(missing_ok=True)
         work = [(capture, trial) for capture in captures for trial in range(capture.trials)]
         write_frame = functools.partial(_write_frame, model, chosen.defects, output, seed)
@@ -91,7 +91,7 @@ def measure(camera: Path, output: Path, options: LabOptions) -> tuple[Path, File
 
 
 def _write_frame(model: CameraModel, defects: DefectRecipe, folder: Path, seed: int, job: tuple[LabCapture, int]) -> None:
-    """Simulate and write one frame. This function may run in a worker process."""
+    """Simulate and write one frame, possibly in a worker process."""
     capture, trial = job
     write_mosaic(folder / _frame_name(capture, trial), take(model, capture, trial, seed, defects), capture.exposure)
 
@@ -114,7 +114,7 @@ def _chart_name(capture: LabCapture) -> str:
 def _described(
     model: CameraModel, chosen: LabRecipe, captures: tuple[LabCapture, ...], folder: Path
 ) -> files.MeasurementRecipe:
-    """Write the files of spectra into `folder`. Return the content of the measurement file, which is written later."""
+    """Write the files of spectra into `folder`, and compose the measurement file, which is written later."""
     mono: list[files.MonoRecipe] = []
     charts: list[files.ChartRecipe] = []
     others: dict[str, list[files.CaptureRecipe]] = {"white": [], "dark": [], "polariser": []}

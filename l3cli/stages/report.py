@@ -1,4 +1,4 @@
-"""The stage of `l3 report`, which writes an HTML page about any combination of artifacts."""
+"""The `l3 report` stage, which writes an HTML page about any combination of artifacts."""
 
 import functools
 from collections.abc import Sequence
@@ -51,9 +51,9 @@ from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import a, short_names, tidy
 from l3cli.training.summary import insight
 
-# Limits in bytes, which keep the size of the page below parts.MAX_PAGE_BYTES.
+# limits that keep the page smaller than parts.MAX_PAGE_BYTES
 PICTURE_BYTES = 5_500_000  # pictures of all evaluated frames
-PIXEL_BYTES = 1_000_000  # all pixel viewers, which show the class, the filter and the values of single pixels
+PIXEL_BYTES = 1_000_000  # all pixel viewers, which show the class, filter and values of single pixels
 CLASS_BYTES = 300_000  # filters of classes that do not occur in the crops of the pixel viewers
 THUMBNAIL_BYTES = 2_000_000  # thumbnails of all training sets
 KINDS: dict[str, type[Artifact]] = {kind.kind: kind for kind in (CameraModel, TrainingSet, TransformTable, Design)}
@@ -64,15 +64,15 @@ CROPPED = ("ours", "ideal", "basic")  # names of the pictures that the pixel vie
 def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) -> FilesUsed:
     """Write an HTML page about camera models, training sets, transform tables, designs and evaluations of sequences.
 
-    Each table is evaluated on every training set that has the same CFA and was not used to train the table. The results are
-    part of the page.
+    The page includes an evaluation of each table on all training sets with the same CFA, except those that were used to
+    train the table.
 
     Parameters
     ----------
     artifacts : tuple of Path
-        Artifacts, and JSON files that `l3 evaluate --sequence` has written.
+        Artifacts, and JSON files from `l3 evaluate --sequence`.
     output : Path
-        The page, whose name must end in .html.
+        The page. Its file name must end in .html.
     options : ReportOptions
         Options of `l3 report`.
 
@@ -84,9 +84,9 @@ def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) ->
     Raises
     ------
     InputFileError
-        If a file is damaged, is not an artifact that a report supports, or does not fit the other files.
+        If a file is damaged, is not supported in reports, or does not match the other files.
     RecipeError
-        If the name of the output does not end in .html, or if no frame has the luminance `options.at`.
+        If the file name of the output does not end in .html, or if no frame has the luminance `options.at`.
     L3Error
         If the page cannot be written.
     """
@@ -113,9 +113,9 @@ def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) ->
 
 
 def _read(paths: tuple[Path, ...]) -> Given:
-    """Read all files. If several files have the same content, only the first of these files is used.
+    """Read all files, without duplicates of the same content.
 
-    Raises InputFileError if a table and a training set of the same camera have different outputs.
+    Raises InputFileError if a table and a training set for its evaluation have different outputs.
     """
     entries: dict[str, Entry] = {}
     sequences: dict[str, dict[str, Any]] = {}
@@ -153,7 +153,7 @@ def _artifact(path: Path) -> Artifact:
 
 
 def _require_luminance(given: Given, at: float | None) -> None:
-    """Raise RecipeError if a table is evaluated on a training set without frames at the luminance `at`, in cd/m²."""
+    """Raise RecipeError if a training set for an evaluation has no frame at the luminance `at`, in cd/m²."""
     if at is None:
         return
     for path in dict.fromkeys(pair.frames.path for pair in given.pairs):
@@ -167,10 +167,10 @@ def _require_luminance(given: Given, at: float | None) -> None:
 
 
 def _compose(given: Given, options: ReportOptions, console: Console) -> tuple[str, str, list[Section]]:
-    """Return title, lead and sections of the page.
+    """Evaluate the tables, and return the title, lead and sections of the page.
 
-    The sections with pictures come first, then the sections about artifacts with the same CFA, then sequences, designs and
-    the history of all files. The tables are evaluated here.
+    Sections with pictures come first, followed by sections about artifacts, grouped by CFA, then by sequences, designs and
+    the history of all files.
     """
     arrays, tables = given.arrays, given.of(TransformTable)
     _warn_of_arrays(given, console)
@@ -221,9 +221,9 @@ def _array_sections(given: Given, cameras: list[tuple[str, CameraModel]], called
     cameras : list of (str, CameraModel)
         File name and camera of each camera with this CFA.
     called : list of str
-        Names of all cameras on the page. If two cameras have the same name, their headings also contain the file names.
+        Names of all cameras on the page. Headings of cameras with the same name also contain the file names.
     limit : int
-        Largest number of bytes for the pictures of each training set.
+        Largest size of each training set's pictures, in bytes.
     """
     sections = [camera_section(camera, figures_of_camera(camera), name) for name, camera in cameras]
     for number, (name, camera) in enumerate(cameras):
@@ -242,15 +242,15 @@ def _array_sections(given: Given, cameras: list[tuple[str, CameraModel]], called
 def figures_of_camera(camera: CameraModel) -> dict[str, Any]:
     """Return the output of `l3 calibrate --json` for a camera, with the additional entry "shortfall".
 
-    The entry states why the fitted camera model should not be used. It is "" if there is no such reason, or if the camera
-    was not fitted.
+    This entry states why a calibration should not be used. It is "" if the calibration is usable or the camera was not
+    calibrated.
     """
     doubt = shortfall(camera) if camera.fit else None
     return figures(camera) | {"shortfall": (doubt or "").partition(";")[0]}
 
 
 def _warn_of_arrays(given: Given, console: Console) -> None:
-    """Warn about each training set whose CFA differs from the CFA of every table."""
+    """Warn about training sets that cannot be evaluated, because no table has the same CFA."""
     tables = [entry for entry, _ in given.of(TransformTable)]
     for entry, _ in given.of(TrainingSet) if tables else ():
         if all(entry.array != table.array for table in tables):
@@ -262,10 +262,7 @@ def _warn_of_arrays(given: Given, console: Console) -> None:
 
 
 def _warn_of_cameras(given: Given, console: Console) -> None:
-    """Warn about each camera that differs from a reference camera.
-
-    The reference is the camera of the first table or, if there is no table, of the first file.
-    """
+    """Warn about cameras that differ from the camera of the first table or, without tables, of the first file."""
     tables, cameras = given.of(TransformTable), given.of(CameraModel)
     held = [(entry, head.camera) for entry, head in given.of(TrainingSet)]
     known: Sequence[tuple[Entry, Any]] = [*tables, *cameras, *held]
@@ -284,8 +281,8 @@ class Judged:
 
     pair: Pair
     document: dict[str, Any]  # output of `l3 evaluate --json`
-    front: Section | None  # section with the pictures; None if the outputs are neither colours nor Stokes parameters
-    warning: str | None  # reason not to trust the evaluation
+    front: Section | None  # section with pictures; None if the outputs are neither colours nor Stokes parameters
+    warning: str | None  # reason to distrust the evaluation
 
     @property
     def section(self) -> Section:
@@ -297,9 +294,9 @@ class Judged:
 
 
 def _judge(pair: Pair, anchor: str, limits: tuple[int, int, int], options: ReportOptions, console: Console) -> Judged:
-    """Evaluate a table on the frames of a training set, and make the section with the pictures.
+    """Evaluate a table on the frames of a training set, and create the section with pictures.
 
-    Pictures are shown only if the outputs of the table are X, Y and Z, or contain Stokes parameters.
+    Pictures are shown only if the outputs are X, Y, Z or include Stokes parameters.
 
     Parameters
     ----------
@@ -308,7 +305,7 @@ def _judge(pair: Pair, anchor: str, limits: tuple[int, int, int], options: Repor
     anchor : str
         Identifier of this pair, unique on the page.
     limits : (int, int, int)
-        Largest number of bytes for the pictures, for the pixel viewer, and for the filters of additional classes.
+        Largest sizes in bytes of the pictures, the pixel viewer, and the filters of additional classes.
     options : ReportOptions
         Options of `l3 report`.
     console : Console
@@ -358,7 +355,7 @@ def _pixels(
     pictures: dict[str, Pixels],
     limits: tuple[int, int, int],
 ) -> Subsection:
-    """Return the pixel viewer, which shows the class, the filter and the values of each pixel in a crop of a frame."""
+    """Create the pixel viewer, which shows the class, filter and values of each pixel in a crop of a frame."""
     frame = reader.frame(index)
     renderer, raw = renderers.of(frame), raw_of(frame, index, reader.head.camera)
     table = renderer.table
@@ -369,7 +366,7 @@ def _pixels(
 
 
 def chart_subsection(frame: TrainingPair, number: int, planes: dict[str, NDArray], head: TrainingSet) -> Subsection | None:
-    """Return a figure and a table about the ColorChecker in a frame, or None if the frame shows no ColorChecker.
+    """Create a figure and a table about the ColorChecker in a frame. Returns None if the frame shows none.
 
     Parameters
     ----------
@@ -380,7 +377,7 @@ def chart_subsection(frame: TrainingPair, number: int, planes: dict[str, NDArray
     planes : dict of str to ndarray, (output, row, col)
         Outputs of each pipeline for this frame. The first entry is the table.
     head : TrainingSet
-        Head of the training set.
+        Header of the training set.
     """
     light = head.target_light or frame.light
     size = frame.raw.shape[0], frame.raw.shape[1]
@@ -396,7 +393,7 @@ def chart_subsection(frame: TrainingPair, number: int, planes: dict[str, NDArray
 
 
 def _side_by_side(judged: list[Judged], limit: int, options: ReportOptions) -> Section:
-    """Return the section that compares all tables. `limit` is the largest number of bytes for the pictures."""
+    """Create the section that compares all tables, with pictures of at most `limit` bytes."""
     sides = [Side(each.pair.table.name, each.pair.frames.name, each.pair.head.camera, each.document) for each in judged]
     pictures, chosen = [], shared_frame(sides, options.at)
     for each, index in zip(judged, chosen, strict=False):
@@ -410,21 +407,21 @@ def _side_by_side(judged: list[Judged], limit: int, options: ReportOptions) -> S
 
 
 def plot(judged: Sequence[Judgement], output: Path, options: CheckOptions) -> None:
-    """Write a page that shows the CFA, the responsivities and the noise of each camera recipe without faults.
+    """Write a page with the CFA, responsivities and noise of each camera recipe that has no faults.
 
     Parameters
     ----------
     judged : sequence of Judgement
         Results of `l3 check`. Camera recipes with faults, and recipes of other types, are skipped.
     output : Path
-        The page, whose name must end in .html.
+        The page. Its file name must end in .html.
     options : CheckOptions
         Options of `l3 check`.
 
     Raises
     ------
     RecipeError
-        If there is no camera recipe without faults, or if the name of the output does not end in .html.
+        If there is no camera recipe without faults, or if the file name of the output does not end in .html.
     L3Error
         If the page cannot be written.
     """

@@ -1,7 +1,7 @@
-"""The stage of `l3 init`, which creates a folder with recipes and a Makefile for each camera.
+"""The `l3 init` stage, which creates a folder with recipes and a Makefile for a camera.
 
-The camera comes from one of these sources: a recipe that comes with l3, a recipe or design file of the user, the name of a
-known camera, or raw files. For raw files, l3 identifies the camera from their metadata.
+The camera is specified by one of l3's own recipes, a recipe or design of the user, the name of a known camera, or raw files.
+From the metadata of raw files, l3 identifies the camera.
 """
 
 import itertools
@@ -56,21 +56,21 @@ from l3cli.system.console import Console
 from l3cli.system.files import FilesUsed, atomic_output, blamed_on, files_to_read, refuse_protected, require_regular
 from l3cli.system.outputs import OutputGuard
 
-COLOURS = set(LETTERS.lower())  # colour letters, which need no blanks between them in ‹pattern›
-# Nona Bayer array. It is common in smartphones, but l3 has no recipe for it.
+COLOURS = set(LETTERS.lower())  # colour letters, which need not be separated by blanks in ‹pattern›
+# Nona Bayer array, which is common in smartphones
 NONA = "ggg rrr/ggg rrr/ggg rrr/bbb ggg/bbb ggg/bbb ggg"
 RAW_OVERRIDES = ("black_level", "white_level", "opcodes")  # options that replace values in the raw files
-SINGLE_CAMERA_OPTIONS = ("phase", "pattern", "black_level", "white_level")  # options that are refused for several cameras
+SINGLE_CAMERA_OPTIONS = ("phase", "pattern", "black_level", "white_level")  # options that apply to only one camera
 NEW_FOLDER = "mine"  # folder name in suggested commands, as in the documentation
-PHOTO_LINK = "picture"  # name of the symbolic link to the photo, because make cannot handle all names of photos
+PHOTO_LINK = "picture"  # name of the symbolic link to the photo, because make does not support all file names
 CHART_WHITE = "chart"  # value of ‹white› for l3 render if the illuminant of the chart was only estimated
-MAX_CHART_PHOTOS = 4  # number of photos per camera in which l3 looks for a ColorChecker
+MAX_CHART_PHOTOS = 4  # photos per camera in which l3 searches for a ColorChecker
 FOLDER_FILES = (*COMMON, "camera.toml", CURVES)  # files that l3 init writes into a folder
 Taken = Sequence[tuple[Path, Stated]]  # raw files of one camera, each with its metadata
 
 
 def start(starter: Path, folder: Path, options: InitOptions) -> FilesUsed:
-    """Create a folder from a camera recipe or benchmark that comes with l3.
+    """Create a folder from a camera recipe or benchmark included with l3.
 
     Parameters
     ----------
@@ -109,8 +109,7 @@ def start(starter: Path, folder: Path, options: InitOptions) -> FilesUsed:
 def start_recipe(recipe: Path, folder: Path, options: InitOptions) -> FilesUsed:
     """Create a folder from a camera recipe of the user.
 
-    The folder contains copies of the recipe, of its base recipe and of its curve files. File names in the copies are changed
-    to refer to the copies.
+    The folder contains copies of the recipe, its base recipe and its curve files, which refer to each other.
 
     Raises
     ------
@@ -128,7 +127,7 @@ def start_recipe(recipe: Path, folder: Path, options: InitOptions) -> FilesUsed:
         names[recipe] = "camera.toml"
         texts = {names[file]: file.read_bytes() for file in files}
         for file, (other, name) in itertools.product(files, names.items()):
-            stated = os.path.relpath(other, file.parent)  # paths in a recipe are relative to the folder of the recipe
+            stated = os.path.relpath(other, file.parent)  # paths in a recipe are relative to its folder
             for quote in ('"', "'") if file.suffix == ".toml" else ():
                 texts[names[file]] = texts[names[file]].replace(
                     f"{quote}{stated}{quote}".encode(), f"{quote}{name}{quote}".encode()
@@ -155,7 +154,7 @@ def start_named(name: str, folder: Path, options: InitOptions) -> FilesUsed:
 
 
 def start_designed(path: Path, folder: Path, options: InitOptions) -> FilesUsed:
-    """Create a folder for the camera of a design, with the CFA that has the smallest predicted error.
+    """Create a folder for the camera of a design, with the CFA that has the lowest predicted error.
 
     Raises
     ------
@@ -180,7 +179,7 @@ def start_designed(path: Path, folder: Path, options: InitOptions) -> FilesUsed:
 
 
 def _write_recipes(folder: Path, contents: Mapping[str, bytes], reads: Mapping[str, Sequence[Path]]) -> FilesUsed:
-    """Write a recipe folder. An error in the new camera recipe is raised after the files are written."""
+    """Write a recipe folder, then check the new camera recipe."""
     used = files_to_read(reads)
     write_folder(folder, contents)
     load_camera(folder / "camera.toml")
@@ -188,10 +187,7 @@ def _write_recipes(folder: Path, contents: Mapping[str, bytes], reads: Mapping[s
 
 
 def named_camera(name: str) -> PhotoCamera:
-    """Return a camera that l3 knows by name.
-
-    The responsivities were measured, and the sensor data were published. Other values, such as the f-number, are assumed.
-    """
+    """Build a known camera from measured responsivities, published sensor data and assumed values such as the f-number."""
     known, curves = known_cameras().camera[name], known_curves(name)
     return without_photo(known.body, known.levels, known.stated, curves, known_cameras().source)
 
@@ -199,7 +195,7 @@ def named_camera(name: str) -> PhotoCamera:
 def write_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
     """Write files into a folder, and create the folder if it does not exist.
 
-    Each file appears only when it is complete. Files whose names end in .sh become executable.
+    Each file appears only when it is complete. Files with names ending in .sh become executable.
 
     Parameters
     ----------
@@ -218,10 +214,9 @@ def write_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
 
 
 def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> tuple[list[Path], FilesUsed]:
-    """Create a folder for the camera that took some raw files.
+    """Create a folder for the camera of the given raw files, or subfolders if the files are from several cameras.
 
-    If several cameras took the files, `folder` contains a subfolder for each camera. Each folder also contains a symbolic
-    link to the raw file that `make` renders.
+    Each folder also contains a symbolic link to the raw file that `make` renders.
 
     Parameters
     ----------
@@ -242,7 +237,7 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> tu
     Raises
     ------
     RecipeError
-        If an option for a single camera is set, but several cameras took the files.
+        If an option for a single camera is set, but the files are from several cameras.
     InputFileError
         If a file is not a raw file, or if its CFA, black level or white level is unknown.
     L3Error
@@ -268,12 +263,12 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> tu
         contents = {place: _contents(camera) for place, camera in made.items()}
         links = {place / _link_name(camera): camera.photo.resolve() for place, camera in made.items() if camera.photo}
         for link in links:
-            if not link.is_symlink():  # an existing link was created by an earlier run and may be replaced
+            if not link.is_symlink():  # links from an earlier run may be replaced
                 refuse_protected(link)
         used = files_to_read({"photos": files})
         for place, camera in made.items():
             write_folder(place, contents[place])
-            load_camera(place / "camera.toml")  # raises an error if the camera cannot be simulated
+            load_camera(place / "camera.toml")  # raises an error if the recipe is invalid
             _link(place / _link_name(camera), links[place / _link_name(camera)])
             console.info(_camera_line(place, camera))
     written = [place / name for place, texts in contents.items() for name in texts]
@@ -281,10 +276,10 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> tu
 
 
 def refuse_as_table(photo: Path, inputs: Sequence[Path], output: Path) -> None:
-    """Raise an error, because `l3 render` was called with a raw file in place of a table.
+    """Raise an error, because `l3 render` was called with a raw file instead of a table.
 
-    The message contains commands that the user probably wants to run: the same command with the table first or, if the
-    inputs contain no table, the commands that train a table and render the raw files.
+    The message suggests commands: the same command with the table first or, if the inputs contain no table, commands that
+    train a table and render the raw files.
 
     Parameters
     ----------
@@ -318,12 +313,11 @@ def refuse_as_table(photo: Path, inputs: Sequence[Path], output: Path) -> None:
 
 
 def _rendering(table: Path, photos: Sequence[Path], output: Path) -> str:
-    """Return the command that renders raw files."""
     return shlex.join(["l3", "render", *map(str, (table, *photos)), "-o", str(output)])
 
 
 def _contents(camera: PhotoCamera) -> dict[str, bytes]:
-    """Return the content of each file in the folder of a camera, by file name."""
+    """Compose the files in a camera's folder: content by file name."""
     common = common_files(camera.body.rows, camera.body.cols)
     makefile = common["Makefile"].decode()
     shown = camera.photo and _link_name(camera)
@@ -336,7 +330,6 @@ def _contents(camera: PhotoCamera) -> dict[str, bytes]:
 
 
 def _link(path: Path, photo: Path) -> None:
-    """Replace `path` by a symbolic link to the photo."""
     with blamed_on(path):
         path.unlink(missing_ok=True)
         path.symlink_to(photo)
@@ -350,7 +343,7 @@ def _link_name(camera: PhotoCamera) -> str:
 
 
 def _camera_line(place: Path, camera: PhotoCamera) -> str:
-    """Return a line about a new folder: the camera, the origin of its data, the assumptions, and the next command."""
+    """Describe a new folder in one line: camera, sources of its data, assumptions, and next command."""
     body, array = camera.body, "/".join(array_rows(camera.body.channels, camera.body.cfa, ""))
     white = f" ‹white› {camera.white}" if camera.white not in (None, CHART_WHITE) else ""
     known = "".join(f" ‹{name}› {value}" for name, value in camera.overrides.items())
@@ -365,7 +358,7 @@ def _camera_line(place: Path, camera: PhotoCamera) -> str:
 
 
 def _raw_files(photo: Path) -> list[Path]:
-    """Return the raw files of a folder, or the file itself.
+    """List the raw files in a folder. If `photo` is a file, the list contains this file.
 
     Raises InputFileError if there are no raw files, or if the file contains no metadata about the camera.
     """
@@ -385,8 +378,8 @@ def _raw_files(photo: Path) -> list[Path]:
 def _sorted_by_camera(files: Sequence[Path], listed: set[Path], console: Console) -> dict[str, list[tuple[Path, Stated]]]:
     """Group raw files by camera.
 
-    A file that is not a raw file is reported and skipped if it was found in a folder (`listed`). Otherwise, or if no raw
-    file remains, an InputFileError is raised.
+    Unreadable files are reported and skipped if they were found in a folder (`listed`). For other unreadable files, or if no
+    raw file remains, an InputFileError is raised.
     """
     cameras: dict[str, list[tuple[Path, Stated]]] = {}
     for path in dict.fromkeys(files):
@@ -422,16 +415,16 @@ def _places(folder: Path, names: Sequence[str]) -> dict[str, Path]:
 def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
     """Build a camera from raw files.
 
-    l3 fits the responsivities to a ColorChecker in one of the first MAX_CHART_PHOTOS photos. If no photo shows a usable
-    chart, l3 uses the sources that `_without_chart` lists.
+    The responsivities are fitted to a ColorChecker in one of the first MAX_CHART_PHOTOS photos. If these photos show no
+    usable chart, the responsivities come from other sources (see `_without_chart`).
 
     Raises
     ------
     InputFileError
-        If the CFA, black level or white level of the first file is unknown, if its pixels contradict its CFA, or if there is
-        no source of responsivities.
+        If the CFA, black level or white level of the first file is unknown, if its pixels contradict its CFA, or if no
+        responsivities are available.
     """
-    taken = sorted(taken, key=lambda each: each[1].iso or 0.0)  # because gains are relative to the lowest ISO speed
+    taken = sorted(taken, key=lambda each: each[1].iso or 0.0)  # gains are relative to the lowest ISO speed
     path, known = taken[0]
     gains = gains_of(known, [each for _, each in taken])
     measured = _measurements(path, options)
@@ -461,7 +454,7 @@ def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
             over = facts.iso / known.iso if facts.iso and known.iso else 1.0  # gain is proportional to the ISO speed
             noise = SensorNoise(found.gain / over, found.noise.read_noise, "as measured on the patches of the chart")
         curves = found.responsivity / found.responsivity.max()
-        balance = white if len(found.channels) > 1 else None  # a camera with one channel makes grey pictures
+        balance = white if len(found.channels) > 1 else None  # monochrome cameras need no white balance
         return PhotoCamera(
             other, measured.body, *levels, known, found.wavelength, curves, origin, noise, balance, gains, overrides
         )
@@ -473,11 +466,11 @@ def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
 
 
 def _measurements(path: Path, options: InitOptions) -> Measurements:
-    """Read a raw file. Values in the options take precedence over values in the file.
+    """Read a raw file, with values from the options instead of values in the file where they are set.
 
-    If the black level of the file is doubtful, the console shows a warning. Raises InputFileError if the frame is too small,
-    or if the pixels contradict the CFA, the phase or the black level and no option overrides this value. Raises RecipeError
-    if the black level is not below the white level.
+    A doubtful black level causes a warning. Raises InputFileError if the frame is too small, or if the pixels contradict the
+    CFA, phase or black level in the file and no option overrides it. Raises RecipeError if the black level is not below the
+    white level.
     """
     try:
         answers = {name: value for name in RAW_OVERRIDES if (value := getattr(options, name)) is not None}
@@ -504,8 +497,8 @@ def _measurements(path: Path, options: InitOptions) -> Measurements:
     black_level = frame.black_level if options.black_level is None else options.black_level
     if not black_level < white_level:
         raise RecipeError(
-            f"‹black_level› {black_level:g} is not below the white level of {path}, {white_level:g} DN; set a lower black "
-            "level"
+            f"‹black_level› is {black_level:g}, but must be less than the white level of {path}, {white_level:g} DN; set a "
+            "lower black level"
         )
     frame = replace(frame, black_level=black_level, white_level=white_level)
     if options.black_level is None and (share := share_below_black(frame)):
@@ -524,13 +517,13 @@ def _measurements(path: Path, options: InitOptions) -> Measurements:
 
 
 def array_named(text: str) -> tuple[tuple[str, ...], NDArray[np.uint8]]:
-    """Read the CFA that ‹pattern› specifies.
+    """Parse the CFA that ‹pattern› specifies.
 
     Parameters
     ----------
     text : str
-        Name of a camera recipe that comes with l3, or the rows of the CFA with "/" between them. Within a row, blanks
-        separate the channels. Blanks between colour letters may be omitted: "rg/gb", "r g ir g/…".
+        Name of a camera recipe included with l3, or rows of channel names such as "rg/gb" or "r g ir g/…". Rows are
+        separated by "/" and channels by blanks, which may be omitted between single colour letters.
 
     Returns
     -------
@@ -557,16 +550,16 @@ def array_named(text: str) -> tuple[tuple[str, ...], NDArray[np.uint8]]:
 
 
 def neutral_by_name(frame: RawFrame, body: Body, channels: Sequence[str]) -> tuple[float, ...] | None:
-    """Return the neutral of a raw file in the order of `channels`, or None if the file lacks one of the channels.
+    """Return a grey object's signal in each of `channels`, according to a raw file's white balance.
 
-    The neutral is the signal of a grey object in each channel.
+    Returns None if the file does not contain all channels.
     """
     known = dict(zip(body.channels, frame.neutral or (), strict=False))
     return tuple(known[name] for name in channels) if set(channels) <= set(known) else None
 
 
 def _another_array(body: Body, doubt: ArrayDoubt) -> str:
-    """Return the error message for pixels that contradict the stated CFA in every phase."""
+    """Compose the error message for pixels that contradict the stated CFA in every phase."""
     stated = "/".join(array_rows(body.channels, body.cfa, ""))
     likely = doubt.likely({name: array_named(name)[1] for name in (*known_arrays(), NONA)})
     named = " or ".join(f'"{each}"' if "/" in each else each for each in likely[:2])
@@ -577,7 +570,7 @@ def _another_array(body: Body, doubt: ArrayDoubt) -> str:
 
 
 def _misplaced(body: Body, doubt: PhaseDoubt) -> str:
-    """Return the error message for pixels that fit the stated CFA only in another phase."""
+    """Compose the error message for pixels that match the stated CFA only in another phase."""
     phases = [(0, 0), *doubt.phases]
     patterns = ["/".join(array_rows(body.channels, shifted_cfa(body.cfa, each), "")) for each in phases]
     stated, *shown = [(f"{row},{col}", pattern) for (row, col), pattern in zip(phases, patterns, strict=True)]
@@ -592,9 +585,9 @@ def _misplaced(body: Body, doubt: PhaseDoubt) -> str:
 
 
 def _by_chart(measured: Measurements, console: Console) -> CameraModel | None:
-    """Fit a camera model to the ColorChecker in a photo. Warnings about the fit are sent to the console.
+    """Fit a camera model to the ColorChecker in a photo, and print warnings about the fit.
 
-    The result is None if the photo shows no usable chart, or if the fit is too poor.
+    Returns None if the photo shows no usable chart, or if the fit is too poor.
     """
     try:
         camera = model.calibrate(measured)
@@ -609,16 +602,16 @@ def _by_chart(measured: Measurements, console: Console) -> CameraModel | None:
 
 
 def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[responsivity.Curves, str]:
-    """Return the responsivities of a camera whose photos show no chart, and a text about the source of the responsivities.
+    """Determine responsivities without a chart, and describe their source.
 
-    l3 uses the first available source: (1) measured curves of this camera; (2) the colour matrices in the file; (3) the mean
-    of the measured cameras; (4) for a single channel, bare silicon behind an infrared filter. If the white balance of the
-    file shows that the raw values are already balanced, the curves of source (3) are balanced for D65.
+    The first available source is used: (1) measured curves of this camera; (2) colour matrices in the file; (3) the mean of
+    the measured cameras; (4) for a single channel, bare silicon behind an infrared filter. If the raw values are already
+    white-balanced according to the file, the curves from source (3) are balanced for D65.
 
     Raises
     ------
     InputFileError
-        If no source fits the channels.
+        If no source covers the channels.
     """
     channels = measured.body.channels
     if (name := known_as(known.camera)) and sorted(channels) == sorted(ROLES):
@@ -643,7 +636,8 @@ def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[r
         neutral = measured.photos[0].frames[0].neutral
         if neutral is None or np.ptp(neutral) > 0:
             return curves, origin
-        # If a grey has equal signals, the raw values are already white-balanced. No sensor responds equally in all channels.
+        # Equal signals for grey mean that the raw values are already white-balanced, because no sensor responds equally in
+        # all channels.
         balanced = responsivity.balanced_curves(curves, "D65")
         return balanced, f"{origin}; balanced for D65, because the values in the file are white-balanced"
     if len(channels) == 1:

@@ -312,8 +312,8 @@ def test_a_page_shows_the_curves(tmp_path: Path, l3: L3) -> None:
     ("content", "line", "what"),
     [
         (b"a = 1\nb = \n", 2, "is not valid TOML"),
-        (b"", 1, "the keys do not show whether this file is"),
-        (b'name = "x"\n[sensor]\n[cfa]\n[optics]\n', 1, "the keys do not show whether this file is"),
+        (b"", 1, "the type of this file is unclear from its keys"),
+        (b'name = "x"\n[sensor]\n[cfa]\n[optics]\n', 1, "the type of this file is unclear from its keys"),
         (b"\xff\xfe\x00", 1, "is not a text file"),
         (b'name = "x"\nbase = "none.toml"\nphase = [0, 0]\n', 2, "none.toml does not exist"),
         (b"exposure_s = [1]\n[[scene]]\nsource = 'rgb'\nfile = 'a**b'\n", 4, "a**b is not a valid glob"),
