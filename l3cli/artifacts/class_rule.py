@@ -294,7 +294,7 @@ class ClassRule:
         return math.prod(self.shape)
 
     def join(self, level: Any, contrast: Any, kind: Any, site: Any = 0, combination: Any = 0) -> Any:
-        """Combine feature values to a class index. The values can be integers or integer arrays.
+        """Combine feature values into a class index. The values can be integers or integer arrays.
 
         Without `site`, the result is the class index within a site.
         """
@@ -344,7 +344,7 @@ class ClassRule:
         return values.reshape(len(values) // self.classes_per_site, *self.shape, *values.shape[1:])
 
     def kind(self, chroma: Any, case: Any) -> Any:
-        """Combine chroma and saturation case to the kind. The chroma is ignored unless the saturation case is 0."""
+        """Combine chroma and saturation case into the kind. The chroma is ignored unless the saturation case is 0."""
         return np.where(np.greater(case, 0), self.chromas - 1 + case, chroma)
 
     def case(self, kind: Any) -> Any:
@@ -360,5 +360,5 @@ class ClassRule:
         return self.chromas - 1 + case if case else slice(0, self.chromas)
 
     def join_cases(self, level: Any, contrast: Any, case: Any) -> Any:
-        """Combine feature values to the index of a coarse class, which ignores chromas and additional features."""
+        """Combine feature values into the index of a coarse class, which ignores chromas and additional features."""
         return (level * self.contrasts + contrast) * self.cases + case

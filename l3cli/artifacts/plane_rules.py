@@ -115,7 +115,7 @@ class PlaneClasses(GradientScale):
         raise NotImplementedError
 
     def join(self, level: Any, kind: Any, site: Any = 0) -> Any:
-        """Combine feature values, which are integers or integer arrays, to a class index."""
+        """Combine feature values, which are integers or integer arrays, into a class index."""
         return (site * self.levels + level) * self.kinds + kind
 
     def split(self, index: Any) -> PlanePlace:
@@ -130,7 +130,7 @@ class PlaneClasses(GradientScale):
         return site, within
 
     def kind(self, structure: Any, case: Any) -> Any:
-        """Combine structure and saturation case to the kind. The structure is ignored unless the case is 0."""
+        """Combine structure and saturation case into the kind. The structure is ignored unless the case is 0."""
         return np.where(np.greater(case, 0), self.structures - 1 + case, structure)
 
     def case(self, kind: Any) -> Any:

@@ -165,7 +165,7 @@ def line_squares(picture: NDArray[Any], body: Body) -> Array:
 
 
 def mean_squares(sums: Sequence[Array], body: Body) -> LineSquares:
-    """Combine the sums of squares of several pictures with the same noise, from `line_squares`, to mean squares.
+    """Combine the sums of squares of several pictures with the same noise, from `line_squares`, into mean squares.
 
     The pictures can be, for example, the pairs of frames with the same exposure time.
     """

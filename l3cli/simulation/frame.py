@@ -342,7 +342,7 @@ def _signalled(
 def make_pair(
     raw: RawFrame, picture: NDArray[np.float32], outputs: tuple[str, ...], camera: CameraModel, pair: Pair, name: str
 ) -> TrainingPair:
-    """Combine a raw frame and a picture of the same scene, which becomes the target, to a training pair.
+    """Combine a raw frame and a picture of the same scene, which becomes the target, into a training pair.
 
     Raw frame and picture are cropped to begin at CFA site (0, 0).
 

@@ -100,7 +100,7 @@ def course(motion: Motion, seed: tuple[int, ...]) -> Course:
 
 
 def room(motion: Motion) -> tuple[float, float]:
-    """Return the area (rows, columns) of the scene that a clip needs at most with any seed, in pixels without zoom."""
+    """Return the largest scene area (rows, columns) that a clip can need with any seed, in pixels without zoom."""
     last = (motion.frames - 1) / 2 + motion.shutter / 2
     widest = max(min(motion.zoom_per_frame, 1 / motion.zoom_per_frame) ** last, LEAST_ZOOM)
     shake, pan = FARTHEST_SHAKE * motion.shake_pixels, motion.pan_pixels_per_frame

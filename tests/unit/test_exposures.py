@@ -75,7 +75,7 @@ def recipe_of(name: str) -> Path:
     [
         ("exposure = 0.0625", "exposure = 16.0", "channel.rs.exposure is 16.0; use at most 1"),
         ('like = "r"', 'like = "x"', '"x" is not a channel of cfa.channels'),
-        ('like = "r"', 'like = "rs"', 'is "rs", which has no curve'),
+        ('like = "r"', 'like = "rs"', 'is "rs", a channel without its own curve'),
         ("[channel.rs]", "[channel.rz]", '"rz" is not a channel of cfa.channels'),
         ("exposure = 0.0625", "gain = 0.5", "channel.rs.gain is 0.5; use at least 1"),
         ("exposure = 0.0625", "exposures = 0.5", "exposures"),
@@ -248,7 +248,7 @@ def test_settings_that_frames_contradict_are_refused() -> None:
     curves = np.ones((4, 5))
     model.check_exposures(curves, body)
     curves[2] *= 2
-    with pytest.raises(InputFileError, match=r"is 0\.5 of the exposure time of the frame"):
+    with pytest.raises(InputFileError, match=r"relative exposure time of channel b is 0\.5"):
         model.check_exposures(curves, body)
 
 

@@ -1,4 +1,4 @@
-"""Composes the draft of a measurement file from the frames and the tables of spectra in a folder."""
+"""Composition of a draft measurement file from the frames and tables of spectra in a folder."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -40,9 +40,9 @@ LAMP = (
 )
 PITCH = "µm; distance between pixels, from the data sheet"
 LEAST_CHARTS = 2  # smallest number of charts from which gain and offset can be fitted
-CORNERS = [[10, 10], [240, 10], [240, 170], [10, 170]]  # example of the corners of a chart: column and row in pixels
+CORNERS = [[10, 10], [240, 10], [240, 170], [10, 170]]  # example of chart corners: column and row in pixels
 SHARING = ("[[mono]]", "[[band]]")  # types of captures to which the section [common] applies
-SEVERAL = 2  # if at least this number of captures lack a key, the draft contains the key once, in [common]
+SEVERAL = 2  # if at least this many captures lack a key, the key is written only once, in [common]
 EXAMPLE_SPECTRUM = "spectra/mono.csv"
 PAIR = 2  # smallest number of frames from which noise can be measured
 Mosaic = NDArray[np.floating]
@@ -77,7 +77,7 @@ class DraftText:
         self._line(f"{name} = {toml_value(value)}", comment)
 
     def assume(self, name: str, value: Any, why: str, announced: bool = True) -> None:
-        """Add a key with a probable value, marked ASSUMED. If `announced` is true, add the value to `assumed` too."""
+        """Add a key with a probable value, marked ASSUMED, and list it in `assumed` if `announced` is true."""
         self._line(f"{name} = {toml_value(value)}", f"ASSUMED: {why}")
         if announced:
             self.assumed.append(f"{name} = {toml_value(value)}: {why}")
@@ -91,7 +91,7 @@ class DraftText:
         self._missing.append((name, where, what))
 
     def fill(self, name: str, value: Any, what: str, where: str) -> None:
-        """Add a key whose value is the name of a file that the user must create, marked TODO."""
+        """Add a key for the name of a file that the user must create, marked TODO."""
         self._line(f"{name} = {toml_value(value)}", f"TODO: {what}")
         self._missing.append((name, where, what))
 
@@ -142,7 +142,7 @@ class Survey:
         return float(self.scale.black.mean()) if self.black_level is None else self.black_level
 
     def groups_of(self, *kinds: str) -> list[Group]:
-        """Return the captures whose type is one of `kinds`."""
+        """Return the captures of the given types."""
         return [group for group in self.groups if group.kind in kinds]
 
 
@@ -167,8 +167,8 @@ def unknown_optics(out: DraftText) -> None:
 def _seen_body(out: DraftText, seen: Survey, photo: bool) -> None:
     """Add the sections [sensor], [cfa] and [optics] with the values that can be determined from the frames.
 
-    If `photo` is true, the captures are photos of charts. Typical values are then assumed for pixel pitch and optics,
-    because these values do not influence the result.
+    If the captures are photos of charts (`photo`), typical values are assumed for pixel pitch and optics, because they do
+    not affect the result.
     """
     out.table("[sensor]", rows=seen.shape[0], cols=seen.shape[1])
     if photo:
@@ -211,15 +211,15 @@ class Composer:
     camera : CameraModel or None
         The camera, if it is known.
     folder : str
-        Folder of the frames, as it is written in the draft. "." is the folder that contains the draft.
+        Folder of the frames, as written in the draft. "." is the folder of the draft itself.
     read : callable
-        Function that returns the raw values of the frame with a given path.
+        Function from the path of a frame to its raw values.
     """
 
     def __init__(self, seen: Survey, camera: CameraModel | None, folder: str, read: Callable[[str], Mosaic]) -> None:
         self.seen, self.camera, self.folder, self.read = seen, camera, folder, read
         self.out = DraftText()
-        self.shared: set[str] = set()  # keys that the draft has already explained, in [common] or for the first capture
+        self.shared: set[str] = set()  # keys that are already explained in the draft, in [common] or for the first capture
         self.steps, self.bands = seen.groups_of("mono"), seen.groups_of("band")
         self.charts = seen.groups_of("chart", "structured")
         self.whites, self.darks = seen.groups_of("white"), seen.groups_of("dark")
@@ -260,7 +260,7 @@ class Composer:
     # -------------------------------------------------------------------------------------------------- captures
 
     def _common(self, group: Group, heading: str) -> None:
-        """Begin the entry of a capture, and add its frames and its exposure time."""
+        """Begin the entry of a capture, with its frames and exposure time."""
         out, first = self.out, group.first
         out.table(heading, frames=self._names(group))
         if first.seconds is not None:
@@ -298,10 +298,10 @@ class Composer:
         note_unused(columns, matched, seen.notes)
 
     def _share(self, groups: Sequence[Group], unitless: Sequence[str], unit: str) -> None:
-        """Add the section [common] with the keys that several captures lack, marked TODO.
+        """Add the section [common] with keys that several captures lack, marked TODO.
 
-        These keys are the exposure time, and the unit of the radiances. `unitless` contains the captures or tables whose
-        radiances have no unit.
+        Such keys can be the exposure time and the unit of radiances. `unitless` lists captures or tables with radiances
+        without a unit.
         """
         out, untimed = self.out, [group for group in groups if group.first.seconds is None]
         if len(untimed) < SEVERAL and len(unitless) < SEVERAL:
@@ -317,7 +317,7 @@ class Composer:
             out.todo("unit", unit, what, unitless[0])
 
     def _wanted(self, key: str, example: str, what: str, where: str) -> None:
-        """Add a key whose value is a CSV file that the user must create. The explanation is added only the first time."""
+        """Add a key for a CSV file that the user must create. Its explanation is added only once."""
         if key in self.shared:
             self.out.key(key, example, "as above")
         else:
@@ -325,10 +325,10 @@ class Composer:
             self.shared.add(key)
 
     def _unit(self, table: CurveTable, column: int | None) -> None:
-        """Add the unit of radiances if the headings of their table contain no unit.
+        """Add the unit of radiances if the table headings contain no unit.
 
-        If the values are typical of photon radiances, this unit is assumed. Otherwise the unit is added as a TODO, unless
-        `column` is set and [common] already contains the unit.
+        Photon radiance is assumed if the values are typical. Otherwise the unit is added as a TODO, unless `column` is set
+        and [common] already contains the unit.
         """
         if unknown_unit(table, column):
             if column is None or "unit" not in self.shared:
@@ -340,10 +340,9 @@ class Composer:
             self.out.assume("unit", PHOTON_RADIANCE, why, False)
 
     def _chart_corners(self) -> dict[int, sorting.Corners]:
-        """Search all captures in `self.charts` for a chart, and return the corners that were found.
+        """Search all captures in `self.charts` for a chart, and return its corners by the `id()` of the capture.
 
-        The keys of the result are the `id()` of the captures. Captures that are neither uniform nor contain a chart are
-        removed from `self.charts`, unless their names say that they are charts.
+        Captures that are not uniform but contain no chart are removed from `self.charts`, unless they are named as charts.
         """
         seen, found = self.seen, dict[int, sorting.Corners]()
         for group in list(self.charts):
@@ -389,8 +388,8 @@ class Composer:
     def _bands(self) -> None:
         """Add the [[band]] captures, which show a chart through narrow-band filters.
 
-        l3 finds the corners of the chart in the brightest captures, and uses the corners for all captures. A missing table
-        of radiances is added as a TODO.
+        The corners of the chart are found in the brightest captures, and are used for all captures. A missing table of
+        radiances is added as a TODO.
         """
         out, seen = self.out, self.seen
         corners = sorting.corners_of_series(self.bands, seen.scale, seen.period, self.read)
@@ -416,9 +415,9 @@ class Composer:
     def _photos(self, corners: dict[int, sorting.Corners]) -> None:
         """Add the [[photo]] captures: charts in a folder without monochromatic captures.
 
-        The illuminant of a photo is a matching measured spectrum or, if there is none, the illuminant in the file name. If
-        both are missing, a comment explains the key `light`. Dark frames with the same exposure time are added to the photo.
-        If the folder contains no such dark frames and the black level is unknown, a TODO asks for dark frames.
+        A photo's illuminant is a matching measured spectrum or the illuminant in the file name. If both are missing, a
+        comment explains the key `light`. Dark frames with the same exposure time are added to the photo. They become a TODO
+        if there are none and the black level is unknown.
         """
         out, seen = self.out, self.seen
         for group in self.charts:

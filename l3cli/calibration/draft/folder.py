@@ -1,7 +1,7 @@
-"""Drafts a measurement file from a folder of frames, or from a folder that contains only tables of measurements.
+"""Survey of a folder of frames, or of a folder with only tables, for the draft of a measurement file.
 
-If the folder contains frames, l3 reads the metadata of each file, selects the frames of one sensor, and determines the
-content of each frame.
+In a folder of frames, l3 reads the metadata of each file, selects the frames from one sensor, and determines what each frame
+shows.
 """
 
 import re
@@ -22,10 +22,10 @@ from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.frames.measurement import DIODE, CaptureFolder, RawFile
 from l3cli.system.text import counted
 
-SAMPLED = 6  # number of frames from which the period of the filter array is estimated
-SKIPPED = "; skipped"  # end of each note about a file that is not used
-MOST_NOTED = 12  # if more files are rejected, the remaining files share one note
-LIGHT = re.compile(r"light[ _]+(?!diode)(.+)", re.IGNORECASE)  # heading of a column with the values of a channel in a sweep
+SAMPLED = 6  # frames from which the period of the filter array is estimated
+SKIPPED = "; skipped"  # end of each note about an unused file
+MOST_NOTED = 12  # notes about rejected files; all further files share one note
+LIGHT = re.compile(r"light[ _]+(?!diode)(.+)", re.IGNORECASE)  # heading of a channel's column in a sweep table
 USUAL = {1: ["y"], 3: ["r", "g", "b"]}  # assumed names of the channels, for each number of columns
 SENSOR = (
     ("rows", 3000, "number of rows, from the data sheet"),
@@ -52,7 +52,7 @@ class _Fact:
     path: str
     shape: tuple[int, int]
     mean: float  # mean raw value in DN
-    raw: RawFile  # its array of values is empty if the values of all frames would need too much memory
+    raw: RawFile  # without values if the values of all frames would need too much memory
 
     @property
     def sensor(self) -> tuple[object, ...]:
@@ -71,7 +71,7 @@ def survey(
     tables : list of Spectra
         Tables of spectra in the folder.
     notes : list of str
-        Remarks for the user. The function appends remarks about files that are left out and about assumptions.
+        Remarks for the user, to which remarks about unused files and assumptions are appended.
     camera : CameraModel or None
         The camera, if it is known.
     reading : Reading
@@ -109,7 +109,7 @@ def survey(
 
 
 def _with_wavelengths(usable: list[Frame], notes: list[str]) -> list[Frame]:
-    """Set the wavelengths of frames whose names contain a wavelength without a unit, and add a note about these frames."""
+    """Set the wavelengths of frames that have a wavelength without a unit in their names, and add a note about them."""
     names = with_bare_wavelengths([frame.name for frame in usable])
     new = [name for name, frame in zip(names, usable, strict=True) if name != frame.name]
     if new:
@@ -121,9 +121,9 @@ def _with_wavelengths(usable: list[Frame], notes: list[str]) -> list[Frame]:
 
 
 def _facts(listing: CaptureFolder, notes: list[str], reading: Reading) -> list[_Fact]:
-    """Read the metadata of every file. The pixel values of as many frames as fit into 64 MiB stay in memory.
+    """Read the metadata of all files, and keep the pixel values of as many frames as fit into 64 MiB.
 
-    Files that cannot be read are left out, and a note about each such file is added.
+    Unreadable files are skipped with a note.
     """
     facts, room = [], 64 << 20
     refused: list[str] = []
@@ -143,7 +143,7 @@ def _facts(listing: CaptureFolder, notes: list[str], reading: Reading) -> list[_
 
 
 def _frames_of_one_sensor(facts: Sequence[_Fact], notes: list[str]) -> list[_Fact]:
-    """Return the frames with the most common combination of size and filter array. Add notes about the remaining frames."""
+    """Select the frames with the most common combination of size and filter array, and add notes about the others."""
     count = Counter(fact.sensor for fact in facts)
     usual = max(count, key=lambda sensor: (count[sensor], -[fact.sensor for fact in facts].index(sensor)))
     for sensor in count:
@@ -160,8 +160,8 @@ def _frames_of_one_sensor(facts: Sequence[_Fact], notes: list[str]) -> list[_Fac
 def _period(facts: Sequence[_Fact], camera: CameraModel | None, reading: Reading) -> tuple[int, int]:
     """Return the period of the colour filter array in rows and columns.
 
-    The period comes from the camera if it is known, otherwise from the metadata. If the metadata contain no filter array,
-    the period is estimated from a sample of the frames.
+    The period comes from the camera if it is known, otherwise from the metadata or, if they contain no filter array, from a
+    sample of the frames.
     """
     known = facts[0].raw.pattern if camera is None else camera.cfa
     if known is not None:
@@ -173,11 +173,10 @@ def _period(facts: Sequence[_Fact], camera: CameraModel | None, reading: Reading
 
 
 def _summarised(facts: Sequence[_Fact], period: tuple[int, int], notes: list[str], reading: Reading) -> list[Frame]:
-    """Summarise every frame, except for drawings and masks, which are left out.
+    """Summarise all frames except drawings and masks.
 
-    If the exposure time in the metadata differs from the exposure time in the file name, the exposure time in the metadata
-    is used. Notes are added about frames whose two exposure times differ, about drawings, and about frames whose values seem
-    to be processed.
+    Exposure times in the metadata take precedence over exposure times in file names. Notes are added about contradictory
+    exposure times, drawings, and frames with apparently processed values.
     """
     usable, refused, changed = [], [], Counter[str]()
     for fact in reading.progress(facts, len(facts), "frames"):
@@ -202,12 +201,12 @@ def _summarised(facts: Sequence[_Fact], period: tuple[int, int], notes: list[str
 
 
 def first_lines(lines: Sequence[str], most: int, more: str) -> list[str]:
-    """Return the first `most` lines. If there are more, append the text `more`, in which {} is replaced by their number."""
+    """Return the first `most` lines. If there are more, add the line `more`, with the number of omitted lines for {}."""
     return [*lines[:most], *([more.format(len(lines) - most)] if len(lines) > most else [])]
 
 
 def compose_tables(tables: Sequence[Spectra], camera: CameraModel | None, name: str, left_out: Sequence[str]) -> DraftText:
-    """Draft a measurement file from tables alone: from a sweep that was measured with a photodiode, or from finished curves.
+    """Draft a measurement file from tables alone: a sweep with a photodiode as reference, or finished curves.
 
     Parameters
     ----------
@@ -262,7 +261,7 @@ def compose_tables(tables: Sequence[Spectra], camera: CameraModel | None, name: 
 
 
 def channels_of_sweep(spectra: Spectra) -> list[str]:
-    """Return the names of the channels in a sweep with a photodiode, or an empty list if the table is not such a sweep."""
+    """Return the channel names in a sweep with a photodiode, or an empty list if the table contains no such sweep."""
     names = spectra.table.names or ()
     channels = [match[1] for name in names if (match := LIGHT.fullmatch(name))]
     diode = any("diode" in DIODE.get(name.casefold(), name).casefold() for name in names)
@@ -270,10 +269,10 @@ def channels_of_sweep(spectra: Spectra) -> list[str]:
 
 
 def _finished(tables: Sequence[Spectra]) -> list[Spectra]:
-    """Return the tables that may contain responsivities.
+    """Select the tables that may contain responsivities.
 
-    Tables with the spectra of monochromator steps or of patches are excluded. A table with one column may instead describe
-    a lamp or a photodiode, and is therefore returned only if the folder contains no other table.
+    Tables with spectra of monochromator steps or of patches are excluded. Tables with a single column, which may describe a
+    lamp or a photodiode, are selected only if there are no others.
     """
     broad = [table for table in tables if not table.has_patches and not _has_lines(table)]
     broad = [table for table in broad if len(table.table.values) <= MAX_CHANNELS and table.table.values.max() > 0]
@@ -281,10 +280,9 @@ def _finished(tables: Sequence[Spectra]) -> list[Spectra]:
 
 
 def _has_lines(spectra: Spectra) -> bool:
-    """Return whether each column is the spectrum of a monochromator at one wavelength setting.
+    """Return whether the columns are monochromator spectra, one per wavelength setting.
 
-    If the table has a heading, this is the case if every column name contains a wavelength. Otherwise, most spectra must be
-    narrow-band.
+    In this case, all column names contain a wavelength or, if the table has no heading, most spectra are narrow-band.
     """
     names = spectra.table.names
     return spectra.narrow if names is None else all(read_name(f"{name}.csv").nm is not None for name in names)
@@ -322,9 +320,9 @@ def _body(out: DraftText, names: list[str] | None, columns: int) -> None:
 
 
 def _photodiode(out: DraftText, sweep: Spectra, tables: Sequence[Spectra]) -> None:
-    """Add the key `photodiode`, whose table must have one column and cover the wavelengths of the sweep.
+    """Add the key `photodiode`, with the first table that has one column and covers the wavelengths of the sweep.
 
-    If there is no such table, the key is added as a TODO. If there are several such tables, the first is assumed.
+    The table is marked as assumed if there are several, and as a TODO if there is none.
     """
     grid = sweep.table.wavelength
     single = [table for table in tables if table is not sweep and len(table.table.values) == 1]
@@ -364,8 +362,8 @@ def _has_unit(curves: Spectra, per_energy: bool) -> bool:
 def sensor_figures(out: DraftText, camera: CameraModel | None) -> None:
     """Add the section [datasheet] with the black level, the white level and the noise of the camera.
 
-    The section is needed because tables of responsivity curves do not contain these values. If the camera is unknown, the
-    section is a TODO.
+    The section is needed because tables of responsivities do not contain these values. It becomes a TODO if the camera is
+    unknown.
     """
     if camera is None:
         out.todo_table("[datasheet]", "levels and noise of the sensor, from its data sheet", *SHEET)

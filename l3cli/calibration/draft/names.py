@@ -1,4 +1,4 @@
-"""Extracts the type and the settings of a capture from its file name and folder, and summarises the values of its frames."""
+"""Extraction of a capture's type and settings from its file name and folder, and statistics of its frames."""
 
 import itertools
 import operator
@@ -10,7 +10,7 @@ from pathlib import PurePath
 import numpy as np
 from numpy.typing import NDArray
 
-# types of captures, and the words in file names by which l3 recognises each type
+# types of captures, and the words in file names that identify them
 KINDS = {
     "dark": ("dark", "darks", "cap", "lenscap", "bias", "offset"),
     "white": ("white", "whites", "flat", "flats", "flatfield", "ptc"),
@@ -28,27 +28,27 @@ LIGHT = re.compile(r"(?<![A-Za-z0-9])(A|D\d\d|FL?\d{1,2}|HP\d|LED[-_]?[A-Z0-9]+|
 WORD = re.compile(r"[a-z]+|[A-Z][a-z]+|[A-Z]+(?![a-z])")
 # Numbers without a unit are wavelengths if all are within BARE (nm), and if at least LEAST_STEPS of them differ.
 BARE, LEAST_STEPS = (300.0, 1200.0), 5
-VISIBLE = (200.0, 2000.0)  # nm; a number with the unit nm is a wavelength only if it is in this range
+VISIBLE = (200.0, 2000.0)  # nm; numbers with the unit nm outside this range are not wavelengths
 BLOCKS = 16  # largest number of block rows and block columns in the summary of a frame
 PERIODS = (1, 2, 3, 4, 5, 6, 8)  # possible numbers of rows or columns of the filter array
-LARGEST_CROP = 960  # pixels; largest side of the crop from which the period is estimated; it is a multiple of all periods
+LARGEST_CROP = 960  # pixels; largest side of the crop for estimating the period, a multiple of all periods
 # a smaller period is preferred if it explains at least this fraction of the variance that the best period explains
 EXPLAINED = 0.98
 SIGNIFICANT = 0.02  # smallest fraction of the variance that a filter array must explain
 EVEN = 0.05  # largest relative residual of a uniform field after the fit of a smooth surface
 TERMS = 4  # degree of the polynomial of the smooth fit
-COMMON = 12  # a value is frequent if at least this number of pixels have the value
+COMMON = 12  # a value that occurs in at least this many pixels is frequent
 LEAST_CODES = 16  # smallest number of frequent values from which stretched values can be recognised
-MOST_GAPS = 0.25  # in unprocessed data, the next higher value is missing for at most this fraction of the frequent values
-# A frame is a drawing if its values span more than DRAWN (DN), and if more than the fraction PLAIN of the pixels between the
-# minimum and the maximum equal their neighbours.
+MOST_GAPS = 0.25  # in unprocessed data, at most this fraction of the frequent values lacks the next higher value
+# A frame is a drawing if its values span more than DRAWN (DN), and more than the fraction PLAIN of its pixels with
+# intermediate values equal their neighbours.
 PLAIN, DRAWN = 0.8, 8
 Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class Name:
-    """Information from the path of a file. A field is None if the path does not contain the information."""
+    """Information in the path of a file. Fields without information are None."""
 
     path: str  # path relative to the folder of captures
     kind: str | None = None  # type of the capture, a key of KINDS
@@ -56,7 +56,7 @@ class Name:
     seconds: float | None = None  # exposure time
     light: str | None = None  # name of the illuminant
     angle: float | None = None  # angle of a rotating polariser in degrees
-    series: str = ""  # path with its last number replaced, which is the same for all frames of one exposure
+    series: str = ""  # path without its running number, which all frames of one exposure share
 
     @property
     def words(self) -> frozenset[str]:
@@ -67,7 +67,7 @@ class Name:
 def read_name(path: str) -> Name:
     """Extract the information in the path of a capture or a table of spectra.
 
-    The file name takes precedence over the folders that contain it, and inner folders take precedence over outer folders.
+    The file name takes precedence over folder names, and inner folders take precedence over outer folders.
     """
     pure = PurePath(path)
     stem, parts = pure.stem, (pure.stem, *reversed(pure.parent.parts))
@@ -100,10 +100,10 @@ def _seconds(part: str) -> float | None:
 
 
 def with_bare_wavelengths(names: Sequence[Name]) -> list[Name]:
-    """Add wavelengths that the names of monochromatic captures contain without a unit, such as 450 in mono_450_03.
+    """Find wavelengths without a unit in the names of monochromatic captures, such as 450 in mono_450_03.
 
-    The names must all contain equally many numbers. The wavelength is the first number that is a plausible wavelength in all
-    names and is not a running number. If there is no such number, the names are returned unchanged.
+    The names must contain equally many numbers. The wavelength is the first number that is plausible in all names and is not
+    a running number. Without such a number, the names are returned unchanged.
     """
     bare = [name for name in names if name.kind == "mono" and name.nm is None]
     numbers = [re.findall(r"\d+(?:\.\d+)?", PurePath(name.path).stem) for name in bare]
@@ -120,9 +120,9 @@ def with_bare_wavelengths(names: Sequence[Name]) -> list[Name]:
 
 
 def kind_of(path: PurePath) -> str | None:
-    """Return the type of a capture from its file name or, if the file name contains no type, from the innermost folder.
+    """Determine the type of a capture from its file name or the innermost folder whose name contains a type.
 
-    A name with words for several types is ignored. The result is None if no name contains a type.
+    Names with words for several types are ignored. Returns None if no type is found.
     """
     for part in (path.stem, *reversed(path.parent.parts)):
         whole = {word.lower() for word in re.findall(r"[A-Za-z]+", part)}
@@ -134,7 +134,7 @@ def kind_of(path: PurePath) -> str | None:
 
 
 def natural(path: str) -> tuple[tuple[str | float, ...], ...]:
-    """Return a sort key for paths that sorts numbers by value, so that 9 comes before 10."""
+    """Return a sort key for paths that orders numbers by value, so that 9 comes before 10."""
     return tuple(
         tuple(float(part) if index % 2 else part.lower() for index, part in enumerate(re.split(r"([0-9]+)", each)))
         for each in PurePath(path).parts
@@ -175,7 +175,7 @@ class Summary:
 
 
 def summarise(values: NDArray[np.uint16], period: tuple[int, int]) -> Summary:
-    """Compute the statistics of a frame of raw values in DN. `period` is the period of its filter array (rows, columns)."""
+    """Compute the statistics of a raw frame in DN with a filter array of the given period (rows, columns)."""
     rows, cols = period
     down, across = (max(1, length // each // BLOCKS) for length, each in zip(values.shape, period, strict=True))
     high, wide = (min(BLOCKS, length // each) for length, each in zip(values.shape, period, strict=True))
@@ -189,9 +189,8 @@ def summarise(values: NDArray[np.uint16], period: tuple[int, int]) -> Summary:
 def period_of(frames: Sequence[NDArray[np.uint16]]) -> tuple[int, int]:
     """Estimate the period of the colour filter array in rows and columns from several frames.
 
-    If channels have equal signals under an illuminant, the period of the array seems smaller than it is. The result is
-    therefore the largest period that occurs in at least a third of the frames, not counting frames in which no array is
-    visible. If no array is visible in any frame, the result is (1, 1).
+    Under some illuminants, channels have equal signals, and the period seems too small. The result is therefore the largest
+    period that is found in at least a third of the frames with a visible array, or (1, 1) if no array is visible.
     """
     found = [each for each in map(_period, frames) if each != (1, 1)]
     often = [each for each in found if len(frames) == 1 or 3 * found.count(each) >= len(found)]
@@ -203,7 +202,7 @@ def _period(frame: NDArray[np.uint16]) -> tuple[int, int]:
 
     rows, cols = (min(length, LARGEST_CROP) for length in frame.shape)
     cut = frame[:rows, :cols].astype(np.float64)
-    # Neighbouring pixels receive the same light, so only the array and the noise remain after subtraction of the local mean.
+    # Neighbouring pixels receive nearly the same light, so subtracting the local mean leaves only the array and the noise.
     smooth = cut - ndimage.uniform_filter(cut, 2 * max(PERIODS) + 1)
     explained = {each: _explained(smooth, each) for each in itertools.product(PERIODS, PERIODS)}
     most = max(explained.values())
@@ -214,10 +213,10 @@ def _period(frame: NDArray[np.uint16]) -> tuple[int, int]:
 
 
 def _explained(values: Array, period: tuple[int, int]) -> float:
-    """Return a measure of how well a colour filter array with the given period explains the variation of a frame.
+    """Measure how well a colour filter array with the given period explains the variation in a frame.
 
-    The measure is n · R² − m, where n is the number of pixels, R² is the fraction of the variance that the mean values of
-    the sites explain, and m is the number of sites. The measure is close to 0 for a frame without an array.
+    The result is n · R² − m, where n is the number of pixels, R² the fraction of the variance that the site means explain,
+    and m the number of sites. It is close to 0 for a frame without an array.
     """
     rows, cols = (length // each for length, each in zip(values.shape, period, strict=True))
     if min(rows, cols) < 4:
@@ -229,13 +228,13 @@ def _explained(values: Array, period: tuple[int, int]) -> float:
 
 
 def altered(values: NDArray[np.uint16]) -> str | None:
-    """Describe how the values of a frame seem to have been processed, or return None if they seem to be raw values."""
+    """Describe how a frame seems to have been processed. Returns None if it seems to contain raw values."""
     counts = np.bincount(values.ravel())
     codes = np.flatnonzero(counts)
     step = int(np.gcd.reduce(codes))
     if step > 1 and codes.size > DRAWN:
         return f"all values are multiples of {step}, so they seem to be shifted to the left"
-    # If a value is frequent, the next higher value is not missing by chance.
+    # The next higher value after a frequent value is not missing by chance.
     common = np.flatnonzero(counts[:-1] >= COMMON)
     gaps = float(np.mean(counts[common + 1] == 0)) if common.size else 0.0
     if common.size >= LEAST_CODES and gaps > MOST_GAPS:
@@ -246,7 +245,7 @@ def altered(values: NDArray[np.uint16]) -> str | None:
 
 
 def drawn(values: NDArray[np.uint16]) -> bool:
-    """Return whether a frame is probably a mask or a drawing, because its pixels with intermediate values have no noise."""
+    """Return whether a frame is probably a mask or a drawing: pixels with intermediate values have no noise."""
     inner = values[1:, 1:]
     same = (inner == values[:-1, 1:]) & (inner == values[1:, :-1])
     low, high = int(values.min()), int(values.max())

@@ -1,7 +1,7 @@
-"""Groups frames into captures, and assigns a spectrum to each capture.
+"""Grouping of frames into captures, and assignment of spectra to captures.
 
-The type of a capture is determined from the names of its frames or, if the names do not contain the type, from their
-content. The spectrum is found by the wavelength or the illuminant in the names, or by the order of the names.
+A capture's type is determined from the names of its frames or, if they do not specify it, from their content. Its spectrum
+is found by the wavelength or illuminant in the names, or by the order of the names.
 """
 
 import itertools
@@ -20,19 +20,19 @@ from l3cli.physics import charts
 from l3cli.spectra.table import BRIGHTEST, DIMMEST, CurveTable
 
 DARK = 0.01  # fraction of `Scale.range`; frames with a lower signal are dark frames
-ALIKE = 0.04  # largest relative difference between the signals of one capture, or between colours under one illuminant
+ALIKE = 0.04  # largest relative difference between signals in one capture, or between colours under one illuminant
 CLIPPED = 0.97  # fraction of `Scale.range`; captures with a higher 90th percentile are saturated
 SAME_RATE = 0.1  # largest relative difference between signals per second under the same illuminant
 LEAST_WHITES = 3  # smallest number of captures under the same illuminant that are classified as white
-# A frame with "dark" in its name is suspicious if its signal exceeds the fraction BRIGHT_DARK of `Scale.range` and also
-# exceeds BRIGHTER times its noise.
+# A frame with "dark" in its name is suspicious if its signal exceeds both the fraction BRIGHT_DARK of `Scale.range` and
+# BRIGHTER times its noise.
 BRIGHT_DARK, BRIGHTER = 0.05, 5.0
 Array = NDArray[np.floating]
 SAME_CHANNEL = 0.05  # largest difference between two sites of the same channel, as a fraction of the largest response
 LEAST_STEPS = 5  # smallest number of monochromatic captures from which the colour filter array is guessed
 GRID_NM = np.arange(400.0, 701.0, 10.0)
-SEARCHED = 6  # number of captures in which l3 searches for the chart: the brightest unclipped captures
-DIM = 0.05  # l3 does not search for a chart in captures with a signal below this fraction of `Scale.range`
+SEARCHED = 6  # number of brightest unclipped captures in which l3 searches for a chart
+DIM = 0.05  # captures with a signal below this fraction of `Scale.range` are too dark to search for a chart
 Corners = list[tuple[float, float]]  # column and row in pixels of the outer corners of patches 1, 6, 24 and 19
 NARROW_NM = 40.0  # nm; largest FWHM of a narrow-band spectrum
 NEAR_NM = 5.0  # nm; largest difference between the wavelength in a name and the peak of the spectrum
@@ -51,7 +51,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Group:
-    """One capture: several frames of the same scene with the same exposure."""
+    """A capture: frames of the same scene with the same exposure."""
 
     kind: str  # dark, white, mono, band, chart or polariser; if the type is unknown: "plain" (uniform) or "structured"
     frames: tuple[Frame, ...]
@@ -88,11 +88,10 @@ class Scale:
 
 
 def scale_of(frames: Sequence[Frame], black: float | None) -> Scale:
-    """Return the range of the values of all frames in a folder.
+    """Determine the range of the values of all frames in a folder.
 
-    `black` is the black level in the metadata, in DN. If it is None, the black level is the mean of the darkest frame with
-    "dark" in its name. If there is no such frame, the darkest frame is used if it is uniform. Otherwise the black level is
-    assumed to be 0.
+    The black level in DN is the first available of: (1) `black`, from the metadata; (2) the mean of the darkest frame with
+    "dark" in its name; (3) the mean of the darkest frame, if it is uniform; (4) 0.
     """
     sites = frames[0].summary.level.size
     called = [frame for frame in frames if frame.name.kind == "dark"]
@@ -108,10 +107,7 @@ def scale_of(frames: Sequence[Frame], black: float | None) -> Scale:
 
 
 def sort_frames(frames: Sequence[Frame], scale: Scale, notes: list[str]) -> list[Group]:
-    """Group frames into captures, sorted by name.
-
-    For each frame whose content contradicts its name, a remark is added to `notes`.
-    """
+    """Group frames into captures, sorted by name, and add remarks about frames that contradict their names to `notes`."""
     ordered = sorted(frames, key=lambda frame: natural(frame.name.path))
     kinds = [_kind(frame, scale, notes) for frame in ordered]
     groups: dict[tuple[object, ...], list[Frame]] = {}
@@ -126,10 +122,9 @@ def sort_frames(frames: Sequence[Frame], scale: Scale, notes: list[str]) -> list
 
 
 def _kind(frame: Frame, scale: Scale, notes: list[str]) -> str:
-    """Determine the type of a frame's capture, as in `Group.kind`.
+    """Determine the type of a frame's capture, as in `Group.kind`, from its name or otherwise from its content.
 
-    If the name of the frame contains no type, the type is determined from the content of the frame. A note is added if a
-    frame with "dark" in its name is bright.
+    A note is added if a frame with "dark" in its name is bright.
     """
     name, black = frame.name, float(scale.black.mean())
     signal = frame.summary.level - scale.black
@@ -168,10 +163,9 @@ def _alike(members: Sequence[Frame], scale: Scale) -> Iterable[list[Frame]]:
 def with_plain_kinds(groups: Sequence[Group], scale: Scale, notes: list[str]) -> list[Group]:
     """Classify each capture of the type "plain" as white or monochromatic, and add a note about the result.
 
-    l3 searches for the set of unclipped captures under one illuminant that contains the most frames. The captures in this
-    set are white if there are at least LEAST_WHITES of them, and if no name of a capture states that the capture is white.
-    All other unclipped captures are monochromatic. A clipped capture has no usable colour, so it has the type of the
-    preceding plain capture.
+    Among the unclipped captures, the illuminant with the most frames is determined. Its captures are white if there are at
+    least LEAST_WHITES of them and no capture is named as white. All other unclipped captures are monochromatic. A clipped
+    capture has no usable colour, so it gets the type of the preceding plain capture.
     """
     plain = [group for group in groups if group.kind == "plain"]
     if not plain:
@@ -212,13 +206,13 @@ def _same_light(group: Group, other: Group, scale: Scale) -> bool:
 def guess_array(steps: Sequence[Group], scale: Scale, period: tuple[int, int]) -> CfaRecipe | None:
     """Guess the colour filter array from the wavelengths to which its sites respond.
 
-    `steps` are monochromatic captures. Captures that clip, are too dark or have no wavelength in their names are not used.
-    The result is None if fewer than LEAST_STEPS captures remain, or if no site responds.
+    The monochromatic captures `steps` are ignored if they clip, are too dark or have no wavelength in their names. Returns
+    None if fewer than LEAST_STEPS captures remain, or if no site responds.
     """
     steps = [step for step in steps if step.first.name.nm is not None and not scale.clipped(step)]
     if len(steps) < LEAST_STEPS:
         return None
-    # The exposures of the captures differ, so the responses to each capture are divided by the largest response.
+    # Captures have different exposures, so the responses in each capture are divided by the largest one.
     signal = np.array([scale.signal(step) for step in steps])
     weight = signal.max(axis=1, keepdims=True)
     seen = weight[:, 0] > 0.05 * weight.max()
@@ -242,10 +236,10 @@ def guess_array(steps: Sequence[Group], scale: Scale, period: tuple[int, int]) -
 
 
 def _names(peaks: Sequence[float]) -> list[str]:
-    """Return a name for each channel.
+    """Name channels by their peak wavelengths in nm.
 
-    The name of a single channel is "w", and the names of three channels are "r", "g" and "b". Otherwise the names contain
-    the peak wavelengths, for example "nm550". `peaks` contains the peak wavelength of each channel in nm.
+    A single channel is called "w", and three channels "r", "g" and "b". Otherwise names contain the peak wavelength, as in
+    "nm550".
     """
     if len(peaks) == 1:
         return ["w"]
@@ -257,9 +251,9 @@ def _names(peaks: Sequence[float]) -> list[str]:
 
 
 def find_corners(mosaic: Array, period: tuple[int, int]) -> Corners | None:
-    """Find a ColorChecker in a mosaic of values above black. Return its corners, or None if there is no ColorChecker.
+    """Find the corners of a ColorChecker in a mosaic of values above black. Returns None if there is no ColorChecker.
 
-    Each site of the filter array is treated as a separate channel, because the channels may be unknown.
+    CFA sites are treated as separate channels, because the channels may be unknown.
     """
     sites = np.arange(period[0] * period[1], dtype=np.uint8).reshape(period)
     found = locate(mosaic, sites, charts.chart("classic", GRID_NM)[1], charts.CLASSIC)
@@ -271,9 +265,9 @@ def find_corners(mosaic: Array, period: tuple[int, int]) -> Corners | None:
 def corners_of_series(
     groups: Sequence[Group], scale: Scale, period: tuple[int, int], read: Callable[[str], Array]
 ) -> Corners | None:
-    """Return the corners of a chart that does not move during a series of captures, or None if no chart is found.
+    """Find the corners of a chart that does not move during a series of captures. Returns None if no chart is found.
 
-    The corners are the median over several captures. `read` returns the raw values of the frame with a given path.
+    The corners are the median over several captures. `read` is a function from the path of a frame to its raw values.
     """
     lit = [group for group in groups if scale.signal(group).max() > DIM * scale.range]
     lit.sort(key=lambda group: (scale.clipped(group), -float(scale.signal(group).max())))
@@ -300,7 +294,7 @@ class Spectra:
 
     @property
     def has_patches(self) -> bool:
-        """Whether the table has one column for each patch of a ColorChecker."""
+        """Whether the table has one column per patch of a ColorChecker."""
         return len(self.table.values) == PATCHES and not self.narrow
 
 
@@ -315,17 +309,16 @@ class Column:
 
     @property
     def key(self) -> int | str:
-        """Value of the key `column` in a measurement file: the name of the column if it is unique, otherwise its number."""
+        """Value of the key `column` in a measurement file: the column's name if it is unique, otherwise its number."""
         names = self.spectra.table.names or ()
         return self.name if self.name and names.count(self.name) == 1 else self.number
 
 
 def columns_of(tables: Sequence[Spectra]) -> list[Column]:
-    """Return the columns of all tables that contain mostly narrow-band spectra, in order.
+    """List the columns of all tables with mostly narrow-band spectra, in order.
 
-    The name of a column usually contains the wavelength of its spectrum. If the name contains no wavelength and the table
-    has only one column, the wavelength in the file name is used. If no name contains a wavelength, the wavelength of the
-    peak is used.
+    A column's wavelength comes from its name or, if the table has only one column, from the file name. If neither contains a
+    wavelength, the wavelength of the peak is used.
     """
     columns = []
     for spectra in tables:
@@ -341,10 +334,9 @@ def columns_of(tables: Sequence[Spectra]) -> list[Column]:
 
 
 def match_steps(steps: Sequence[Group], columns: Sequence[Column], scale: Scale, notes: list[str]) -> list[Column | None]:
-    """Assign a spectrum to each monochromatic capture, or None if there is no matching spectrum.
+    """Assign a spectrum to each monochromatic capture, or None if no spectrum matches.
 
-    Spectra are matched by the wavelength in the name of the capture. Captures without a wavelength in their names are
-    matched by order.
+    Captures are matched by the wavelength in their names or, without a wavelength, by order.
     """
     if not columns or not steps:
         return [None] * len(steps)
@@ -363,7 +355,7 @@ def _in_order(
 ) -> Sequence[Column] | list[None]:
     """Assign spectra, in order, to captures without a wavelength in their names, and add a note about the assignment.
 
-    There must be as many spectra as captures, or as many spectra as monochromator steps. Otherwise no spectra are assigned.
+    This requires as many spectra as captures or monochromator steps. Otherwise no spectra are assigned.
     """
     numbers = list(range(len(steps))) if len(steps) == len(columns) else _steps_in_order(steps, scale)
     if numbers[-1] + 1 != len(columns):
@@ -380,10 +372,9 @@ def _in_order(
 
 
 def _steps_in_order(steps: Sequence[Group], scale: Scale) -> list[int]:
-    """Return the number of the monochromator step of each capture, from 0.
+    """Return each capture's monochromator step, counted from 0.
 
-    An unclipped capture that follows a clipped capture belongs to the same step, because the second capture repeats the
-    first with a shorter exposure.
+    An unclipped capture after a clipped capture belongs to the same step, which was repeated with a shorter exposure.
     """
     forward = (not scale.clipped(step) or scale.clipped(before) for before, step in itertools.pairwise(steps))
     return list(itertools.accumulate(forward, initial=0))
@@ -406,10 +397,10 @@ def _by_wavelength(name: Name, columns: Sequence[Column]) -> Column | None:
 
 
 def match_charts(charts: Sequence[Group], tables: Sequence[Spectra], notes: list[str]) -> list[Spectra | None]:
-    """Assign a table of radiances to each chart, or None if there is no matching table.
+    """Assign a table of radiances to each chart, or None if no table matches.
 
-    A table matches if its name contains the same illuminant as the name of the chart. If a chart has no matching table, but
-    there are as many tables as charts, all tables are assigned by order, and a note is added.
+    A table matches if its name and the chart's name contain the same illuminant. If a chart has no match, but there are as
+    many tables as charts, all tables are assigned by order, and a note is added.
     """
     patches = [table for table in tables if table.has_patches]
     lights = [table.name.light for table in patches]
@@ -426,14 +417,14 @@ def match_charts(charts: Sequence[Group], tables: Sequence[Spectra], notes: list
 def match_light(chart: Group, tables: Sequence[Spectra]) -> tuple[Spectra | None, bool]:
     """Find the measured illuminant of a photo of a chart.
 
-    The spectrum of an illuminant is a table with one broad-band column. A table matches a photo if both names contain the
-    same illuminant, or if the name of the photo contains the name of the table. If no table matches, and if there is only
-    one table, this table is used, unless its name contains an illuminant.
+    Illuminant spectra are tables with one broad-band column. A table matches a photo if both names contain the same
+    illuminant, or if the photo's name contains the table's name. If no table matches, a single table is used anyway, unless
+    its name contains an illuminant.
 
     Returns
     -------
     table : Spectra or None
-        The spectrum, or None if no table can be used.
+        The spectrum, or None if there is no suitable table.
     named : bool
         Whether the table matches the photo by name.
     """
@@ -449,20 +440,17 @@ def match_light(chart: Group, tables: Sequence[Spectra]) -> tuple[Spectra | None
 
 
 def radiances(table: CurveTable, column: int | None) -> Array:
-    """Return the values of one column, counted from 0, or of all columns if `column` is None: (column, wavelength)."""
+    """Return the values of one column, counted from 0, or by default of all columns: (column, wavelength)."""
     return table.values if column is None else table.values[column : column + 1]
 
 
 def unknown_unit(table: CurveTable, column: int | None) -> bool:
-    """Return whether the unit of radiances is unknown.
-
-    This is the case if the heading contains no unit and the values are not typical of photon radiances either.
-    """
+    """Return whether the unit of radiances is unknown: not in the heading, and not evident from typical photon radiances."""
     return not any(table.units) and not DIMMEST <= radiances(table, column).max() <= BRIGHTEST
 
 
 def note_unused(columns: Sequence[Column], matched: Sequence[Column | None], notes: list[str]) -> None:
-    """Add a note about the spectra that are not assigned to a capture, unless no spectrum is assigned at all."""
+    """Add a note about spectra without a capture, unless no spectrum has a capture."""
     unused = [column for column in columns if all(column is not each for each in matched)]
     if unused and any(matched):
         where = ", ".join(f"{column.nm:g} nm" for column in unused[:6])

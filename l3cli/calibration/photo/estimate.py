@@ -1,8 +1,8 @@
-"""Estimates responsivities and the illuminant of a photo from the patches of a chart.
+"""Estimation of responsivities and of a photo's illuminant from the patches of a chart.
 
-The responsivities are the posterior of a Gaussian model (docs/method.md#charts-in-photographs). The same model yields the
-probability of each candidate illuminant, and the illuminant under which an additional photo would reduce the colour error
-most.
+The responsivities are the posterior of a Gaussian model (docs/method.md#charts-in-photographs). The same model determines
+the probability of each candidate illuminant, and the illuminant under which an additional photo would reduce the colour
+error most.
 """
 
 import functools
@@ -25,7 +25,7 @@ LEAST_SPREAD = 0.01  # smallest standard deviation between cameras, as a fractio
 # Mean, standard deviation and correlation length (nm) of the responsivity of an unknown filter.
 UNKNOWN_MEAN, UNKNOWN_SPREAD, UNKNOWN_NM = 0.3, 0.35, 45.0
 UNKNOWN_PEAK = 0.7  # standard deviation of the natural logarithm of the peak of an unknown channel
-PEAK_FLOOR = 0.25  # added in quadrature to the spread of known peaks, because converter gains may differ between channels
+PEAK_FLOOR = 0.25  # added in quadrature to the spread of known peaks, because channels may have different converter gains
 MEASURED, UNLIKE, SMOOTH = "measured cameras", "cameras unlike the measured ones", "smooth"  # names of the priors
 # The prior of unusual cameras has WIDENING times the standard deviation of measured cameras, plus smooth deviations with the
 # standard deviation UNLIKE_SPREAD (fraction of the peak) and the correlation length UNLIKE_NM.
@@ -35,26 +35,26 @@ UNLIKE_SPREAD, UNLIKE_NM = 0.05, 35.0
 # by these factors, the computed probabilities match the frequency of correct guesses (tests/studies/test_photo_study.py).
 TEMPERING = {True: 1.5, False: 6.0}  # True: one of the priors is based on measured cameras
 JITTER = 1e-6  # added to the diagonals of covariances, so that they can be inverted
-STEPS = 4  # number of linearisations of the product of curve and illumination; after the third, results hardly change
-SCALE_SPREAD = 0.5  # relative standard deviation of the scale of a channel around the first guess; nearly uninformative
-SHOT_SPREAD = 0.3  # relative standard deviation of the exposure of a shot around the first guess, except for the first shot
+STEPS = 4  # linearisations of the product of curve and illumination; results hardly change after the third
+SCALE_SPREAD = 0.5  # relative standard deviation of a channel's scale around the first guess; nearly uninformative
+SHOT_SPREAD = 0.3  # relative standard deviation of a shot's exposure around the first guess, except for the first shot
 FARTHEST = 4.0  # largest factor by which scales and exposures may differ from the first guess
 CURVATURE = 0.5  # standard deviation of a quadratic term of the illumination, relative to a linear term
 FLOOR = 0.001  # unexplained error, as a fraction of the brightest patch
-ERRORS = (0.0, 0.002, 0.005, 0.01, 0.02, 0.035, 0.06)  # relative model errors that are tried (reflectances, texture)
+ERRORS = (0.0, 0.002, 0.005, 0.01, 0.02, 0.035, 0.06)  # relative model errors to try (reflectances, texture)
 TERMS = 6  # number of terms of the illumination: constant, x, y, x², xy, y²
 Array = NDArray[np.floating]
 MOST_EVIDENCES = 1000  # largest number of cached results
 _EVIDENCES: dict[bytes, float] = {}  # cache, because the same shots and illuminants are evaluated three times
 IMPROBABLE = 0.02  # illuminants with a lower probability do not widen the confidence band
-# l3 warns if a different illuminant is more probable than the specified illuminant, and if the natural logarithm of the
-# ratio of the probabilities exceeds this value.
+# l3 warns if another illuminant is more probable than the specified one, and the natural logarithm of the probability ratio
+# exceeds this value.
 NOTICED = 3.0
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Gaussian distribution of the responsivity curves of a camera, and of the heights of their peaks."""
+    """Gaussian prior of a camera's responsivity curves and of their peak heights."""
 
     mean: Array  # (channel, wavelength): mean of the curves, each with a peak of about 1
     covariance: Array  # (channel · wavelength, channel · wavelength): covariance of the curves
@@ -64,7 +64,7 @@ class Prior:
 
 
 def statistics(cameras: Sequence[FinishedCurves]) -> CurveStatistics:
-    """Compute the mean and at most MODES principal components of the curves of measured cameras with the same channels."""
+    """Compute the mean curves of measured cameras with the same channels, and up to MODES principal components."""
     curves = np.array([spectra.average(each.responsivity, each.wavelength, WAVELENGTH) for each in cameras])
     peaks = curves.max(axis=2)
     shapes = curves / peaks[..., None]
@@ -78,8 +78,7 @@ def statistics(cameras: Sequence[FinishedCurves]) -> CurveStatistics:
 
 
 def camera_prior(known: CurveStatistics) -> Prior:
-    """Return the prior of a camera whose curves resemble the measured cameras. The prior has the channels of these
-    cameras."""
+    """Return the prior of a camera that resembles the measured cameras and has the same channels."""
     count, size = known.mean.shape
     covariance = _covariance(known.modes).reshape(count * size, count * size) + JITTER * np.eye(count * size)
     return Prior(
@@ -92,9 +91,9 @@ def camera_prior(known: CurveStatistics) -> Prior:
 
 
 def unlike(prior: Prior) -> Prior:
-    """Return the prior of a camera that differs from the measured cameras. `prior` is the prior of the measured cameras.
+    """Return the prior of a camera that differs from the measured cameras, which have the prior `prior`.
 
-    The covariance is larger than the covariance of `prior`, and includes smooth deviations that no measured camera has.
+    Its covariance is larger, and includes smooth deviations that no measured camera has.
     """
     count, size = prior.mean.shape
     further = np.kron(np.eye(count), _smooth(np.full(size, UNLIKE_SPREAD), UNLIKE_NM))
@@ -109,9 +108,9 @@ def placed(prior: Prior, places: Sequence[int], channels: int) -> Prior:
     prior : Prior
         Prior of some of the channels.
     places : sequence of int
-        For each channel of `prior`, its index in the result. All other channels of the result have the smooth prior.
+        Index in the result for each channel of `prior`. All other channels of the result get the smooth prior.
     channels : int
-        Number of channels of the result.
+        Number of channels in the result.
     """
     whole, size = smooth(channels), WAVELENGTH.size
     at = np.array(places)
@@ -126,9 +125,8 @@ def placed(prior: Prior, places: Sequence[int], channels: int) -> Prior:
 def plausible(channels: Sequence[str], known: CurveStatistics | None) -> list[Prior]:
     """Return the possible priors of a camera.
 
-    If the camera has the channels r, g and b, there are three priors: the prior of measured cameras, the prior of cameras
-    that differ from the measured cameras, and the smooth prior. Otherwise, or if `known` is None, there is only the smooth
-    prior.
+    For channels r, g and b, these are the prior of measured cameras, the prior of cameras that differ from them, and the
+    smooth prior. Otherwise, or if `known` is None, only the smooth prior is possible.
     """
     if known is None or not set(ROLES) <= set(channels):
         return [smooth(len(channels))]
@@ -138,7 +136,7 @@ def plausible(channels: Sequence[str], known: CurveStatistics | None) -> list[Pr
 
 
 def smooth(channels: int) -> Prior:
-    """Return the prior of channels with unknown filters, whose curves are assumed only to be smooth."""
+    """Return the prior of channels with unknown filters, which assumes only that the curves are smooth."""
     size = WAVELENGTH.size
     one = _smooth(np.full(size, UNKNOWN_SPREAD), UNKNOWN_NM) + JITTER * np.eye(size)
     covariance = np.kron(np.eye(channels), one)
@@ -147,11 +145,10 @@ def smooth(channels: int) -> Prior:
 
 
 def _covariance(modes: Array) -> Array:
-    """Return the covariance of the curves of measured cameras, including smooth deviations.
+    """Return the covariance of measured cameras' curves: (channel, wavelength, channel, wavelength).
 
-    The result is a weighted mean of two covariances: the covariance of the principal components `modes`, and the covariance
-    of smooth deviations, which are independent in each channel. `modes` has the shape (mode, channel, wavelength). The
-    result has the shape (channel, wavelength, channel, wavelength).
+    It is the weighted mean of the covariance of the principal components `modes`, (mode, channel, wavelength), and the
+    covariance of smooth deviations, which are independent in each channel.
     """
     _, count, size = modes.shape
     flat = modes.reshape(len(modes), -1)
@@ -164,7 +161,7 @@ def _covariance(modes: Array) -> Array:
 
 
 def _smooth(spread: Array, correlation_nm: float) -> Array:
-    """Return the covariance of smooth deviations. `spread` is their standard deviation at each wavelength."""
+    """Return the covariance of smooth deviations with the standard deviation `spread` at each wavelength."""
     distance = (WAVELENGTH[:, None] - WAVELENGTH) / correlation_nm
     return np.exp(-0.5 * distance**2) * np.outer(spread, spread)
 
@@ -208,22 +205,22 @@ class Posterior:
     covariance: Array  # (channel · wavelength, channel · wavelength): covariance of the responsivity
     glare: Array  # (shot, channel): offset that glare adds to all patches, in DN
     illumination: Array  # (shot, term): coefficients of the illumination terms
-    error: float  # relative error of patch values besides noise, for example because of wrong reflectances
+    error: float  # relative error of patch values in addition to noise, for example because of wrong reflectances
     evidence: float  # natural logarithm of the probability of the values, up to a constant
     predicted: tuple[Array, ...]  # for each shot, (patch, channel): predicted value in DN
 
 
 def estimate(shots: Sequence[Shot], prior: Prior) -> Posterior:
-    """Estimate the responsivities from all shots, assuming the model error in ERRORS that is most probable."""
+    """Estimate the responsivities from all shots, with the most probable model error in ERRORS."""
     candidates = [_solve(shots, prior, error) for error in ERRORS]
     best = max(candidates, key=lambda solution: solution.evidence)
     return best.posterior()
 
 
 def evidence(shots: Sequence[Shot], prior: Prior) -> float:
-    """Return the natural logarithm of the probability of the patch values, up to a constant.
+    """Return the log probability of the patch values, up to a constant, under the illuminants in `shots`.
 
-    The probability assumes the illuminants in `shots`, and is averaged over the model errors in ERRORS.
+    The probability is averaged over the model errors in ERRORS.
     """
     every: list[Shot | Prior] = [*shots, prior]
     parts = [getattr(each, field.name) for each in every for field in fields(each) if field.name != "source"]
@@ -236,14 +233,14 @@ def evidence(shots: Sequence[Shot], prior: Prior) -> float:
 
 
 def _log_mean(logarithms: Sequence[float]) -> float:
-    """Return the logarithm of the mean of numbers whose logarithms are given."""
+    """Return ln(mean(exp(logarithms))) without overflow."""
     return float(np.logaddexp.reduce(logarithms) - np.log(len(logarithms)))
 
 
 def terms(place: Array) -> Array:
-    """Return the terms of the polynomial that models the illumination over the chart: (patch, term).
+    """Evaluate the terms of the illumination polynomial: (patch, term).
 
-    `place`, (patch, 2), contains the coordinates x and y of the patches, from −1 to 1.
+    `place`, (patch, 2), contains the patch coordinates x and y, from −1 to 1 across the chart.
     """
     x, y = place.T
     return np.stack([np.ones_like(x), x, y, x * x - np.mean(x * x), x * y, y * y - np.mean(y * y)], axis=1)
@@ -321,7 +318,7 @@ def _solve(shots: Sequence[Shot], prior: Prior, error: float) -> _Solution:
         off = right - design @ mean
         solved = np.linalg.solve(spread, off)
         state = mean + across @ solved
-        # With a wrong illuminant, the iteration may diverge. The scales are therefore kept close to the first guess.
+        # Under a wrong illuminant, the iteration could diverge. The scales are therefore kept close to the first guess.
         scale = np.clip(_scale(state, prior), first / FARTHEST, first * FARTHEST)
         # For the same reason, the exposures are kept close to their prior means.
         exposures = slice(state.size - len(shots) * TERMS, None, TERMS)
@@ -332,7 +329,7 @@ def _solve(shots: Sequence[Shot], prior: Prior, error: float) -> _Solution:
 
 
 def _first_guess(shots: Sequence[Shot], prior: Prior) -> Array:
-    """Return the initial state: the mean curves of the prior, scaled to the first shot, uniform illumination, no glare."""
+    """Return the initial state: mean curves of the prior, scaled to the first shot, uniform illumination and no glare."""
     count = len(prior.mean)
     expected = [shot.stimuli @ prior.mean.T for shot in shots]
 
@@ -349,17 +346,14 @@ def _first_guess(shots: Sequence[Shot], prior: Prior) -> Array:
 
 
 def _scale(state: Array, prior: Prior) -> Array:
-    """Return, for each channel, the factor that scales the mean curve of the prior to the curve in `state`.
-
-    The factor is determined by least squares.
-    """
+    """Return each channel's least-squares factor from the mean curve of the prior to the curve in `state`."""
     count, size = prior.mean.shape
     curves = state[: count * size].reshape(count, size)
     return np.maximum((curves * prior.mean).sum(axis=1) / (prior.mean**2).sum(axis=1), 1e-12)
 
 
 def _before(shots: Sequence[Shot], prior: Prior, scale: Array) -> tuple[Array, Array]:
-    """Return the mean and the covariance of the prior of the state. `scale` contains the scale of each channel's curve."""
+    """Return the prior mean and covariance of the state, with each channel's curve scaled by `scale`."""
     count, size = prior.mean.shape
     curves = (scale[:, None] * prior.mean).ravel()
     factors = np.repeat(scale, size)
@@ -383,7 +377,7 @@ def _before(shots: Sequence[Shot], prior: Prior, scale: Array) -> tuple[Array, A
 
 
 def _exposure(shots: Sequence[Shot], index: int, curves: Array) -> float:
-    """Return the exposure of the shot `index`, relative to the first shot, if the responsivities are `curves`."""
+    """Estimate a shot's exposure relative to the first shot, from the responsivities `curves`."""
     if index == 0:
         return 1.0
     shot, predicted = shots[index], shots[index].stimuli @ curves.T
@@ -391,7 +385,7 @@ def _exposure(shots: Sequence[Shot], index: int, curves: Array) -> float:
 
 
 def _expansion(shots: Sequence[Shot], state: Array, count: int, size: int, error: float) -> tuple[Array, Array, Array]:
-    """Linearise the model around a state. Return the design matrix, the right-hand side and the variance of each value.
+    """Linearise the model around a state, and return the design matrix, the right-hand side and the variances.
 
     The values are sorted by shot, then by channel, then by patch.
     """
@@ -426,12 +420,12 @@ def _split_state(state: Array, shots: int, count: int, size: int) -> tuple[Array
 
 
 def _predict(shot: Shot, responsivity: Array, glare: Array, illumination: Array) -> Array:
-    """Return the predicted value of each patch and channel of a shot in DN: (patch, channel)."""
+    """Predict the values of a shot in DN: (patch, channel)."""
     return (shot.terms @ illumination)[:, None] * (shot.stimuli @ responsivity.T) + glare
 
 
 def _peaks(state: Array, prior: Prior) -> float:
-    """Return the logarithm of the prior probability of the relative heights of the channels' peaks, up to a constant."""
+    """Return the log prior probability of the channels' relative peak heights, up to a constant."""
     count, size = prior.mean.shape
     heights = np.log(np.maximum(state[: count * size].reshape(count, size).max(axis=1), 1e-300))
     off = heights - heights.mean() - (prior.log_peak - prior.log_peak.mean())
@@ -439,7 +433,7 @@ def _peaks(state: Array, prior: Prior) -> float:
 
 
 def compare(shots: Sequence[Shot], index: int, among: Sequence[Prior], candidates: Mapping[str, Array]) -> tuple[str, float]:
-    """Find the most probable of several common illuminants for a shot, and compare it with the illuminant of the shot.
+    """Find the most probable common illuminant for a shot, and compare it with the shot's own illuminant.
 
     Parameters
     ----------
@@ -457,8 +451,7 @@ def compare(shots: Sequence[Shot], index: int, among: Sequence[Prior], candidate
     nearest : str
         The most probable common illuminant.
     deficit : float
-        Natural logarithm of the ratio of two probabilities: the probability of `nearest`, divided by the probability of the
-        illuminant in `shots[index]`. The deficit is at least 0.
+        Natural logarithm of the probability ratio between `nearest` and the illuminant in `shots[index]`, at least 0.
     """
     others = {name: _likelihood(_under(shots, index, light), among) for name, light in candidates.items()}
     nearest = max(others, key=lambda name: others[name])
@@ -468,9 +461,9 @@ def compare(shots: Sequence[Shot], index: int, among: Sequence[Prior], candidate
 def probabilities(
     shots: Sequence[Shot], index: int, among: Sequence[Prior], candidates: Mapping[str, Array]
 ) -> dict[str, float]:
-    """Return the probability of each candidate illuminant for the shot `index`, assuming that one of them is correct.
+    """Return the probability of each candidate illuminant for a shot, assuming that one of them is correct.
 
-    The parameters are the same as in `compare`.
+    The parameters are as in `compare`.
     """
     logarithms = {name: _likelihood(_under(shots, index, light), among) for name, light in candidates.items()}
     top = max(logarithms.values())
@@ -517,7 +510,7 @@ def unsure_of_light(
 
 
 def _likelihood(shots: Sequence[Shot], among: Sequence[Prior]) -> float:
-    """Return the logarithm of the probability of the patch values, averaged over the priors and divided by TEMPERING."""
+    """Return the log probability of the patch values, averaged over the priors and divided by TEMPERING."""
     measured = any(prior.source == MEASURED for prior in among)
     return _log_mean([evidence(shots, prior) for prior in among]) / TEMPERING[measured]
 
@@ -531,11 +524,10 @@ def _under(shots: Sequence[Shot], index: int, light: Array) -> list[Shot]:
 
 
 def response_errors(responsivity: Array, covariance: Array, light: Array, surfaces: Array) -> Array:
-    """Return, for each channel, the relative uncertainty of the predicted signals of surfaces under an illuminant.
+    """Return each channel's relative uncertainty in the predicted signals of surfaces under an illuminant.
 
-    For each surface, the standard deviation of the signal is divided by the largest signal among the surfaces. The
-    result is the RMS over the surfaces. The mean signal of the surfaces is assumed to be known, because exposure and white
-    balance determine it.
+    This is the RMS of the signals' standard deviations over the surfaces, relative to the largest signal. The mean signal
+    of the surfaces is assumed to be known, because it is determined by exposure and white balance.
 
     Parameters
     ----------
@@ -597,7 +589,7 @@ def next_light(
 
 
 def _with(shot: Shot, posterior: Posterior, light: Array) -> Array:
-    """Return the covariance of the responsivities after an additional shot under `light` with unknown exposure and glare."""
+    """Return the responsivities' covariance after an additional shot under `light`, with unknown exposure and glare."""
     count = len(posterior.responsivity)
     stimuli = shot.reflectance * (light / light.mean() * shot.light.mean())
     predicted = (stimuli @ posterior.responsivity.T).T

@@ -1,6 +1,6 @@
-"""Writes the text of a camera recipe and of its responsivity curves.
+"""Text of a camera recipe and its responsivity file, for a camera known from raw files or from l3's list of cameras.
 
-The values come from raw files or from the list of known cameras in l3. Comments in the recipe mark values that are assumed.
+Comments in the recipe mark assumed values.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,7 +30,7 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Gain and read noise at the ISO speed of a photo, and a text that states their source."""
+    """Gain and read noise at the ISO speed of a photo, and a description of their source."""
 
     gain: float  # DN/e-
     read_noise_e: float
@@ -39,7 +39,7 @@ class SensorNoise:
 
 @dataclass(frozen=True)
 class PhotoCamera:
-    """Everything that is known about a camera, from its raw files or only from its name."""
+    """Data about a camera, from its raw files or only from its name."""
 
     photo: Path | None  # raw file; None if only the name of the camera is known
     body: Body
@@ -51,7 +51,7 @@ class PhotoCamera:
     origin: str  # source of the curves, for a comment in the recipe
     noise: SensorNoise
     white: str | None = None  # value of ‹white› for rendering the photo: the specified illuminant or the chart's illuminant
-    # other gains, relative to the gain of the photo, and the read noise (e-) at each gain
+    # other gains, relative to the photo's gain, and the read noise (e-) at each gain
     gains: tuple[tuple[float, float], ...] = ()
     overrides: Mapping[str, str] = field(default_factory=dict)  # options of l3 render that correct metadata of the raw files
 
@@ -73,7 +73,7 @@ class PhotoCamera:
 
     @property
     def assumed(self) -> list[str]:
-        """Names of the quantities whose values in the recipe are assumed."""
+        """Names of the quantities with assumed values."""
         known = self.stated
         names = {"pixel pitch": known.pitch_um, "focal length": self._focal_mm, "f-number": self._f_number}
         return ["peak efficiency", *(name for name, value in names.items() if value is None)]
@@ -89,7 +89,7 @@ class PhotoCamera:
         return value if value is not None and value >= MIN_F_NUMBER else None
 
     def recipe(self) -> str:
-        """Return the text of the camera recipe. A comment states the source of each value."""
+        """Return the text of the camera recipe, with comments on the source of each value."""
         body = self.body
         known = "from its name only" if self.photo is None else f"from the raw file {self.photo.name}"
         source = "nominal; raw files contain the actual values" if self.photo is None else "from the raw file"
@@ -141,7 +141,7 @@ f_number = {self._f_number or F_NUMBER:.3g}{"" if self._f_number else " # assume
 def without_photo(
     body: Body, levels: tuple[float, float], known: Stated, curves: FinishedCurves, origin: str
 ) -> PhotoCamera:
-    """Return the data of a camera in l3's list of cameras, for which there is no photo.
+    """Collect the data of a camera in l3's list of cameras, without a photo.
 
     Parameters
     ----------
@@ -162,15 +162,15 @@ def without_photo(
 
 
 def gains_of(known: Stated, others: Sequence[Stated]) -> tuple[tuple[float, float], ...]:
-    """Return gains and read noise from the noise profiles of raw files with higher ISO speeds.
+    """Compute gains and read noise from the noise profiles of raw files with higher ISO speeds.
 
     Parameters
     ----------
     known : Stated
         Metadata of the raw file to which the gains are relative.
     others : sequence of Stated
-        Metadata of additional raw files. A file is ignored if it has no noise profile or no ISO speed, if its ISO
-        speed is not higher, or if its gain is too large for a camera recipe.
+        Metadata of additional raw files. Files are ignored if they lack a noise profile or an ISO speed, if their ISO speed
+        is not higher, or if their gain is too large for a camera recipe.
 
     Returns
     -------
@@ -186,10 +186,9 @@ def gains_of(known: Stated, others: Sequence[Stated]) -> tuple[tuple[float, floa
 
 
 def noise_of(stated: Stated, span: float) -> SensorNoise:
-    """Return gain and read noise from the noise profile of a raw file.
+    """Compute gain and read noise from the noise profile of a raw file, or assume typical values for its ISO speed.
 
-    If the file contains no noise profile, the gain and the read noise are typical values for its ISO speed. `span` is the
-    difference between white level and black level in DN.
+    `span` is the difference between white level and black level in DN.
     """
     if stated.noise is not None:
         slope, constant = stated.noise

@@ -1,4 +1,4 @@
-"""Estimates responsivities from photos of charts, or from the colour matrices in a raw file.
+"""Estimation of responsivities from photos of charts, or from the colour matrices in a raw file.
 
 docs/method.md#charts-in-photographs describes the method.
 """
@@ -51,15 +51,15 @@ from l3cli.physics.mosaic import shifted_cfa
 UNEVEN, UNEVEN_LEFT = 0.2, 0.01
 LEAST_SHARE = 0.5  # smallest acceptable fraction of usable patches in a channel
 LEAST_SIGNAL = 20.0  # DN; smallest acceptable value of the brightest patch
-CANDIDATES = (  # illuminants that l3 considers if the illuminant of a photo is unknown
+CANDIDATES = (  # possible illuminants of photos with an unknown illuminant
     "A", "2400K", "3200K", "4000K", "D50", "D55", "D65", "D75", "F2", "F7", "F11", "LED-B1", "LED-B3", "LED-B5",
 )  # fmt: skip
 JUDGED_UNDER = ("A", "D65", "F11")  # illuminants under which the uncertainty of colours is evaluated
 SURFACES_EVERY = 7  # only every seventh surface of the library is evaluated, to save time
-# Outliers deviate from the fit by more than FAR standard deviations. At most MOST_FAR outliers are left out.
+# Outliers deviate from the fit by more than FAR standard deviations. At most MOST_FAR outliers are excluded.
 FAR, MOST_FAR = 4.0, 4
 Array = NDArray[np.floating]
-ERROR = 0.02  # relative error of patch values that a colour matrix predicts, in addition to the model error
+ERROR = 0.02  # relative error of patch values predicted from a colour matrix, in addition to the model error
 
 
 @dataclass(frozen=True)
@@ -72,14 +72,14 @@ class Photograph:
     black_level: float  # DN
     white_level: float  # DN
     shot: Shot
-    left_out: tuple[str, ...]  # one line per patch and channel that is not used
+    left_out: tuple[str, ...]  # one line per excluded patch and channel
 
 
 def measure(capture: PhotoCapture, body: Body) -> Photograph:
     """Measure the patches of a photo.
 
-    The black level is the mean of the dark frames or, without dark frames, the black level in the raw file. If there are
-    photos of a white target, the patches are divided by the illumination in these photos.
+    The black level comes from the dark frames or, without dark frames, from the raw file. Photos of a white target, if there
+    are any, are used to correct uneven illumination.
 
     Raises
     ------
@@ -129,10 +129,10 @@ def light_of(capture: PhotoCapture) -> Array:
 
 
 def _geometry(capture: PhotoCapture, mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array) -> Array:
-    """Return the homography from chart coordinates, in patches, to pixels.
+    """Compute the homography from chart coordinates, in patches, to pixels.
 
-    The homography is computed from the corners in the measurement file. If the file contains no corners, l3 searches the
-    photo for the chart. Raises InputFileError if no chart is found, or if the corners are outside the photo or on a line.
+    It is computed from the corners in the measurement file. If they are missing, l3 searches the photo for the chart. Raises
+    InputFileError if no chart is found, or if the corners are outside the photo or on a line.
     """
     rows, cols = capture.chart.grid
     if capture.corners is None:
@@ -193,10 +193,10 @@ def _over_white(
     grid: tuple[int, int],
     saturation: float,
 ) -> Array:
-    """Return the illumination of each patch, relative to the mean of all patches: (patch, channel).
+    """Measure the illumination of each patch, relative to the mean of all patches: (patch, channel).
 
-    The illumination is measured in photos of a white target in place of the chart. Raises InputFileError if
-    the target is clipped, dark or uneven in the area of the chart.
+    The photos show a white target at the position of the chart. Raises InputFileError if the target is clipped, dark or
+    uneven in this area.
     """
     mosaics = [white.values.astype(np.float64) - black for white in whites]
     values = patch_values(mosaics, cfa, to_pixels, grid, saturation)
@@ -270,14 +270,14 @@ def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigu
 
 
 def _window(frames: Sequence[RawFrame], body: Body) -> PhotoWindow | None:
-    """Return the area of the sensor that each frame covers, or None if all frames cover the whole sensor."""
+    """Return the sensor area that each frame covers, or None if all frames cover the whole sensor."""
     if all(frame.phase == (0, 0) and frame.values.shape == (body.rows, body.cols) for frame in frames):
         return None
     return PhotoWindow(np.array([frame.phase for frame in frames]), np.array([frame.values.shape for frame in frames]))
 
 
 def curves_of(posterior: Posterior) -> Curves:
-    """Return the responsivities of a posterior with 95 % confidence bands, scaled so that the highest peak is 1."""
+    """Convert a posterior to responsivities with 95 % confidence bands and a highest peak of 1."""
     count, size = posterior.responsivity.shape
     deviation = np.sqrt(np.maximum(np.diag(posterior.covariance), 0.0)).reshape(count, size)
     relative = posterior.responsivity.astype(np.float64)
@@ -286,7 +286,7 @@ def curves_of(posterior: Posterior) -> Curves:
 
 @functools.cache
 def candidates() -> Mapping[str, Array]:
-    """Return the relative photon radiance of each illuminant in CANDIDATES at the wavelengths WAVELENGTH."""
+    """Return the relative photon radiance of each illuminant in CANDIDATES, sampled at WAVELENGTH."""
     return {name: spectra.illuminant(name, WAVELENGTH) for name in CANDIDATES}
 
 
@@ -299,7 +299,7 @@ def _surfaces() -> Array:
 
 
 def _under_lights(photographs: Sequence[Photograph], among: Sequence[Prior]) -> list[Shot]:
-    """Return the shots of the photos. If the illuminant of a shot is unknown, the most probable candidate is used."""
+    """Convert photos to shots, with the most probable candidate for each unknown illuminant."""
     shots = [photo.shot for photo in photographs]
     for index, photo in enumerate(photographs):
         if photo.capture.light is None:
@@ -321,8 +321,8 @@ def _priors(measurements: Measurements) -> list[Prior]:
 def _without_far_ones(shots: list[Shot], prior: Prior) -> tuple[Posterior, list[Shot], list[tuple[int, int, int]]]:
     """Fit the shots, remove outliers, and repeat the fit.
 
-    Outliers are values that deviate from the first fit by more than FAR standard deviations. If there are more than
-    MOST_FAR, only the MOST_FAR largest deviations are removed.
+    Outliers deviate from the first fit by more than FAR standard deviations. At most the MOST_FAR largest deviations are
+    removed.
 
     Returns
     -------
@@ -376,13 +376,12 @@ def _padded(parts: Sequence[NDArray], fill: float | bool) -> NDArray:
 
 
 def _sensor(photographs: Sequence[Photograph], measurements: Measurements) -> tuple[SensorFigures, bool]:
-    """Return the gain, noise and levels of the sensor, and whether gain and noise were estimated from the patches.
+    """Return gain, noise and levels of the sensor, and whether gain and noise were estimated from the patches.
 
-    Gain and noise come from the data sheet. Without a data sheet, they are estimated from the patches. The black and white
-    levels always come from the first photo.
+    Gain and noise come from the data sheet or, without a data sheet, from the patches. The levels come from the first photo.
 
-    Raises InputFileError if there is no data sheet, and the white level exceeds the largest value of the bit depth, or the
-    noise of the patches does not increase with the signal.
+    Without a data sheet, raises InputFileError if the white level does not fit the bit depth, or if the noise of the patches
+    does not increase with the signal.
     """
     first = photographs[0]
     if measurements.datasheet is not None:
@@ -412,10 +411,10 @@ class ColourMatrix:
 
 
 def curves_of_matrices(matrices: Sequence[ColourMatrix], prior: Prior) -> Curves:
-    """Return the most probable responsivities of a camera with these colour matrices, with 95 % confidence bands.
+    """Estimate responsivities from colour matrices, with 95 % confidence bands.
 
-    The matrices predict the channel values of the patches of a ColorChecker. The responsivities are then estimated from
-    these values in the same way as from the values in a photo.
+    From the matrices, l3 predicts the channel values of the patches of a ColorChecker. It then estimates the responsivities
+    from these values as if they had been measured in a photo.
     """
     reflectance = spectra.colorchecker(WAVELENGTH)[1]
     shots = [_shot(matrix, reflectance) for matrix in matrices]
@@ -423,7 +422,7 @@ def curves_of_matrices(matrices: Sequence[ColourMatrix], prior: Prior) -> Curves
 
 
 def usual_curves(prior: Prior) -> Curves:
-    """Return the mean curves of `prior` with 95 % confidence bands, for a camera about which nothing is known."""
+    """Return the mean curves of `prior` with 95 % confidence bands, for an otherwise unknown camera."""
     peaks = np.exp(prior.log_peak)[:, None]
     deviation = np.sqrt(np.diag(prior.covariance)).reshape(prior.mean.shape)
     mean = np.asarray(prior.mean * peaks, np.float64)
@@ -431,7 +430,7 @@ def usual_curves(prior: Prior) -> Curves:
 
 
 def balanced_curves(curves: Curves, light: str) -> Curves:
-    """Scale the curves so that a grey surface under the illuminant `light` causes equal signals in all channels."""
+    """Scale each channel's curve so that grey has equal signals in all channels under the illuminant `light`."""
     signals = curves.relative @ spectra.illuminant(light, curves.wavelength)
     scale = (signals.min() / signals)[:, None]
     return Curves(curves.wavelength, curves.relative * scale, curves.band * scale).to_common_peak()
@@ -440,7 +439,7 @@ def balanced_curves(curves: Curves, light: str) -> Curves:
 def prior_of(channels: Sequence[str], known: CurveStatistics) -> Prior:
     """Return the prior for a camera with these channels.
 
-    If the channels are r, g and b, in any order, the prior of measured cameras is used. Otherwise, the smooth prior is used.
+    This is the prior of measured cameras if the channels are r, g and b in any order, otherwise the smooth prior.
     """
     if sorted(channels) != sorted(ROLES):
         return smooth(len(channels))
@@ -448,7 +447,7 @@ def prior_of(channels: Sequence[str], known: CurveStatistics) -> Prior:
 
 
 def _shot(matrix: ColourMatrix, reflectance: Array) -> Shot:
-    """Return a shot of an evenly lit chart without glare, with the patch values that a colour matrix predicts."""
+    """Predict a shot of an evenly lit chart without glare from a colour matrix."""
     light = spectra.illuminant(matrix.light, WAVELENGTH)
     weights = spectra.xyz_weights(WAVELENGTH)
     xyz = (reflectance * light) @ weights.T / (weights[1] @ light)

@@ -1,1 +1,1 @@
-"""The stage of `l3 render`, which renders raw frames with a transform table to pictures or video."""
+"""The `l3 render` stage, which renders raw frames with a transform table to pictures or video."""

@@ -1,6 +1,6 @@
-"""The checkpoint of a rendering: a list of finished outputs, with which `--resume` continues an interrupted run.
+"""The rendering checkpoint: a list of finished outputs, which `--resume` needs to continue an interrupted run.
 
-A picture is finished if its file has not changed since the run wrote it, and if its frame and its settings are the same as
+A picture is finished if its file is unchanged since the earlier run wrote it, and if its frame and settings are the same as
 in the earlier run. Files are compared by size, times and inode, because SHA-256 digests would add about 10 % to the
 rendering time.
 """
@@ -22,38 +22,37 @@ from l3cli.system.files import FINISHED, UNFINISHED, dated, fingerprint, refuse_
 
 
 class PictureCheckpoint(Checkpoint):
-    """List of the finished outputs of a run: file name, state of the file, and origin of its frames.
+    """List of a run's finished outputs: name, state and origin of each file.
 
-    The origin of a picture is a digest of the frames and settings from which it was made. The name of the checkpoint file
-    ends in `.l3-unfinished` during the run, and in `.l3-finished` after the run.
+    The origin is a digest of the frames and settings from which a picture was rendered. The name of the checkpoint file ends
+    in `.l3-unfinished` during the run, and in `.l3-finished` afterwards.
 
     Parameters
     ----------
     path : Path
         File of the checkpoint, in the folder of the outputs.
     key : str
-        Digest of the table, of the paths of the inputs, and of the options that influence the outputs.
+        Digest of the table, the input paths, and the options that affect the outputs.
     """
 
     def __init__(self, path: Path, key: str) -> None:
         super().__init__(path, key)
-        self._unseen: set[str] = set()  # pictures of the earlier run whose frames this run has not reached yet
+        self._unseen: set[str] = set()  # pictures of the earlier run that this run has not reached yet
 
     @property
     def finished(self) -> Path:
-        """Path of the checkpoint file after the end of the run."""
+        """Path of the checkpoint file after the run."""
         return self.path.with_name(self.path.name.removesuffix(UNFINISHED) + FINISHED)
 
     def continue_run(self, output: Path, force: bool) -> None:
-        """Read the checkpoint of an earlier run.
+        """Read the checkpoint of an earlier run, if there is one.
 
-        Without a checkpoint file, this method does nothing. It also does nothing if the checkpoint belongs to a different
-        run and `force` is set.
+        With `force`, the checkpoint of a different run is ignored.
 
         Raises
         ------
         RecipeError
-            If the earlier run had another table, other options, or inputs in another place, and `force` is not set.
+            If the earlier run had a different table, options or input paths, and `force` is not set.
         """
         earlier = self.path if self.path.is_file() else self.finished
         if earlier.is_file() and not self.take_over(earlier) and not force:
@@ -64,11 +63,11 @@ class PictureCheckpoint(Checkpoint):
         self._unseen = {name for name in self.items if self.is_ours(self.path.with_name(name))}
 
     def is_ours(self, file: Path) -> bool:
-        """Whether a file exists and has not changed since the run wrote it."""
+        """Return whether a file exists and is unchanged since the run wrote it."""
         return file.name in self.items and dated(file) == self.items[file.name]["file"]
 
     def has(self, file: Path, origin: str) -> bool:
-        """Whether an output is finished and has the given origin. The result is False if `origin` is "" (unknown).
+        """Return whether an output is finished and has the given origin. An unknown origin ("") never matches.
 
         After this call, the output is no longer listed in `abandoned`.
         """
@@ -76,18 +75,18 @@ class PictureCheckpoint(Checkpoint):
         return bool(origin) and self.is_ours(file) and self.items[file.name]["origin"] == origin
 
     def list_output(self, file: Path, temporary: Path, origin: str, **counts: int) -> None:
-        """Add an output to the list. Call this method just before the temporary file of the output is renamed.
+        """Add an output to the list. Call this method just before the output's temporary file is renamed.
 
-        `counts` are numbers of frames to store with the output, each under the name of its keyword.
+        `counts` are named numbers of frames, which are stored with the output.
         """
         self.add(file.name, {"file": dated(temporary), "origin": origin, **counts})
 
     @contextlib.contextmanager
     def kept(self) -> Iterator[None]:
-        """Context manager that writes the checkpoint file during the block, and renames the file to `finished` afterwards.
+        """Write the checkpoint file during a `with` block, and rename it to `finished` afterwards.
 
-        If the block fails, the file keeps its name, so that the run can be continued. If the block fails before any output
-        is finished, the file is deleted.
+        If the block fails, the file keeps its name, so that the run can be continued. It is deleted if the block fails
+        before any output is finished.
         """
         refuse_protected(self.finished)
         self.begin()
@@ -102,12 +101,12 @@ class PictureCheckpoint(Checkpoint):
 
     @property
     def abandoned(self) -> list[Path]:
-        """Pictures of the earlier run whose frames are not among the inputs of this run."""
+        """Pictures of the earlier run without a corresponding frame in the inputs of this run."""
         return [self.path.with_name(name) for name in sorted(self._unseen)]
 
 
 def checkpoint_of(destination: Destination, key: str, resume: bool, force: bool) -> PictureCheckpoint:
-    """Return the checkpoint of a run. If `resume` is set, the checkpoint lists the finished outputs of an earlier run."""
+    """Create the checkpoint of a run. With `resume`, it lists the finished outputs of an earlier run."""
     checkpoint = PictureCheckpoint(destination.checkpoint, key)
     if resume:
         checkpoint.continue_run(destination.path, force)
@@ -115,43 +114,38 @@ def checkpoint_of(destination: Destination, key: str, resume: bool, force: bool)
 
 
 class FrameOrigins:
-    """Computes the origin of each picture, which is a digest of the frames and settings from which the picture is made.
+    """Computes the origin of each picture: a digest of the frames and settings from which it is rendered.
 
     Parameters
     ----------
     inputs : Path
         The input, which identifies frames that do not have a separate file.
     settings : object
-        JSON data of the settings that influence all pictures but are not part of the key of the run, such as the estimated
-        gain.
+        JSON data with settings that affect all pictures but are not part of the run key, such as the estimated gain.
     follow : bool
-        Whether each picture depends on all previous frames. The origins must then be computed in the order of the frames.
+        Whether each picture depends on all previous frames. Origins must then be computed in frame order.
     """
 
     def __init__(self, inputs: Path, settings: Any, follow: bool) -> None:
         self._inputs, self._before, self._follow = inputs, _digest(settings), follow
 
     def of(self, reference: FrameReference) -> FrameReference:
-        """Compute the origin of a picture from the file of its frame, and return the reference with this origin.
+        """Add the origin of a picture to the reference of its frame, computed from the frame's file.
 
         Call this method before the frame is read, because the file could change during reading. If the frame has no separate
-        file, the input is used instead. If the input is not a file, `reference` is returned unchanged.
+        file, the input file is used. If the input is not a file, the reference is returned unchanged.
         """
         source = reference.source or self._inputs
         return self._with_origin(reference, fingerprint(source)) if source.is_file() else reference
 
     def of_read(self, reference: FrameReference, frame: RawFrame) -> FrameReference:
-        """Return the reference of a frame that has been read, with the origin (a digest) of its picture.
-
-        If `of` has already added the origin, the reference is returned unchanged. Otherwise, the origin is computed from the
-        raw values.
-        """
+        """Add the origin of a picture, computed from the raw values of its frame, unless `of` has already added it."""
         if reference.origin:
             return reference
         return self._with_origin(reference, hashlib.sha256(frame.values.tobytes()).hexdigest())
 
     def of_all(self, sequence: FrameSequence) -> str:
-        """Return the origin (a digest) of a video or multi-page file, or "" for frames from a stream without a file."""
+        """Return the origin of a video or multi-page file, or "" for frames from a stream without a file."""
         if not sequence.is_stream:
             return _digest([self.of(reference).origin for reference in sequence.frames] + [str(sequence.part)])
         if not self._inputs.is_file():

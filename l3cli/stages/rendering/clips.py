@@ -34,7 +34,7 @@ MAX_WARNINGS = 1000  # largest number of warnings in the report of a clip
 
 
 def clips_of(inputs: Sequence[Path], table: Path, options: RenderOptions, output: Path) -> tuple[Path, ...]:
-    """Return the inputs, in which each folder of several clips is replaced by the clips in the folder.
+    """Replace each folder of several clips in the inputs by the clips in it.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def clips_of(inputs: Sequence[Path], table: Path, options: RenderOptions, output
     sensor = functools.partial(load, TransformTable, table)
     for each in inputs:
         inside = clips_in(each, sensor, stated_overrides(options), options.console.warn) if each.is_dir() else []
-        source, target = (Path(os.path.realpath(path)) for path in (each, output))  # no error for a loop of links
+        source, target = (Path(os.path.realpath(path)) for path in (each, output))  # no error for circular links
         if inside and (source in (target, *target.parents) or target in source.parents):
             raise RecipeError(
                 f"the output {output} and the folder of clips {each} must not contain each other; choose another output "
@@ -56,10 +56,10 @@ def clips_of(inputs: Sequence[Path], table: Path, options: RenderOptions, output
 
 
 def are_clips(inputs: Sequence[Path], table: Path, options: RenderOptions, output: Path) -> bool:
-    """Whether each input is a separate clip.
+    """Return whether each input is a separate clip.
 
-    Inputs are clips if there are several inputs of which at least one is a sequence, or if the output is a folder of videos.
-    Several files with one frame each are rendered together.
+    This is the case if there are several inputs and at least one is a sequence, or if the output is a folder of videos.
+    Otherwise, several files with one frame each are rendered together.
     """
     if is_video(Path(f"clip.{options.format}")) and not is_video(output):
         return True
@@ -68,7 +68,7 @@ def are_clips(inputs: Sequence[Path], table: Path, options: RenderOptions, outpu
 
 
 def _is_stack(path: Path, sensor: Callable[[], TransformTable], known: RawOverrides) -> bool:
-    """Whether a file contains several frames. Return False for unreadable files, whose errors are reported later."""
+    """Return whether a file contains several frames. Unreadable files count as False, and are reported later."""
     with contextlib.suppress(L3Error, OSError):
         return path.is_file() and holds_several(path, sensor, known)
     return False
@@ -113,14 +113,14 @@ class Summary:
 
     @property
     def exit_code(self) -> int:
-        """Exit code: 0 if all frames were rendered, the code of the first error if all clips failed, and otherwise 1."""
+        """Exit code: 0 if all frames were rendered, the code of the first error if all clips failed, otherwise 1."""
         states = {clip.state for clip in self.clips}
         if self.first_error_code is not None and states == {FAILED}:
             return self.first_error_code
         return 1 if FAILED in states or any(clip.left_out for clip in self.clips) else 0
 
     def document(self) -> dict[str, Any]:
-        """Return the outcome as a dictionary that can be written as JSON."""
+        """Return the outcome as JSON data."""
         counts = Counter(clip.state for clip in self.clips)
         return {
             "clips": [asdict(clip) for clip in self.clips],
@@ -131,7 +131,7 @@ class Summary:
 
 
 def render_one(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderOptions) -> Summary:
-    """Render one clip, or several files with one frame each, and return the outcome. Errors are raised, as in `render`."""
+    """As `render`, but return a summary."""
     gathering, summary = Gathering(options.console, MAX_WARNINGS), Summary()
     tally = render(table, inputs, output, replace(options, console=gathering))
     name = str(inputs[0]) if len(inputs) == 1 else f"{inputs[0]} and {len(inputs) - 1} more"
@@ -142,7 +142,7 @@ def render_one(table: Path, inputs: tuple[Path, ...], output: Path, options: Ren
 def render_clips(table: Path, clips: Sequence[Path], folder: Path, options: RenderOptions, summary: Summary) -> None:
     """Render each clip to a file or folder with the name of the clip.
 
-    An error in a clip is reported, and the next clip is rendered.
+    A clip with an error is reported and skipped.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def render_clips(table: Path, clips: Sequence[Path], folder: Path, options: Rend
     Raises
     ------
     RecipeError
-        Before any work, if `folder` or `options` cannot be used for clips, or if two clips have the same name. During the
+        Before any work, if `folder` or `options` are unsuitable for clips, or if two clips have the same name. During the
         run, if the table changes.
     L3Error
         Before any work, if an output exists, unless `resume` or `force` is set. During the run, if the disk is full.
@@ -175,7 +175,7 @@ def render_clips(table: Path, clips: Sequence[Path], folder: Path, options: Rend
     with OutputGuard(options.console) as guard:
         guard.protect(table)
         for source in sources:
-            with contextlib.suppress(InputFileError, OSError):  # the error is reported when this clip is rendered
+            with contextlib.suppress(InputFileError, OSError):  # reported later, when this clip is rendered
                 guard.protect(*frame_files(source))
                 _refuse_output(_output_of(source, folder, sensor, options), options)
         for number, source in enumerate(sources, 1):
@@ -186,9 +186,9 @@ def render_clips(table: Path, clips: Sequence[Path], folder: Path, options: Rend
 
 
 def _refuse_folder(folder: Path, options: RenderOptions) -> None:
-    """Raise RecipeError if the output is not a folder, or if an option cannot be used for clips.
+    """Raise RecipeError if the output is not a folder or an option is unsuitable for clips.
 
-    Raise L3Error if files cannot be created in the folder.
+    Raises L3Error if files cannot be created in the folder.
     """
     if folder == STDIN or is_video(folder) or PATTERN.search(folder.name) or folder.is_file():
         raise RecipeError(
@@ -228,8 +228,8 @@ def _render_clip(
 ) -> None:  # fmt: skip
     """Render a clip and add its outcome to the summary.
 
-    Most errors are reported and become part of the summary. An error is raised only if it concerns all clips, that is, if
-    the device cannot be used or the disk is full.
+    Errors become part of the summary. They are raised only if they affect all clips, such as a missing device or a full
+    disk.
     """
     output, gathering = folder / name_of(source), Gathering(options.console, MAX_WARNINGS)
     try:

@@ -1,4 +1,4 @@
-"""Removal of lamp flicker from a sequence, by correcting the exposure of each frame."""
+"""Removal of lamp flicker from a sequence by correcting each frame's exposure."""
 
 import math
 from collections import Counter, deque
@@ -20,7 +20,7 @@ class FlickerReport:
 
     frames: int = 0  # number of frames
     squares: float = 0.0  # sum of squares of the logarithms of the correction factors
-    # Mains frequency in Hz (None: no flicker) → number of frames.
+    # mains frequency in Hz (None: no flicker) → number of frames
     mains: Counter[int | None] = field(default_factory=Counter)
 
     def line(self) -> str:
@@ -37,12 +37,12 @@ def deflickered(
 ) -> Iterator[FrameTask]:
     """Yield the frames, each with an exposure scale that removes the flicker.
 
-    The flicker of a frame is estimated from the brightness of the LOOKAHEAD frames before and after this frame. A frame is
-    therefore yielded only after these later frames have been read. Frames that were not read, for example because of an
-    error, are yielded unchanged.
+    Flicker is estimated from the brightness of the LOOKAHEAD frames before and after each frame, so a frame is yielded only
+    when these later frames have been read. Frames that were not read, for example because of an error, are yielded
+    unchanged.
     """
     rate, unit = look.video.rate, job.sequence.unit
-    window: deque[tuple[float, float]] = deque()  # time in frames, and brightness ratio, of the frames around the next frame
+    window: deque[tuple[float, float]] = deque()  # time in frames and brightness ratio of frames around the next frame
     waiting: deque[tuple[float | None, FrameTask]] = deque()  # frames to yield, each with its time
     ahead = 0  # number of frames in `waiting` that were read without an error
 

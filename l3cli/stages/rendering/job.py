@@ -1,6 +1,6 @@
-"""First phase of a rendering: open the table, find the frames, and check all options.
+"""First phase of rendering: open the table, find the frames, and check all options.
 
-Errors that do not depend on the content of a frame are raised here, before anything is written.
+Errors that do not depend on the content of frames are raised here, before anything is written.
 """
 
 import itertools
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Job:
-    """Inputs, destination and settings of a rendering that do not depend on the content of a frame."""
+    """Inputs, destination and settings of a rendering that do not depend on the content of frames."""
 
     table_file: Path
     digest: str  # SHA-256 of the table
@@ -61,7 +61,7 @@ class Job:
     camera: CameraFile | None  # camera model with the defects and the flat field to correct
     engine: dict[str, str]  # options of the backend
     shows_photos: bool  # whether the raw files contain a white balance, and the outputs are pictures
-    white_source: WhiteSource | None  # method that finds the white of each frame; None to use the white of the rendition
+    white_source: WhiteSource | None  # method that finds each frame's white; None to use the white of the rendition
     light_mix: Mix | None  # mixture of the table's illuminants for a white that the user has set
     rendition: Rendition
     scheduler: "Scheduler | None"
@@ -80,7 +80,7 @@ class Job:
 
     @property
     def frames_depend_on_earlier(self) -> bool:
-        """Whether the picture of a frame depends on previous frames."""
+        """Whether pictures depend on previous frames."""
         measures = self.rendition.measures_exposure or self.white_source is not None or self.options.deflicker
         return (self.in_order and measures) or self.options.temporal
 
@@ -127,7 +127,7 @@ def open_job(
     camera = None if options.camera is None else CameraFile(options.camera.absolute(), sha256(options.camera))
     overrides = _with_corrections(stated, table, camera, options, guard)
     shows_photos = has_display(place, options) and not has_stokes(table.outputs) and are_photos(inputs[0])
-    white = None if table.outputs == STOKES else options.white  # the white has no effect on grey pictures of S0
+    white = None if table.outputs == STOKES else options.white  # a white has no effect on grey pictures of S0
     source = white_source(white, table, shows_photos)
     light_mix = None if source else light_mix_of_given(white, table, nearest_for, options.console)
     rendition = _rendition(place, None if source else white, mixed(table, light_mix), options)
@@ -166,7 +166,7 @@ def open_job(
 
 
 def stated_overrides(options: RenderOptions) -> RawOverrides:
-    """Return the option values that replace the metadata of raw files.
+    """Collect the option values that replace the metadata of raw files.
 
     Raises
     ------
@@ -182,9 +182,9 @@ def stated_overrides(options: RenderOptions) -> RawOverrides:
 
 
 def _gains_in(path: Path) -> tuple[float, ...]:
-    """Read a text file that contains the analog gain of each frame, separated by blanks or line ends.
+    """Read a text file with the analog gain of each frame, separated by blanks or line ends.
 
-    Raises InputFileError if the file is empty, or if a gain is not a valid number.
+    Raises InputFileError if the file is empty or contains an invalid gain.
     """
     gains, give = [], "use a text file that contains the gain of each frame, one per line"
     for number, text in enumerate(read_bounded(path, give).decode(errors="replace").split(), 1):
@@ -203,7 +203,7 @@ def video_choice(options: RenderOptions) -> VideoChoice:
 
 
 def has_display(destination: Destination, options: RenderOptions) -> bool:
-    """Whether white balance and exposure are applied to the outputs. Otherwise the outputs are written unchanged."""
+    """Return whether white balance and exposure are applied to the outputs, instead of writing them unchanged."""
     return not destination.linear or options.space is not None
 
 
@@ -221,7 +221,7 @@ def _engine(options: RenderOptions) -> dict[str, str]:
 def _prepared_meanwhile(
     backend: str, engine: dict[str, str], suffix: str | None, scheduler: "Scheduler | None"
 ) -> BackgroundTask:
-    """Context manager that prepares the OpenCL device and the writer of `suffix` files while its block runs."""
+    """Prepare the OpenCL device and the writer of `suffix` files in the background, during a `with` block."""
 
     def work() -> None:
         if scheduler is None:
@@ -233,7 +233,7 @@ def _prepared_meanwhile(
 
 
 def _refuse_misplaced(destination: Destination, options: RenderOptions) -> None:
-    """Raise RecipeError if an option cannot be used for the destination."""
+    """Raise RecipeError if an option does not apply to the destination."""
     space, exposure = options.space, options.exposure
     if not has_display(destination, options):
         if exposure.factor is not None or exposure.stops or options.white is not None:
@@ -264,7 +264,7 @@ def _refuse_misplaced(destination: Destination, options: RenderOptions) -> None:
 
 
 def _refuse_polarisation(table: TransformTable, destination: Destination, options: RenderOptions) -> None:
-    """Raise RecipeError if an option cannot be used for the Stokes parameters of a table."""
+    """Raise RecipeError if an option does not apply to a table with Stokes parameters."""
     if options.show is None:
         return
     if not has_stokes(table.outputs):
@@ -287,7 +287,7 @@ def _refuse_polarisation(table: TransformTable, destination: Destination, option
 def _with_corrections(
     stated: RawOverrides, table: TransformTable, camera: CameraFile | None, options: RenderOptions, guard: OutputGuard
 ) -> RawOverrides:
-    """Return the overrides with the dark frame, the corrections of the camera model and the test for hot pixels."""
+    """Add the dark frame, the corrections of the camera model and the test for hot pixels to the overrides."""
     dark = None
     if options.dark:
         sequence = find_frames(options.dark, table, replace(stated, gains=()))
@@ -300,7 +300,7 @@ def _with_corrections(
 def _frames(
     inputs: tuple[Path, ...], table: TransformTable, overrides: RawOverrides, options: RenderOptions
 ) -> FrameSequence:
-    """Return the frames of the inputs, or the part of the frames that a shard renders.
+    """List the frames of the inputs, or the part that a shard renders.
 
     Raises InputFileError if a shard is set and the input does not exist.
     """
@@ -322,8 +322,8 @@ def part_of(sequence: FrameSequence, shard: tuple[int, int], temporal: bool) -> 
     shard : tuple of int
         Number of the shard, counted from 1, and number of shards.
     temporal : bool
-        Whether the temporal filter is used. The filter works in chunks of frames. If there are enough frames, each shard
-        starts at the beginning of a chunk, because a shard that starts inside a chunk must also filter earlier frames.
+        Whether the temporal filter is used, which works in chunks of frames. If there are enough frames, each shard then
+        starts with a chunk, because otherwise it would also have to filter earlier frames.
 
     Raises
     ------
@@ -347,23 +347,23 @@ def part_of(sequence: FrameSequence, shard: tuple[int, int], temporal: bool) -> 
 
 
 def _nearest(position: int, grid: int) -> int:
-    """Return the nearest multiple of `grid`.
+    """Round to the nearest multiple of `grid`.
 
-    Halves are always rounded up, so that two positions whose distance is at least `grid` have different results.
+    Halves are rounded up, so that positions at a distance of at least `grid` have different results.
     """
     return (position + grid // 2) // grid * grid
 
 
 def _protect_frames(sequence: FrameSequence, guard: OutputGuard) -> None:
-    """Ensure that no output replaces the file of a frame. A stream has no files, and may be endless."""
+    """Ensure that no output replaces the file of a frame. Streams, which may be endless, have no files."""
     if not sequence.is_stream:
         guard.protect(*(reference.source for reference in sequence.frames if reference.source))
 
 
 def _refuse_frames(sequence: FrameSequence, destination: Destination, table: TransformTable, options: RenderOptions) -> None:
-    """Raise an error if an option cannot be used for the frames, or if frames are missing and `skip_bad` is not set.
+    """Raise RecipeError if an option does not apply to the frames.
 
-    The error is a RecipeError for options, and an InputFileError for missing frames.
+    Raises InputFileError if frames are missing and `skip_bad` is not set.
     """
     if options.deflicker and sequence.stills and destination.pictures:
         raise RecipeError(
@@ -387,12 +387,12 @@ def _refuse_frames(sequence: FrameSequence, destination: Destination, table: Tra
 
 
 def _folder_or_file(inputs: tuple[Path, ...]) -> str:
-    """Return the input or, for several files, their folder, so that a run can be continued after files were added."""
+    """Return the input or, for several files, their folder, so that a run can be continued with additional files."""
     return os.path.realpath(inputs[0] if len(inputs) == 1 else inputs[0].parent)
 
 
 def _files_read(table_file: Path, inputs: tuple[Path, ...], sequence: FrameSequence, options: RenderOptions) -> FilesUsed:
-    """Return the files that a rendering reads. Frames from a stream are not listed, because a stream may be endless."""
+    """List the files that a rendering reads, except frames from a stream, which may be endless."""
     frames = () if sequence.is_stream else sequence.frames
     files = [frame.source for place, frame in enumerate(frames) if frame.source and sequence.renders(place)]
     return files_to_read({"table": [table_file], "inputs": files or inputs, "dark frames": options.dark})
@@ -404,7 +404,7 @@ Choice = Callable[[TransformTable, NDArray[np.floating]], Mix | None]  # mix_for
 
 
 def light_mix_of_given(white: str | None, table: TransformTable, choice: Choice, console: Console) -> Mix | None:
-    """Find the mixture of a table's illuminants that fits a white, and report this mixture on the console.
+    """Find the mixture of a table's illuminants that matches a white, and report it on the console.
 
     Parameters
     ----------
@@ -444,10 +444,10 @@ def light_mix_of_given(white: str | None, table: TransformTable, choice: Choice,
 
 
 def _rendition(destination: Destination, white: str | None, table: TransformTable, options: RenderOptions) -> Rendition:
-    """Return the settings with which the outputs of the table become pictures.
+    """Return the settings that convert the outputs of the table to pictures.
 
-    If the user has set a white, the white is checked, and warnings about the white are sent to the console. Raises
-    RecipeError if an option for pictures is invalid.
+    A white that the user has set is checked, which can cause warnings. Raises RecipeError if an option for pictures is
+    invalid.
     """
     if options.show is not None:
         return replace(OUTPUTS, bits=options.bits, space=SRGB, polarisation=options.show)
@@ -471,10 +471,7 @@ def _rendition(destination: Destination, white: str | None, table: TransformTabl
 
 
 def warn_of_white(name: str, white: SceneWhite, table: TransformTable, console: Console) -> None:
-    """Warn if a white is far from the training illuminants, or if the spectrum of the white is not fully known.
-
-    The spectrum must cover all wavelengths at which the camera is sensitive.
-    """
+    """Warn if a white is far from the training illuminants, or if its spectrum does not cover the camera's wavelengths."""
     if doubt := far_from_training(name, white, table):
         console.warn(doubt)
     if table.camera is not None and "," not in name:

@@ -1,4 +1,4 @@
-"""Second phase of a rendering: settings that may depend on the first frame, such as gain, white balance and frame times."""
+"""Second phase of rendering: settings that may depend on the first frame, such as gain, white balance and frame times."""
 
 import contextlib
 import itertools
@@ -24,11 +24,11 @@ class Look:
     """Settings of a rendering that may depend on the first frame."""
 
     table: TransformTable  # with the transforms for the illuminant of the frames
-    light_mix: Mix | None  # illuminant mixture to which the transforms belong; None for the common transforms
+    light_mix: Mix | None  # mixture of illuminants for which the transforms are blended; None: common transforms
     overrides: RawOverrides  # Job.overrides, with the estimated gain
     sequence: FrameSequence  # the frames, which are read with these overrides
     rendition: Rendition
-    white_source: WhiteSource | None  # method that finds the white of each frame; None to use the white of the rendition
+    white_source: WhiteSource | None  # method that finds each frame's white; None to use the white of the rendition
     video: VideoChoice
     pacing: Pacing
     temporal: Chunks | None  # temporal filters; None if frames are not filtered in time
@@ -37,7 +37,7 @@ class Look:
 def choose_look(job: Job) -> Look:
     """Determine the settings that may depend on the first frame.
 
-    The first frame is read only if the gain or the white depends on this frame.
+    The first frame is read only if the gain or the white depends on it.
     """
     gain = _estimated_gain(job)
     overrides = job.overrides if gain is None else replace(job.overrides, unlabelled_gain=gain)
@@ -66,10 +66,10 @@ def choose_look(job: Job) -> Look:
 
 
 def _estimated_gain(job: Job) -> float | None:
-    """Estimate the analog gain of frames without a stated gain from the noise of the first frame.
+    """Estimate the analog gain from the noise of the first frame, if the gain is not stated.
 
-    The result is None if the options or the first frame state a gain, if the estimate fails, or if the noise of the camera
-    is known at one gain only.
+    Returns None if the options or the first frame state a gain, if the estimate fails, or if the camera's noise is known at
+    only one gain.
     """
     table, console = job.table, job.options.console
     if job.overrides.gain is not None or job.overrides.gains or table.camera is None or known_gains(table) == (1, 1):
@@ -97,8 +97,7 @@ def _estimated_gain(job: Job) -> float | None:
 def _light_mix_of_first(source: WhiteSource, job: Job, sequence: FrameSequence) -> tuple[Mix | None, FrameSequence]:
     """Find the mixture of the table's illuminants that is nearest to the white of the first frame.
 
-    All frames are rendered with the transforms for this mixture. Errors in the first frame are reported later, when the
-    frame is rendered.
+    Its transforms are used for all frames. Errors in the first frame are reported later, when the frame is rendered.
 
     Returns
     -------
@@ -134,7 +133,7 @@ def _first_frame(sequence: FrameSequence) -> tuple[RawFrame | None, FrameSequenc
     RawFrame or None
         The first frame. None if there are no frames or if the first frame is damaged.
     FrameSequence
-        All frames. Frames from a stream can be read only once, so this sequence contains the first frame again.
+        All frames. The first frame is put back, because frames from a stream can be read only once.
     """
     frames = sequence.frames
     number = next(iter(frames.wanted), None)
@@ -162,7 +161,7 @@ def _first_frame(sequence: FrameSequence) -> tuple[RawFrame | None, FrameSequenc
 
 
 def _timing(job: Job) -> tuple[VideoChoice, Pacing]:
-    """Return the settings of the video encoder, which include the frame rate, and the pacing of the frames."""
+    """Return the video encoder's settings, including the frame rate, and the pacing of the frames."""
     sequence, options = job.sequence, job.options
     stated = sequence.times() if sequence.times is not None and options.fps is None else None
     uneven = None if stated is None or stated.are_even else stated
@@ -172,11 +171,10 @@ def _timing(job: Job) -> tuple[VideoChoice, Pacing]:
 
 
 def _temporal_filters(job: Job, table: TransformTable) -> Chunks:
-    """Return the temporal filters of a run.
+    """Create the temporal filters of a run.
 
-    The filters run in this process even if workers render the frames, because the filters need all frames in order. If
-    workers render the frames and this machine has no OpenCL device, the filters run with numpy. A warning is sent to the
-    console if there is only one frame.
+    The filters need all frames in order, so they run in this process even if workers render the frames. In that case, they
+    run with numpy if this machine has no OpenCL device. A warning is printed if there is only one frame.
     """
     if job.sequence.count == 1:
         job.options.console.warn("‹temporal› has no effect on a single frame; render a sequence, or remove ‹temporal›")
@@ -185,4 +183,4 @@ def _temporal_filters(job: Job, table: TransformTable) -> Chunks:
     except DeviceError:
         if job.scheduler is None:
             raise
-        return Chunks(filters("reference", table))  # the filters of all backends give equal results
+        return Chunks(filters("reference", table))  # the filters of all backends compute the same results

@@ -1,7 +1,7 @@
 """Rendering of frames to finished pictures, in this process or in workers on other machines.
 
-This process and the workers both use `PictureMaker.pictures`. If each picture is a separate file, the workers also encode
-the files. The workers then usually also read the frames, unless the frames must be measured or filtered in time.
+Both use `PictureMaker.pictures`. If each picture is a separate file, workers also encode the files. They then usually read
+the frames too, unless the frames must be measured or temporally filtered first.
 """
 
 import functools
@@ -55,7 +55,6 @@ class RenderSetup:
 
 
 def setup_of(job: Job, look: Look) -> RenderSetup:
-    """Return the settings that all frames of a run share."""
     return RenderSetup(
         job.table_file.absolute(), job.digest, job.options.backend, job.engine, look.overrides, look.rendition,
         job.destination.file_suffix, job.camera, look.light_mix,
@@ -71,8 +70,7 @@ class PictureMaker:
     def pictures(self, tasks: Iterable[FrameTask]) -> Iterator[tuple[FrameTask, Picture]]:
         """Yield each frame with its picture, in order.
 
-        If the exposure of a frame does not depend on its outputs, the device renders the next frame while the caller
-        processes a picture.
+        While the caller processes a picture, the device already renders the next frame, unless exposures depend on outputs.
         """
         rendition = self._setup.rendition
         usual = rendition.balance
@@ -85,7 +83,7 @@ class PictureMaker:
                 yield from self._displayed(run, usual)
 
     def _displayed(self, tasks: Iterable[FrameTask], usual: WhiteBalance) -> Iterator[tuple[FrameTask, Picture]]:
-        """Yield each frame with its encoded picture. Frames without their own white balance are rendered with `usual`."""
+        """Yield each frame with its encoded picture. `usual` is the white balance of frames without their own."""
         started: deque[FrameTask] = deque()
 
         def displayed() -> Iterator[tuple[RawFrame, Display]]:
@@ -121,7 +119,7 @@ class LocalPictures:
 
 
 class RemotePictures:
-    """Renders pictures in workers on other machines. If each picture is a separate file, the workers also encode the files.
+    """Renders pictures in workers on other machines, which also encode the files if each picture is a separate file.
 
     Parameters
     ----------
@@ -151,9 +149,9 @@ class RemotePictures:
 
 
 def _without_shading(task: FrameTask, shading: "Shading | None") -> FrameTask:
-    """Remove the shading of the camera model from a frame before the frame is sent to a worker.
+    """Remove the camera model's shading from a frame before it is sent to a worker.
 
-    The shading takes more bytes than the frame. Workers therefore read the shading from the file of the camera model.
+    The shading is larger than the frame itself, so workers read it from the file of the camera model.
     """
     if task.frame is None or shading is None or task.frame.shading is not shading:
         return task
@@ -161,7 +159,7 @@ def _without_shading(task: FrameTask, shading: "Shading | None") -> FrameTask:
 
 
 def _made_by_worker(job: tuple[RenderSetup, FrameTask]) -> Any:
-    """Render a frame in a worker. Return the picture, the bytes of its file, or the error in the raw file."""
+    """Render a frame in a worker, and return the picture, the bytes of its file, or the error in the raw file."""
     setup, sent = job
     table, renderer = _renderer_of_worker(
         setup.table,
@@ -180,7 +178,7 @@ def _made_by_worker(job: tuple[RenderSetup, FrameTask]) -> Any:
 
 
 def _is_made(job: tuple[RenderSetup, FrameTask], made: Any) -> bool:
-    """Whether a result from another machine has the type and the size that `_made_by_worker` returns."""
+    """Return whether a result from another machine has the type and size that `_made_by_worker` returns."""
     setup, task = job
     if isinstance(made, L3Error):
         return True
@@ -192,10 +190,10 @@ def _is_made(job: tuple[RenderSetup, FrameTask], made: Any) -> bool:
 
 
 def _read_by_worker(task: FrameTask, setup: RenderSetup, table: TransformTable) -> FrameTask:
-    """Complete a task in a worker, so that its frame includes the corrections from the camera model.
+    """Add a frame with the corrections of the camera model to a task, in a worker.
 
-    If the task contains no frame, the frame is read from its file and corrected. Otherwise, only the shading of the camera
-    model is added to the frame, because the defects have already been corrected.
+    If the task contains no frame, the frame is read and corrected. Otherwise only the shading of the camera model is added,
+    because defects have already been corrected.
     """
     correction = None if setup.camera is None else correction_again(setup.camera)
     if task.frame is None:
@@ -212,7 +210,7 @@ def _read_by_worker(task: FrameTask, setup: RenderSetup, table: TransformTable) 
 def _renderer_of_worker(
     path: Path, digest: str, backend: str, engine: tuple[tuple[str, str | None], ...], pictures: bool, light_mix: Mix | None
 ) -> tuple[TransformTable, Renderer]:
-    """Return the table and a renderer for the table. A worker creates both once and uses them for all frames."""
+    """Return the table and its renderer, which a worker creates once and uses for all frames."""
     require_same(path, digest)
     loaded = load(TransformTable, path)
     table = mixed(loaded.pictured() if pictures else loaded, light_mix)
@@ -220,9 +218,9 @@ def _renderer_of_worker(
 
 
 class Renderers:
-    """Cache of the latest renderer, which is reused for the next clip if the settings have not changed.
+    """Cache of the latest renderer, which is reused for the next clip if the settings are the same.
 
-    Creating a renderer takes time, and OpenCL never frees the programs that it has built.
+    Creating a renderer takes time, and OpenCL never frees compiled programs.
     """
 
     def __init__(self) -> None:
@@ -242,7 +240,7 @@ class Renderers:
 
 @contextmanager
 def picture_makers(job: Job, look: Look, renderers: Renderers) -> Iterator[LocalPictures | RemotePictures]:
-    """Yield the object that renders the pictures of a run, in this process or on the workers of a scheduler."""
+    """Provide the object that renders a run's pictures, in this process or in workers, for a `with` block."""
     setup = setup_of(job, look)
     if job.scheduler is None:
         yield LocalPictures(setup, renderers.of(setup, look.table))

@@ -1,7 +1,7 @@
-"""First steps of the rendering of frames: reading the frames, and measuring exposure and white in the order of the frames.
+"""First steps of rendering: reading the frames, and measuring exposure and white in frame order.
 
-Each frame becomes a `FrameTask`, to which the later steps add their results. A frame whose picture is already finished is
-read only if later frames depend on it.
+Each frame becomes a `FrameTask`, to which later steps add their results. If the picture of a frame is already finished, the
+frame is read only if later frames depend on it.
 """
 
 import hashlib
@@ -25,7 +25,7 @@ from l3cli.system.files import sha256
 
 @dataclass(frozen=True)
 class FrameTask:
-    """A frame and the results of the rendering steps so far. Tasks can be pickled, so that they can be sent to workers."""
+    """A frame and the results of the rendering steps so far. Tasks are picklable, because they are sent to workers."""
 
     reference: FrameReference
     place: int  # position in the sequence, counted from 0
@@ -38,10 +38,10 @@ class FrameTask:
     scale: float = 0.0  # exposure scale; 0 for automatic exposure
     balance: WhiteBalance | None = None  # white balance; None for the white balance of the rendition
     white: SceneWhite | None = None  # measured white
-    brightness: float = 0.0  # brightness that FrameMeter.looked_at returns
-    ratio: float = 0.0  # natural logarithm of the brightness relative to the previous frame
+    brightness: float = 0.0  # brightness from FrameMeter.looked_at
+    ratio: float = 0.0  # ln(brightness / brightness of the previous frame)
     error: L3Error | None = None  # reason why the frame cannot be rendered
-    lost: int = 1  # number of frames that are lost because of the error
+    lost: int = 1  # number of frames lost because of the error
 
 
 class FrameReader:
@@ -56,9 +56,9 @@ class FrameReader:
     meter : FrameMeter
         Measures exposure and white.
     origins : FrameOrigins
-        Computes, for the checkpoint, a digest of the frames and settings from which each picture is made.
+        Computes the origin of each picture for the checkpoint.
     workers_read : bool
-        Whether workers can read files. Workers then read all frames that need not be measured.
+        Whether workers can read files. They then read all frames that need not be measured.
     """
 
     def __init__(self, job: Job, look: Look, meter: FrameMeter, origins: FrameOrigins, workers_read: bool) -> None:
@@ -70,14 +70,13 @@ class FrameReader:
         self._leaves_to_workers = workers_read and job.destination.one_by_one and not (measures or job.options.temporal)
         self._fixed_scale = look.rendition.exposure or 0.0
         self._shape: tuple[int, ...] | None = None  # shape of the first frame
-        # Frames from a stream are not read ahead, because the next frame may not have arrived yet.
+        # Frames from a stream are not read ahead, because the next one may not have arrived yet.
         self._looks_ahead = job.options.temporal and (not self._sequence.is_stream or self._sequence.part is not None)
 
     def frames(self) -> Iterator[FrameTask]:
         """Yield a task for each frame.
 
-        A task is marked as finished if its frame is not needed. All other frames are read and measured, except for frames
-        that a worker reads.
+        Unneeded frames are marked as finished. All other frames are read and measured, except those that a worker reads.
         """
         listed, ahead = itertools.tee(self._listed()) if self._looks_ahead else (self._listed(), iter(()))
         needs = needed((task.place, not task.is_finished) for task in ahead)
@@ -96,7 +95,7 @@ class FrameReader:
                 yield replace(measured, is_filtered=filtered and measured.frame is not None)
 
     def _listed(self) -> Iterator[FrameTask]:
-        """Yield a task for each frame before the frame is read. The task of a finished picture is marked as finished."""
+        """Yield a task for each frame before it is read, marked as finished if its picture is finished."""
         references = itertools.islice(self._sequence.frames, last_read(self._job))
         for place, reference in enumerate(references):
             is_counted = self._sequence.renders(place)
@@ -104,15 +103,15 @@ class FrameReader:
             yield FrameTask(identified, place, not is_counted or self._exists(identified), is_counted)
 
     def _exists(self, reference: FrameReference) -> bool:
-        """Whether the picture of a frame is finished."""
+        """Return whether the picture of a frame is finished."""
         file = self._job.destination.file(reference.number, reference.stem)
         return self._checkpoint is not None and self._checkpoint.has(file, reference.origin)
 
     def _left_to_worker(self, task: FrameTask) -> FrameTask:
-        """Return a task for a worker that reads the file of a frame. The task contains the digest of this file.
+        """Prepare a task for a worker that will read the frame's file, and add the digest of this file.
 
         If the file cannot be read, the task contains the error instead. The first frame is never left to a worker, because
-        warnings need this frame.
+        it is needed for warnings.
         """
         assert task.reference.source is not None
         try:
@@ -124,7 +123,7 @@ class FrameReader:
     def _measured(self, task: FrameTask) -> FrameTask | None:
         """Read a frame, measure its exposure and white, and determine its identity for the metadata.
 
-        Return None at the end of a stream. An error in the frame becomes part of the task.
+        Returns None at the end of a stream. An error in the frame becomes part of the task.
         """
         try:
             frame = self._sequence.frames.read(task.reference.number)
@@ -132,7 +131,7 @@ class FrameReader:
                 return None
             self._require_shape(frame)
             brightness, balance, white = self._meter.looked_at(frame)
-            deflicker = self._job.options.deflicker  # if set, the scale depends on later frames and is computed later
+            deflicker = self._job.options.deflicker  # if set, the scale depends on later frames, so it is computed later
             scale, ratio = (0.0, self._ratio.of(frame)) if deflicker else (self._meter.scale(frame, brightness), 0.0)
             reference = self._origins.of_read(task.reference, frame) if self._checkpoint else task.reference
             is_finished = task.is_finished or (not task.reference.origin and self._exists(reference))
@@ -178,8 +177,7 @@ def last_read(job: Job) -> int | None:
 def _identity(reference: FrameReference, frame: RawFrame) -> str:
     """Return the identity of a frame, which is stored in the metadata of its picture.
 
-    The identity is derived from the SHA-256 of the file or, if the frame has no file of its own, from the SHA-256 of its raw
-    values.
+    It is derived from the SHA-256 of the frame's file or, if the frame has no file of its own, of its raw values.
     """
     if reference.source is not None:
         return file_identity(sha256(reference.source))

@@ -1,4 +1,4 @@
-"""The stage of `l3 render`, which renders raw frames to a picture, numbered files, a folder, a video or a stream."""
+"""The `l3 render` stage, which renders raw frames to a picture, numbered files, a folder, a video or a stream."""
 
 from pathlib import Path
 
@@ -27,7 +27,7 @@ def render(
     options : RenderOptions
         Options of `l3 render`.
     clips : Renderers, optional
-        The renderers that several clips share. Set this parameter only if the input is one of several clips.
+        Renderers that several clips share. Set this only if the input is one of several clips.
 
     Returns
     -------
@@ -37,8 +37,8 @@ def render(
     Raises
     ------
     RecipeError, InputFileError, DeviceError, L3Error
-        If the frames cannot be rendered. Errors are raised before anything is written, except for damaged frames, which are
-        found when they are read.
+        If the frames cannot be rendered. Except for damaged frames, which are found only when they are read, errors are
+        raised before anything is written.
     """
     with OutputGuard(options.console) as guard:
         job = open_job(table, inputs, output, options, guard, is_clip=clips is not None)

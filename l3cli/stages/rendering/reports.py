@@ -13,7 +13,7 @@ from l3cli.system.console import Console
 from l3cli.system.files import FilesUsed
 from l3cli.system.text import counted
 
-# Values of Tally.frame_times: the frames are evenly spaced; the video keeps uneven times; or the uneven times are lost.
+# values of Tally.frame_times: evenly spaced frames; uneven times, kept in the video; uneven times, lost
 EVEN, KEPT, LOST = "even", "kept", "lost"
 
 
@@ -30,7 +30,7 @@ class Tally:
     files: FilesUsed = field(default_factory=FilesUsed)
 
     def leave_out(self, error: L3Error, job: Job, count: int = 1) -> None:
-        """Report an error, and count the frames that are skipped because of the error.
+        """Report an error, and count the frames that are skipped because of it.
 
         If `skip_bad` is not set, the error is raised instead.
         """
@@ -40,9 +40,9 @@ class Tally:
         job.options.console.report(f"l3: {error}")
 
     def report(self, job: Job) -> None:
-        """At the end of a run, report the number of frames, the speed, and the number of skipped frames.
+        """Report the number of frames, the speed and the number of skipped frames at the end of a run.
 
-        If this run has rendered no frames, the message says that the output is already finished.
+        If this run has rendered no frames, report that the output is already finished.
         """
         console, path = job.options.console, job.destination.path
         if not self.made:
@@ -54,10 +54,9 @@ class Tally:
 
 
 class WhiteReport:
-    """Reports the white of the frames.
+    """Reports the white of each still or, for a sequence, the first white and, if it differs, the last white.
 
-    The white of each still is reported. For a sequence, the first white and, if different, the last white are reported.
-    If the first white is implausible, a warning is sent to the console.
+    A warning is printed if the first white is implausible.
     """
 
     def __init__(self, source: WhiteSource | None, stills: bool, console: Console) -> None:
@@ -67,10 +66,9 @@ class WhiteReport:
         self._warned = False
 
     def add(self, frame: RawFrame, white: SceneWhite | None) -> None:
-        """Add a frame and its white. `white` is None if the white of the frame is unknown.
+        """Add a frame and its white, or None if the white is unknown.
 
-        The white of a still, and the white of the first frame of a sequence, are reported immediately. The first white is
-        checked.
+        The white of a still, and of the first frame of a sequence, is reported immediately. The first white is checked.
         """
         if self._source is None:
             return
@@ -90,7 +88,7 @@ class WhiteReport:
                 self._console.warn(doubt)
 
     def end(self) -> None:
-        """Report the white of the last frame, unless this white has already been reported."""
+        """Report the white of the last frame, unless it has already been reported."""
         if self._source and self._last and self._last[1] is not self._reported:
             self._report(self._source, *self._last)
 
@@ -100,7 +98,7 @@ class WhiteReport:
 
 
 def report_times(job: Job, look: Look, tally: Tally) -> None:
-    """Warn about gaps between frames and about lost frame times, and record in the tally whether frame times are kept."""
+    """Warn about gaps between frames and lost frame times, and record in the tally whether frame times are kept."""
     sequence, destination, pacing, console = job.sequence, job.destination, look.pacing, job.options.console
     rate = f"{float(look.video.rate):.4g} frames per second"
     cure = "to preserve the frame times, write a .mp4, .mov or .mkv"

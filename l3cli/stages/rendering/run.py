@@ -1,7 +1,7 @@
-"""Third phase of a rendering: read, render and write all frames.
+"""Third phase of rendering: read, render and write all frames.
 
-Each frame passes through these steps: read, measure, filter in time, render, encode, write. The steps run in several
-threads. The queues between the threads are short, so memory does not grow with the number of frames.
+The steps for each frame are: read, measure, filter in time, render, encode, write. They run in several threads. The queues
+between the threads are short, so memory use does not grow with the number of frames.
 """
 
 import contextlib
@@ -55,7 +55,7 @@ def run(job: Job, look: Look, renderers: Renderers) -> Tally:
 
 
 def _is_finished(job: Job, look: Look, tally: Tally) -> bool:
-    """Whether a video or a multi-page file is already finished. If so, add its frames to the tally."""
+    """Return whether a video or multi-page file is already finished and, if so, add its frames to the tally."""
     if job.checkpoint is None or job.destination.one_by_one:
         return False
     path = job.destination.path
@@ -67,7 +67,7 @@ def _is_finished(job: Job, look: Look, tally: Tally) -> bool:
 
 
 def _render_frames(job: Job, look: Look, makers: LocalPictures | RemotePictures, tally: Tally) -> None:
-    """Render and write all frames. The frames are counted in the tally, and warnings about the frames are reported.
+    """Render and write all frames, count them in the tally, and report warnings about them.
 
     Raises InputFileError if no frame can be read.
     """
@@ -121,10 +121,10 @@ def _filtered(tasks: Iterable[FrameTask], temporal: Chunks) -> Iterator[FrameTas
 def _unfinished(
     tasks: Iterable[FrameTask], job: Job, tally: Tally, warnings: FrameWarnings, whites: WhiteReport
 ) -> Iterator[FrameTask]:
-    """Yield the frames whose pictures are not finished yet, and count all frames.
+    """Yield the frames without a finished picture, and count all frames.
 
-    If a frame has an error, the error is raised, or reported if `skip_bad` is set. The white of each frame is reported, and
-    warnings about the frame are collected.
+    Whites are reported, and warnings about frames are collected. An error in a frame is raised, or reported if `skip_bad` is
+    set.
     """
     for task in tasks:
         if task.error is not None:
@@ -144,7 +144,7 @@ def _unfinished(
 def _origins(job: Job, look: Look) -> FrameOrigins:
     """Return the object that computes the origin of each picture.
 
-    The removal of flicker makes the last pictures depend on the number of frames.
+    With flicker removal, the origin includes the number of frames, because the last pictures depend on it.
     """
     count = job.sequence.count if job.options.deflicker else None
     settings = [look.light_mix and astuple(look.light_mix), look.overrides.unlabelled_gain, astuple(look.video), count]

@@ -15,7 +15,7 @@ from l3cli.stages.rendering.look import Look
 def write_uncertainty(job: Job, look: Look) -> Path:
     """Write an EXR file with the standard deviation of each output and a mask (docs/measurement.md#uncertainty).
 
-    The job must have a single frame. The fraction of masked pixels is sent to the console.
+    The job must have a single frame. The fraction of masked pixels is printed on the console.
 
     Returns
     -------
