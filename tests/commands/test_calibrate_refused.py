@@ -335,9 +335,7 @@ def test_charts_upside_down_do_not_make_a_camera(copied: Path, tmp_path: Path, r
     line = corners_of(copied)
     first, second, third, fourth = json.loads(line.partition("= ")[2])
     edit(copied, line, f"corners = {[third, fourth, first, second]}", count=-1)
-    assert "the chart values poorly" in refused(
-        3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5"
-    )
+    assert "the chart values poorly" in refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
 
 
 def test_saturated_captures_are_refused(copied: Path, bayer: CameraModel, tmp_path: Path, refused: Refused) -> None:

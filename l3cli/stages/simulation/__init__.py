@@ -1,1 +1,1 @@
-"""The stage of `l3 simulate`, which simulates frames of scenes under several illuminants and writes a training set."""
+"""The `l3 simulate` stage, which simulates frames of scenes under several illuminants and writes a training set."""

@@ -1,4 +1,4 @@
-"""Preparation of a simulation: all inputs are checked before any frame is simulated, and scenes are read or drawn."""
+"""Preparation of a simulation: check all inputs before any frame is simulated, and read or draw scenes."""
 
 import dataclasses
 from collections.abc import Callable
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 
 def scene_files(source: sources.Source, recipe: Path) -> list[Path]:
-    """Return the scene files of `source`, or an empty list if the source reads no files.
+    """List the scene files of a source, which are none for synthetic sources.
 
     Raises
     ------
@@ -55,29 +55,29 @@ def scene_files(source: sources.Source, recipe: Path) -> list[Path]:
 
 
 def files_of(source: sources.Source, path: Path) -> list[Path]:
-    """Return all files that belong to the scene file or scene folder `path`.
+    """List all files of the scene at `path`.
 
-    A folder contains a file for each band or angle. An ENVI header has a separate data file. Any other scene is a single
-    file.
+    A folder contains one file per band or angle, and an ENVI header has a separate data file. All other scenes are single
+    files.
     """
     return format_of(sources.name_of(source), path).files(path)
 
 
 def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callable[[int], Scene | ChannelPicture]":
-    """Read or draw a scene, and return a function of time that yields the scene in each frame of a clip.
+    """Read or draw a scene, and return a function that provides the scene for each frame of a clip.
 
     Returns
     -------
     callable
-        A function that takes the number of a frame in a clip and returns the scene as it is projected onto the sensor in
-        this frame. If the scene does not move, the result is the same for all frames.
+        Function from a frame number in the clip to the scene as projected onto the sensor. If the scene does not move, the
+        result is the same for all frames.
 
     Raises
     ------
     InputFileError
         If the scene cannot be read, is too small or larger than the sensor, or has no data at the wavelengths of the camera.
     RecipeError
-        If a synthetic scene cannot be used.
+        If a synthetic scene is unsuitable.
     """
     from l3cli.frames.scene import ChannelPicture, Scene
     from l3cli.simulation import procedural
@@ -107,8 +107,8 @@ def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callabl
 def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "Scene | ChannelPicture":
     """Read a scene file.
 
-    Spectral cubes and pictures are converted to scenes with reflectances. A picture with holds = "codes" in the recipe
-    becomes a ChannelPicture.
+    Spectral cubes and pictures become scenes with reflectances. Pictures with holds = "codes" in the recipe become a
+    ChannelPicture.
     """
     from l3cli.frames.scene import ChannelPicture, PolarisedPictures, Scene, SpectralCube
 
@@ -141,9 +141,9 @@ def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "
 
 
 def _keys(source: sources.Source, path: Path, run: SimulationRun) -> dict[str, Any]:
-    """Return the keys of the recipe that the reader of a scene file needs, as keyword arguments.
+    """Return the recipe keys that the reader of a scene file needs, as keyword arguments.
 
-    The name of an illuminant is replaced by its wavelengths in nm and its photon radiance per wavelength.
+    Illuminant names are replaced by wavelengths in nm and photon radiances.
     """
     keys = {key: getattr(source, key) for key in format_of(sources.name_of(source), path).keys}
     if keys.get("light"):
@@ -156,12 +156,12 @@ def _keys(source: sources.Source, path: Path, run: SimulationRun) -> dict[str, A
 
 
 def refusals(run: SimulationRun, files: list[list[Path]]) -> list[dict[Path, InputFileError]]:
-    """Find the scene files that cannot be read, are too small, or are larger than the sensor. Only the headers are read.
+    """Find scene files that are unreadable, too small, or larger than the sensor. Only the headers are read.
 
     Returns
     -------
     list of dict
-        For each source, the files that cannot be used, each with its error.
+        The unsuitable files of each source, with their errors.
 
     Raises
     ------
@@ -182,9 +182,9 @@ def refusals(run: SimulationRun, files: list[list[Path]]) -> list[dict[Path, Inp
 
 
 def size_of(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, int]:
-    """Return the rows and columns of a scene after cropping, rotating and scaling for the sensor.
+    """Return the size (rows, columns) of a scene after cropping, rotating and scaling for the sensor.
 
-    If the scene is a file, only its header is read.
+    Only the header of a scene file is read.
 
     Raises
     ------
@@ -217,9 +217,9 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
     recipe : SceneRecipe
         The scene recipe.
     path : Path
-        File of the recipe. File names in the recipe are relative to the folder of this file.
+        Path of the recipe, to whose folder file names are relative.
     camera : CameraModel
-        The camera. The returned run contains this camera with the changes in the recipe, such as another lens.
+        The camera. The recipe can change its properties in the returned run, for example the lens.
     seed : int
         Seed of the random numbers.
 
@@ -233,7 +233,7 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
     Raises
     ------
     RecipeError, InputFileError
-        If the recipe has faults, or if a curve or a scene file cannot be used.
+        If the recipe has faults, or if a curve or a scene file is unsuitable.
     """
     with raised_as(RecipeError, path, RecipeError):
         refuse_first(asked.scene_faults(recipe, camera))
@@ -252,7 +252,7 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
 
 
 def unknown_of(run: SimulationRun, camera: CameraModel, recipe: Path | None = None) -> list[str]:
-    """Return warnings about spectra that do not cover all wavelengths at which the camera collects electrons.
+    """Warn about spectra that do not cover all wavelengths at which the camera collects electrons.
 
     Parameters
     ----------
@@ -261,13 +261,12 @@ def unknown_of(run: SimulationRun, camera: CameraModel, recipe: Path | None = No
     camera : CameraModel
         The camera of the run, without the lens of the scene recipe.
     recipe : Path or None
-        The file of the camera. If this file is a recipe, the curves of the recipe are also checked.
+        The camera file. If it is a recipe, its responsivity file is checked too.
 
     Returns
     -------
     list of str
-        At most one warning for each illuminant, and at most one warning for each of the following: surfaces, lens, matching
-        functions and camera curves.
+        At most one warning per illuminant, and one each for surfaces, lens, matching functions and camera responsivities.
     """
     named = asked.curve_files(run.recipe)
     curves = {name: read_curve(run.base / name, role) for name, role in named.items()}
@@ -292,9 +291,9 @@ def unknown_of(run: SimulationRun, camera: CameraModel, recipe: Path | None = No
 def fitting(
     run: SimulationRun, files: list[list[Path]], path: Path, skip_bad: bool, console: Console
 ) -> tuple[list[list[Path]], int]:
-    """Check the scene files, and return the files that can be used.
+    """Check the headers of the scene files, and return the usable files.
 
-    If `skip_bad` is set, each file that cannot be used is reported and skipped. Only the headers of the files are read.
+    If `skip_bad` is set, unsuitable files are reported and skipped.
 
     Returns
     -------
@@ -306,7 +305,7 @@ def fitting(
     Raises
     ------
     InputFileError
-        If a file cannot be used and `skip_bad` is not set, or if no scene remains.
+        If a file is unsuitable and `skip_bad` is not set, or if no scene remains.
     """
     refused = refusals(run, files)
     bad = [error for errors in refused for error in errors.values()]
@@ -330,7 +329,7 @@ def fitting(
 
 
 def note_unknown_fields(run: SimulationRun, files: list[list[Path]], console: Console) -> None:
-    """Report fields in the headers of scene files that l3 does not know and that may affect the meaning of the values."""
+    """Report unknown fields in the headers of scene files that may affect the meaning of the values."""
     found: dict[str, Path] = {}  # unknown field → first file that contains it
     for source, paths in zip(run.recipe.scene, files, strict=True):
         for path in paths:
@@ -345,7 +344,7 @@ def note_unknown_fields(run: SimulationRun, files: list[list[Path]], console: Co
 
 
 def polarisation_notes(run: SimulationRun, files: list[list[Path]]) -> tuple[list[str], list[str]]:
-    """Read the scenes that are pictures of polarised light, and describe their errors.
+    """Read the scenes that are pictures of polarised light, and describe their inconsistencies.
 
     Parameters
     ----------
@@ -357,9 +356,9 @@ def polarisation_notes(run: SimulationRun, files: list[list[Path]]) -> tuple[lis
     Returns
     -------
     list of str
-        Warnings about pictures that differ from Malus's law.
+        Warnings about pictures that contradict Malus's law.
     list of str
-        Notes about pixels whose degree of polarisation is above 1.
+        Notes about pixels with a degree of polarisation above 1.
     """
     from l3cli.frames.scene import PolarisedPictures
     from l3cli.simulation.polarised_pictures import CONTRADICTION, stokes_of_pictures
@@ -386,10 +385,7 @@ def polarisation_notes(run: SimulationRun, files: list[list[Path]]) -> tuple[lis
 
 
 def input_files(run: SimulationRun, files: list[list[Path]]) -> dict[str, list[Path]]:
-    """Return all input files of a run by role: "scene", "spectrum" or "pair".
-
-    `files` contains the scene files of each source.
-    """
+    """Return all input files of a run by role ("scene", "spectrum" or "pair"), given the scene files of each source."""
     return {
         "scene": [
             file
@@ -409,16 +405,14 @@ def head_of(
     inputs: dict[str, list[Path]],
     chosen: dict[str, Any],
 ) -> TrainingSet:
-    """Return the head of the training set: the camera, the outputs and the history.
-
-    The digests of all input files are computed here.
+    """Create the header of the training set: camera, outputs, and history with the digests of all input files.
 
     Parameters
     ----------
     run : SimulationRun
         The run.
     camera : CameraModel
-        The camera, whose history precedes the simulation in the history of the training set.
+        The camera. Its history becomes the first part of the training set's history.
     recipes : (Path, Path)
         Files of the scene recipe and of the camera.
     inputs : dict

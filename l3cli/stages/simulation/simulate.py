@@ -1,4 +1,4 @@
-"""The stage of `l3 simulate`, which writes a training set and, optionally, pictures and DNG files of the frames."""
+"""The `l3 simulate` stage, which writes a training set and, optionally, pictures and DNG files of the frames."""
 
 import contextlib
 import functools
@@ -38,7 +38,7 @@ from l3cli.system.files import FilesUsed, files_to_read, refuse_existing
 from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import counted
 
-# A scene may have no data at some wavelengths. l3 warns if a channel collects more than this fraction of its light there.
+# l3 warns if a channel collects more than this fraction of its light at wavelengths without scene data
 NEGLIGIBLE_LIGHT = 1e-3
 
 
@@ -47,15 +47,15 @@ class Simulated:
     """Result of a simulation."""
 
     frames: int  # number of frames
-    scenes_left_out: int  # number of scenes that could not be used
+    scenes_left_out: int  # number of skipped scenes
     files: FilesUsed  # files that were read and written
 
 
 def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions) -> Simulated:
-    """Simulate the frames of a scene recipe with a camera, and write the frames as a training set.
+    """Simulate the frames of a scene recipe with a camera, and write them to a training set.
 
-    With `resume`, frames that an interrupted run has stored are not simulated again. If the training set is already
-    finished, only missing pictures are written.
+    With `resume`, frames that an interrupted run has stored are reused. If the training set is already finished, only
+    missing pictures are written.
 
     Parameters
     ----------
@@ -71,11 +71,11 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
     Raises
     ------
     RecipeError, InputFileError
-        If the recipe, the camera or a scene file cannot be used.
+        If the recipe, the camera or a scene file is unsuitable.
     L3Error
         If an output cannot be written.
     """
-    # The order of these checks ensures that errors are raised before any work, and that no output replaces an input.
+    # In this order of checks, errors are raised before any work, and no output replaces an input.
     console, resume, force, scheduler = options.console, options.resume, options.force, options.cluster()
     folders = list(dict.fromkeys(filter(None, (options.pictures, options.dng))))
     with OutputGuard(console) as guard:
@@ -85,7 +85,7 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
         for folder in folders:
             guard.hold_folder(folder, *PICTURE_FILES)
         if scheduler:
-            scenes = scenes.absolute()  # because workers on other machines may have another working directory
+            scenes = scenes.absolute()  # workers on other machines may have another working directory
         model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
         _ = model.saturation_exposure  # raises InputFileError, before any work, if a pixel saturates only in extreme light
         run, files = prepare(recipe, scenes, model, options.seed)
@@ -115,7 +115,7 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
                 if folder not in done:
                     unfinished.enter_context(incomplete_folder(folder, key, force))
             if stands:
-                stored.remove()  # stored frames remain if a run was killed just after it had written the output
+                stored.remove()  # stored frames remain if a run was killed just after writing the output
                 missing = replace(
                     options,
                     pictures=None if options.pictures in done else options.pictures,
@@ -139,7 +139,7 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
 def _simulate_frames(
     run: SimulationRun, files: list[list[Path]], head: TrainingSet, stored: StoredFrames, options: SimulateOptions
 ) -> int:
-    """Simulate and store all frames of a run that are not stored yet. Return the total number of frames in the run."""
+    """Simulate and store the missing frames of a run, and return the total number of frames."""
     inputs, sums = input_files(run, files), head.history[-1].inputs
     digests = {
         path: digest for role, paths in inputs.items() for path, digest in zip(paths, sums.get(role, ()), strict=True)
@@ -160,8 +160,7 @@ def _simulate_frames(
 def _assemble(stored: StoredFrames, head: TrainingSet, output: Path, console: Console) -> None:
     """Write the training set from its stored frames.
 
-    If a scene has no data for more than NEGLIGIBLE_LIGHT of the light that a channel collects, a warning is sent to the
-    console.
+    l3 warns if a channel collects more than NEGLIGIBLE_LIGHT of its light at wavelengths without scene data.
     """
     with write_training_set(output, head) as writer:
         worst = max(stored.append_to(writer), key=lambda scene: scene.uncovered)
@@ -170,7 +169,7 @@ def _assemble(stored: StoredFrames, head: TrainingSet, output: Path, console: Co
         console.warn(f"the scene {worst.scene} has no data for {share}; use scenes with a wider range of wavelengths")
 
 
-# Channels of an EXR file with motion: displacement down and right in pixels, and 1 if the previous frame shows the pixel.
+# channels of EXR files with motion: displacement down and right in pixels, and validity (1 or 0)
 MOTION_CHANNELS = ("down", "right", "seen")
 PICTURE_FILES = (f"*{RAW}", f"*{IDEAL}", "*_ideal.exr", f"*{MOTION}", "*.dng")  # names of the pictures that l3 writes
 
@@ -178,10 +177,10 @@ PICTURE_FILES = (f"*{RAW}", f"*{IDEAL}", "*_ideal.exr", f"*{MOTION}", "*.dng")  
 def write_pictures(
     run: SimulationRun, files: list[list[Path]], frames: Iterable[TrainingPair], options: SimulateOptions
 ) -> list[Path]:
-    """Write the types of pictures and DNG files for which the options specify folders.
+    """Write pictures and DNG files into the folders that the options specify.
 
-    For each clip, the console also receives the value of ‹exposure› with which `l3 render` makes pictures that are as bright
-    as the ideal pictures.
+    For each clip, l3 also prints the value of ‹exposure› at which pictures from `l3 render` are as bright as the ideal
+    pictures.
 
     Parameters
     ----------
@@ -220,8 +219,8 @@ def _write_pictures(
 ) -> dict[int, float]:
     """Write the raw mosaic and the ideal picture of each frame.
 
-    If the outputs are X, Y and Z, the ideal picture is an sRGB file. Its exposure is chosen as in `l3 render`: the 99th
-    percentile of Y becomes white. For other outputs, the ideal picture is an EXR file with the linear outputs.
+    For the outputs X, Y, Z, the ideal picture is an sRGB file with automatic exposure as in `l3 render`: the 99th percentile
+    of Y becomes white. For other outputs, it is an EXR file with the linear outputs.
 
     Parameters
     ----------
@@ -232,16 +231,15 @@ def _write_pictures(
     folder : Path
         Folder of the pictures.
     first_of : dict
-        Index of each frame of a clip → index of the first frame of this clip. All frames of a clip have the exposure of the
-        first frame.
+        Index of each clip frame → index of the first frame in its clip, which determines the exposure of the clip.
     written : list of Path
-        Receives the names of the files.
+        List to which the files are appended.
 
     Returns
     -------
     dict
-        Index of each frame with an sRGB ideal picture → value of ‹exposure› with which `l3 render` makes a picture that is
-        equally bright.
+        Index of each frame with an sRGB ideal picture → value of ‹exposure› at which `l3 render` produces an equally bright
+        picture.
     """
     import numpy as np
 
@@ -270,7 +268,7 @@ def _write_pictures(
 
 
 def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path, written: list[Path]) -> dict[int, int]:
-    """Write the motion of each frame of a clip relative to the previous frame as a file, and append the files to `written`.
+    """Write the motion since the previous frame as a file for each clip frame, and append the files to `written`.
 
     Returns
     -------
@@ -297,10 +295,7 @@ def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path, wri
 
 
 def _write_dng(run: SimulationRun, frames: Iterable[TrainingPair], folder: Path, written: list[Path]) -> None:
-    """Write each raw frame as a DNG file, and append the files to `written`.
-
-    If the illuminant of the frame is known, the file contains its white balance.
-    """
+    """Write each raw frame as a DNG file, with its white balance if it is known, and append the files to `written`."""
     from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
     from l3cli.simulation.light import colour_matrix, make_light, neutral
 

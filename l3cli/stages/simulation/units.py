@@ -1,8 +1,7 @@
-"""Units of work of a simulation.
+"""Work units of a simulation.
 
-For each unit, a process reads or draws a scene, simulates its frames, and stores each frame in a file.
-
-The folder with these files is next to the output, so that an interrupted run can continue.
+For each unit, a process reads or draws a scene, simulates its frames, and stores each frame in a file. The folder with these
+files is next to the output, so that an interrupted run can be continued.
 """
 
 import dataclasses
@@ -39,22 +38,22 @@ from l3cli.system.files import require_same, write_whole
 
 
 def key_of(stage: Stage) -> str:
-    """Return the key of a run: a digest of all options and inputs on which its frames depend."""
+    """Return the key of a run, a digest of all options and inputs that affect its frames."""
     return hashlib.sha256(json.dumps(dataclasses.asdict(stage), sort_keys=True).encode()).hexdigest()
 
 
 class StoredFrames(PartsFolder):
-    """The stored frames of a run. The name of each file is the index of the frame."""
+    """The stored frames of a run, in files that are named after the frame index."""
 
     def path(self, index: int) -> Path:
-        """Return the file of a frame. If this file exists, the frame is finished."""
+        """Return the path of a frame. If the file exists, the frame is finished."""
         return self.folder / f"{index:06d}.h5"
 
     def __iter__(self) -> Iterator[TrainingPair]:
         return map(read_part, self._files())
 
     def append_to(self, writer: TrainingSetWriter) -> Iterator[SceneCoverage]:
-        """Append all frames to a training set. Yield, for each frame, how much of the spectrum its scene covers."""
+        """Append all frames to a training set, and yield the scene coverage of each frame."""
         return map(writer.append_part, self._files())
 
     def _files(self) -> list[Path]:
@@ -67,12 +66,12 @@ def is_of_run(output: Path, key: str) -> bool:
     return bool(history) and key_of(history[-1]) == key
 
 
-MAX_SENT_BYTES = 64 << 20  # a worker on another machine returns at most this many bytes at a time, but at least one frame
+MAX_SENT_BYTES = 64 << 20  # most data that a worker on another machine returns at a time, unless a single frame is larger
 
 
 @dataclass(frozen=True)
 class WorkUnit:
-    """A unit of work for a process: some frames of one scene, or one real pair."""
+    """The work for one process: some frames of one scene, or one real pair."""
 
     run: SimulationRun
     what: sources.WantedScene | Pair
@@ -90,10 +89,10 @@ class WorkUnit:
 def units_of(
     run: SimulationRun, work: list[tuple[sources.WantedScene, list[Shot]]], stored: StoredFrames, workers: int
 ) -> list[WorkUnit]:
-    """Divide the frames that are not stored yet into units of work.
+    """Divide the missing frames into work units.
 
-    All frames of a scene are in one unit, so that the scene is read only once. If there are too few scenes for the number of
-    workers, the frames of each scene are divided into several units. Each real pair of the recipe is a unit.
+    All frames of a scene are in one unit, so that the scene is read only once, unless there are fewer scenes than workers.
+    Each real pair in the recipe is a unit.
 
     Parameters
     ----------
@@ -120,7 +119,7 @@ def units_of(
 
 
 def simulate_unit(stored: StoredFrames, unit: WorkUnit) -> int:
-    """Simulate and store the frames of a work unit, and return the number of frames."""
+    """Simulate and store the frames of a work unit, and return their number."""
     for index, frame, uncovered in simulated(unit):
         write_part(stored.path(index), frame, uncovered)
     return len(unit.shots)
@@ -132,7 +131,7 @@ def simulated(unit: WorkUnit) -> Iterator[tuple[int, Any, float]]:
     Yields
     ------
     (int, TrainingPair, float)
-        Index of the frame, the frame, and the fraction of the electrons that come from wavelengths without scene data.
+        Index of the frame, the frame, and the fraction of electrons from wavelengths without scene data.
     """
     run = unit.run
     if isinstance(unit.what, Pair):
@@ -153,9 +152,9 @@ def simulated(unit: WorkUnit) -> Iterator[tuple[int, Any, float]]:
 
 
 def received(pool: WorkerPool, work: list[WorkUnit], stored: StoredFrames, digests: Mapping[Path, str]) -> Iterator[int]:
-    """Let workers on other machines simulate work units, and store the frames that the workers return.
+    """Let workers on other machines simulate work units, and store the frames that they return.
 
-    The workers must have access to the same input files. The function yields the number of frames in each result.
+    The workers must have access to the same input files. Yields the number of frames in each result.
 
     Parameters
     ----------
@@ -181,7 +180,7 @@ def received(pool: WorkerPool, work: list[WorkUnit], stored: StoredFrames, diges
 
 
 def _sent(unit: WorkUnit) -> list[tuple[int, bytes]]:
-    """Simulate a work unit in a worker on another machine. Return the index of each frame, and the bytes of its file."""
+    """Simulate a work unit in a worker on another machine, and return the index and the file content of each frame."""
     for path, digest in unit.digests.items():
         require_same(path, digest)
     with scratch_folder() as folder:
@@ -193,10 +192,9 @@ def _sent(unit: WorkUnit) -> list[tuple[int, bytes]]:
 
 
 def _are_frames_of(unit: WorkUnit, sent: list[tuple[int, bytes]]) -> bool:
-    """Check the result of `_sent` from a worker on another machine.
+    """Return whether a result of `_sent` from another machine contains exactly the frames of the unit, in order.
 
-    Return whether the result contains exactly the frames of the unit, in order, and whether every frame has the expected
-    type and the expected numbers of outputs and channels.
+    Each frame must also have the expected type and the expected numbers of outputs and channels.
     """
     frames = [part_in(content) for _, content in sent]
     camera, outputs = unit.run.camera, len(unit.run.target.outputs)

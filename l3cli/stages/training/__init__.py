@@ -1,1 +1,1 @@
-"""The stage of `l3 train`, which trains a transform table from training sets, in one run or in shards."""
+"""The `l3 train` stage, which trains a transform table on training sets, in one run or in shards."""

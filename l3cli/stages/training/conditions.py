@@ -1,7 +1,7 @@
-"""Training of additional sets of transforms, each for a different noise level or for a single illuminant.
+"""Training of additional sets of transforms for other noise levels or for single illuminants.
 
-A table can contain several sets of transforms, for example for frames after temporal noise reduction, or for tungsten light.
-Each combination of noise and illuminant is called a condition. All conditions of a table share the classes of the table
+A table can contain several sets of transforms, for example for temporally filtered frames or for tungsten light. Each
+combination of noise and illuminant is called a condition. All conditions of a table share its classes
 (docs/method.md#noise-sets, docs/method.md#several-illuminants).
 """
 
@@ -28,11 +28,11 @@ SAME_WHITE = 1e-3  # largest difference between two whites of one illuminant, on
 
 
 def learn_conditions(run: TrainingRun, table: TransformTable, execution: Execution) -> TransformTable:
-    """Train additional transforms for each illuminant and noise level in the recipe, and add the transforms to the table."""
+    """Train additional transforms for each illuminant and noise level in the recipe, and add them to the table."""
     table = _with_noises(run, pass_of(run, table), table, table, execution)
     for name, of_light in runs_by_light(run):
         execution.console.info(f"training transforms for {name} on {len(of_light.patches)} frames")
-        # first_pass determines the white and the light. Its class rule is replaced by the rule of the table.
+        # first_pass determines the white and the illuminant. Its class rule is replaced by the table's.
         pass_ = first_pass(of_light, replace(execution, console=Silent()))
         pass_ = replace(pass_, rule=table.first.rule, exposure=table.exposure)
         usual = learn_refinement_layers(of_light, learn_first(of_light, pass_, execution), execution, like=table)
@@ -47,10 +47,7 @@ def learn_conditions(run: TrainingRun, table: TransformTable, execution: Executi
 def _with_noises(
     run: TrainingRun, pass_: TrainingPass, usual: TransformTable, like: TransformTable, execution: Execution
 ) -> TransformTable:
-    """Train additional transforms for each noise level in the recipe, and return `usual` with these transforms.
-
-    `like` is the table whose classes are used.
-    """
+    """Train additional transforms for each noise level in the recipe with the classes of `like`, and add them to `usual`."""
     made = []
     for noise, each in zip(run.recipe.learning.noises, passes_of(pass_, run.given)[1:], strict=True):
         execution.console.info(f"training transforms for {noise}")
@@ -66,7 +63,7 @@ def runs_by_light(run: TrainingRun) -> list[tuple[str, TrainingRun]]:
     Returns
     -------
     list of (str, TrainingRun)
-        Name of each illuminant, and its run. The illuminant with the lowest colour temperature is the first.
+        Name and run of each illuminant, beginning with the lowest colour temperature.
 
     Raises
     ------
@@ -99,9 +96,7 @@ def runs_by_light(run: TrainingRun) -> list[tuple[str, TrainingRun]]:
 
 
 def _frames_by_light(run: TrainingRun, named: str) -> tuple[dict[str, dict[int, list[int]]], dict[str, float]]:
-    """Find the frames under each illuminant.
-
-    Real pairs are skipped, because their illuminant is unknown.
+    """Find the frames under each illuminant, without real pairs, because their illuminant is unknown.
 
     Returns
     -------
@@ -133,7 +128,7 @@ def _frames_by_light(run: TrainingRun, named: str) -> tuple[dict[str, dict[int, 
 
 
 def _chosen(run: TrainingRun, frames: dict[int, list[int]]) -> TrainingRun:
-    """Restrict a run to some of its frames. `frames` contains, for each training set, the indices of the frames to use."""
+    """Restrict a run to some of its frames, given by their indices in each training set."""
     shares = None if run.shares is None else tuple(run.shares[place] for place in frames)
     sources: list[TrainingSource] = []
     for place, indices in frames.items():

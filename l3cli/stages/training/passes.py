@@ -1,7 +1,7 @@
-"""The passes of a training run over its frames, and the work that each process does in a pass.
+"""First-layer training: passes over all frames, and the work of each process in a pass.
 
-A pilot examines a few patches of each frame and determines the class rule. Each pass then sums normal equations over patches
-and solves them for the transforms of the first layer.
+A pilot first examines a few patches of each frame to determine the class rule. Each pass then sums normal equations over
+patches and solves them for the transforms of the first layer.
 """
 
 import collections
@@ -30,7 +30,7 @@ from l3cli.training.sums import add, empty_sums, same_shapes
 from l3cli.training.table import Pilot, assemble, learn_site, pilot_patches, survey, take_pilot
 from l3cli.training.training_pass import FIRST, LAST, TrainingPass, WorkShare, frame_blocks, has_two_passes, work_shares
 
-MAX_PILOT_FRAMES = 256  # largest number of frames in a work unit of the pilot
+MAX_PILOT_FRAMES = 256  # frames in a work unit of the pilot
 
 
 @dataclass(frozen=True)
@@ -43,10 +43,10 @@ class Execution:
 
 
 def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
-    """Return the settings of the first pass of a run.
+    """Determine the settings of a run's first pass.
 
-    A pilot examines a few patches of each frame and determines the class rule. The number of classes is sent to the console.
-    If the patches are too small for a class feature, a message says that the feature is omitted.
+    A pilot examines a few patches of each frame and determines the class rule. The number of classes is printed on the
+    console, as well as class features that are omitted because the patches are too small for them.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
 
 
 def pass_of(run: TrainingRun, table: TransformTable, number: int | None = None) -> TrainingPass:
-    """Return the settings of the first pass, or of pass `number`, with the class rule and the white of a table."""
+    """Return the settings of a pass with the class rule and the white of a table. The default is the first pass."""
     about = (run.head, run.patches, table.first.rule, run.recipe.learning, table.white_point, run.seed)
     return TrainingPass(*about, number or _first_number(run), table.exposure, table.light)
 
@@ -106,7 +106,7 @@ def _pilot(unit: PilotUnit) -> Pilot:
 
 
 def _is_pilot_of(unit: PilotUnit, pilot: Pilot) -> bool:
-    """Whether a result from another machine is a pilot whose arrays have the types and shapes that the unit requires."""
+    """Return whether a result from another machine is a pilot with arrays of the types and shapes that the unit requires."""
     channels, frames = len(unit.head.camera.channels), len(unit.frames)
     measured = (pilot.shares, pilot.whites, pilot.lights, pilot.exposures, *pilot.observed.values())
     return (
@@ -122,7 +122,7 @@ def _is_pilot_of(unit: PilotUnit, pilot: Pilot) -> bool:
 
 @dataclass(frozen=True)
 class WorkUnit:
-    """A work unit of a pass: blocks of frames, and the sites for which a worker sums the normal equations."""
+    """A work unit of a pass: blocks of frames, and the sites for which to sum the normal equations."""
 
     training: tuple[TrainingSource, ...]
     remote: bool  # whether the worker is on another machine and must verify the bytes of its files
@@ -137,7 +137,7 @@ def summed(
 ) -> Iterator[tuple[int, Any]]:  # fmt: skip
     """Apply `function` to the work units of a pass, and yield the result for each canonical site.
 
-    If several work units share a site, their sums are added up.
+    If several work units share a site, their sums are added.
 
     Parameters
     ----------
@@ -157,8 +157,8 @@ def summed(
     Yields
     ------
     (int, ClassSums or Solution)
-        Canonical site, and its sums over `blocks`. With `learn_unit`, a worker that has all sums of a site returns the
-        solution instead.
+        Canonical site, and its sums over `blocks`. With `learn_unit`, the solution is returned instead if one worker has all
+        sums of the site.
     """
     units = []
     for share in work_shares(pass_, pass_.divisors, blocks, execution.pool.size):
@@ -181,10 +181,9 @@ def summed(
 
 
 def _are_results_of(unit: WorkUnit, results: dict[int, ClassSums | Solution]) -> bool:
-    """Check the results that a worker on another machine returns for a work unit.
+    """Return whether results from another machine are valid for a work unit.
 
-    Return whether the results contain sums or a solution for exactly the sites of the unit, with arrays of the expected
-    shapes.
+    They must contain sums or a solution for exactly the sites of the unit, with arrays of the expected shapes.
     """
     outputs = len(unit.pass_.head.outputs)
     empty = empty_sums(unit.pass_.rule, outputs, unit.pass_.head.camera)
@@ -218,9 +217,10 @@ def sum_unit(unit: WorkUnit) -> dict[int, ClassSums]:
 
 
 def learn_unit(unit: WorkUnit) -> dict[int, ClassSums | Solution]:
-    """Return the solution for each site whose sums are complete in this work unit, and the sums for every other site.
+    """Sum the normal equations of a work unit, and solve them for each site with complete sums.
 
-    A solution is much smaller than the sums, so less data is sent to the main process.
+    A solution is much smaller than the sums, so that less data is sent to the main process. All other sites return their
+    sums.
     """
     results: dict[int, Any] = dict(sum_unit(unit))
     for site in unit.share.whole:

@@ -1,4 +1,4 @@
-"""Training of refinement layers, and the work that each process of a run does for these layers (docs/method.md#layers)."""
+"""Training of refinement layers, and the work of each process for these layers (docs/method.md#layers)."""
 
 import itertools
 from collections.abc import Iterator
@@ -22,13 +22,13 @@ from l3cli.training.sums import same_shapes
 from l3cli.training.table import finished_layer, layer_pass
 from l3cli.training.training_pass import spread_patches
 
-UNITS_PER_PROCESS = 8  # more work units make the progress bar smoother, but add time, because each unit sends a set of sums
+UNITS_PER_PROCESS = 8  # more units would make progress smoother, but take longer, because each unit sends a set of sums
 
 
 def learn_refinement_layers(
     run: TrainingRun, table: TransformTable, execution: Execution, like: TransformTable | None = None
 ) -> TransformTable:
-    """Train the refinement layers of the recipe, and return the table with these layers.
+    """Train the refinement layers in the recipe, and add them to the table.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def learn_refinement_layers(
     execution : Execution
         The workers.
     like : TransformTable, optional
-        Table whose class rules are reused. By default, class rules are determined from the frames.
+        Table with class rules to reuse. By default, class rules are determined from the frames.
     """
     if not run.has_refinement_layers:
         if like is None:
@@ -67,10 +67,7 @@ def warn_of_left_out_layers(run: TrainingRun, console: Console) -> None:
 
 
 def layer_mosaics(run: TrainingRun, number: int) -> tuple[int, ...]:
-    """Return, for each frame, the number of mosaics that are used to train a refinement layer.
-
-    `number` is the number of the refinement layer, counted from 0.
-    """
+    """Return each frame's number of training mosaics for a refinement layer, which is numbered from 0."""
     return spread_patches(run.recipe.layer[number].mosaics, [source.frames for source in run.training], run.shares)
 
 
@@ -88,8 +85,8 @@ class LayerUnit:
 def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: PlaneRule | None = None) -> PlaneRule:
     """Determine the class rule of a refinement layer in a pilot pass over all frames.
 
-    If `like` is set, its classes are reused. The pilot pass then only determines the gradient scale, and is skipped if the
-    layer has the noise of the camera.
+    If `like` is set, its classes are reused, and the pilot pass determines only the gradient scale. For the camera's own
+    noise, the pass is then unnecessary.
     """
     if like is not None and (layer.camera.gain, layer.camera.noise_left) == (run.head.camera.gain, 1):
         return like
@@ -109,7 +106,7 @@ def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: P
             execution.pool(_sample, units, _are_samples), len(units), f"layer {layer.number}, tree"
         )
         samples = [sample for part in sampled for sample in part]
-        with threaded(execution.pool.size) as mapped:  # as many threads as processes, because the processes are idle now
+        with threaded(execution.pool.size) as mapped:  # as many threads as processes, which are idle now
             rule = rules.tree_rule(layer, scale, samples, mapped)
         classes = f"{rule.structures} leaves (tree depth {rule.depth}) + {rule.cases - 1} saturation cases"
     execution.console.info(f"layer {layer.number}: {sum(layer.mosaics)} mosaics, classes per site: {classes}")
@@ -137,7 +134,7 @@ def _units(
 
 
 def _read(unit: LayerUnit) -> Iterator[tuple[int, Iterator[TrainingPair]]]:
-    """For each block of the unit, yield the index of the first frame and an iterator over all frames of the block."""
+    """Yield the index of the first frame and an iterator over all frames, for each block of a unit."""
     return ((block.start, frames_of(unit.training, block, unit.remote)) for block in unit.blocks)
 
 
@@ -158,18 +155,18 @@ def _sum(unit: LayerUnit) -> dict[int, LayerSums]:
 
 
 def _is_measured(unit: LayerUnit, measured: list[NDArray[np.float64]]) -> bool:
-    """Whether the arrays in a result from another machine have the shapes that `_measure` returns."""
+    """Return whether the arrays in a result from another machine have the shapes that `_measure` returns."""
     return all((noise.dtype, noise.shape) == (np.float64, (2, unit.layer.rule.levels)) for noise in measured)
 
 
 def _are_samples(unit: LayerUnit, sampled: list[dict[int, rules.TreeSamples]]) -> bool:
-    """Whether the arrays in a result from another machine have the shapes that `_sample` returns."""
+    """Return whether the arrays in a result from another machine have the shapes that `_sample` returns."""
     frames = sum(map(len, unit.blocks))
     return len(sampled) == frames and all(rules.are_samples(unit.layer, samples) for samples in sampled)
 
 
 def _are_sums(unit: LayerUnit, sums: dict[int, LayerSums]) -> bool:
-    """Whether the arrays in a result from another machine have the shapes that `_sum` returns."""
+    """Return whether the arrays in a result from another machine have the shapes that `_sum` returns."""
     assert isinstance(unit.known, PlaneRule)
     empty = no_sums(unit.layer, unit.known)
     return set(sums) == set(empty) and all(same_shapes(sums[site], empty[site]) for site in empty)

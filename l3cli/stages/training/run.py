@@ -1,4 +1,4 @@
-"""The settings and training sets that all passes and shards of a training run share, and a cache of frames."""
+"""Settings and training sets that all passes and shards of a training run share, and a cache of frames."""
 
 import contextlib
 from collections.abc import Iterable, Iterator
@@ -25,10 +25,10 @@ from l3cli.training.training_pass import FIRST, SUM_BYTES, spread_patches
 
 
 class FrameCache:
-    """A cache of frames. The key of a frame is the digest of its training set and its index in this set.
+    """A cache of frames, which are identified by the digest of their training set and their index in it.
 
-    When the cache is full, no more frames are added, so the cache contains the first frames of a pass. Every pass starts
-    with these frames.
+    When the cache is full, no frames are added. It then contains the first frames of a pass, which each later pass needs
+    first too.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class FrameCache:
         self._frames: dict[tuple[str, int], TrainingPair] = {}
 
     def get(self, digest: str, index: int) -> TrainingPair | None:
-        """Return a frame, or None if the cache does not contain the frame."""
+        """Return a frame, or None if it is not in the cache."""
         return self._frames.get((digest, index))
 
     def add(self, digest: str, index: int, frame: TrainingPair) -> None:
@@ -81,17 +81,17 @@ class TrainingSource:
     path: Path
     frames: int  # number of frames
     digest: str  # SHA-256
-    stamp: tuple[int, ...]  # state of the file, which changes if the file is replaced
+    stamp: tuple[int, ...]  # file state, which changes if the file is replaced
     chosen: tuple[int, ...] | None = None  # indices of the frames to use; None for all frames in the file
 
     def places(self, frames: range) -> Iterable[int]:
-        """Return the indices in the file of some of the frames that the run uses. `frames` counts only these frames."""
+        """Convert numbers of frames, which count only frames that the run uses, to indices in the file."""
         return frames if self.chosen is None else self.chosen[frames.start : frames.stop]
 
 
 @dataclass(frozen=True)
 class TrainingRun:
-    """The training sets and settings of a run, which are the same for every shard."""
+    """The training sets and settings of a run, which all shards share."""
 
     training: tuple[TrainingSource, ...]
     head: TrainingSet
@@ -106,9 +106,9 @@ class TrainingRun:
     def has_refinement_layers(self) -> bool:
         """Whether refinement layers can be trained for the outputs.
 
-        A table with three outputs can have any number of refinement layers. A table with spectral outputs can have exactly
-        one refinement layer, with structure classes, which refines the leading components of the spectra. A table with
-        colours and Stokes parameters can also have one refinement layer, with or without coarse chroma.
+        Tables with three outputs can have any number of refinement layers. Tables with spectral outputs can have one, with
+        structure classes, which refines the leading components of the spectra. Tables with colours and Stokes parameters can
+        have one, with or without coarse chroma.
         """
         layers = self.recipe.layer
         corrects = len(layers) == 1 and has_components(self.head) and not layers[0].leaves
@@ -131,14 +131,14 @@ class TrainingRun:
 
 
 def open_run(training: tuple[Path, ...], options: TrainOptions) -> TrainingRun:
-    """Read the class recipe and the heads of the training sets, verify the training sets, and return the training run.
+    """Set up a training run: read the class recipe and the training set headers, and verify the training sets.
 
-    A training set with a share of zero is ignored. If `options.draft` is set, the recipe is replaced by its draft version.
+    Training sets with a share of zero are ignored. If `options.draft` is set, the recipe is replaced by its draft version.
 
     Raises
     ------
     InputFileError, RecipeError
-        If a training set or the recipe cannot be used.
+        If a training set or the recipe is unsuitable.
     """
     classes, shares = options.classes or known_recipes("classes")["default"], options.shares
     if shares is not None and len(shares) != len(training):
@@ -171,9 +171,10 @@ def frames_of(training: tuple[TrainingSource, ...], wanted: range, remote: bool)
     training : tuple of TrainingSource
         The training sets.
     wanted : range
-        Indices of the frames in the concatenation of all training sets.
+        Indices of the frames in the concatenated training sets.
     remote : bool
-        Whether this process is a worker on another machine, which verifies the SHA-256 of each file and caches no frames.
+        Whether this process is a worker on another machine. Such workers verify the SHA-256 of each file and cache no
+        frames.
 
     Raises
     ------
@@ -207,7 +208,7 @@ def _cached_or_read(source: TrainingSource, wanted: Iterable[int]) -> Iterator[T
             frame = FRAMES.get(source.digest, index)
             if frame is None:
                 if reader is None:
-                    # The digest need not be verified again, because _common_head has verified it.
+                    # The digest has already been verified by _common_head.
                     reader = opened.enter_context(open_training_set(source.path, unchanged=True))
                     _require_in_place(source)
                 frame = reader.frame(index)
@@ -216,7 +217,7 @@ def _cached_or_read(source: TrainingSource, wanted: Iterable[int]) -> Iterator[T
 
 
 def _common_head(training: tuple[Path, ...], noisy: bool) -> tuple[TrainingSet, tuple[int, ...]]:
-    """Return the head that all training sets share, and the number of frames in each set.
+    """Return the header that all training sets share, and the number of frames in each set.
 
     Raises
     ------

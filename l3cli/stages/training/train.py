@@ -1,4 +1,4 @@
-"""The stage of `l3 train`, which trains a transform table in one run, or in shards whose partial sums are merged."""
+"""The `l3 train` stage, which trains a transform table in one run, or in shards with partial sums that are then merged."""
 
 import contextlib
 import itertools
@@ -47,7 +47,7 @@ from l3cli.training.training_pass import FIRST, LAST, TrainingPass, frame_blocks
 
 
 def train(training: tuple[Path, ...], output: Path, options: TrainOptions) -> tuple[TransformTable, FilesUsed]:
-    """Train a transform table, and write the table to a file.
+    """Train a transform table, and write it to a file.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def train(training: tuple[Path, ...], output: Path, options: TrainOptions) -> tu
     Raises
     ------
     InputFileError, RecipeError
-        If a training set or the class recipe cannot be used.
+        If a training set or the class recipe is unsuitable.
     L3Error
         If the output cannot be written.
     """
@@ -83,9 +83,9 @@ def train(training: tuple[Path, ...], output: Path, options: TrainOptions) -> tu
 def execution_of(
     training: tuple[Path, ...], output: Path, options: TrainOptions
 ) -> Iterator[tuple[TrainingRun, Execution, FilesUsed]]:
-    """Open a training run, start its workers and lock the output until the end of the block.
+    """Open a training run, start its workers and lock the output, for a `with` block.
 
-    A RecipeError from the block is raised again with the name of the class recipe in its message.
+    The name of the class recipe is added to the message of a RecipeError in the block.
 
     Yields
     ------
@@ -101,9 +101,9 @@ def execution_of(
         guard.protect(*training, *itertools.chain(*options.inputs().values()))
         guard.guard_file(output, options.force)
         if scheduler:
-            training = tuple(path.absolute() for path in training)  # workers may run in a different working directory
+            training = tuple(path.absolute() for path in training)  # workers may have a different working directory
         run = open_run(training, options)
-        runs_by_light(run)  # raises an error, before any work, if learning.lights does not fit the training sets
+        runs_by_light(run)  # raises an error before any work if learning.lights does not match the training sets
         used = files_to_read({"training sets": training, **options.inputs(all=False)})
         blamed = raised_as(RecipeError, classes or "the built-in class recipe", RecipeError)
         with blamed, workers(options.jobs, scheduler) as pool, cached_for_a_run():
@@ -118,14 +118,14 @@ def _learn(run: TrainingRun, execution: Execution) -> TransformTable:
 
 
 def report_table(table: TransformTable, output: Path, console: Console) -> None:
-    """Print a line for each layer, with the number of classes and the number of classes without training patches."""
+    """Print each layer's number of classes and number of classes without training patches."""
     for number, (classes, unfilled) in enumerate(filling(table), start=1):
         which = f", layer {number}" if table.later else ""
         console.info(f"{output}{which}: {classes} classes, {unfilled} of them without training patches")
 
 
 def filling(table: TransformTable) -> list[tuple[int, int]]:
-    """Return, for each layer, the number of its classes and the number of classes without training patches."""
+    """Return each layer's number of classes and number of classes without training patches."""
     return [(len(layer.weights), int((layer.samples == 0).sum())) for layer in table.layers]
 
 
@@ -133,7 +133,7 @@ PASS_NAMES = {FIRST_PASS: "first pass"} | dict(zip(LAYERS, LAYERS, strict=True))
 
 
 def train_shard(training: tuple[Path, ...], shard: tuple[int, int], output: Path, options: ShardOptions) -> FilesUsed:
-    """Compute the partial sums of one shard, and write the sums to a file.
+    """Compute the partial sums of one shard, and write them to a file.
 
     Parameters
     ----------
@@ -155,9 +155,9 @@ def train_shard(training: tuple[Path, ...], shard: tuple[int, int], output: Path
     Raises
     ------
     InputFileError
-        If a training set cannot be used, or if the table of the previous pass belongs to another run.
+        If a training set is unsuitable, or if the table of the previous pass belongs to another run.
     RecipeError
-        If the class recipe cannot be used.
+        If the class recipe is unsuitable.
     L3Error
         If the output cannot be written.
     """
@@ -206,26 +206,23 @@ def _write_shard(
 def _sums(
     run: TrainingRun, pass_: TrainingPass, table: TransformTable | None, shard: tuple[int, int], execution: Execution
 ) -> Iterator[ClassSums]:
-    """Yield the normal equations of each canonical site, summed over the frames of a shard, in the order of the sites.
-
-    If the shard has no frames, the sums are empty.
-    """
+    """Yield each canonical site's normal equations, summed over the frames of a shard. Shards without frames yield zeros."""
     index, count = shard
     blocks = frame_blocks(pass_.patches)[index - 1 :: count]
     sums = summed(sum_unit, run, pass_, table, blocks, execution)
-    if not blocks:  # if there are more shards than blocks, this shard has no frames
+    if not blocks:  # there are more shards than blocks, so this shard has no frames
         sums = ((site, empty_sums(pass_.rule, len(run.head.outputs), run.head.camera)) for site in pass_.divisors)
     return (add_up(pass_, [site_sums]) for _, site_sums in sums)
 
 
 def _is_of(run: TrainingRun, table: TransformTable, pass_: str) -> bool:
-    """Whether a table is the result of the pass `pass_` of this run."""
+    """Return whether a table is the result of the pass `pass_` of this run."""
     noises = tuple(each.noise for each in table.conditions)
     return table.history == run.history(pass_) and noises == run.recipe.learning.noises
 
 
 def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> TrainingPass:
-    """Return the settings of the second pass. `table` is the result of the first pass.
+    """Return the settings of the second pass, based on the result of the first pass in `table`.
 
     Raises
     ------
@@ -242,9 +239,9 @@ def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> Tr
 
 
 def merge_shards(shards: tuple[Path, ...], output: Path, options: ShardOptions) -> tuple[TransformTable, FilesUsed]:
-    """Merge the partial sums of all shards of a pass, and write the resulting table.
+    """Merge the partial sums of all shards in a pass, and write the resulting table.
 
-    If this is not the last pass of the training, a message describes the command for the next pass.
+    Unless this is the last pass of the training, l3 prints the command for the next pass.
 
     Parameters
     ----------
@@ -313,12 +310,12 @@ def _learned(pass_: TrainingPass, readers: list[PartialSumsReader], condition: i
 
 
 def _recipe_and_seed(reader: PartialSumsReader, path: Path) -> tuple[TrainingRecipe, int]:
-    """Return the class recipe and the seed of a training run from the history of its partial sums.
+    """Read the class recipe and the seed of a training run from the history of its partial sums.
 
     Raises
     ------
     InputFileError
-        If the history contains no seed, or if the recipe does not fit the sums.
+        If the history contains no seed, or if the recipe does not match the sums.
     """
     head = reader.head
     stage = head.history[-1] if head.history else Stage("", {})
@@ -357,7 +354,7 @@ def _require_all_shards(paths: tuple[Path, ...], heads: list[Head]) -> None:
 def write_layer_shard(
     run: TrainingRun, shard: tuple[int, int], table: TransformTable, output: Path, execution: Execution
 ) -> None:
-    """Compute the partial sums of one shard for the next refinement layer, and write the sums to a file.
+    """Compute the partial sums of one shard for the next refinement layer, and write them to a file.
 
     Parameters
     ----------
@@ -402,7 +399,7 @@ def _layer(table: TransformTable, run: TrainingRun) -> LayerPass:
 
 
 def merged_layer(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed: int, path: Path) -> TransformTable:
-    """Add the next refinement layer to a table. The layer is solved from the partial sums of all shards.
+    """Solve the next refinement layer from the partial sums of all shards, and add it to the table.
 
     Parameters
     ----------
@@ -418,7 +415,7 @@ def merged_layer(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed:
     Raises
     ------
     InputFileError
-        If the sums do not fit the recipe.
+        If the sums do not match the recipe.
     """
     head: PartialLayerSums = readers[0].head
     rules: list[PlaneRule] = [head.rule, *(head.rule.scaled_as(scale) for scale in head.gradients)]
