@@ -1,6 +1,6 @@
 """The `l3 info` and `l3 bench` stages.
 
-`l3 info` describes and verifies artifacts, and lists library versions. `l3 bench` measures the time per frame.
+`l3 info` describes raw files, describes and verifies artifacts, and lists library versions. `l3 bench` measures the time per frame.
 """
 
 import itertools
@@ -36,7 +36,7 @@ WHOLE: tuple[type[Artifact], ...] = (CameraModel, TransformTable, SceneMoments, 
 
 
 def content(file: Path) -> dict[str, Any]:
-    """Describe an artifact as JSON data, for `l3 info --json`.
+    """Describe an artifact or a raw file as JSON data, for `l3 info --json`.
 
     Parameters
     ----------

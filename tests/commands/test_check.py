@@ -224,7 +224,7 @@ def test_a_folder_of_init_is_checked_with_its_camera(tmp_path: Path, l3: L3) -> 
     (tmp_path / "demo/unseen.toml").write_text('exposure_share = [1]\n[[scene]]\nsource = "skin"\nsize = [2000, 20]\n')
     code, out, _ = l3("check", tmp_path / "demo")
     assert (code, [found[1] for found in noted(out)]) == (3, [4])
-    assert "larger than the sensor of 1080×1920" in out
+    assert "larger than the sensor (1080×1920)" in out
 
 
 # ------------------------------------------------------------------------------------------------------ meaning
