@@ -260,7 +260,7 @@ class Noise:
 
     @property
     def uneven(self) -> float:
-        """Variance of the relative response: the PRNU of the pixels, of the rows and of the columns."""
+        """Variance of the relative response, due to pixel, row and column PRNU."""
         return self.prnu**2 + self.row_prnu**2 + self.column_prnu**2
 
 

@@ -17,7 +17,7 @@ GUESSED_PROBABILITY, MAX_GUESSES = 0.9, 4
 class Nonuniformity:
     """Spectra, profiles and histograms of DSNU or PRNU, as in EMVA 1288, release 4.0.
 
-    Values of DSNU are in e-, and values of PRNU are fractions of the mean response. The mean of each CFA site is 0.
+    DSNU values are in e-, and PRNU values are fractions of the mean response. The mean of each CFA site is 0.
     """
 
     frequency: NDArray[np.float64] = data(
@@ -50,7 +50,7 @@ class Nonuniformity:
     spread: float = data("float64", doc="standard deviation of the pixels in the histogram, without hot and dead pixels")
 
     def divided_by(self, unit: float) -> "Nonuniformity":
-        """Return the same results in another unit."""
+        """Convert the results to another unit."""
         keep = ("frequency", "column", "row", "histogram_count", "exceeding")
         return replace(self, **{name: value / unit for name, value in vars(self).items() if name not in keep})
 
@@ -177,10 +177,7 @@ class NoiseFit:
 
     @property
     def pixel_prnu(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """PRNU without the parts of rows and columns, and its standard error, for each channel.
-
-        The error is 0 if the standard error of `prnu` is unknown.
-        """
+        """Each channel's PRNU without row and column PRNU, and its standard error, which is 0 if it is unknown."""
         variance = self.prnu**2 - self.row_prnu**2 - self.column_prnu**2
         deviation = np.sqrt(np.maximum(variance, 0.0)) if self.row_prnu or self.column_prnu else self.prnu
         if self.prnu_error is None:

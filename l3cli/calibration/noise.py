@@ -74,10 +74,10 @@ class DarkNoise:
     fixed_rows: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
     fixed_columns: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
     trials: tuple[int, ...] = ()  # number of frames of each capture
-    # DN²/s; increase of the temporal variance of the pixels per second of exposure, and its standard error
+    # DN²/s; increase in the pixels' temporal variance per second of exposure, and its standard error
     variance_slope: Array | None = None
     variance_slope_error: Array | None = None
-    pattern: Nonuniformity | None = None  # spectra, profiles and histograms in DN of the channels with the lowest gain
+    pattern: Nonuniformity | None = None  # spectra, profiles and histograms, in DN at the lowest channel gain
 
 
 @dataclass(frozen=True)
@@ -440,12 +440,12 @@ def response_noise(
 
 
 def _response_pattern(unpatched: Array, slopes: Array, levels: Sequence[Level], weights: Array, body: Body) -> Nonuniformity:
-    """Describe the PRNU. The other parameters are the same as in `_response_lines`.
+    """Describe the PRNU by spectra and profiles, which include lens shading, and by histograms of local deviations.
 
-    The spectra and the profiles contain the shading of the lens, but the histograms contain deviations from local means.
+    The last three parameters are as in `_response_lines`.
     """
     sites = list(by_site(slopes, body.cfa))
-    # relative deviation of the response that is caused by a deviation of 1 DN in a capture: (capture, site)
+    # (capture, site): relative change in response due to a deviation of 1 DN in a capture
     scale = np.stack([weights[:, channel] / site.mean() for channel, site in sites], axis=1)
     of_pixels = np.stack([[level.pixel_variance[channel] for level in levels] for channel, _ in sites], axis=1)
     of_lines = (scale * body.channel_gains[[channel for channel, _ in sites]]) ** 2

@@ -1,6 +1,6 @@
 """Spectra, profiles and histograms of DSNU and PRNU, as in EMVA 1288, release 4.0 (docs/method.md#dark-and-white-frames).
 
-All results apply to the whole sensor: the mean of each CFA site is subtracted first, so that differences between channels
+All results apply to the whole sensor. The mean of each CFA site is subtracted first, so that differences between channels
 have no effect.
 """
 
@@ -16,8 +16,8 @@ from l3cli.frames.measurement import Body
 MAX_FREQUENCIES = 128  # largest number of points in a spectrum
 MAX_POSITIONS = 200  # largest number of points in a profile
 BINS = 200  # number of bins in a histogram
-BINS_PER_SIGMA = 8  # number of bins per standard deviation, unless some deviations are too large for this
-THRESHOLDS = 64  # number of thresholds of an accumulated histogram
+BINS_PER_SIGMA = 8  # bins per standard deviation; fewer if some deviations are too large for BINS bins of this width
+THRESHOLDS = 64  # number of thresholds in an accumulated histogram
 LOWEST_THRESHOLD = 0.1  # lowest threshold of an accumulated histogram, in standard deviations
 Array = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ class NoiseLeft:
     """Variances of the temporal noise that remains in a mean of frames."""
 
     pixels: float
-    rows: float  # noise that all pixels of a row have in common
+    rows: float  # noise that all pixels of a row share
     columns: float
 
 
@@ -39,11 +39,11 @@ def centred(picture: Array, repaired: Array, body: Body, relative: bool) -> Arra
     picture : ndarray, (row, col)
         Offset or response of each pixel.
     repaired : ndarray, (row, col)
-        The same picture, in which defective pixels are interpolated. The means are computed from this picture.
+        The same picture with interpolated defective pixels, from which the means are computed.
     body : Body
         Filter array and channel gains of the camera.
     relative : bool
-        Whether the result is divided by the mean of the site. Otherwise it is divided by the relative gain of the channel.
+        Whether to divide the result by the mean of the site, instead of the relative gain of the channel.
     """
     result = np.empty(picture.shape)
     sites = zip(by_site(result, body.cfa), by_site(picture, body.cfa), by_site(repaired, body.cfa), strict=True)
@@ -59,11 +59,11 @@ def describe(picture: Array, repaired: Array, deviation: Array, left: NoiseLeft)
     Parameters
     ----------
     picture, repaired : ndarray, (row, col)
-        Results of `centred` with and without defective pixels. The spectra do not include defective pixels.
+        Results of `centred` with and without defective pixels. The spectra are computed without defective pixels.
     deviation : ndarray, (row, col)
-        Deviation of each pixel for the histograms, which is the same as `picture` or free from shading.
+        Each pixel's deviation for the histograms: `picture`, or a version of it without shading.
     left : NoiseLeft
-        Temporal noise in `picture`. It is subtracted from the spectra.
+        Temporal noise in `picture`, which is subtracted from the spectra.
     """
     count = min(MAX_FREQUENCIES, *(length // 2 for length in picture.shape))
     spectra = (
@@ -91,15 +91,15 @@ def describe(picture: Array, repaired: Array, deviation: Array, left: NoiseLeft)
 
 
 def power_spectrum(picture: Array, axis: int, count: int) -> Array:
-    """Return the power spectrum along an axis, averaged over all lines.
+    """Compute the power spectrum along an axis, averaged over all lines.
 
-    The spectrum consists of the mean power in `count` equal ranges from 0 to 0.5 cycles per pixel, without the constant
-    component. The power of white noise is its variance at every frequency.
+    The result is the mean power in `count` equal ranges from 0 to 0.5 cycles per pixel, without the constant component. For
+    white noise, it equals the variance at all frequencies.
     """
     length = picture.shape[axis]
     lines = picture if axis == 1 else picture.T
     total = np.zeros(length // 2 + 1)
-    for start in range(0, len(lines), 256):  # in parts, so that the spectra of large sensors need little memory
+    for start in range(0, len(lines), 256):  # in parts, to limit memory use for large sensors
         total += (np.abs(np.fft.rfft(lines[start : start + 256], axis=1)) ** 2).sum(axis=0)
     index = np.arange(1, length // 2 + 1)
     place = (index * 2 * count - 1) // length
@@ -109,8 +109,8 @@ def power_spectrum(picture: Array, axis: int, count: int) -> Array:
 def profile(picture: Array, axis: int) -> tuple[Array, Array]:
     """Return positions along an axis, and the profile (4, position): mean, minimum, maximum and middle line.
 
-    The mean, the minimum and the maximum are computed over all lines and over a short range of positions. The middle line is
-    sampled at the position.
+    Mean, minimum and maximum are computed over all lines and a short range of positions. The middle line is sampled at the
+    position itself.
     """
     lines = picture if axis == 1 else picture.T
     length = lines.shape[1]
@@ -128,7 +128,7 @@ def profile(picture: Array, axis: int) -> tuple[Array, Array]:
 
 
 def histogram(deviation: Array, spread: float) -> tuple[Array, NDArray[np.int64]]:
-    """Return the edges and the counts of equal bins that contain all deviations. `spread` is their standard deviation."""
+    """Return the edges and counts of equal bins that cover all deviations, which have the standard deviation `spread`."""
     low, high = float(deviation.min()), float(deviation.max())
     reach = max(0.5 * BINS / BINS_PER_SIGMA * spread, 0.51 * (high - low))
     edges = (low + high) / 2 + np.linspace(-reach, reach, BINS + 1)
@@ -136,7 +136,7 @@ def histogram(deviation: Array, spread: float) -> tuple[Array, NDArray[np.int64]
 
 
 def accumulated(deviation: Array, spread: float) -> tuple[Array, NDArray[np.int64]]:
-    """Return thresholds, and the number of pixels whose absolute deviation is at least as large as each threshold."""
+    """Return thresholds, and the number of pixels with an absolute deviation of at least each threshold."""
     absolute = np.sort(np.abs(deviation), axis=None)
     lowest = LOWEST_THRESHOLD * spread
     threshold = np.geomspace(lowest, max(float(absolute[-1]), 2 * lowest), THRESHOLDS)

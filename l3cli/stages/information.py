@@ -1,6 +1,7 @@
 """The `l3 info` and `l3 bench` stages.
 
-`l3 info` describes raw files, describes and verifies artifacts, and lists library versions. `l3 bench` measures the time per frame.
+`l3 info` describes raw files, describes and verifies artifacts, and lists library versions. `l3 bench` measures the time per
+frame.
 """
 
 import itertools
@@ -109,7 +110,7 @@ def raw_frame(file: Path) -> dict[str, Any]:
 
 
 def _camera_name(names: list[str]) -> str | None:
-    """Join the names of a camera. Names that are part of another name are omitted."""
+    """Join the names of a camera, without names that are part of another name."""
     return (
         " ".join(name for name in dict.fromkeys(names) if not any(name != other and name in other for other in names))
         or None
