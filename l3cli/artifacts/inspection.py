@@ -116,10 +116,10 @@ def _slabs(dataset: h5py.Dataset) -> Iterator[Any]:
 
 @dataclass(frozen=True)
 class Link:
-    """The input files that a stage read in one role, such as "camera", and the user's files that match them."""
+    """One type of input of a stage, such as its camera, and the user's files that match it."""
 
     stage: str  # command of the stage, such as "simulate"
-    role: str
+    role: str  # type of input, such as "camera"
     named: int  # number of input files that the history lists
     given: tuple[str, ...]  # paths of the user's files that match
 

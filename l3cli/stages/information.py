@@ -163,7 +163,10 @@ def verification(file: Path, inputs: tuple[Path, ...]) -> Verification:
 
 
 def _read_whole(file: Path) -> None:
-    """Read the whole content of an artifact, large ones in parts. Raises InputFileError if values are missing or invalid."""
+    """Read the whole content of an artifact, in parts if it is large.
+
+    Raises InputFileError if values are missing or invalid.
+    """
     with open_artifact(file, *WHOLE, TrainingSet, *SUMS, unchanged=True) as root:
         kind = str(root.attrs["kind"])
         if kind == TrainingSet.kind:

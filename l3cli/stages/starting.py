@@ -317,7 +317,7 @@ def _rendering(table: Path, photos: Sequence[Path], output: Path) -> str:
 
 
 def _contents(camera: PhotoCamera) -> dict[str, bytes]:
-    """Compose the files in a camera's folder: content by file name."""
+    """Return the content of each file in a camera's folder, by file name."""
     common = common_files(camera.body.rows, camera.body.cols)
     makefile = common["Makefile"].decode()
     shown = camera.photo and _link_name(camera)
