@@ -76,7 +76,7 @@ ridge = 0  # learning.ridge is 0; use more than 0
 level_power = 2  # learning.level_power is 2; use at most 1
 [[layer]]
 side = 4  # layer[1].side is 4
-strengths = [2, 1]  # increase by at least 0.001
+strengths = [2, 1]  # at least 0.001 apart
 """
 LAB = """falloff = 2  # falloff is 2; use less than 1
 monitor_error = -0.1  # monitor_error is -0.1; use at least 0
