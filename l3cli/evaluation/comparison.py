@@ -216,7 +216,7 @@ def _range(low: float, high: float) -> str:
 
 
 def clipping(curve: Curve) -> str | None:
-    """Describe from which luminance upwards a camera clips, or return None if it does not clip at the highest luminance."""
+    """Describe above which luminance a camera clips, or return None if it does not clip at the highest luminance."""
     some = [share >= CLIPPING for share in curve.clipped]
     if not some[-1]:
         return None

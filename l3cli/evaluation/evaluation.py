@@ -461,7 +461,7 @@ class Evaluation:
 
 
 def _counted(frame: TrainingPair, border: int) -> NDArray[np.bool_] | None:
-    """Return a mask (row, col) of the pixels for which the scene contains data, or None if it does for all.
+    """Return a mask (row, col) of the pixels for which the scene contains data. None means all pixels.
 
     Raises InputFileError if there are no data inside the border.
     """

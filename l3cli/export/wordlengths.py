@@ -123,7 +123,7 @@ def output_fraction(table: TransformTable) -> int:
 
 
 def split_of(table: TransformTable) -> int:
-    """Return the number of bits in the low part, when the last layer splits input values into high and low parts."""
+    """Return the number of bits in the low part of an input value. The last layer splits values into high and low parts."""
     return PLANE_TOP.bit_length() + 1 - HIGH_BITS if table.later else max(0, table.bits - HIGH_BITS)
 
 

@@ -175,7 +175,7 @@ def known_gains(table: TransformTable) -> tuple[float, float]:
 
 
 def gain_of_frames(table: TransformTable, camera: CameraModel) -> float:
-    """Return the analog gain of a camera's frames, relative to the table's camera, after scaling to the table's levels.
+    """Return the analog gain of frames from another camera model, relative to the table's camera.
 
     It is the ratio of the two full scales, because raw values are scaled to the table's black and white levels before
     rendering. Differences below 1 % are ignored. The result is 1 if the table does not contain its camera.

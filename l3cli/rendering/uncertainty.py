@@ -60,7 +60,7 @@ SEED = 20
 
 @dataclass(frozen=True)
 class NoiseGains:
-    """Factors G, K and E from the noise of raw values to the noise of outputs (see the module docstring)."""
+    """Factors G, K and E, which convert raw noise to output noise (see the module docstring)."""
 
     # For tables with Stokes parameters, the axis "output" contains the outputs, followed by SUMS.
     by_class: NDArray[np.float32]  # (class of the last layer, output) gain G

@@ -208,8 +208,8 @@ CONVERT = "convert the file to a DNG with lossless JPEG compression or without c
         ({277: (SHORT, [3])}, "the file is already demosaicked (linear DNG); use the raw file that the camera wrote"),
         ({266: (SHORT, [2])}, "this page does not support FillOrder 2"),
         ({258: (SHORT, [32])}, "this page does not support BitsPerSample 32"),
-        ({50829: (LONG, [0, 0, 70, 96])}, "the crop of the file exceeds its pixels; the file is damaged"),
-        ({33422: (1, [1, 1, 1, 1])}, "the colour filter array of the file differs from the array of this page's camera"),
+        ({50829: (LONG, [0, 0, 70, 96])}, "the crop area extends beyond the image; the file is damaged"),
+        ({33422: (1, [1, 1, 1, 1])}, "the colour filter array in the file differs from that of this page's camera"),
         ({273: (LONG, [2**31])}, "the file is damaged or not a DNG"),
     ],
 )
@@ -222,7 +222,7 @@ def test_what_cannot_be_read_is_named_in_a_line(tags: Tags, words: str, page: Pa
     assert tab.run("[canvas.hidden, save.hidden]") == [True, True]
     cut = lossless_jpeg(textured((64, 96)))[:-1000]
     assert dropped(tab, write_dng(dng, textured((64, 96)), RGGB, strips=[cut], tags={259: (SHORT, [7])})) == (
-        "a.dng: the pixels of the file are damaged"
+        "a.dng: the image data in the file are damaged"
     )
     for content in (b"", b"II*\0", b"PNG" * 100):
         dng.write_bytes(content)

@@ -4,7 +4,7 @@
 static inline L3Output changed(L3Output output, float by) { return output + by; }
 
 #ifdef L3_WHITE_SLOPE
-/* Fades the outputs of a pixel that is brighter than the clipped white. The distance between X, Y and Z in memory is `apart`. */
+/* Fades the outputs of a pixel that is brighter than the clipped white. X, Y and Z are `apart` values apart in memory. */
 static inline void fade_to_white(L3Output *output, ptrdiff_t apart, const L3Output white[3]) {
     const float luminance = output[apart], over = L3_WHITE_SLOPE * (luminance - white[1]) / white[1], faded = over < 1 ? over : 1;
     for (int o = 0; o < 3; o++) output[o * apart] = white[1] / luminance * (1 - faded) * output[o * apart] + faded * white[o];
@@ -35,7 +35,7 @@ static inline float dot(const float *restrict a, const float *restrict b, int ta
     return (four[0] + four[2]) + (four[1] + four[3]);
 }
 
-/* Contribution of the taps that follow the patch to an output. */
+/* Contribution to an output of the taps after the patch: colour ratios and bilateral chroma. */
 typedef float Behind;
 
 /* Computes an output of the patch that begins at ring[at]. `output` is class * L3_OUTPUTS + number of the output. */

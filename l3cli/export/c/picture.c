@@ -4,7 +4,7 @@
 
 #define STEP (1.0f / (float)(1 << L3_OUTPUT_FRACTION)) /* step of an output */
 
-#define NOISE $noise /* relative difference of luminance that noise can cause near clipped pixels */
+#define NOISE $noise /* relative luminance error that noise can cause near clipped pixels */
 
 #define BINS $bins
 
@@ -88,7 +88,7 @@ float l3_auto_scale(const uint16_t *raw, const L3Output *outputs, int rows, int 
     const float low = ranked(luminance, count, below), high = ranked(luminance, count, below < last ? below + 1 : last);
     const float percentile = low + (high - low) * (float)(rest % 100) / 100;
     if (!(percentile > 0)) return 1;
-    /* Fewer channels measure the luminance near clipped pixels, and their noise raises the percentile. */
+    /* Near clipped pixels, fewer channels contribute to the luminance, and their noise raises the percentile. */
     double change = 0, alike = 0;
     for (int y = 0; y < rows; y++)
         for (int x = 0; x < columns; x++) {
@@ -157,7 +157,7 @@ static void less_chromatic(float linear[3]) {
     for (int p = 0; p < 3; p++) linear[p] = sum(back[p], cubes);
 }
 
-/* Limits values to 1 by a mixture of darkening and clipping. The brighter the colour, the more it is clipped. */
+/* Limits values to 1 by a mixture of darkening and clipping: the brighter the colour, the more clipping. */
 static void darker(float linear[3], float most) {
     const float luminance = larger(smaller(sum(luminance_of, linear), 1), 0), square = luminance * luminance;
     for (int p = 0; p < 3; p++) {

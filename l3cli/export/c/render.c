@@ -1,6 +1,6 @@
 /* ------------------------------------------------------------------------------------------------------------ clipped white */
 
-/* Limits the luminance of all pixels to the darkest white that clips every channel. The colour of brighter pixels fades to this white. */
+/* Limits the luminance to the darkest white that clips every channel. The colour of brighter pixels fades to this white. */
 static void limit_to_white(ptrdiff_t pixels, L3Output *outputs) {
 #ifdef L3_WHITE_SLOPE
     static const L3Output white[3] = {L3_WHITE_X, L3_WHITE_Y, L3_WHITE_Z};

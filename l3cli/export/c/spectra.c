@@ -86,7 +86,7 @@ static void smooth_row(const Smoothing *s, int row, int rows, int columns, int o
     }
 }
 
-/* Replaces the spectrum of each pixel with the mean spectrum of neighbours of similar brightness. The brightness does not change. */
+/* Averages the spectrum of each pixel with neighbours of similar brightness, without changing the brightness. */
 static void smooth_outputs(const Smoothing *s, const uint16_t *padded, int rows, int columns, int phase_row, int phase_column,
                            float *outputs) {
     (void)padded, (void)phase_row, (void)phase_column;

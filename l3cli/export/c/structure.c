@@ -57,7 +57,7 @@ static void read_scale(const Gradients *g, const L3PlaneLayer *layer, const uint
     }
 }
 
-/* Converts the difference between two pixels of a plane to units of its noise, limited to +-top. */
+/* Converts the difference of two pixels in a plane to multiples of its noise, limited to +-top. */
 static inline int32_t scaled(int32_t difference, int32_t factor, int32_t shift, int32_t top) {
     const int32_t value = (difference * factor) >> shift, below = value < top ? value : top;
     return below > -top ? below : -top;

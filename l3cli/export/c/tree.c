@@ -123,7 +123,7 @@ static void find_evidence(const Gradients *g, int k, int x, TreeEvidence *restri
     }
 }
 
-/* Returns the number of the lowest bit that is set, or 32 if no bit is set. */
+/* Returns the index of the lowest set bit, or 32 if there is none. */
 static inline uint32_t lowest_bit(uint32_t bits) {
     uint32_t v = ~bits & (bits - 1); /* all bits below the lowest bit */
     v = v - (v >> 1 & 0x55555555u);

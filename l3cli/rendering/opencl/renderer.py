@@ -80,7 +80,7 @@ class DeviceShading:
 
     @staticmethod
     def corrects(frame: RawFrame) -> bool:
-        """Whether a frame has colour shading, which the kernel corrects in place, in a copy of the raw values."""
+        """Whether a frame has colour shading. The kernel corrects it in place, in a copy of the raw values."""
         return frame.shading is not None and frame.shading.colour is not None
 
     def correct(self, frame: RawFrame, track: Track, band: Band) -> Any:
