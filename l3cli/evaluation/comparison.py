@@ -60,7 +60,7 @@ class Comparison:
 
     @property
     def doubt(self) -> str | None:
-        """Warning if the cameras cannot or perhaps cannot be compared, otherwise None."""
+        """Warning if comparing the cameras is impossible or doubtful, otherwise None."""
         return {False: OTHER_SCENES, None: UNKNOWN_SCENES}.get(self.alike) if len(self.cameras) > 1 else None
 
     @property

@@ -444,7 +444,7 @@ def cropped(planes: NDArray[Any], border: int) -> NDArray[Any]:
 
 
 def of_counted(planes: NDArray[Any], counted: NDArray[np.bool_] | None) -> NDArray[Any]:
-    """Select the pixels of planes (…, row, col) in a mask, as (…, pixel). Without a mask, return the planes."""
+    """Select the masked pixels of planes (…, row, col), as an array (…, pixel). Without a mask, return the planes."""
     return planes if counted is None else planes[..., counted]
 
 

@@ -1,4 +1,4 @@
-"""Export a table as a folder with one little-endian file per array, and table.json, which describes them."""
+"""Export a table as a folder with one little-endian file per array, and table.json, which describes the arrays."""
 
 import json
 from typing import Any
@@ -140,7 +140,7 @@ LEAST_DOC = (
 
 
 def folder_files(table: TransformTable) -> dict[str, bytes]:
-    """Return a table as a folder of arrays: file names and contents.
+    """Convert a table to table.json and array files: file name → content.
 
     Raises RecipeError if the table has too many layers.
     """

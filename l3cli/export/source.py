@@ -73,7 +73,7 @@ GUARD = ("#ifndef L3_TABLE_H", "#define L3_TABLE_H", "", "#include <stdint.h>", 
 def c_files(
     table: TransformTable, words: Words = "float32", balance: WhiteBalance | None = None, prefix: str = PREFIX
 ) -> dict[str, bytes]:
-    """Return a table as C source: file names and contents.
+    """Convert a table to C source files: file name → content.
 
     Parameters
     ----------
@@ -487,7 +487,7 @@ def _page_facts(table: TransformTable, balance: WhiteBalance | None) -> str:
 
 
 def _thresholds(curve: Curve) -> NDArray[np.float64]:
-    """Return the smallest linear value that is encoded as each 8-bit code from 1 to 255."""
+    """Return, for each 8-bit code from 1 to 255, the smallest linear value that is encoded as this code."""
     encoded = (np.arange(1, CODES) - 0.5) / (CODES - 1)
     power = ((encoded + curve.offset) / curve.gain) ** (1 / curve.exponent)
     return np.where(encoded <= curve.slope * curve.knee, encoded / curve.slope, power)

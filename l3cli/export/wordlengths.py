@@ -63,7 +63,7 @@ class Vector:
     outputs: NDArray[np.float32]  # (output, row, col)
 
     def files(self) -> dict[str, bytes]:
-        """Return file names and contents: the arrays in row-major order, little-endian."""
+        """Return the arrays as files in row-major, little-endian order: file name → content."""
         return {
             "test_raw.bin": self.raw.astype("<u2").tobytes(),
             "test_labels.bin": self.labels.astype("<u4").tobytes(),
@@ -98,7 +98,7 @@ def make_vector(table: TransformTable) -> Vector:
 
 @dataclass(frozen=True)
 class ShortWords:
-    """Last layer's transforms as 16-bit words, with the taps in the table's order."""
+    """The last layer's transforms as 16-bit words, with the taps in the table's order."""
 
     whole: NDArray[np.int32]  # (class, output, tap) at most 16 bits, except for the largest weight of each window
     intercept: NDArray[np.int32]  # (class, output)
@@ -226,7 +226,7 @@ def _rounded(weights: NDArray[np.float64], likeness: NDArray[np.float64]) -> NDA
 
 @dataclass(frozen=True)
 class Words:
-    """Last layer's weights in fixed point, with a given word length."""
+    """The last layer's weights in fixed point, with a given word length."""
 
     whole: NDArray[np.int16]  # (class, output, tap)
     fraction: NDArray[np.int8]  # (class,) number of fractional bits, F

@@ -155,7 +155,7 @@ def _mixed_layers(common: Layers, warm: Layers, cool: Layers, shares: Sequence[N
 def _between(warm: NDArray[Float], cool: NDArray[Float], share: NDArray[np.float64] | float) -> NDArray[Float]:
     """Interpolate between two arrays. `share` is the weight of `cool`: one number, or one per element of the first axis.
 
-    Where both arrays are equal, the result is exactly the same.
+    Values that are equal in both arrays do not change.
     """
     one, other = warm.astype(np.float64), cool.astype(np.float64)
     share = np.asarray(share).reshape(-1, *[1] * (one.ndim - 1))

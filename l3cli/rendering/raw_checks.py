@@ -123,7 +123,7 @@ class FrameWarnings:
 
 
 def other_camera(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning if the file comes from another camera than the table is for, otherwise ""."""
+    """Return a warning if the file comes from a different camera than the table, otherwise ""."""
     theirs = [_words(name) for name in frame.taken_by]
     ours = _words(table.camera_name)
     if not frame.taken_by or any(ours & words - _words(frame.taken_by[0]) or ours == words for words in theirs):

@@ -371,7 +371,7 @@ class OpenCLRenderer:
         return work
 
     def _start_encoding(self, outputs: Any, track: Track, display: Display, matrix: NDArray, picture: NDArray) -> Work:
-        """Enqueue the encoding of outputs that are in a buffer. `matrix` converts them to linear values of the picture."""
+        """Enqueue the encoding of the outputs in a buffer. `matrix` converts them to linear values of the picture."""
         work = Work(self.device, self.stages)
         with refusals(self.device):
             kernel = self._programs.encoder(layout.display_macros(display))

@@ -20,7 +20,7 @@ LEAD = 16  # number of frames in the lead-in of a chunk
 
 
 class Filter(Protocol):
-    """A recursive temporal filter of one backend."""
+    """Interface of the temporal filters of all backends."""
 
     def filtered(self, frame: RawFrame) -> RawFrame:
         """Blend the next frame with the previous frames, and return the result."""

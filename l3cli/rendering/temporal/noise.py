@@ -180,7 +180,7 @@ def _mean(values: NDArray[np.uint16], period: int) -> float:
 
 
 def to_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:
-    """Convert DN to u. Values that would exceed 16 bits, which are above the white level, are clipped."""
+    """Convert DN to u. Values above the white level are clipped if they do not fit into 16 bits."""
     most = np.uint16((1 << DEEP - noise.protect) - 1)
     return np.minimum(values, most) << np.uint16(noise.protect)
 

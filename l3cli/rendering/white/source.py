@@ -86,7 +86,7 @@ class AutoWhite:
         return np.asarray(_between(self._neutrals, *places)[0, 0])
 
     def _samples(self, frame: RawFrame) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the cone responses (row, col, 3) of a grid of pixels, and a mask of those neither clipped nor dark."""
+        """Return the cone responses (row, col, 3) of a grid of pixels, and a mask of pixels neither clipped nor dark."""
         table, rule = self._table, self._table.first.rule
         patches, site, labels = self._spread.of(frame)
         classes, signal = rule.on_site(labels, site), self._spread.signal(patches)
