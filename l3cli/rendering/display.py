@@ -15,7 +15,7 @@ from l3cli.physics.gamut import gamut_of, into_gamut
 from l3cli.physics.spaces import SRGB, Curve, Space, adaptation_matrix
 from l3cli.physics.stokes import STOKES
 
-MAX_LAYERS = 4  # limit of the renderers
+MAX_LAYERS = 4  # the renderers support at most this number of layers
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ ANY_RATE = Fraction(30)  # frame rate if only the first frame is measured, so th
 class Rendition:
     """Settings for converting a table's outputs to pictures."""
 
-    balance: WhiteBalance | None  # white balance unless the white is measured; None: write the outputs unchanged
+    balance: WhiteBalance | None  # white balance if the white is not measured; None: write the outputs unchanged
     exposure: float | None  # factor by which Y is multiplied; None: automatic exposure
     bits: int  # bits per value: 8, 16 or FLOAT_BITS
     space: Space | None = SRGB  # None: the outputs are not colours

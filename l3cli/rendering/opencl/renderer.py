@@ -208,7 +208,7 @@ class OpenCLRenderer:
         A table with a single layer has a single class map.
         """
         labels = {layer: np.empty(frame.values.shape, np.uint32) for layer in {0, len(self._layers)}}
-        joined, self._joined = self._joined, self._joined and bool(self._layers)  # for one layer, it stores no classes
+        joined, self._joined = self._joined, self._joined and bool(self._layers)  # a joined last layer stores no classes
         try:
             planes, work = self._start_outputs(frame, labels)
         finally:

@@ -64,7 +64,7 @@ class Track:
         cl = pyopencl()
         self.queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
         self.raw: Any = None  # raw values for the kernels: `uploaded`, or a buffer in host memory
-        self.uploaded: Any = None  # copy of the raw values or their shading correction, unless host memory is used
+        self.uploaded: Any = None  # copy of the raw values, unless kernels read them from host memory
         self.labels: Any = None  # class map of the first layer
         self.sets: Any = None  # transform set index of each pixel, if the device has its own memory
         self.chosen: tuple[Any, ...] = ()  # `sets`, or a buffer in host memory; empty for a single set of transforms

@@ -28,7 +28,7 @@ Array = NDArray[np.floating]
 MAX_CLIPPED = 0.01  # a grey area may contain at most this fraction of clipped pixels
 FLAT = 0.5  # a channel counts as clipped if more than this fraction of its pixels have the largest value of the frame
 MIN_CERTAINTY = 50.0  # smallest ratio of a channel's mean signal in a grey area to the standard error of this mean
-# If the mean is less certain, the message calls areas below this fraction of full scale too dark, and others not uniform.
+# Areas with a less certain mean are reported as too dark below this fraction of full scale, and as not uniform above it.
 DARK_FRACTION = 0.01
 
 
