@@ -288,7 +288,7 @@ def test_frames_that_the_table_was_not_made_for_are_warned_of(pipeline: Path, tm
     assert l3(*render, tmp_path / "quiet.png", "--white-level", "1200", "--quiet")[2] == ""
     err = l3(*render, tmp_path / "a.png", "--white", "0.4476,0.4074")[2]
     assert err.startswith("warning: --white 0.4476,0.4074 is far from the mean training illuminant")
-    assert err.endswith("the illuminant or to the ROW,COL of a grey\n")
+    assert err.endswith("the illuminant or to the ROW,COL of a grey area\n")
     assert l3(*render, tmp_path / "modelled.png", "--white", "A")[2] == ""  # the table's camera says what it sees of it
     assert l3(*render, tmp_path / "d.png", "--white", "D60")[2] == ""
     unseen = l3("evaluate", pipeline / "table.h5", pipeline / "training.h5", "--backend", "reference")[2]
