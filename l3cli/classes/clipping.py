@@ -8,7 +8,8 @@ areas, the outputs are therefore replaced by a smooth function of the channel me
 The means are computed in blocks. A block consists of whole CFA periods, and its sides are at least 4 pixels long. Each block
 has seven values, called *maps*:
 
-1. the fraction of the outputs that is replaced
+1. the fraction of the outputs that is replaced: in uniform areas, and in smooth blocks at an edge whose luminance is mainly
+   in clipped channels
 2. to 4. the values that are added to X, Y and Z instead
 5. the weight of a hue from nearby unclipped blocks that may show the same surface
 6. and 7. X/Y and Z/Y of this hue, multiplied by the weight
@@ -128,7 +129,9 @@ def clipping_maps(mosaic: Mosaic, response: Array, white: Array) -> Array:
     The parameters are the same as for `replaced`.
     """
     (means, spread), sides = block_means(mosaic, len(response) - 1), block_sides(mosaic.cfa)
-    maps = np.concatenate([block_maps(means, spread, response, white), hue_maps(means, spread, response, white, sides)])
+    hue, estimated = estimated_maps(means, spread, response, white, sides)
+    replacement = (1 - estimated[0]) * block_maps(means, spread, response, white) + estimated
+    maps = np.concatenate([replacement, hue])
     for axis, (length, side) in enumerate(zip(mosaic.values.shape, sides, strict=True), 1):
         place = (np.arange(length) // QUAD * QUAD + QUAD / 2) / side - 0.5  # position of the quad, in blocks
         low = np.floor(place).astype(int)
@@ -299,8 +302,10 @@ class ClippedBlocks:
         return unclipped * self.own + self.clipped * np.maximum(mixture, self.own)
 
 
-def hue_maps(means: Array, spread: Array, response: Array, white: Array, sides: tuple[int, int]) -> Array:
-    """Estimate the hue of clipped blocks from unclipped blocks nearby.
+def estimated_maps(
+    means: Array, spread: Array, response: Array, white: Array, sides: tuple[int, int]
+) -> tuple[Array, Array]:
+    """Estimate the hue and the outputs of clipped blocks from unclipped blocks nearby.
 
     A nearby block may show the same surface under less light. To test this, its signals are scaled to the brightness of the
     clipped block. The scaled signals must then agree with the unclipped channels, and reach full scale in the clipped
@@ -321,8 +326,12 @@ def hue_maps(means: Array, spread: Array, response: Array, white: Array, sides: 
 
     Returns
     -------
-    ndarray, (map, block row, block col)
+    hue : ndarray, (map, block row, block col)
         Weight of the hue, and X/Y and Z/Y of the hue, multiplied by the weight.
+    estimated : ndarray, (map, block row, block col)
+        Fraction of the outputs that the estimated outputs replace, and the estimated X, Y and Z, multiplied by this
+        fraction. The fraction is large in areas that are not uniform, if most of the luminance is in clipped channels. The
+        outputs of single pixels would then be noisy, because they are computed from the weak signals of the other channels.
     """
     channels, *shape = means.shape
     signals, every = means.reshape(channels, -1), smooth_step(means, KEPT, REPLACED).reshape(channels, -1)
@@ -370,9 +379,13 @@ def hue_maps(means: Array, spread: Array, response: Array, white: Array, sides: 
 
     x, y, z = np.einsum("so,sb->ob", response[0, :-1], estimates[:, numbers])
     hue = np.clip(np.stack([x, z]) / np.maximum(y, MIN_WEIGHT * MIN_WEIGHT), 0.0, MAX_HUE)
-    taken, maps = most * reliability[numbers], np.zeros((MAPS - REPLACEMENT_MAPS, means[0].size))
-    maps[:, numbers] = np.concatenate([taken[None], taken * hue])
-    return maps.reshape(-1, *shape)
+    luminance = np.abs(response[0, :-1, 1]) * white
+    smooth = 1 - smooth_step(spread.ravel()[numbers], PLAIN, TEXTURED)  # unlike `plain`, not influenced by adjacent blocks
+    unknown = luminance @ blocks.clipped / luminance.sum()
+    taken, lost = reliability[numbers] * np.stack([most, (smooth - plain[numbers]) * unknown])
+    maps = np.zeros((MAPS, means[0].size))
+    maps[:, numbers] = np.stack([taken, *(taken * hue), lost, lost * x, lost * y, lost * z])
+    return maps[: MAPS - REPLACEMENT_MAPS].reshape(-1, *shape), maps[MAPS - REPLACEMENT_MAPS :].reshape(-1, *shape)
 
 
 def grey_level(signal: Array, white: Array) -> Array:

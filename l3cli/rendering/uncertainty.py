@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import QUANTISATION, CameraModel
 from l3cli.artifacts.layers import MosaicLayer
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.clipping import KEPT, block_means, block_sides, hue_maps, plain_blocks
+from l3cli.classes.clipping import KEPT, block_means, block_sides, estimated_maps, plain_blocks
 from l3cli.classes.coarse_chroma import BLOCK
 from l3cli.errors import RecipeError
 from l3cli.frames.frame import RawFrame, upright
@@ -289,7 +289,8 @@ def _replaced(table: TransformTable, frame: RawFrame) -> NDArray[np.uint8]:
         return none
     (means, spread), sides = block_means(mosaic, len(table.channels)), block_sides(mosaic.cfa)
     numbers, _, _, share = plain_blocks(means, spread)
-    blocks = np.where(hue_maps(means, spread, clipping.response, clipping.white, sides)[0] > 0, CLIPPED, 0).astype(np.uint8)
+    hue, _ = estimated_maps(means, spread, clipping.response, clipping.white, sides)
+    blocks = np.where(hue[0] > 0, CLIPPED, 0).astype(np.uint8)
     np.put(blocks, numbers[share > 0], CLIPPED)
     replaced = np.pad(blocks, 1, mode="edge")
     for axis, side in enumerate(sides):

@@ -1,6 +1,6 @@
 // Replaces colours where channels clip (l3cli/classes/clipping.py). From the mean and range of each block of the mosaic, the kernels compute
 // seven maps, which are interpolated at quads of 2 × 2 pixels:
-// 0        the fraction by which outputs in uniform areas are replaced
+// 0        the fraction by which outputs are replaced, in uniform areas and where clipped channels contain most of the luminance
 // 1 to 3   the values added to X, Y and Z in these areas
 // 4        the degree to which the hue of a pixel changes to the hue of similar unclipped blocks
 // 5 and 6  X/Y and Z/Y of the new hue, times map 4
@@ -296,15 +296,27 @@ INLINE void store_estimates(int y, int x, __global const float *restrict means, 
     store_blocks(estimates + CHANNELS * plane + at, x, columns, reliability);
 }
 
-// Stores `count` values of LANES blocks in their float8, from value `first`.
-INLINE void store_float8(__global float *restrict maps, int x, int columns, int first, const floats *made, int count) {
+// Stores the first `count` values of LANES blocks in their float8.
+INLINE void store_float8(__global float *restrict maps, int x, int columns, const floats *made, int count) {
 #if LANES == 1
-    for (int m = 0; m < count; m++) maps[8 * x + first + m] = made[m];
+    for (int m = 0; m < count; m++) maps[8 * x + m] = made[m];
 #else
     float lane[8][LANES];
     for (int m = 0; m < count; m++) STORE_PRIVATE(floats, lane[m]) = made[m];
     for (int i = 0; i < LESS(LANES, columns - x); i++)
-        for (int m = 0; m < count; m++) maps[8 * (x + i) + first + m] = lane[m][i];
+        for (int m = 0; m < count; m++) maps[8 * (x + i) + m] = lane[m][i];
+#endif
+}
+
+// Loads the first `count` values of LANES blocks from their float8.
+INLINE void load_float8(floats *made, __global const float *restrict maps, int x, int columns, int count) {
+#if LANES == 1
+    for (int m = 0; m < count; m++) made[m] = maps[8 * x + m];
+#else
+    float lane[8][LANES];
+    for (int i = 0; i < LANES; i++)
+        for (int m = 0; m < count; m++) lane[m][i] = x + i < columns ? maps[8 * (x + i) + m] : 0.0f;
+    for (int m = 0; m < count; m++) made[m] = LOAD_PRIVATE(floats, lane[m]);
 #endif
 }
 
@@ -316,12 +328,12 @@ INLINE void store_maps_of(int y, int x, __global const float *restrict means, __
     for (int m = 4; m < 8; m++) made[m] = 0.0f;
     const floats plain = replacement_of(made, y, x, means, response, rows, columns);
     store_blocks(uniformity + (size_t)y * columns, x, columns, plain);
-    store_float8(maps + (size_t)8 * y * columns, x, columns, 0, made, 8);
+    store_float8(maps + (size_t)8 * y * columns, x, columns, made, 8);
     store_estimates(y, x, means, response, estimates, rows, columns);
 }
 
 // Spreads the estimates `from` one step farther over uniform areas, and stores the new estimates in `to`. The last step also stores the hue
-// in `maps`.
+// in `maps`, and adds the estimated outputs to the first four maps.
 INLINE void spread_at(int y, int x, __global const float *restrict means, __global const float *restrict response,
                       __global const float *restrict uniformity, __global const float *restrict from, __global float *restrict to,
                       __global float *restrict maps, int last, int rows, int columns) {
@@ -373,9 +385,25 @@ INLINE void spread_at(int y, int x, __global const float *restrict means, __glob
     }
     if (!last) return;
     const floats luminance = more_of(output[1], FAINTEST * FAINTEST), taken = chosen ? block.most * best : (floats)0.0f;
-    const floats hue[3] = {taken, taken * less_of(more_of(output[0] / luminance, 0.0f), MAX_HUE),
-                           taken * less_of(more_of(output[2] / luminance, 0.0f), MAX_HUE)};
-    store_float8(maps + 8 * at, x, columns, 4, hue, 3);
+    // The fraction of the outputs that the estimated outputs replace is large in areas that are not uniform, if most of the luminance is in
+    // clipped channels.
+    __global const float *white = response + (CHANNELS + 1) * (CHANNELS + 1) * 3;
+    floats lost = 0.0f;
+    float whole = 0.0f;
+    for (int k = 0; k < CHANNELS; k++) {
+        const float part = MORE(response[k * 3 + 1], -response[k * 3 + 1]) * white[k];
+        lost += part * (1.0f - block.open[k]);
+        whole += part;
+    }
+    const floats smooth = 1.0f - smooth_step(blocks_at(means + CHANNELS * plane + at, x, columns), PLAIN_UP_TO, TEXTURED_FROM);
+    lost = chosen ? best * (smooth - own) * lost / whole : (floats)0.0f;
+    floats made[7];
+    load_float8(made, maps + 8 * at, x, columns, 4);
+    for (int m = 0; m < 4; m++) made[m] = (1.0f - lost) * made[m] + lost * (m ? output[m - 1] : (floats)1.0f);
+    made[4] = taken;
+    made[5] = taken * less_of(more_of(output[0] / luminance, 0.0f), MAX_HUE);
+    made[6] = taken * less_of(more_of(output[2] / luminance, 0.0f), MAX_HUE);
+    store_float8(maps + 8 * at, x, columns, made, 7);
 }
 
 // Position of a quad between two block centres along one axis.

@@ -227,6 +227,23 @@ def test_a_white_that_clips_keeps_its_hue_beside_vivid_surfaces() -> None:
         assert taken.max() < 0.1
 
 
+def test_skin_that_clips_beside_a_dark_edge_is_not_mottled() -> None:
+    """Red and green clip next to a dark edge, so that only blue shows the luminance. Single pixels render it with noise."""
+    camera, radiance, _, to_signals, clipping = learned("bayer")
+    skin = radiance * np.interp(camera.wavelength, [420, 500, 560, 620], [0.3, 0.5, 0.55, 1.0])
+    signals, colour = skin @ to_signals, skin @ spectra.xyz_weights(camera.wavelength).T
+    rows, cols = np.indices((64, 64))
+    level = np.interp(rows, [0, 34, 40, 48], [0.5, 0.75, 1.2, 1.25]) / np.sort(signals)[1]
+    level[48:] *= 0.05
+    values = np.minimum(level * signals[camera.cfa[rows % 2, cols % 2]], 1.0)
+    mosaic = Mosaic((60000 * values).astype(np.uint16), camera.cfa, 0.0, 60000.0)
+    truth = level * colour[:, None, None]
+    noise = np.random.default_rng(0).normal(1, 0.15, size=rows.shape)
+    made = replaced(truth * noise, mosaic, clipping.response, clipping.white) / truth
+    assert made[1, 44:48].std() < 0.5 * noise[44:48].std()
+    assert np.abs(made[:, 44:48].mean(axis=(1, 2)) - 1).max() < 0.06
+
+
 def test_a_table_keeps_it_and_refuses_what_cannot_be(tmp_path: Path) -> None:
     table = with_clipping(with_coarse_chroma(with_refinement(random_table(BAYER, patch=5), 5)))
     save(table, tmp_path / "table.h5")

@@ -208,8 +208,9 @@ static void estimate_block(const float *means, int y, int x, int rows, int colum
 
 static float within_hue(float ratio) { return ratio < 0 ? 0 : ratio > L3_HUE_MOST ? L3_HUE_MOST : ratio; }
 
-/* Spreads the estimates `from` one step farther over uniform areas: stores the new estimate of block (y, x) in `to`, and its hue in `maps`. */
-static void spread_block(const float *means, const float *from, int y, int x, int rows, int columns, float *to, float *maps) {
+/* Spreads the estimates `from` one step farther over uniform areas, and stores the new estimate of block (y, x) in `to`. The last step also
+   stores the hue in `maps`, and adds the estimated outputs to the first four maps. */
+static void spread_block(const float *means, const float *from, int y, int x, int rows, int columns, int last, float *to, float *maps) {
     const ptrdiff_t at = (ptrdiff_t)y * columns + x;
     const float *own = from + at * (L3_CHANNELS + 1);
     float *made = to + at * (L3_CHANNELS + 1), *map = maps + at * MAPS;
@@ -248,9 +249,17 @@ static void spread_block(const float *means, const float *from, int y, int x, in
         for (int c = 0; c < L3_CHANNELS; c++) total[c] /= likeness;
         estimate(&block, total, made);
     }
-    float output[3] = {0};
-    for (int c = 0; c < L3_CHANNELS; c++)
+    if (!last) return;
+    float output[3] = {0}, lost = 0, whole = 0;
+    for (int c = 0; c < L3_CHANNELS; c++) {
+        const float by = l3_clip_response[c * 3 + 1], part = (by < 0 ? -by : by) * l3_clip_white[c];
+        lost += part * block.clipped[c];
+        whole += part;
         for (int o = 0; o < 3; o++) output[o] += made[c] * l3_clip_response[c * 3 + o];
+    }
+    const float range = means[at * (L3_CHANNELS + 1) + L3_CHANNELS], smooth = 1 - smooth_step(range, L3_CLIP_PLAIN, L3_CLIP_TEXTURED);
+    lost *= best * (smooth - map[7]) / whole;
+    for (int m = 0; m < 4; m++) map[m] = (1 - lost) * map[m] + lost * (m ? output[m - 1] : 1);
     const float tiny = L3_CLIP_FAINTEST * L3_CLIP_FAINTEST, luminance = output[1] > tiny ? output[1] : tiny;
     map[4] = block.most * best;
     map[5] = map[4] * within_hue(output[0] / luminance);
@@ -281,7 +290,8 @@ static void replace_clipped(const Clipping *c, const uint16_t *padded, int rows,
     for (int step = 0; step < L3_SPREADS; step++)
         for (int y = 0; y < down; y++)
             for (int x = 0; x < across; x++)
-                spread_block(c->means, c->estimates[step % 2], y, x, down, across, c->estimates[1 - step % 2], c->maps);
+                spread_block(c->means, c->estimates[step % 2], y, x, down, across, step == L3_SPREADS - 1,
+                             c->estimates[1 - step % 2], c->maps);
     for (int y = 0; y < rows; y++)
         for (int x = 0; x < columns; x++) {
             float low, side, made[MAPS];
