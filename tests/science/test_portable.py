@@ -235,7 +235,7 @@ def test_short_words_cost_what_is_stated(built: Built) -> None:
     made = np.ldexp(built.render(frame)[1].astype(float), -output_fraction(table))
     stated, _ = short_cost(table, short_words(table))
     assert abs(-10 * np.log10(np.square(made - exact).mean()) - stated) < 0.1
-    assert f"{stated:.1f} dB relative to the reference" in (built.folder / "README.md").read_text(encoding="utf-8")
+    assert f"relative to the reference is {stated:.1f} dB" in (built.folder / "README.md").read_text(encoding="utf-8")
 
 
 def test_the_range_of_short_words_holds_the_clipped_white() -> None:
