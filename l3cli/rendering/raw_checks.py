@@ -189,8 +189,8 @@ def other_gain(frame: RawFrame, table: TransformTable) -> str:
         )
     if least != most and not least / FAR_GAIN < frame.gain < most * FAR_GAIN:
         return (
-            f"{stated}, but the camera model contains the read noise only for {least:.3g} to {most:.3g} times; l3 uses the "
-            "read noise at the nearest of these gains"
+            f"{stated}, but the camera model contains the read noise only for {least:.3g} to {most:.3g} times its gain; l3 "
+            "uses the read noise at the nearest of these gains"
         )
     return ""
 
