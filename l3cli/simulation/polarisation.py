@@ -27,7 +27,10 @@ NODES = np.array([450.0, 550.0, 650.0])  # nm; wavelengths at which polarisation
 INDEX = 1.5  # refractive index of smooth surfaces
 MAX_DEGREE = 0.95
 MATT_DEGREE = 0.1  # largest degree of matt leaves
-COLOURED = 0.25  # fraction of the leaves whose degree depends on the wavelength
+# Fraction of the leaves whose polarisation is drawn separately for each wavelength of NODES. Real surfaces reflect several
+# lights, such as sky and sun, whose colours and angles of polarisation differ. If most leaves were polarised equally at all
+# wavelengths, a table of a colour camera would infer the polarisation of one colour from the pixels of the other colours.
+COLOURED = 0.8
 CALM = 0.2  # fraction of scenes with weak polarisation, and factor on the degrees in these scenes
 RIM = 0.98  # limit of the sine of the angle of incidence near the rim of smooth leaves
 
@@ -43,7 +46,7 @@ class Sheen:
     slope: Floats
     # (leaf) exponent p with degree ∝ brightness^-p; 1 if all polarised light is reflected at the surface itself
     albedo_power: Floats
-    colour: Floats  # (leaf) relative change of the degree per 100 nm
+    colour: NDArray[np.complex64]  # (node, leaf) factor of S1 + i S2 at each wavelength of NODES; not used for PLASTIC
     # (3, leaf) in cycles at 550 nm: value at the centre, vertical and horizontal change per leaf radius
     retardance: Floats
 
@@ -55,13 +58,16 @@ def draw_sheen(rng: np.random.Generator, count: int) -> Sheen:
     strong = np.where(metal & (kind == SMOOTH), 0.35 * strong, strong)
     degree = np.where(kind == MATT, MATT_DEGREE * rng.random(count) ** 2, strong)
     calm = CALM if rng.random() < CALM else 1.0
+    angle, slope = rng.uniform(0, np.pi, count), 0.25 * rng.standard_normal((2, count))
+    albedo_power = rng.random(count)
+    coloured, drawn = rng.random(count) < COLOURED, rng.standard_normal((2, NODES.size, count))
     return Sheen(
         kind=kind,
         degree=(calm * degree).astype(np.float32),
-        angle=rng.uniform(0, np.pi, count).astype(np.float32),
-        slope=(0.25 * rng.standard_normal((2, count))).astype(np.float32),
-        albedo_power=rng.random(count).astype(np.float32),
-        colour=((rng.random(count) < COLOURED) * 0.35 * rng.standard_normal(count)).astype(np.float32),
+        angle=angle.astype(np.float32),
+        slope=slope.astype(np.float32),
+        albedo_power=albedo_power.astype(np.float32),
+        colour=np.where(coloured, drawn[0] + 1j * drawn[1], 1).astype(np.complex64),
         retardance=rng.normal(0.0, 1.0, (3, count)).astype(np.float32),
     )
 
@@ -116,10 +122,10 @@ def stokes_of(
     # centre.
     first[curved], second[curved] = (v * v - u * u) / square, 2 * u * v / square
     degree[curved] *= fresnel_degree(np.minimum(np.sqrt(square), np.float32(RIM)))
-    degree = np.minimum(degree, np.float32(MAX_DEGREE))[..., None]
-    coloured = 1 + of(sheen.colour)[..., None] * ((NODES - 550.0) / 100.0).astype(np.float32)
-    degree = np.clip(degree * coloured, 0, MAX_DEGREE)
-    one, two = degree * first[..., None], degree * second[..., None]
+    degree = np.minimum(degree, np.float32(MAX_DEGREE))
+    light = (degree * (first + 1j * second))[..., None] * np.moveaxis(np.take(sheen.colour, label, axis=1), 0, -1)
+    light *= np.minimum(1, MAX_DEGREE / np.maximum(np.abs(light), np.float32(1e-6)))
+    one, two = light.real, light.imag
     clear = np.nonzero(kind == PLASTIC)
     if clear[0].size:
         leaf = label[clear]

@@ -133,6 +133,20 @@ def test_most_leaves_are_weakly_polarised_and_some_strongly() -> None:
     assert 0.05 < (degree > 0.3).mean() < 0.4
 
 
+def test_the_polarisations_of_the_colours_are_almost_unrelated() -> None:
+    """A colour camera must not infer the polarisation of one colour from the other colours."""
+    ratios = []
+    for number in range(12):
+        scene = procedural.draw(WantedScene(DeadLeaves(size=(64, 64)), number=number), 1, WAVELENGTH, True)
+        assert scene.polarisation is not None
+        ratios.append(scene.polarisation.ratio.reshape(-1, 2, 3))
+    blue, green, red = np.moveaxis(np.concatenate(ratios), 2, 0)  # (pixel, 2)
+    for one, other in ((blue, green), (green, red), (blue, red)):
+        correlation = (one * other).sum() / np.sqrt((one**2).sum() * (other**2).sum())
+        assert abs(correlation) < 0.5
+        assert np.median(np.hypot(*one.T)) == pytest.approx(np.median(np.hypot(*other.T)), rel=0.4)
+
+
 def test_fresnel() -> None:
     """A dielectric does not polarise at normal incidence and at grazing incidence, and fully at Brewster's angle."""
     brewster = np.sin(np.arctan(1.5))
