@@ -671,8 +671,8 @@ class CameraModel(Artifact):
     def signal_weights(self) -> NDArray[np.float64]:
         """`electron_weights` of each channel, multiplied by the channel's relative gain.
 
-        If the radiance is in photons/s/sr/m²/nm, this matrix (channel, wavelength) times `gain` gives the signal in DN per
-        second of exposure.
+        Multiplied by `gain`, this matrix (channel, wavelength) converts radiance in photons/s/sr/m²/nm to the signal in DN
+        per second of exposure.
         """
         weights = self.electron_weights
         return weights if self.readout is None else weights * self.readout.channel_gain[:, None]

@@ -35,7 +35,7 @@ FINER = 8  # samples per pixel in each direction for straight edges
 
 
 def grid(wavelength: Array) -> NDArray[np.float64]:
-    """Return the wavelengths (nm) at which procedural scenes are drawn for a camera with the wavelengths `wavelength`.
+    """Return the wavelengths (nm) at which procedural scenes are drawn for a camera, given the wavelengths of the camera.
 
     The result contains the wavelengths in DRAWN, and extends them to the range of the camera in steps of 10 nm.
     """

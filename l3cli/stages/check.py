@@ -428,7 +428,7 @@ def _judged(kind: Kind, source: RecipeSource) -> tuple[dict[str, Any], list[Faul
     recipe, faults = typed(dict(source.content), kind.structure(source.content))
     if recipe is not None:
         others = about_others(CHECKS[kind.name].faults(recipe, source), faults)
-        # One fault more than is printed shows that the list is incomplete.
+        # One additional fault is enough to show that the printed list is incomplete.
         faults += itertools.islice(others, max(LISTED_FAULTS + 1 - len(faults), 0))
     meaning: dict[str, Any] = {}
     if not faults:

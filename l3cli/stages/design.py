@@ -244,7 +244,10 @@ def _scene(wanted: WantedScene, run: SimulationRun) -> Scene:
 
 
 def _spectra(run: SimulationRun, chunk: Chunk) -> dict[str, NDArray]:
-    """Sum the second moments of photon spectra over scenes: "power", (illuminant, wavelength, wavelength)."""
+    """Sum the second moments of photon spectra over scenes.
+
+    Returns one array named "power", with the shape (illuminant, wavelength, wavelength).
+    """
     power = np.zeros((len(run.recipe.illuminants), run.camera.wavelength.size, run.camera.wavelength.size))
     for _, wanted in chunk:
         scene = _scene(wanted, run)

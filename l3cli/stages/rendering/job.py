@@ -65,7 +65,7 @@ class Job:
     light_mix: Mix | None  # mixture of the table's illuminants for a white that the user has set
     rendition: Rendition
     scheduler: "Scheduler | None"
-    checkpoint: PictureCheckpoint | None  # None if the output cannot be continued, such as a stream or a single picture
+    checkpoint: PictureCheckpoint | None  # None for outputs that cannot be resumed, such as streams and single pictures
     files: FilesUsed
     options: RenderOptions
 
