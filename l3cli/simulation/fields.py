@@ -29,7 +29,7 @@ SLOW = 1 / 16  # cycles per pixel; above this frequency, a piece has the same po
 PINK = ((0.3, 0.9, 1.0), (0.8, 1.3, 1.0), (1.6, 1.6, 1.0), (1.0, 1.0, 1.0), (0.6, 0.6, 1.0), (1.1, 1.1, 4.0))
 BLOTCHES, STRIPES = len(PINK), len(PINK) + 1  # indices of the last two textures, after the textures in PINK
 TEXTURES = len(PINK) + 2
-WIDEST = 1024  # largest side of a piece in samples, a power of two
+WIDEST = 1024  # largest side of a piece in samples, a power of two; leaves are at most 400 samples wide
 Array = NDArray[np.floating]
 
 PATTERN_FREQUENCIES = {"grating": 0.4, "lattice": 0.35, "lettering": 0.25}  # relative frequency of each kind of pattern
