@@ -2,8 +2,9 @@
 
 Most patches from scenes are textured. A class trained only on textures infers colour from detail, and renders uniform areas
 in wrong colours. Each class for uniform areas is therefore also trained on measured surfaces with the chroma of the class.
-Each surface is used at several saturations, both bare and mixed with titanium white. White and grey paints are added because
-they are common in man-made scenes.
+Classes with a direction are trained on the same surfaces, mostly with a small weight. Each surface is used at several
+saturations, both bare and mixed with titanium white. White and grey paints are added because they are common in man-made
+scenes.
 
 Some chromas occur only in stripes with the period of the CFA. Classes with these chromas are trained to render grey
 (docs/method.md#stripes).

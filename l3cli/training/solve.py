@@ -123,6 +123,9 @@ UNIFORM_WEIGHT = 0.2
 # the chroma of white and falls to 0 away from white (docs/method.md#uniform-surfaces).
 NOISE_FADES = 1000.0
 WHITE_FADES = 2000.0
+# Weight of uniform surfaces in classes with a direction, relative to classes without a direction, if the rule has several
+# chromas. A larger weight makes dark pictures worse (docs/notebook.md#surfaces-in-classes-with-a-direction).
+DIRECTED_SURFACES = 0.01
 CLASSES_AT_ONCE = 64  # number of classes in a batch of linear systems
 
 
@@ -286,10 +289,10 @@ def _averaged(
 def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Array | None) -> dict[int, Array]:
     """Return moments of extra training patches, for unsaturated classes of the lowest contrast.
 
-    Classes without a direction are trained on uniform surfaces. If the rule has only one chroma, classes with a direction
-    are too, because textured surfaces must keep their colour. With several chromas, this would degrade test charts. Classes
-    of chromas that occur only in stripes are trained on stripes, whatever their direction. The dict is empty if the goal
-    contains no surfaces, or if `white` (from `white_channels`) was not computed from the camera model.
+    These classes are trained on uniform surfaces, because textured surfaces must keep their colour. In classes with a
+    direction, the surfaces have the weight `DIRECTED_SURFACES`, unless the rule has only one chroma. Classes of chromas that
+    occur only in stripes are trained on stripes, whatever their direction. The dict is empty if the goal contains no
+    surfaces, or if `white` (from `white_channels`) was not computed from the camera model.
     """
     if goal.surfaces is None or white is None or goal.white_signal is None or not np.array_equal(white, goal.white_signal):
         return {}
@@ -297,9 +300,10 @@ def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Arr
     levels = np.arange(rule.levels)
     every = np.arange(rule.combinations)[:, None]  # a pixel near a uniform area's border may have a direction
     trained: dict[int, Array] = {}
+    directed = 1.0 if rule.chromas == 1 else DIRECTED_SURFACES
     for chroma, each in plain.items():
-        combinations = every if rule.chromas == 1 else 0
-        trained |= dict.fromkeys(np.ravel(rule.join(levels, 0, chroma, combination=combinations)).tolist(), each)
+        trained |= dict.fromkeys(rule.join(levels, 0, chroma).tolist(), each)
+        trained |= dict.fromkeys(np.ravel(rule.join(levels, 0, chroma, combination=every[1:])).tolist(), directed * each)
     for chroma, each in goal.surfaces.moments_of_stripes(rule, window).items():
         trained |= dict.fromkeys(np.ravel(rule.join(levels, 0, chroma, combination=every)).tolist(), each)
     return trained
