@@ -217,9 +217,10 @@ def test_options_have_names_types_and_ranges(tmp_path: Path) -> None:
     assert "\nwhite : str, optional\n    " in text
     assert "\nblack_level : float, 0…65535 DN, optional\n    " in text
     assert "\ndark : str, path or sequence of str or path, optional\n    " in text
-    for function in (l3.calibrate, l3.simulate, l3.train, l3.render, l3.evaluate):
-        documented = set(re.findall(r"^(\w+) : \S", inspect.getdoc(function) or "", re.MULTILINE))
-        assert inspect.signature(function).parameters.keys() <= documented
+    stages: tuple[Callable[..., Any], ...] = (l3.calibrate, l3.simulate, l3.train, l3.render, l3.evaluate)
+    for stage in stages:
+        documented = set(re.findall(r"^(\w+) : \S", inspect.getdoc(stage) or "", re.MULTILINE))
+        assert inspect.signature(stage).parameters.keys() <= documented
     same = RenderOptions(exposure="+1EV", frames="1-5x2", fps=29.97002997, phase=(1, 0), dark=tmp_path, shard=(1, 4))
     assert same == RenderOptions(
         exposure=Exposure(None, 1.0), frames=range(1, 6, 2), fps="30000/1001", phase="1,0", dark=[tmp_path], shard="1/4"

@@ -103,12 +103,12 @@ def test_all_values_of_a_virtual_lab_are_right_within_their_uncertainty(bayer: C
     assert fit.dark_pattern is not None
     assert fit.response_pattern is not None
     fine = fit.dark_pattern.frequency > 0.1  # the response contains the shading of the lens at low frequencies
-    for spectrum, pixels, line in (
+    for spectrum, pixels, line_noise in (
         (fit.dark_pattern.horizontal_spectrum, noise.dsnu, noise.column_noise),
         (fit.dark_pattern.vertical_spectrum, noise.dsnu, noise.row_noise),
         (fit.response_pattern.horizontal_spectrum, noise.prnu, noise.column_prnu),
         (fit.response_pattern.vertical_spectrum, noise.prnu, noise.row_prnu),
     ):
         # The mean power of a spectrum of white noise has the relative error of the variance of the lines.
-        assert (spectrum[fine] ** 2).mean() == pytest.approx(pixels**2 + line**2, rel=0.2)
+        assert (spectrum[fine] ** 2).mean() == pytest.approx(pixels**2 + line_noise**2, rel=0.2)
     assert rows["saturation capacity (e⁻)"] == pytest.approx(min(noise.well_capacity, true.full_scale), rel=0.03)
