@@ -18,7 +18,7 @@ FACTOR = 1.5  # largest plausible ratio between signals per second under the sam
 # Largest plausible ratio between the responses to charts and to the monochromator. The limit is high, because the light of a
 # monochromator fills the frame differently.
 SCALE = 3.0
-STEP = 3.0  # largest plausible ratio between the response in a monochromatic capture and in both neighbouring captures
+STEP = 3.0  # a response that differs from both neighbouring responses by more than this factor is implausible
 # As STEP, but for the first and the last capture, which are compared with the nearest capture and with an extrapolation from
 # the two nearest captures
 END = 20.0

@@ -144,8 +144,10 @@ def _interpolated_by(entry: EntryPoint, method: Callable[[Array], Array], mosaic
     with blamed(entry):
         planes = np.asarray(method(mosaic), np.float64)
         shape = (int(cfa.max()) + 1, *mosaic.shape)
-        if planes.shape != shape or not np.isfinite(planes).all():
-            raise ValueError(f"the result has the shape {planes.shape}; return finite values with the shape {shape}")
+        if planes.shape != shape:
+            raise ValueError(f"the result has the shape {planes.shape}; return an array with the shape {shape}")
+        if not np.isfinite(planes).all():
+            raise ValueError("the result contains NaN or infinite values; return finite values")
     return planes
 
 

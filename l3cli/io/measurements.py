@@ -103,7 +103,7 @@ class MeasurementFiles:
         for file, before in self.stamps.items():
             if stamp(file) != before:
                 raise InputFileError(
-                    f"{file} has changed since l3 read it; run the command again when no other program writes to the file"
+                    f"{file} changed while l3 was running; run the command again when no other program writes to it"
                 )
         return Stage("calibrate", options, self.recipe, digests)
 

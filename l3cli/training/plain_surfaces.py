@@ -140,7 +140,8 @@ BARE = 2  # number of copies of each surface without titanium white; there are s
 GREYS = np.geomspace(0.03, 0.95, 12)  # reflectances of white and grey paints
 GREY_SHARE = 100.0  # total weight of the paints within a chroma, relative to all other surfaces
 OF_WHITE = 3.0  # extra weight of the chroma of white, where a colour cast is most visible
-NEAR_WHITE = 0.2  # typical distance of noisy dark greys from white, relative to the mean channel fraction
+# Typical distance of the chroma of noisy dark greys from the chroma of white, in units of 1 / number of channels
+NEAR_WHITE = 0.2
 MIN_SURFACES = 4  # smallest number of surfaces per channel for which a chroma is trained
 SAME_WHITE = 0.005  # relative tolerance of the white's X, Y, Z, because different wavelength grids change them slightly
 

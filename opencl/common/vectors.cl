@@ -64,8 +64,8 @@ INLINE bool any_lane(ints mask) {
 #define LOAD_GLOBAL(type, p) (*(__global const type##_unaligned *)(p))
 #define STORE_GLOBAL(type, p) (*(__global type##_unaligned *)(p))
 
-// Kernels with one work-item per group only call a function that does the work. PoCL compiles each kernel three times (once as written, and
-// twice in the code that starts work-groups), but the function only once.
+// A kernel with one work-item per group only calls a function, which does the work. PoCL compiles each kernel three times (once as written,
+// and twice in the code that starts work-groups), but compiles the function only once.
 #define COMPILED_ONCE static __attribute__((noinline)) void
 #define KERNEL_OF_ONE __kernel __attribute__((reqd_work_group_size(1, 1, 1))) void
 #define GROUP_COLUMN ((int)get_group_id(0) * TILE)  // first column of the tile
@@ -87,8 +87,8 @@ INLINE bool any_lane(ints mask) {
     else WRITE_FIRST(float, floats, to, value, count); \
 } while (0)
 
-// Prefetches the cache line at p, which is read one row later, because processors do not predict where the next row of a tile begins. One
-// line is prefetched per LANES pixels, because many simultaneous prefetches would delay one another.
+// Prefetches the cache line at p, which is needed for the next row. Processors do not predict where the next row of a tile begins. One line
+// is prefetched per LANES pixels, because many simultaneous prefetches would delay one another.
 #ifdef __NVPTX__ // NVIDIA's compiler rejects the address space, and graphics cards hide the latency themselves
 #define FETCH(p)
 #else

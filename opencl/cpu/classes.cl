@@ -50,7 +50,7 @@ INLINE void see_nothing(Seen *seen) {
 // Number of columns that a tile reads, rounded up to whole vectors.
 INLINE int span_of(int width) { return WHOLE(WHOLE(width, LANES) + 2 * RADIUS, 2 * LANES); }
 
-// Adds padded row k of the tile at (y0, x0) to the statistics. The frame contains `width` columns of the tile.
+// Adds padded row k of the tile at (y0, x0) to the statistics. Only the first `width` columns of the tile lie inside the frame.
 INLINE void see_row(Seen *seen, int k, int x0, int y0, int width, int phase_row, int phase_column, int columns, CLASSES_PARAMETERS) {
     const int span = span_of(width), padded_phase = PADDED_PHASE(x0, phase_column, CFA_COLUMNS);
     // The slot after the newest row contains the row that leaves the patch, or zeros before the first patch is complete.

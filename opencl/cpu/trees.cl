@@ -109,9 +109,13 @@ INLINE void look(Evidence *e, const Columns *c, const Products *middle, uints tu
 // passes a test, the leaves below the test's first branch are excluded. The pixel's leaf is the first one that remains. Parts are found in the
 // same way, 32 at a time.
 //
-// `tests` contains five arrays: where the tests for each group of 32 parts begin, where the tests within each part begin, the end of the last
-// test, the first leaf of each part, and the tests. A test has three words: the bits of its threshold, the indices of its numerator and (from
-// bit 8) denominator, and the leaves or parts that it excludes. Products and comparisons in float32 are the same on every device.
+// `tests` contains these arrays in turn:
+// 1. the index of the first test of each group of 32 parts
+// 2. the index of the first test within each part, and the end of the last test
+// 3. the first leaf of each part
+// 4. the tests
+// A test has three words: the bits of its threshold, the indices of its numerator and (from bit 8) its denominator, and a mask of the leaves
+// or parts that it excludes. Tests use only products and comparisons in float32, so every device finds the same leaf.
 #define WORDS ((PARTS + 31) / 32)
 #define AT_ONCE 2  // vectors of pixels that are processed together, so that each test is read once for all of them
 

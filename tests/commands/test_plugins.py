@@ -71,7 +71,7 @@ def test_the_noise_model_of_the_page_is_simulated(installed: Path, pipeline: Pat
     ("old", "new", "words"),
     [
         ("return np.array(planes)", "return np.array(planes[:2])", "the result has the shape (2, "),
-        ("return np.array(planes)", "return np.array(planes) * np.nan", "return finite values with the shape (3, "),
+        ("return np.array(planes)", "return np.array(planes) * np.nan", "NaN or infinite values; return finite values"),
         (
             "size = 2",
             "raise RuntimeError('no array')\n    size = 2",

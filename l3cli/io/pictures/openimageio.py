@@ -143,7 +143,7 @@ def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
     """
     spec.attribute("DateTime", "")  # no timestamp, so that equal inputs result in equal bytes
     with open(os.memfd_create("picture"), "rb", buffering=0) as memory:
-        sink = oiio.ImageOutput.create(f"picture{Path(name).suffix}")  # `name` may not be valid UTF-8
+        sink = oiio.ImageOutput.create(f"picture{Path(name).suffix}")  # `name` might not be valid UTF-8
         if sink is None:
             raise L3Error(f"{name} cannot be encoded: {oiio.geterror().strip()}; choose another file format")
         written = sink.open(f"/proc/self/fd/{memory.fileno()}", spec) and sink.write_image(np.ascontiguousarray(pixels))
