@@ -95,7 +95,8 @@ def estimate_drift(
 
 
 def _deviation(factors: Array, covariance: Array, declared: float) -> float | None:
-    """Estimate the standard deviation of the drift. Returns None if the declared drift explains the disagreements.
+    """Estimate the standard deviation of the drift. Returns None if the declared drift explains the differences
+    between measured and predicted signals.
 
     `factors` contains ln(measured / predicted signal) for all charts and channels. `covariance` is the covariance of these
     logarithms for a drift with a standard deviation of 1.

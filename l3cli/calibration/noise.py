@@ -249,10 +249,9 @@ def fixed_line_noise(
 ) -> LineNoise:
     """Estimate fixed row or column noise in a mean frame (docs/method.md#row-and-column-noise).
 
-    Without fixed line noise, the lines of the mean frame have an expected mean square, which is the mean square of the
-    pixels plus the temporal line noise that remains after averaging. The noise is significant if the ratio between the
-    measured and the expected mean square is so large that it has a probability of at most `CHANCE`, according to the F
-    distribution.
+    If there is no fixed line noise, the expected mean square of the lines is the mean square of the pixels plus the temporal
+    line noise that remains after averaging. The line noise is significant if an F test at the level `CHANCE` rejects this
+    hypothesis.
 
     Parameters
     ----------

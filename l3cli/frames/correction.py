@@ -230,7 +230,10 @@ class HotTest:
         return replace(frame, values=plan_correction(hot, cfa).corrected(frame.values))
 
     def _suspects(self, frame: RawFrame) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the rows and columns of pixels that exceed all neighbours by more than MIN_EXCESS times the dark noise."""
+        """Return the rows and columns of pixels that are much brighter than all eight neighbours of the same CFA site.
+
+        The difference exceeds MIN_EXCESS times the standard deviation of the dark noise.
+        """
         values, (down, across) = frame.values, self.period
         brightest = np.zeros_like(values)  # maximum of the left and right neighbours
         np.maximum(brightest[:, across:], values[:, :-across], out=brightest[:, across:])

@@ -219,8 +219,8 @@ def _plain(patches: _Patches, camera: CameraModel, gain: float, excess: float) -
 def _energies(whitened: Array, patches: _Patches) -> tuple[Array, Array, int]:
     """Split the variation within each patch into weak components (noise) and strong components (texture).
 
-    The components are the eigenvectors of the pixel covariance, without the channel means. So that a patch does not
-    influence its own components, they are estimated from one half of the patches and applied to the other half.
+    The components are the eigenvectors of the pixel covariance, without the channel means. They
+    are estimated from one half of the patches and applied to the other half, so no patch influences its own components.
 
     Returns
     -------

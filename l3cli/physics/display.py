@@ -38,7 +38,10 @@ def daylight() -> Array:
 
 
 def display_white() -> Array:
-    """Return the XYZ (3,) of display white according to the rounded sRGB matrix, which is D65 to four digits."""
+    """Return the tristimulus values (3,) of display white.
+
+    They are computed from the rounded sRGB matrix, and equal D65 to four digits.
+    """
     return np.linalg.solve(SRGB_FROM_XYZ, np.ones(3))
 
 

@@ -14,7 +14,10 @@ def tiled(pattern: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
 
 
 def shifted_cfa(cfa: NDArray[np.uint8], phase: tuple[int, int]) -> NDArray[np.uint8]:
-    """Shift a CFA so that it starts with the site `phase` = (row, col) of a frame's first pixel."""
+    """Shift a CFA cyclically, so that the site at `phase` becomes its first site.
+
+    `phase` is the CFA row and column of a frame's first pixel. The result is then the CFA of the frame.
+    """
     return np.roll(cfa, (-phase[0], -phase[1]), axis=(0, 1))
 
 

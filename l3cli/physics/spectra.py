@@ -400,7 +400,7 @@ def at_luminance(radiance: Array, wavelength: Array, luminance: float) -> Array:
 
 
 def white_point(name: str) -> NDArray[np.float64]:
-    """Return the XYZ (3,) of a perfect white under a named illuminant, with Y = 1.
+    """Return the white point of a named illuminant, as tristimulus values (3,) with Y = 1.
 
     Raises RecipeError if the name is invalid.
     """

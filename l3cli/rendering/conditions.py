@@ -371,7 +371,7 @@ class NoiseSets:
         return self._joined(("weights", "intercept", "fraction"), [fixed_point(table) for table in self.tables])
 
     def refinement_rules(self, number: int) -> tuple[PlaneRule, ...]:
-        """Return each set's class rule for refinement layer `number` (from 0)."""
+        """Return each table's class rule for refinement layer `number`, counted from 0."""
         return tuple(table.later[number].rule for table in self.tables)
 
     @staticmethod

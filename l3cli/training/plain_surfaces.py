@@ -349,7 +349,8 @@ def output_gains(moments: Array, window: NDArray[np.int64]) -> Array | None:
 
 
 def single_bands(moments: Array, window: NDArray[np.int64], gains: Array) -> Array:
-    """Compute the moments of uniform patches in which each band varies independently around a class's mean colour.
+    """Compute the moments of spatially uniform patches whose bands vary independently, from patch to patch, around the mean
+    colour of a class.
 
     Each band's standard deviation is `BAND_DEVIATION` times its mean. The patches have the same total weight as the class's
     training patches.

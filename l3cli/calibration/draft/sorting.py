@@ -294,7 +294,7 @@ class Spectra:
 
     @property
     def has_patches(self) -> bool:
-        """Whether the table has one column per patch of a ColorChecker."""
+        """Whether the table has one column per patch of a ColorChecker, and most columns are not narrow-band."""
         return len(self.table.values) == PATCHES and not self.narrow
 
 
