@@ -33,11 +33,11 @@ class Nonuniformity:
         "float64", "pattern_column", unit="pixel", doc="position of the profile", coordinate=True
     )
     horizontal_profile: NDArray[np.float64] = data(
-        "float64", "pattern_profile", "column", doc="mean, minimum and maximum over all rows, and the middle row"
+        "float64", "pattern_profile", "pattern_column", doc="mean, minimum and maximum over all rows, and the middle row"
     )
     row: NDArray[np.float64] = data("float64", "pattern_row", unit="pixel", doc="position of the profile", coordinate=True)
     vertical_profile: NDArray[np.float64] = data(
-        "float64", "pattern_profile", "row", doc="mean, minimum and maximum over all columns, and the middle column"
+        "float64", "pattern_profile", "pattern_row", doc="mean, minimum and maximum over all columns, and the middle column"
     )
     histogram_edge: NDArray[np.float64] = data("float64", "pattern_edge", doc="edges of the histogram", coordinate=True)
     histogram_count: NDArray[np.int64] = data("int64", "pattern_bin", doc="number of pixels in each bin of the histogram")

@@ -276,7 +276,7 @@ def test_forty_full_disks(stage: Stage, small_disks: ForkServer, truth: Callable
 def test_a_read_only_folder_is_one_line(stage: Stage, small_disks: ForkServer) -> None:
     ended = small_disks.run(*stage.arguments, disk="ro")
     assert (ended.code, ended.out, ended.err.count("\n"), ended.left) == (1, "", 1, {})
-    assert "out cannot be written to" in ended.err
+    assert "out is not writable" in ended.err
 
 
 def test_what_is_no_file_is_never_replaced(inputs: Path, tmp_path: Path, refused: Refused) -> None:

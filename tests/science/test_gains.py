@@ -86,8 +86,8 @@ def test_a_recipe_names_gains(tmp_path: Path, l3: L3) -> None:
     assert equal(load(CameraModel, tmp_path / "camera.h5"), camera)
     for keys, words in (
         ("gains = [2.0]", "has 1 values, but gain.read_noise_e has 0"),
-        ("gains = [1.0]\nread_noise_e = [1.0]", "contains 1, whose read noise is noise.read_noise_e"),
-        ("gains = [2.0, 2.0]\nread_noise_e = [1.0, 1.0]", "contains 2 twice"),
+        ("gains = [1.0]\nread_noise_e = [1.0]", "contains 1, for which noise.read_noise_e already applies"),
+        ("gains = [2.0, 2.0]\nread_noise_e = [1.0, 1.0]", "contains 2 more than once"),
         ("read_noise_before_e = 1000.0", "must not exceed noise.read_noise_e"),
         ("iso = -1", "gain.iso is -1"),
     ):

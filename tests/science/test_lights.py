@@ -182,7 +182,7 @@ def test_lights_of_other_classes_are_refused() -> None:
     narrow = dataclasses.replace(cool.later[0], weights=cool.later[0].weights[:, :, :3])
     for message, fields in (
         ("conditions/1 has 1 layers, but the table has 2", {"later": ()}),
-        ("the transforms of conditions/1/later/0 and later/0 have different shapes", {"later": (narrow,)}),
+        ("the weights in conditions/1/later/0 have the shape", {"later": (narrow,)}),
         ("conditions must be grouped by illuminant", {"light": warm.light}),
     ):
         with pytest.raises(ValueError, match=message):
