@@ -24,7 +24,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, TrainingSetReader
 from l3cli.errors import DeviceError, L3Error
 from l3cli.io.frames import raw_content
-from l3cli.io.raw.cfa_codes import FREE_CODE, LETTERS, written
+from l3cli.io.raw.cfa_codes import letter_of, written
 from l3cli.io.raw.files import BY_SUFFIX, format_of
 from l3cli.options.commands import BenchOptions
 from l3cli.rendering import benchmark
@@ -96,7 +96,7 @@ def raw_frame(file: Path) -> dict[str, Any]:
         "white_level": white,
         "saturated": None if white is None else float((values >= white).mean()),
         "filter_array": None if pattern is None else written(pattern),
-        "neutral": None if neutral is None else {_colour(code): signal for code, signal in neutral.tolist()},
+        "neutral": None if neutral is None else {letter_of(int(code)): signal for code, signal in neutral.tolist()},
         "exposure_time": content.get("exposure") or None,
         "baseline_exposure": content.get("baseline_exposure") or None,
         "camera": _camera_name(content.get("camera", [])),
@@ -115,10 +115,6 @@ def _camera_name(names: list[str]) -> str | None:
         " ".join(name for name in dict.fromkeys(names) if not any(name != other and name in other for other in names))
         or None
     )
-
-
-def _colour(code: float) -> str:
-    return LETTERS[int(code)].lower() if code < FREE_CODE else f"({int(code)})"
 
 
 @dataclass(frozen=True)

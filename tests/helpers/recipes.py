@@ -23,6 +23,18 @@ source = "composition"
 size = [160, 240]
 seed = 5
 """
+THREE_SCENES = """
+[[scene]]
+source = "composition"
+size = [320, 480]
+seed = 7
+[[scene]]
+source = "dead leaves"
+size = [320, 480]
+[[scene]]
+source = "surfaces"
+size = [320, 480]
+"""
 CLASSES = "[classes]\npatch = 5\nlevels = 8\nchromas = 3\n[learning]\npatches = 5000\ndraws = 4\n"
 FEW_CLASSES = "[classes]\npatch = 5\nlevels = 4\nchromas = 1\n[learning]\npatches = 300\nfirst_draws = 0\n"
 SMALL = {

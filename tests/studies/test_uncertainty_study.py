@@ -26,22 +26,11 @@ from l3cli.rendering.renderer import make_renderer
 from l3cli.rendering.uncertainty import uncertainty
 from l3cli.simulation.sensor import expose, mosaic
 from tests.helpers.paths import CONFIGS
+from tests.helpers.recipes import THREE_SCENES
 
 FRAMES, MAPS, BORDER, LEAST = 200, 4, 12, 10_000
 SHARES = (0.25, 0.03)
-SCENES = """
-exposure_share = [0.9]
-[[scene]]
-source = "composition"
-size = [320, 480]
-seed = 7
-[[scene]]
-source = "dead leaves"
-size = [320, 480]
-[[scene]]
-source = "surfaces"
-size = [320, 480]
-"""
+SCENES = f"exposure_share = [0.9]\n{THREE_SCENES}"
 Ratios = dict[tuple[str, int], NDArray[np.floating]]  # (output) of each class by axis and number
 
 

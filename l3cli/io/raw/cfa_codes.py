@@ -148,7 +148,11 @@ def _fits(ours: NDArray[np.uint8], theirs: NDArray[np.integer], channels: Sequen
     return one_to_one and all(code_of(channels[channel]) in (None, code) for channel, code in pairs)
 
 
+def letter_of(code: int) -> str:
+    """Return the letter of a colour code, such as "r". Codes without a letter are written as (7), (8), …"""
+    return LETTERS[code].lower() if code < FREE_CODE else f"({code})"
+
+
 def written(pattern: NDArray[np.integer]) -> str:
-    """Format a pattern of colour codes, for example as rg/gb. Codes without a letter are written as (7), (8), …"""
-    rows = [[LETTERS[code].lower() if code < FREE_CODE else f"({code})" for code in row] for row in pattern.tolist()]
-    return "/".join("".join(row) for row in rows)
+    """Format a pattern of colour codes, for example as rg/gb."""
+    return "/".join("".join(map(letter_of, row)) for row in pattern.tolist())

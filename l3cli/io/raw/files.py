@@ -43,16 +43,16 @@ LONGEST = 1e5  # longest plausible exposure time in s
 
 @dataclass(frozen=True)
 class RawFormat:
-    """A raw file format."""
+    """A raw file format, and what its reader can do."""
 
     suffixes: tuple[str, ...]  # file suffixes in lower case, with the period
-    module: str  # module in this folder that reads the format
+    module: str  # name of the module in this folder that reads the format
     what: str = ""  # name of the format, for the table in docs/raw-files.md
     read_as: str = ""  # what l3 reads from the file, for the table in docs/raw-files.md
-    holds_frame: bool = True  # whether a file can be a single frame; if False, every file is read as a sequence
+    holds_frame: bool = True  # whether a file can be read as a single frame; if False, every file is a sequence
     stackable: bool = False  # whether a file may contain several frames
     isolated: bool = True  # whether files are decoded in the isolated process
-    has_plain: bool = False  # whether the module defines `is_plain`
+    has_plain: bool = False  # whether the module defines `is_plain`, because some files need no isolation
     wants_geometry: bool = False  # whether `read` and `stack` need the layout of a headerless file
     wants_dataset: bool = False  # whether `stack` needs the name of a dataset in the file
     has_rate: bool = False  # whether a file with one frame may contain the frame rate of its sequence
@@ -157,12 +157,12 @@ def is_frame(path: Path) -> bool:
 
 
 def is_photo(path: Path) -> bool:
-    """Return whether a file is a DNG file or a camera raw, according to its suffix. Such files name the camera model."""
+    """Return whether the suffix of a file is that of a DNG file or of a camera raw, which both name the camera model."""
     return path.suffix.lower() in PHOTOS
 
 
 def are_photos(path: Path) -> bool:
-    """Return whether a path is a DNG file or camera raw, according to its suffix, or a folder that contains such a file."""
+    """Return whether a path is a photo (`is_photo`), or a folder that contains at least one photo."""
     return is_photo(path) or (path.is_dir() and any(map(is_photo, path.iterdir())))
 
 
@@ -411,9 +411,11 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
 
 
 def _misread(content: RawContent, table: Sensor, phase: NDArray[np.integer]) -> str:
-    """Return the option with which a headerless file would decode to a much smoother frame, or "" if there is none.
+    """Find out whether the layout of a headerless file is probably wrong.
 
-    `phase` contains the CFA row and column of the first stored pixel, which may be a masked pixel.
+    Returns the option that selects a more plausible layout, for example another packing, or "" if the current layout is
+    plausible. A layout is more plausible if the frame becomes much smoother. `phase` is the CFA row and column of the first
+    pixel in the file, which may be a masked pixel.
     """
     first = int(phase[0]), int(phase[1])
     return smoother_reading(content["readings"](), shifted_cfa(table.cfa, first)) if "readings" in content else ""
