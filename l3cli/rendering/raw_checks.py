@@ -278,7 +278,7 @@ def _below_black(frame: RawFrame) -> str:
     if not share:
         return ""
     return (
-        f"{share:.0%} of the pixels are below {BELOW * frame.black_level:.0f} DN, although the black level is "
+        f"{share:.0%} of the pixels have values less than {BELOW * frame.black_level:.0f} DN, although the black level is "
         f"{frame.black_level:g} DN; if the black level was already subtracted or the bit depth is different, set "
         "‹black_level› and ‹white_level›"
     )

@@ -256,14 +256,14 @@ def _fields(path: Path) -> dict[str, str]:
     # Check the first bytes, because for a large data file, the error from `read_bounded` would be misleading.
     with open_regular(path, "use the .hdr file") as stream:
         if b"ENVI" not in stream.read(64):
-            raise InputFileError(f"{path} is not an ENVI header; use the .hdr file of the cube")
+            raise InputFileError(f"{path} is not an ENVI header; give the .hdr file of the cube")
     content = read_bounded(path)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = content.decode("latin-1")
     if not text.lstrip().startswith("ENVI"):
-        raise InputFileError(f"{path} is not an ENVI header; use the .hdr file of the cube")
+        raise InputFileError(f"{path} is not an ENVI header; give the .hdr file of the cube")
     lines = [line for line in text.splitlines() if not line.lstrip().startswith(";")]  # a semicolon starts a comment
     fields, at = {}, 0
     while at < len(lines):
