@@ -678,8 +678,8 @@ def make_large(path: Path) -> None:
     [
         (lambda folder: (folder / "scene.img").unlink(), "beside the header"),
         (lambda folder: (folder / "scene.img").write_bytes(b"x"), "use the whole file"),
-        (lambda folder: (folder / "scene.hdr").write_text("#?RADIANCE"), "use the .hdr file"),
-        (lambda folder: make_large(folder / "scene.hdr"), "use the .hdr file"),
+        (lambda folder: (folder / "scene.hdr").write_text("#?RADIANCE"), "give the .hdr file"),
+        (lambda folder: make_large(folder / "scene.hdr"), "give the .hdr file"),
         (lambda folder: written(folder, TRUTH.astype("<f4"), drop="lines"), "use a complete ENVI header"),
     ],
 )
