@@ -40,6 +40,8 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
     With --exposure auto, the 99th percentile of Y is rendered as white. In a sequence, the exposure changes smoothly over
     time.
 
+    If --skip-bad skips a frame, the exit code is 1.
+
     \b
     Example: l3 render table.h5 frame.dng -o picture.png
     """

@@ -25,6 +25,8 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
 
     SCENES.toml is a recipe, or the name of a recipe that comes with l3, such as default or small.
 
+    If --skip-bad skips a scene file, the exit code is 1.
+
     \b
     Example: l3 simulate scenes.toml --camera camera.h5 -o training.h5
     """

@@ -90,7 +90,7 @@ class SimulateOptions(ForceOptions, WorkerOptions, SeedOptions):
     )
     skip_bad: bool = option(
         False,
-        "Skip scene files that have no readable header or do not fit the sensor. The exit code is 1 if a file is skipped.",
+        "Skip scene files that have no readable header or do not fit the sensor, and list them.",
         bytes=False,
     )
 

@@ -285,7 +285,7 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
         metavar="I/N",
         bytes=False,
     )
-    skip_bad: bool = option(False, "Skip missing and damaged frames. The exit code is 1 if a frame is skipped.", bytes=False)
+    skip_bad: bool = option(False, "Skip missing and damaged frames, and list them.", bytes=False)
     resume: bool = option(
         False,
         "Continue an interrupted run on a sequence of pictures. With several clips, render only new or changed clips.",

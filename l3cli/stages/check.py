@@ -9,6 +9,7 @@ import contextlib
 import itertools
 import os
 import re
+import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -27,6 +28,7 @@ from l3cli.io.file_names import find_scenes
 from l3cli.io.measurement_check import measurement_faults, measurement_lines, measurement_summary
 from l3cli.io.measurement_recipe import CorrectionRecipe, MeasurementRecipe
 from l3cli.io.measurements import measurements_of
+from l3cli.io.raw.files import BY_SUFFIX
 from l3cli.recipes.builtin import known_benchmarks, known_recipes
 from l3cli.recipes.faults import LISTED_FAULTS, Fault, about_others, fault, typed
 from l3cli.recipes.key_lines import key_lines, line_of
@@ -402,6 +404,9 @@ def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
         text = read_text(path, "a recipe or a measurement file")
         content = parse_toml(text, str(path))
     except L3Error as error:
+        if path.suffix.lower() in BY_SUFFIX:
+            message = f'is not a recipe; describe the file with "l3 info {shlex.quote(str(path))}"'
+            return Judgement(path, None, (Finding(1, "", message),))
         message = str(error).removeprefix(f"{path} ").removeprefix(f"{path}: ")
         at = SYNTAX.search(message)
         return Judgement(path, None, (Finding(int(at[1]) if at else 1, "", message),))
