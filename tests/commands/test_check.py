@@ -328,6 +328,17 @@ def test_files_of_other_kinds(content: bytes, line: int, what: str, tmp_path: Pa
     assert [found[1] for found in noted(out) if what in found[2]] == [line]
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "described"),
+    [("raw.dng", b"II*\0\x08\0\0\0", True), ("camera.h5", b"\x89HDF\r\n", True), ("notes.txt", b"\xff\xfe", False)],
+)
+def test_binary_files_are_described_by_info(name: str, content: bytes, described: bool, tmp_path: Path, l3: L3) -> None:
+    (tmp_path / name).write_bytes(content)
+    code, out, _ = l3("check", tmp_path / name)
+    assert code == 3
+    assert (f"l3 info {tmp_path / name}" in out) == described
+
+
 CORRECTIONS = """base = "camera.toml"
 [[dark]]
 frames = ["dark1.npy", "dark2.npy"]
