@@ -52,7 +52,9 @@ class DefectMap:
         doc="row and column of each defective pixel; each pixel occurs once",
     )
     pixel_kind: tuple[str, ...] = data(
-        "str", "bad_pixel", doc="type of each defect: hot, dead, row or column; row and column: the whole line is defective"
+        "str",
+        "bad_pixel",
+        doc="type of each defect: hot, dead, blinking, row or column; row and column: the whole line is defective",
     )
 
     def __post_init__(self) -> None:

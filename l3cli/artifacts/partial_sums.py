@@ -1,7 +1,8 @@
 """Partial sums: the normal equations from one shard's training frames.
 
-A file contains the sums of one layer, separately for each canonical site and class. The layer is the first layer
-(docs/method.md#exact-sums) or a refinement layer (docs/method.md#layers).
+A file contains the sums of one layer, separately for each canonical site and class. A canonical site represents all CFA
+sites that are symmetric to it. The layer is the first layer (docs/method.md#exact-sums) or a refinement layer
+(docs/method.md#layers).
 """
 
 import contextlib

@@ -239,7 +239,7 @@ class TransformTable(Artifact):
         """Return a table with only the outputs that are needed to render pictures.
 
         Outputs in addition to X, Y, Z are removed. A single output Y is repeated three times (GREY). Other tables stay
-        unchanged, including those with refinement layers, which need all outputs of the first layer.
+        unchanged. Tables with refinement layers never change, because these layers need all outputs of the first layer.
         """
         grey = self.outputs == LUMINANCE
         if self.later or not (grey or (self.outputs[:3] == ("X", "Y", "Z") and len(self.outputs) > 3)):

@@ -2,9 +2,8 @@
 
 Its steps are white balance, demosaicking and a colour matrix.
 
-Each channel clips at its own full scale, so clipped highlights can be coloured. Clipping all channels as soon as the first
-one clips would make highlights neutral, but increase the colour error of faces by 0.6 ΔE00 (mean over three light levels). A
-baseline should be as good as possible, so the pipeline does not do this.
+Each channel clips at its own full scale, so clipped highlights can be coloured. Clipping all channels together would make
+highlights neutral, but would increase the colour error of faces by 0.6 ΔE00 (mean over three light levels).
 """
 
 from collections.abc import Callable
@@ -26,12 +25,10 @@ Merge = Callable[[Array, TrainingPair, CameraModel, Array], Array]
 CLIPPED = 0.985  # raw values at or above this fraction of full scale count as clipped
 TOUCHED = 0.02  # interpolated values count as clipped if clipped raw values contribute more than this fraction
 # Ridge parameter, relative to the mean square of the channel differences. Larger values reduce noise but increase colour
-# errors. This one increases the colour error of a chart by 1.7 ΔE.
+# errors. This value increases the colour error of a chart by 1.7 ΔE.
 RIDGE = 0.05
 BLIND = 1e-6  # channels with a response to white below this fraction of the largest response are ignored
-# First and last wavelengths of the CIE observers in nm, with the function that extends them to the range of cameras, and the
-# index of this end in an array of wavelengths.
-ENDS = ((min, 360.0, 0), (max, 830.0, -1))
+OBSERVED = (360.0, 830.0)  # nm; wavelength range of the CIE observers
 UNNAMED = ("A", "D50", "D55", "D65", "D75", "E", "FL2", "FL11")  # candidates if only a frame's white point is known
 
 
@@ -88,7 +85,7 @@ def fit_colour(
 
 
 def electrons_of(camera: CameraModel, light: LightSpectrum, radiances: Array) -> Array:
-    """Return the signals of pixels of each channel under given radiance spectra, in photo-electrons per second.
+    """Return each channel's signal for given radiance spectra, in photo-electrons per second.
 
     Parameters
     ----------
@@ -134,7 +131,8 @@ def lit_library(light: LightSpectrum) -> tuple[Array, Array]:
 def white_preserving_ridge(channels: Array, outputs: Array, channel_noise: float = 0.0) -> Array:
     """Fit a matrix from white-balanced channels to outputs that preserves white.
 
-    It is a ridge regression on the differences of channels and outputs from the channel mean of each sample.
+    The fit is a ridge regression. Before the fit, the mean of each sample's channels is subtracted from its channels and
+    outputs.
 
     Parameters
     ----------
@@ -195,8 +193,8 @@ def develop(
 def develop_bands(frame: TrainingPair, camera: CameraModel, relit: bool, demosaic: Demosaic) -> Array:
     """Demosaick a raw frame to the camera's bands (docs/method.md#baselines-for-bands).
 
-    The steps are subtracting black level and dark signal, white balance, demosaicking, and multiplying by the target's
-    white.
+    The steps are: subtract the black level and the dark signal, apply the white balance, demosaick, and multiply by the
+    target's white.
 
     Parameters
     ----------
@@ -250,7 +248,7 @@ def develop_stokes(frame: TrainingPair, camera: CameraModel, demosaic: Demosaic)
 
 
 def stokes_response(frame: TrainingPair, camera: CameraModel) -> Array:
-    """Return the response (channel, stokes) to S0, S1 and S2 relative to S0, for light with the illuminant's spectrum."""
+    """Return each channel's response to S0, S1 and S2 of the illuminant, (channel, stokes), relative to S0."""
     light = light_of(frame, camera)
     radiance = spectra.sampling_matrix(light.wavelength, camera.wavelength) @ light.radiance
     response = (camera.stokes_weights @ radiance).T
@@ -267,7 +265,7 @@ def white_electrons(frame: TrainingPair, camera: CameraModel) -> Array:
 def balance_of(white: Array, exposure: float, camera: CameraModel) -> Array:
     """Return the factors (channel,) by which photo-electrons are multiplied so that a perfect white becomes 1.
 
-    They are 0 for channels that do not respond to white.
+    The factor of a channel that does not respond to white is 0.
 
     Parameters
     ----------
@@ -336,7 +334,8 @@ def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:
 
 def named_light(name: str, *cameras: CameraModel) -> LightSpectrum:
     """Return a standard illuminant in steps of 1 nm, over the wavelength ranges of the CIE observers and the cameras."""
-    first, last = (bound(end, *(camera.wavelength[at] for camera in cameras)) for bound, end, at in ENDS)
+    first = min(OBSERVED[0], *(camera.wavelength[0] for camera in cameras))
+    last = max(OBSERVED[1], *(camera.wavelength[-1] for camera in cameras))
     grid = np.arange(np.floor(first), last + 1.0)
     light = spectra.at_luminance(spectra.illuminant(name, grid), grid, 1.0)
     return LightSpectrum(grid, light.astype(np.float32))
@@ -349,7 +348,7 @@ def merges(camera: CameraModel) -> dict[str, Merge | None]:
     """Return the basic pipelines for a camera: name → function that merges exposures.
 
     "basic" averages the exposures, and two more pipelines use only one of them. If all channels have the same sensitivity,
-    there is only "basic", with None.
+    the only pipeline is "basic", which needs no such function (None).
     """
     if camera.readout is None or np.ptp(camera.sensitivity) == 0:
         return {"basic": None}

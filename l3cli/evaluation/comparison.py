@@ -194,7 +194,7 @@ def crossings(one: Curve, other: Curve, figure: str) -> list[float]:
 
 
 def verdict(one: Curve, other: Curve, figure: str) -> str:
-    """Describe the luminance ranges in which each of two cameras is better, and by how much at most."""
+    """Describe the luminance ranges in which each of two cameras is better, and the largest difference."""
     lead = sign(figure) * (np.array(one.value) - np.array(other.value))
     if not lead.any():
         return f"{figure}: {one.name} and {other.name} are equal at every luminance."

@@ -28,9 +28,10 @@ CFA = NDArray[np.uint8]
 Demosaic = Callable[[Array, CFA], Array]
 Direction = tuple[int, int]  # row offset and column offset
 DIRECTIONS: tuple[Direction, ...] = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right)
-# Mirrored margin for band methods, in CFA periods: wider than their support, because they wrap around at the border.
+# Mirrored margin for band methods, in CFA periods. It is wider than the support of the methods, which wrap around at the
+# border.
 BAND_MARGIN_PERIODS = 4
-CODES = 255.0  # value of a perfect white in PPID, which has a constant for 8-bit values in its weights
+CODES = 255.0  # value of a perfect white for PPID, whose weights contain a constant for 8-bit values
 # σ of the Gaussian, relative to the mean distance between a channel's samples; the best value for dead leaves with a
 # five-band CFA.
 SIGMA_SAMPLES = 0.55
@@ -226,8 +227,8 @@ def ppi_difference(mosaic: Array, cfa: CFA) -> Array:
 def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direction, Array]) -> Array:
     """Return the pseudo-panchromatic image (row, col) of a mosaic (equations 23 to 28).
 
-    The result is each pixel's sample plus a weighted mean over the neighbours one period away: the average over one period
-    around the neighbour, minus the neighbour's sample.
+    The result is each pixel's sample plus a weighted mean of differences at the neighbours one period away. A difference is
+    the average over one period around the neighbour, minus the neighbour's sample.
     """
     smooth = values
     for axis, length in enumerate(period):
@@ -244,8 +245,8 @@ def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direc
 def _edge_weights(values: Array, period: tuple[int, ...]) -> dict[Direction, Array]:
     """Return the weights (row, col) of neighbours in each direction (equations 25 to 27).
 
-    The weight is smaller the more the samples of a band change over one period in this direction. For the direction (0, 0),
-    all weights are 1.
+    The more a band changes over one period in a direction, the smaller the weight. For the direction (0, 0), all weights are
+    1.
     """
     weights: dict[Direction, Array] = {(0, 0): np.ones(values.shape)}
     for down, right in DIRECTIONS:

@@ -135,7 +135,7 @@ OURS = "ours"  # pipeline name of the table
 RESERVED_NAMES = {
     "scene", "illuminant", "luminance", "frames", "pixels", "from", "to", "band", "case", "varies", "ideal", "error",
     *EVERY_FEATURE,
-}  # fmt: skip # pipelines must not have these names of keys and picture files
+}  # fmt: skip # names of keys and picture files, which no pipeline may have
 MAX_OUTPUT_CD_PER_M2 = 1e24  # cd/m²; larger outputs are rejected, so that sums of squares remain finite
 
 
@@ -156,7 +156,7 @@ class Evaluation:
         Margin of each frame that is not evaluated, in pixels. [default: the patch radius, so that the patches of all
         evaluated pixels are inside the frame]
     rivals : sequence of str
-        Names of pipelines for which the user provides the pictures, to be passed to `planes`.
+        Names of other pipelines, whose pictures are passed to `planes`.
     drawn : callable, optional
         Simulates training frames for the spectral estimators. [default: no spectral estimators]
 
@@ -286,7 +286,7 @@ class Evaluation:
         return {name: self._as_shown(of, frame) for name, of in planes.items()}
 
     def wanted(self, frame: TrainingPair) -> TrainingPair:
-        """Return a frame with the target for the comparison.
+        """Return a frame with the target that all pipelines are compared with.
 
         If the table renders grey pictures, the target becomes a grey of the same luminance, because a camera with one
         channel cannot distinguish colours.

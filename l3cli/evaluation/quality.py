@@ -452,7 +452,7 @@ def of_counted(planes: NDArray[Any], counted: NDArray[np.bool_] | None) -> NDArr
 
 
 def psnr(one: Array, other: Array) -> float:
-    """Return the peak signal-to-noise ratio of two arrays in dB, for a peak of 1. Equal arrays have 120 dB."""
+    """Return the peak signal-to-noise ratio of two arrays in dB, for a peak of 1. For equal arrays, it is 120 dB."""
     return float(-10.0 * np.log10(max(float(np.mean((one - other) ** 2)), MIN_SQUARE_ERROR)))
 
 

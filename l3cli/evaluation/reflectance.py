@@ -96,8 +96,8 @@ class Estimates:
     def _fit(self, like: TrainingPair) -> dict[str, Array]:
         """Fit each estimator's matrix (output, channel) by least squares to random scenes.
 
-        They have the illuminant and exposure time of `like`. Only the Wiener estimator takes noise into account. Outputs and
-        bands are fractions of a perfect white.
+        The scenes have the illuminant and exposure time of `like`. Only the Wiener estimator takes noise into account.
+        Outputs and bands are fractions of a perfect white.
         """
         white = white_electrons(like, self._camera)
         balance = balance_of(white, like.exposure, self._camera)[:, None, None]

@@ -122,7 +122,7 @@ def _without_outliers(plane: Array) -> Array:
 def _seen(light: Array, last: Array, motion: Array) -> NDArray[np.bool_]:
     """Return a mask (row, col) of the pixels that show the same object as their origin in the previous frame.
 
-    It excludes pixels with an origin outside the frame.
+    Pixels with an origin outside the frame are excluded.
     """
     source = np.indices(light.shape) - motion
     inside = np.logical_and.reduce(
@@ -337,8 +337,8 @@ class SequenceEvaluation:
 def _warped_error(error: Array, last: Array, motion: Array, border: int) -> float | None:
     """Return the RMS change of the error (row, col) along the motion, or None if no pixel is visible in both frames.
 
-    The error `last` of the previous frame is displaced by the motion and subtracted from the current error. Displacing both
-    pictures would be equivalent, because displacement is linear, but in the error, interpolation artefacts at edges cancel.
+    The error `last` of the previous frame is displaced by the motion and subtracted from the current error. Displacing the
+    pictures instead would leave interpolation artefacts at edges, which cancel in the error.
     """
     row, col = np.indices(error.shape)
     seen = cropped(motion[2], border) > 0

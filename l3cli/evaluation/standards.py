@@ -68,9 +68,9 @@ def edge_sharpness(plane: Array) -> Sharpness:
 
     Notes
     -----
-    A straight line is fitted to the edge position in each row, the centroid of the absolute slope. Pixels are averaged by
-    their distance from this line, in bins of a quarter pixel. The MTF is the spectrum of the slope of this edge profile,
-    corrected for the bin width and for the finite differences.
+    In each row, the edge position is the centroid of the absolute slope. A straight line is fitted to these positions.
+    Pixels are averaged by their distance from this line, in bins of a quarter pixel. The MTF is the Fourier spectrum of this
+    profile's slope, corrected for the bin width and for the finite differences.
     """
     plane = np.asarray(plane, np.float64)
     slope = np.abs(np.diff(plane, axis=1))
@@ -286,7 +286,7 @@ def grey_document(camera: CameraModel, noise: GreyNoise, lux: Array, raw: Array,
 
 
 def drawn_cameras(camera: CameraModel, rng: np.random.Generator) -> list[CameraModel]:
-    """Draw random cameras with responsivity curves that deviate from those of `camera` according to their 95 % band.
+    """Draw random cameras whose responsivity curves deviate from `camera` within its 95 % band.
 
     The deviations are normally distributed and independent between channels. Their correlation at a wavelength difference of
     CORRELATED is exp(−1/2).

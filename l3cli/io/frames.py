@@ -77,7 +77,7 @@ def raw_content(path: Path, answered: Container[str] = ()) -> RawContent:
 
 @dataclass(frozen=True)
 class FrameFiles:
-    """The frames in a list of files, which are read anew, one at a time, in each iteration."""
+    """The frames in a list of files. Each iteration reads the files again, one frame at a time."""
 
     paths: tuple[Path, ...]
     shape: tuple[int, int]  # required number of rows and columns
@@ -97,7 +97,7 @@ class FrameFiles:
 
 @dataclass(frozen=True)
 class WholeFrames:
-    """The frames in raw files from a known camera, which are read anew, one at a time, in each iteration.
+    """The frames in raw files from a known camera. Each iteration reads the files again, one frame at a time.
 
     The iteration raises InputFileError if a frame's size, CFA phase or bit depth does not match the camera.
     """

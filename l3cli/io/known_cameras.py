@@ -53,7 +53,7 @@ class KnownCamera(Recipe):
 
     @property
     def stated(self) -> Stated:
-        """The published properties, in the form in which properties from raw files are represented."""
+        """The published properties, in the same form as the metadata of raw files."""
         return Stated(self.name, (), None, self.iso, self.pixel_pitch_um, None, None)
 
 

@@ -183,7 +183,7 @@ def find_frames(
 
 
 def _divided(wanted: range, numbers: Collection[int]) -> tuple[Sequence[int], list[range]]:
-    """Divide the wanted frame numbers into those that exist, in order, and ranges of those that do not exist.
+    """Split the wanted frame numbers into existing numbers, in order, and ranges of missing numbers.
 
     Missing numbers are returned as ranges, because `wanted` may contain very many numbers.
     """

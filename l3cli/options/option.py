@@ -115,7 +115,7 @@ class Choice(Reader):
 
 
 class Number(Reader):
-    """A number within a range that includes both limits, in a given unit."""
+    """A number in a given unit, within a range that includes both limits."""
 
     def __init__(self, least: float, most: float, unit: str = "", whole: bool = False) -> None:
         self.quantity = Quantity(least, most, unit, whole)

@@ -11,7 +11,7 @@ from pathlib import Path
 from l3cli.errors import InputFileError, RecipeError, suggestion
 from l3cli.system.text import counted
 
-# Subfolder of configs/ → what messages call its recipes.
+# Subfolder of configs/ → name of its recipes in messages.
 KIND_OF_FOLDER = {"cameras": "camera", "lab": "lab", "scenes": "scene", "classes": "class", "designs": "design"}
 CURVES = "curves.csv"  # file in a new folder that contains the camera's responsivities
 # Files in a new folder, in addition to camera.toml: name in the new folder → path in configs/.
@@ -238,7 +238,7 @@ def _base(camera: Path) -> Path | None:
 def curves_of(starter: Path) -> Path | None:
     """Return the file that contains a camera recipe's responsivities, or None if it refers to no such file.
 
-    None for a benchmark folder.
+    The result is also None for a benchmark folder.
     """
     if starter.is_dir():
         return None

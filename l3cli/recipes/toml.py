@@ -32,7 +32,7 @@ KeyPath = tuple[str | int, ...]  # path of a value: keys and list indices from 0
 class Recipe(msgspec.Struct, forbid_unknown_fields=True):
     """Base class of recipes and of the tables in recipes. A field without a default is a required key."""
 
-    title: ClassVar[str] = "a recipe"  # what messages call such a file
+    title: ClassVar[str] = "a recipe"  # name of such a file in messages
 
 
 KIND_KEYS = {  # type of file → top-level keys that no other type of file has

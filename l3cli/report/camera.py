@@ -155,7 +155,7 @@ def polariser_figure(camera: CameraModel, fit: PolariserFit) -> Figure:
 
 
 def array_figure(camera: CameraModel) -> Figure:
-    """Draw one period of the colour filter array, with channel names on the colours of daylight behind the filters."""
+    """Draw one period of the colour filter array. Sites have the colour of daylight behind their filter."""
     rows, cols = camera.cfa.shape
     light = colours.channel_light(camera)
     wide = float(np.clip(CHARACTER_WIDTH * max(map(len, camera.channels)) + 8, CELL_HEIGHT, MAX_CELL_WIDTH))
@@ -425,7 +425,7 @@ def _nonuniformity_rows(noise: NoiseFit) -> list[tuple[str, Array]]:
 
 
 def total_dsnu(noise: NoiseFit) -> tuple[Array, Array]:
-    """Return DSNU1288 of each channel in e-, and its standard error. It consists of pixels, rows and columns."""
+    """Return DSNU1288 of each channel in e-, including row and column deviations, and its standard error."""
     error = np.zeros_like(noise.dsnu) if noise.dsnu_error is None else noise.dsnu_error
     variance, square = noise.dsnu**2, (noise.dsnu * error) ** 2
     for line, uncertainty in ((noise.row_noise, noise.row_noise_error), (noise.column_noise, noise.column_noise_error)):

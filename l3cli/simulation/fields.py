@@ -227,7 +227,7 @@ def draw_textures(
 
 
 def sampled(textures: Textures, label: NDArray[np.integer], down: NDArray, across: NDArray) -> NDArray[np.float32]:
-    """Return the texture values of a picture, (row, col), each from the texture of the leaf at this sample.
+    """Return the texture value of the visible leaf at each sample, (row, col).
 
     Parameters
     ----------
@@ -332,7 +332,7 @@ def draw_patterns(
     )
     period = np.maximum([across, along], oversampling * PERIOD_RANGE[0])
     duty = rng.uniform(*DUTIES, (2, count))
-    duty[1] = np.where(kind == 2, 1.5 / (along / across), duty[1])  # leaves blank space between lines of lettering
+    duty[1] = np.where(kind == 2, 1.5 / (along / across), duty[1])  # blank space between lines of lettering
     return Patterns(
         present=present,
         first=first.astype(np.float32),

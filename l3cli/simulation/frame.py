@@ -153,7 +153,7 @@ def exposed_again(frame: TrainingFrame, camera: CameraModel, gain: float) -> Tra
 
 
 class AtGain:
-    """A view of a training set's simulated frames, re-simulated with the analog gain multiplied by `gain`."""
+    """Reader of a training set that simulates every frame again, with the analog gain multiplied by `gain`."""
 
     def __init__(self, reader: TrainingSetReader, gain: float) -> None:
         self.head = replace(reader.head, camera=reader.head.camera.at_gain(gain))
@@ -357,9 +357,8 @@ def make_pair(
     camera : CameraModel
         The camera.
     pair : Pair
-        Offset and scale from the recipe. Multiplied by the scale, a white surface's value in the picture becomes the
-        fraction of full scale that the surface reaches in the raw frame. By default, the scale is fitted under the
-        assumption that the scene is grey on average.
+        Offset and scale from the recipe. The scale is the raw signal of a surface, as a fraction of full scale, divided by
+        its value in the picture. By default, the scale is fitted under the assumption that the scene is grey on average.
     name : str
         Name of the pair.
 

@@ -140,7 +140,7 @@ def lab_faults(recipe: LabRecipe, camera: CameraModel | None) -> Iterator[Fault]
 
 
 def _step_faults(recipe: LabRecipe, camera: CameraModel) -> Iterator[Fault]:
-    """Find wavelength ranges that give the monochromator or the spectrometer too many or too few steps."""
+    """Find settings with which the monochromator or the spectrometer would take too many or too few steps."""
     mono, ends = recipe.mono, ("mono.first_nm", "mono.last_nm")
     first, last = mono.first_nm or camera.wavelength[0], mono.last_nm or camera.wavelength[-1]
     reach = last - first + 2 * (mono.bandwidth_nm + SPECTROMETER_MARGIN)
@@ -172,7 +172,7 @@ def slit_centres(camera: CameraModel, mono: MonoRecipe) -> Array:
 
 @dataclass(frozen=True)
 class LabCapture:
-    """A planned capture in the lab, with the camera signals and the spectra measured with the spectrometer."""
+    """A planned capture: its settings, the camera's mean signals, and the spectra that the spectrometer measures."""
 
     kind: str  # "mono", "chart", "white", "dark" or "polariser"
     name: str  # file name, in a folder named after the kind
@@ -324,13 +324,12 @@ def plan(camera: CameraModel, recipe: LabRecipe, seed: int) -> tuple[LabCapture,
 
 
 def _plan_polariser(session: _Session, recipe: PolariserRecipe) -> None:
-    """Plan the captures through a rotating polariser. They come last, so that all other frames keep their random numbers."""
+    """Plan the captures through a rotating polariser. They are last, so that other frames keep their noise."""
     wavelength = session.response.wavelength
     leakage = 1.0 / recipe.extinction
     light = _light(recipe.illuminant, wavelength, recipe.luminance)[None] * (1.0 + leakage) / 2.0
     polarisation = (1.0 - leakage) / (1.0 + leakage)
-    # If its polariser is parallel to the rotating polariser, a channel receives nearly twice its signal in unpolarised
-    # light.
+    # A channel with a polariser parallel to the rotating one receives nearly twice its signal in unpolarised light.
     exposure = float(f"{session.response.exposure_for(recipe.level, light) / 2.0:.3g}")
     for angle in np.arange(0.0, 180.0, recipe.step_deg).tolist():
         session.add("polariser", f"{angle:g}deg", exposure, recipe.trials, light, polarisation, angle)

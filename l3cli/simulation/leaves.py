@@ -16,7 +16,7 @@ Field = NDArray[np.float32]
 Size = float | Field
 
 EXPONENT = 2.0  # the density of the radii is proportional to r^-(EXPONENT + 1)
-UNCOVERED = 0.003  # fraction of the picture that may stay uncovered, because covering the last pixels takes long
+UNCOVERED = 0.003  # fraction of the picture that may stay uncovered, because covering the last pixels takes too long
 BATCH_AREA = 1.5  # total area of the bounding squares in a batch, relative to the area of the picture
 BLOCK = 8  # side in pixels of the blocks that are tested for uncovered pixels; each row of a block is one 64-bit word
 SMALL = 40.0  # leaves up to this radius, in pixels, are drawn in groups

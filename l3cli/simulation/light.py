@@ -39,7 +39,7 @@ OUTPUTS = {
     "Stokes": STOKES,
     "CIE 1931 + Stokes": COLOUR_STOKES,
 }
-UNLIT = "reflectance 31"  # key of the outputs that do not depend on the illuminant
+UNLIT = "reflectance 31"  # key of the target that does not depend on the illuminant
 NOTICEABLE = 0.01  # l3 warns if wavelengths without data produce more than this fraction of a channel's electrons
 CAMERA = "camera"  # name in recipes for a target with all camera bands at full resolution
 
@@ -52,7 +52,7 @@ class Light:
     luminance: float  # cd/m², luminance of a perfect white
     wavelength: Array  # (sample,), nm
     radiance: Array  # (sample,), photons/s/sr/m²/nm
-    measured: str = ""  # digest of the measured spectra in the illuminant
+    measured: str = ""  # digest of the measured spectra; "" for a standard illuminant
 
     def at(self, luminance: float) -> "Light":
         """Scale the illuminant to a luminance in cd/m²."""
@@ -106,9 +106,8 @@ def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
     Notes
     -----
     The illuminant is tabulated in steps of 1 nm over the range in which the observer or the camera is sensitive. Power
-    between two wavelengths of this grid is shared between both, so that no spectral line is lost. If all components were
-    measured at the camera's own wavelengths, the illuminant keeps these wavelengths, and all sums are computed on this grid
-    as in ISETCam.
+    between two grid points is divided between them, so that no spectral line is lost. If all components were measured at the
+    camera's own wavelengths, the illuminant keeps these wavelengths, and all sums are computed on this grid as in ISETCam.
     """
     names = mixture(text)
     wavelength = spectra.light_grid(seen)
@@ -130,7 +129,7 @@ def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
 
 
 class Sees(Protocol):
-    """Protocol of anything that converts light to electrons, such as a camera or colour filters on a pixel."""
+    """Anything that converts light to electrons: a camera, or colour filters on a pixel."""
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -179,7 +178,7 @@ def beyond_known(light: Light, measured: Mapping[str, Curve], camera: Sees) -> s
     """Warn if a channel collects more than 1 % of its electrons at wavelengths without data for the illuminant.
 
     Outside its tabulated range, l3 extends a standard illuminant with its last value and a measured illuminant with zero. To
-    estimate the fraction, both are extended with their last value.
+    estimate the fraction, both kinds are extended with their last value.
 
     Parameters
     ----------
@@ -229,7 +228,7 @@ def lens_beyond_known(name: str, transmittance: Curve, light: Light, camera: Cam
     name : str
         Name of the transmittance file.
     transmittance : Curve
-        Contents of the file.
+        Wavelengths in nm and transmittance in the file.
     light : Light
         The illuminant.
     camera : CameraModel
@@ -247,7 +246,7 @@ def lens_beyond_known(name: str, transmittance: Curve, light: Light, camera: Cam
 
 
 def functions_beyond_known(name: str, functions: Curve, names: Sequence[str], light: Light) -> str:
-    """Warn if an output could miss more than 1 % of its value because the file of matching functions ends too early.
+    """Warn if an output could lose more than 1 % of its value where its matching function is unknown.
 
     Outside the wavelength range of the file, l3 assumes zero. The missing fraction is estimated for a white surface, with
     matching functions that are extended with their last values.
@@ -257,7 +256,7 @@ def functions_beyond_known(name: str, functions: Curve, names: Sequence[str], li
     name : str
         Name of the file with the matching functions.
     functions : Curve
-        Contents of the file.
+        Wavelengths in nm and matching functions in the file.
     names : sequence of str
         Names of the outputs.
     light : Light
@@ -338,7 +337,7 @@ def _held(curves: Curve, wavelength: Array) -> Array:
 
 
 def _file_ends(name: str, grid: Array, there: str, taken: float, wanted: str) -> str:
-    """Compose a warning about a file of curves that ends too early, or return "" if at most 1 % is missing.
+    """Compose a warning about a file of curves that does not cover all wavelengths, or return "" if at most 1 % is missing.
 
     Parameters
     ----------
@@ -405,14 +404,15 @@ def share_beyond(camera: Sees, part: Light, whole: Light, ends: tuple[float, flo
 
 
 def span_of(camera: Sees) -> str:
-    """Return the wavelength range of a camera as text."""
+    """Format a camera's wavelength range, such as "380…780 nm"."""
     return f"{camera.wavelength[0]:g}…{camera.wavelength[-1]:g} nm"
 
 
 def recorded_under(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
     """Compute the spectrum of the illuminant under which a scene was recorded.
 
-    Unlike with `make_light`, a single measured illuminant keeps its wavelengths, which are often the bands of the scene.
+    A single measured illuminant keeps its own wavelengths, which are often the bands of the scene. All other illuminants are
+    computed as in `make_light`.
     """
     return make_light(text, measured, measured[text][0] if text in measured else seen)
 
@@ -541,7 +541,8 @@ def _of_bands(weights: Array, camera: Sees, light: Light, bands: Array) -> Array
 def photon_weights(camera: CameraModel, light: Light, bands: Array) -> Array:
     """Return the photons per second that each band contributes to a pixel, at each wavelength of the camera.
 
-    Without polarisers and a readout per channel, `electron_weights` is the matrix product responsivity @ photon_weights.
+    For a camera with neither polarisers nor per-channel readout, `electron_weights` is the matrix product responsivity @
+    photon_weights.
 
     Parameters
     ----------
@@ -643,7 +644,7 @@ class Target:
 
     outputs: tuple[str, ...]
     description: str
-    kind: str  # a key of OUTPUTS, CAMERA, or the name of a file of matching functions
+    kind: str  # key of OUTPUTS, the constant CAMERA, or the name of a file of matching functions
     functions: Curve | None = None  # matching functions from the file: wavelengths in nm; (output, wavelength), per watt
     light: Light | None = None  # None for the illuminant of each frame
 
@@ -664,7 +665,7 @@ def make_target(
     Parameters
     ----------
     kind : str
-        A key of OUTPUTS, CAMERA, or the name of a file of matching functions.
+        Key of OUTPUTS, the constant CAMERA, or the name of a file of matching functions.
     functions : Curve or None
         Matching functions, if `kind` is a file.
     names : tuple of str
@@ -681,8 +682,8 @@ def make_target(
         "luminance": "luminance",
         "CIE 1931 + IR": "CIE 1931 XYZ and near infrared",
         UNLIT: "reflectance at 400…700 nm by 10 nm, times the luminance of a perfect white,",
-        "radiance 31": "radiance at 400…700 nm by 10 nm (cd/m² of a light of equal power as strong at all wavelengths)",
-        CAMERA: "all bands of the camera (cd/m² of D65 that would saturate its brightest channel as fast)",
+        "radiance 31": "radiance at 400…700 nm by 10 nm (cd/m² of an equal-energy light of the same spectral radiance)",
+        CAMERA: "all bands of the camera (cd/m² of a D65 white that saturates them equally fast)",
         "Stokes": "Stokes parameters (luminance; S1 and S2 are differences of luminances behind polarisers)",
         "CIE 1931 + Stokes": "CIE 1931 XYZ and Stokes parameters (differences of luminances behind polarisers)",
     }.get(kind, f"the matching functions of {kind}")

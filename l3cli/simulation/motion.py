@@ -132,7 +132,7 @@ def before(view: View, earlier: View, size: tuple[int, int], moved: Array | floa
 
 
 def motion_faults(motion: Motion, name: str) -> Iterator[Fault]:
-    """Find the faults in a scene's motion settings. Messages begin with `name`, the scene."""
+    """Find the faults in a scene's motion settings. Each message begins with `name`, the name of the scene."""
     leaves = motion.leaves
     for key in ("radius_pixels", "speed_pixels_per_frame") if leaves is not None else ():
         low, high = getattr(leaves, key)

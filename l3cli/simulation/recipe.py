@@ -64,8 +64,7 @@ class Pair(Recipe):
     picture: str  # encoded sRGB, or an EXR file whose channels have the names of the target outputs
     offset: tuple[CountOrNone, CountOrNone] = (0, 0)  # row and column of the picture's first pixel in the raw frame
     phase: tuple[int, int] | None = None  # row and column of the CFA at the first raw pixel; default: read from the file
-    # Multiplied by this scale, a white surface's value in the picture becomes the fraction of full scale that the surface
-    # reaches in the raw frame. Default: the scale is fitted
+    # Raw signal of a surface, as a fraction of full scale, divided by its value in the picture. Default: fitted.
     scale: Positive | None = None
 
 

@@ -171,8 +171,8 @@ def _skin(rng: np.random.Generator, of: Surfaces) -> Array:
     g/mol), the baseline of blood-free skin [1]_, and the absorption of melanin [1]_, which is proportional to λ^−3.33. The
     reduced scattering coefficient is 46 (λ/500)^−b cm⁻¹. The absorption of blood is reduced, because hardly any light
     reaches the middle of a vessel [2]_. VESSEL and the mean contents of blood and melanin are chosen so that the mean
-    reflectance agrees within 2 % with the mean of 41 measured skins (Vrhel and others 1994; University of Utah). The mean of
-    71 other skins differs by at most 5 %.
+    reflectance agrees within 2 % with the mean of 41 measured skin samples (Vrhel and others 1994; University of Utah). The
+    mean of 71 other samples differs by at most 5 %.
 
     References
     ----------

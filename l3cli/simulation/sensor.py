@@ -219,10 +219,11 @@ def _collected(
 def with_masked(
     camera: CameraModel, pattern: FixedPattern, electrons: NDArray[np.floating]
 ) -> tuple[FixedPattern, NDArray[np.floating]]:
-    """Surround the light-sensitive pixels with the camera's masked pixels, which collect no light, for `read_out`.
+    """Add the camera's masked pixels, which collect no light, around the light-sensitive pixels.
 
     Masked pixels share the fixed offset of their column and their row, which is estimated by the mean of `pattern` over the
-    column or row. Fully masked columns get random offsets. If the camera has no masked pixels, the arguments are returned.
+    column or row. Fully masked columns get random offsets. If the camera has no masked pixels, the arguments are returned
+    unchanged.
     """
     masked, noise = camera.masked, camera.noise
     if masked is None:

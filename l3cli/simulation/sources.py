@@ -215,7 +215,7 @@ def name_of(source: Source) -> str:
 
 
 def wanted_scenes(source: Source, files: list[Path]) -> list[WantedScene]:
-    """List the scenes of a source. `files` contains its scene files, if it uses files."""
+    """List the scenes of a source. `files` lists its scene files. It is ignored for a source without files."""
     if isinstance(source, FileSource):
         return [WantedScene(source, path) for path in files]
     return [WantedScene(source, number=number) for number in range(getattr(source, "count", 1))]
@@ -224,8 +224,8 @@ def wanted_scenes(source: Source, files: list[Path]) -> list[WantedScene]:
 def source_faults(source: Source, camera: CameraModel | None, name: str) -> Iterator[Fault]:
     """Find the faults in the settings of a source, including conflicts with `camera` if it is known.
 
-    For example, a synthetic scene must not be larger than the sensor, unless it is cropped, scaled or moved. Messages begin
-    with `name`, the source.
+    For example, a synthetic scene must not be larger than the sensor, unless it is cropped, scaled or moved. Each message
+    begins with `name`, the name of the source.
     """
     whole = source.scale is None and source.field_of_view_deg is None
     if not whole and source.scale is not None and source.field_of_view_deg is not None:
@@ -324,7 +324,7 @@ def check_size(size: tuple[int, ...], camera: CameraModel | None, error: type[L3
     size : tuple of int
         Rows and columns of the scene.
     camera : CameraModel or None
-        The camera, or None to check only the smallest size.
+        The camera, or None to check only the minimum size.
     error : type
         Exception class.
     name : str

@@ -227,8 +227,8 @@ KINDS = {
 def kind_of(content: Mapping[str, Any]) -> Kind | None:
     """Determine the type of a recipe from its keys. Returns None if two types fit equally well.
 
-    The type with the most matching characteristic keys, which occur in no other type, is chosen. If several types have the
-    same number of matches, the number of keys with suitable values decides.
+    The type with the most characteristic keys, which no other type has, is chosen. In a tie, the number of keys with
+    suitable values decides.
     """
     ranked = sorted(KINDS.values(), key=lambda kind: _likeness(content, kind), reverse=True)
     best, second = (_likeness(content, kind) for kind in ranked[:2])
@@ -323,8 +323,8 @@ class Judgement:
 def check(given: Sequence[str]) -> list[Judgement]:
     """Check recipes and return the results in the order of the arguments.
 
-    Camera recipes are checked first. All other recipes are then checked for the first camera without faults in the same
-    folder or, if there is none, in any folder. Duplicate files are checked once.
+    Camera recipes are checked first. Every other recipe is then checked for a camera without faults: the first one in the
+    same folder or, if there is none, in any folder. Duplicate files are checked once.
 
     Parameters
     ----------

@@ -78,7 +78,7 @@ class Parts(PartsFolder):
     ) -> Iterator[dict[str, NDArray]]:
         """Apply `work` to each item, store the results, and yield them in order.
 
-        Items with a stored result from an earlier run are skipped, and the stored result is yielded.
+        If an earlier run has stored the result of an item, the stored result is yielded.
 
         Parameters
         ----------

@@ -118,8 +118,8 @@ def _chart(camera: CameraModel, light: Light, target: Target, planes: PlanesOf) 
     """Return the mean colour difference in each pipeline that is due to uncertain responsivities.
 
     A chart is simulated without noise for `camera`, and for cameras with random responsivities within its confidence bands.
-    The pipelines process all frames as if they came from `camera`, and the colours are compared with those of the frame that
-    does.
+    The pipelines process all frames as if they came from `camera`, and the colours are compared with the colours of the
+    frame from `camera`.
     """
     size = standards.SIDE, standards.SIDE
     cube = surface_patches(np.random.default_rng(0), standards.PATCHES, size, CHART_BANDS)

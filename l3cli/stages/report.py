@@ -169,8 +169,7 @@ def _require_luminance(given: Given, at: float | None) -> None:
 def _compose(given: Given, options: ReportOptions, console: Console) -> tuple[str, str, list[Section]]:
     """Evaluate the tables, and return the title, lead and sections of the page.
 
-    Sections with pictures come first, followed by sections about artifacts, grouped by CFA, then by sequences, designs and
-    the history of all files.
+    The order of the sections is: pictures, artifacts grouped by CFA, sequences, designs, and the history of all files.
     """
     arrays, tables = given.arrays, given.of(TransformTable)
     _warn_of_arrays(given, console)

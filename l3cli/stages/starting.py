@@ -1,7 +1,7 @@
 """The `l3 init` stage, which creates a folder with recipes and a Makefile for a camera.
 
 The camera is specified by one of l3's own recipes, a recipe or design of the user, the name of a known camera, or raw files.
-From the metadata of raw files, l3 identifies the camera.
+l3 identifies the camera of raw files from their metadata.
 """
 
 import itertools

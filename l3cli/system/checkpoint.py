@@ -194,7 +194,7 @@ def incomplete_folder(folder: Path, key: str, force: bool) -> Iterator[None]:
 
 
 def mark_finished(folder: Path, key: str) -> None:
-    """Write a marker file which records that the run with this key has completed the folder."""
+    """Write a marker file that records that the run with this key has completed the folder."""
     write_whole(folder / FINISHED, key)
 
 

@@ -84,7 +84,7 @@ class Mosaic:
     opcodes: Opcodes
     planes: tuple[int, ...]  # colour code of each colour plane
     shape: tuple[int, int]  # rows and columns, including masked borders
-    fields: tuple[int, int]  # into how many interleaved fields the rows and the columns are divided
+    fields: tuple[int, int]  # numbers of interleaved fields of the rows and of the columns
     masked: tuple[tuple[int, ...], ...]  # top, left, bottom and right edges of each masked area
     notes: tuple[str, ...]  # warnings about unsupported tags
 
@@ -447,7 +447,7 @@ def _masked_areas(
 
 
 def _fields(raw: Any) -> tuple[int, int]:
-    """Return into how many interleaved fields the rows and columns are divided. Raises ValueError for counts below 1."""
+    """Return the numbers of interleaved fields of the rows and of the columns. Raises ValueError if one is below 1."""
     rows, cols = (int(tags.numbers(raw, tag, (1,))[0]) for tag in ("RowInterleaveFactor", "ColumnInterleaveFactor"))
     if min(rows, cols) < 1:
         raise ValueError(f"RowInterleaveFactor is {rows} and ColumnInterleaveFactor is {cols}, but both must be at least 1")

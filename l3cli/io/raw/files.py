@@ -43,7 +43,7 @@ LONGEST = 1e5  # longest plausible exposure time in s
 
 @dataclass(frozen=True)
 class RawFormat:
-    """A raw file format, and what its reader can do."""
+    """A raw file format, and the capabilities of its reader."""
 
     suffixes: tuple[str, ...]  # file suffixes in lower case, with the period
     module: str  # name of the module in this folder that reads the format
@@ -157,7 +157,7 @@ def is_frame(path: Path) -> bool:
 
 
 def is_photo(path: Path) -> bool:
-    """Return whether the suffix of a file is that of a DNG file or of a camera raw, which both name the camera model."""
+    """Return whether a file is a DNG file or a camera raw, according to its suffix. Both contain the camera model."""
     return path.suffix.lower() in PHOTOS
 
 

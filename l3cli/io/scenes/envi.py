@@ -1,8 +1,8 @@
 """Read ENVI cubes, which consist of a text header and a data file in the same folder.
 
-FIELDS lists every header field and how l3 uses it. The list follows "ENVI Header Files" by NV5 Geospatial, and includes the
-frame offsets of ENVI Classic. Fields that camera manufacturers have added are ignored. `unknown` returns those of them that
-could affect the values.
+FIELDS lists every standard header field and how l3 uses it. The list follows "ENVI Header Files" by NV5 Geospatial, and
+includes the frame offsets of ENVI Classic. l3 ignores other fields, which camera manufacturers add. `unknown` lists the
+ignored fields that could affect the values.
 """
 
 import math
@@ -53,21 +53,21 @@ FIELDS = (
     HeaderField(
         "data type", READ, "type of the values: 1, 2, 3, 4, 5, 12, 13, 14 or 15; complex numbers (6, 9) are rejected"
     ),
-    HeaderField("interleave", READ, "order of the values: bsq, bil or bip; it may be missing if there is only one band"),
-    HeaderField("byte order", READ, "0 or missing: little-endian; 1: big-endian"),
-    HeaderField("header offset", READ, "number of bytes before the data"),
-    HeaderField("major frame offsets", READ, "numbers of bytes before and after each band (bsq) or line (bil, bip)"),
+    HeaderField("interleave", READ, "order of the values: bsq, bil or bip; optional if there is only one band"),
+    HeaderField("byte order", READ, "byte order of the values: 0 (default) is little-endian, 1 is big-endian"),
+    HeaderField("header offset", READ, "bytes to skip at the start of the data file"),
+    HeaderField("major frame offsets", READ, "bytes to skip before and after each band (bsq) or each line (bil, bip)"),
     HeaderField(
-        "minor frame offsets", READ, "numbers of bytes before and after each line of a band (bsq, bil) or each pixel (bip)"
+        "minor frame offsets", READ, "bytes to skip before and after each line of a band (bsq, bil) or each pixel (bip)"
     ),
     HeaderField("wavelength", READ, "wavelength of each band"),
     HeaderField(
         "wavelength units",
         READ,
-        "unit of the wavelengths: Nanometers, Micrometers, Angstroms, Wavenumber, GHz …; Index: there are no wavelengths",
+        "unit of the wavelengths, such as Nanometers, Micrometers, Wavenumber or GHz; Index means no wavelengths",
     ),
-    HeaderField("band names", READ, 'wavelengths, such as "450 nm", if `wavelength` is missing'),
-    HeaderField("bbl", READ, "1 for each good band, 0 for each bad band, which l3 replaces by interpolation"),
+    HeaderField("band names", READ, 'wavelengths in names such as "450 nm", which l3 uses if `wavelength` is missing'),
+    HeaderField("bbl", READ, "1 for a good band, 0 for a bad band; l3 interpolates bad bands from the good bands"),
     HeaderField(
         "data ignore value",
         READ,
@@ -75,25 +75,27 @@ FIELDS = (
     ),
     HeaderField("reflectance scale factor", READ, "stored value of a perfect white"),
     HeaderField("data gain values", READ, "factors by which l3 multiplies the stored values"),
-    HeaderField("data offset values", READ, "offsets that l3 adds after the gains have been applied"),
+    HeaderField("data offset values", READ, "offsets that l3 adds after multiplying by the data gain values"),
     HeaderField(
         "data reflectance gain values",
         READ,
-        "factors that convert stored values to reflectances; l3 uses them instead of the data gain values",
+        "factors that convert stored values to reflectances; for reflectance cubes, they replace the data gain values",
     ),
     HeaderField(
-        "data reflectance offset values", READ, "offsets that l3 adds after the reflectance gains have been applied"
+        "data reflectance offset values", READ, "offsets that l3 adds after multiplying by the data reflectance gain values"
     ),
     HeaderField(
         "file type",
         REFUSED,
-        "rejected unless it is ENVI Standard; other types are classifications, spectral libraries and TIFF",
+        "rejected unless it is ENVI Standard; other types are, for example, ENVI Classification and TIFF",
     ),
-    HeaderField("file compression", REFUSED, "rejected if it is 1, because the data are compressed"),
+    HeaderField("file compression", REFUSED, "rejected unless it is 0, because l3 reads only uncompressed data"),
     HeaderField("read procedures", REFUSED, "rejected, because only the program that the header names can read the data"),
     HeaderField("fwhm", HARMLESS, "widths of the bands; l3 treats the values as samples at the band centres"),
     HeaderField("complex function", HARMLESS, "how to display complex data, which l3 rejects"),
-    HeaderField("solar irradiance", HARMLESS, "spectrum from which other programs compute reflectance; set `light` instead"),
+    HeaderField(
+        "solar irradiance", HARMLESS, "solar spectrum, with which other programs compute reflectances; in l3, set `light`"
+    ),
     *(
         HeaderField(name, HARMLESS, meaning)
         for name, meaning in (
@@ -105,15 +107,15 @@ FIELDS = (
             ("timestamp", "time of the recording"),
             ("sun azimuth", "position of the sun"),
             ("sun elevation", "position of the sun"),
-            ("cloud cover", "fraction of the area that clouds cover"),
+            ("cloud cover", "percentage of cloud cover"),
             ("map info", "geographic position"),
             ("projection info", "geographic position"),
             ("coordinate system string", "geographic position"),
             ("geo points", "geographic position"),
             ("rpc info", "geographic position"),
             ("pixel size", "geographic position"),
-            ("x start", "position on the sensor"),
-            ("y start", "position on the sensor"),
+            ("x start", "position of the cube in the original image"),
+            ("y start", "position of the cube in the original image"),
             ("dem file", "terrain elevation"),
             ("dem band", "terrain elevation"),
             ("classes", "description of a classification"),

@@ -130,7 +130,7 @@ class FrameOrigins:
         self._inputs, self._before, self._follow = inputs, _digest(settings), follow
 
     def of(self, reference: FrameReference) -> FrameReference:
-        """Add the origin of a picture to the reference of its frame, computed from the frame's file.
+        """Compute a picture's origin from its frame's file, and add the origin to the frame's reference.
 
         Call this method before the frame is read, because the file could change during reading. If the frame has no separate
         file, the input file is used. If the input is not a file, the reference is returned unchanged.
@@ -139,7 +139,7 @@ class FrameOrigins:
         return self._with_origin(reference, fingerprint(source)) if source.is_file() else reference
 
     def of_read(self, reference: FrameReference, frame: RawFrame) -> FrameReference:
-        """Add the origin of a picture, computed from the raw values of its frame, unless `of` has already added it."""
+        """Compute a picture's origin from the raw values of its frame, unless `of` has already added an origin."""
         if reference.origin:
             return reference
         return self._with_origin(reference, hashlib.sha256(frame.values.tobytes()).hexdigest())

@@ -66,7 +66,7 @@ def is_of_run(output: Path, key: str) -> bool:
     return bool(history) and key_of(history[-1]) == key
 
 
-MAX_SENT_BYTES = 64 << 20  # data that a worker on another machine returns at a time, unless a single frame is larger
+MAX_SENT_BYTES = 64 << 20  # largest result of a worker on another machine, unless a single frame is larger
 
 
 @dataclass(frozen=True)

@@ -137,7 +137,8 @@ def summed(
 ) -> Iterator[tuple[int, Any]]:  # fmt: skip
     """Apply `function` to the work units of a pass, and yield the result for each canonical site.
 
-    If several work units share a site, their sums are added.
+    A canonical site represents all CFA sites that are symmetric to it. If several work units share a site, their sums are
+    added.
 
     Parameters
     ----------

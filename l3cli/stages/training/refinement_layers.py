@@ -60,9 +60,9 @@ def warn_of_left_out_layers(run: TrainingRun, console: Console) -> None:
     if run.recipe.layer and not run.has_refinement_layers:
         outputs = ", ".join(run.head.outputs)
         console.report(
-            f"the refinement layers of the recipe are skipped, because they do not apply to the outputs {outputs}; tables "
-            "with three outputs, the second of which is the luminance, can have any number of layers, and spectral tables "
-            "can have one layer without coarse_chroma or leaves, and colours with Stokes parameters one layer without leaves"
+            f"the refinement layers of the recipe are skipped, because they do not apply to the outputs {outputs}; a table "
+            "with three outputs, of which the second is the luminance, can have any number of layers, a spectral table one "
+            "layer without coarse_chroma or leaves, and a table with colours and Stokes parameters one layer without leaves"
         )
 
 

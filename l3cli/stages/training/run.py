@@ -27,8 +27,8 @@ from l3cli.training.training_pass import FIRST, SUM_BYTES, spread_patches
 class FrameCache:
     """A cache of frames, which are identified by the digest of their training set and their index in it.
 
-    When the cache is full, no frames are added. It then contains the first frames of a pass, which each later pass needs
-    first too.
+    When the cache is full, no frames are added. It then contains the first frames of a pass, and every later pass also reads
+    these frames first.
 
     Parameters
     ----------
