@@ -1,7 +1,7 @@
-"""Measurement of sensor noise as defined in EMVA 1288 (docs/method.md#dark-and-white-frames).
+"""Measure sensor noise as defined in EMVA 1288 (docs/method.md#dark-and-white-frames).
 
-Temporal variances are computed from differences between two frames, in which the fixed pattern cancels. Spatial variances
-are computed from averaged frames, and corrected for the remaining temporal noise. Hot and dead pixels are excluded.
+Temporal variances come from differences between two frames, in which the fixed pattern cancels. Spatial variances come from
+averaged frames, and are corrected for the remaining temporal noise. Hot and dead pixels are excluded.
 """
 
 import functools
@@ -44,13 +44,13 @@ SATURATED = 0.985  # pixels at or above this fraction of full scale are saturate
 TOLERATED = 1e-4  # largest fraction of saturated pixels in frames from which a variance is computed
 LINEAR = (0.05, 0.95)  # fractions of saturation between which EMVA 1288 evaluates linearity
 CHANCE = 0.01  # significance level of row noise and column noise
-# side of the window for local means, in samples of one CFA site; with more than 9 samples, dust would increase the PRNU
+# Side of the window for local means, in samples of one CFA site. With more than 9 samples, dust would increase the PRNU.
 WINDOW = 7
-# Each sample is part of its own local mean, which reduces the variance of deviations from local means to these fractions,
-# for pixel noise and for row or column noise.
+# A sample is part of its own local mean. This reduces the variance of deviations from local means to these fractions, for
+# pixel noise and for line noise (row or column noise).
 PIXELS_LEFT, LINES_LEFT = 1.0 - 1.0 / WINDOW**2, 1.0 - 1.0 / WINDOW
-# The deviations of neighbouring lines from their local means are correlated, so the effective number of independent lines is
-# smaller by this factor: the sum of the squared autocorrelation coefficients of white noise minus its moving average over 7
+# Neighbouring lines' deviations from local means are correlated, which reduces the effective number of independent lines by
+# this factor. It is the sum of squared autocorrelation coefficients, for white noise minus its moving average over 7
 # samples.
 LINE_CORRELATION = 1.0 + 2.0 * (8**2 + 9**2 + 10**2 + 3**2 + 2**2 + 1**2) / 42**2
 Array = NDArray[np.float64]
@@ -58,7 +58,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DarkNoise:
-    """Results from dark frames. All arrays except `hot` contain one value per channel."""
+    """Noise measured in dark frames. All arrays except `hot` contain one value per channel."""
 
     black_level: Array  # DN; mean value at zero exposure time
     slope: Array  # DN/s; dark signal per second of exposure
@@ -67,10 +67,10 @@ class DarkNoise:
     hot: Defects = field(default_factory=no_defects)
     pixel_variance: Array | None = None  # DN²; part of `variance` that pixels do not share with their row or column
     dsnu_error: Array | None = None  # DN; standard error of `dsnu`
-    # temporal row and column noise in the channels with the lowest gain, included in `variance`
+    # temporal row and column noise in the channels with the lowest gain; included in `variance`
     rows: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
     columns: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
-    # fixed row and column offsets in the channels with the lowest gain, not included in `dsnu`
+    # fixed row and column offsets in the channels with the lowest gain; not included in `dsnu`
     fixed_rows: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
     fixed_columns: "LineNoise" = field(default_factory=lambda: LineNoise(0.0, 0.0))
     trials: tuple[int, ...] = ()  # number of frames of each capture
@@ -82,7 +82,7 @@ class DarkNoise:
 
 @dataclass(frozen=True)
 class LineNoise:
-    """Noise that all pixels of a row or column share. Both values are 0 if it is not significant."""
+    """Noise that all pixels of a row or column share. If it is not significant, both values are 0."""
 
     deviation: float  # DN for offsets, relative to the response for PRNU
     error: float  # standard error of `deviation`, in the same unit
@@ -90,20 +90,20 @@ class LineNoise:
 
 @dataclass(frozen=True)
 class ResponseNoise:
-    """Results from the response of each pixel to light: PRNU and dead pixels."""
+    """PRNU and dead pixels, measured from each pixel's response to light."""
 
     prnu: Array  # (channel,): relative standard deviation of the response, including rows and columns
     prnu_error: Array  # (channel,): standard error of `prnu`
     rows: LineNoise  # part of the PRNU that all pixels of a row share
     columns: LineNoise  # part of the PRNU that all pixels of a column share
-    dead: Defects  # pixels with a response that differs from the local mean by at least 10 %
+    dead: Defects  # pixels with a response at least 10 % above or below the local mean
     slopes: Array  # (row, col): response in DN/s, interpolated at defective pixels
     pattern: Nonuniformity | None = None  # spectra, profiles and histograms, as fractions
 
 
 @dataclass(frozen=True)
 class PhotonTransfer:
-    """Results from white frames: the photon transfer curve and the quantities derived from it."""
+    """The photon transfer curve, measured in white frames, and the quantities derived from it."""
 
     mean: Array  # (exposure, channel): mean signal above black in DN
     variance: Array  # (exposure, channel): temporal variance in DN²
@@ -119,12 +119,12 @@ class PhotonTransfer:
 
 
 def line_weights(exposures: Array) -> tuple[Array, Array]:
-    """Return the weights of a linear regression over exposure time.
+    """Return the weights with which measured values enter a linear regression over exposure time.
 
     Returns
     -------
     intercept, slope : ndarray, (exposure,)
-        Weights of the measured values in the intercept and in the slope of the fitted line.
+        Weights for the intercept and for the slope of the fitted line.
     """
     centred = exposures - exposures.mean()
     slope = centred / (centred @ centred)
@@ -136,15 +136,18 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
 
     The DSNU is computed in three steps:
 
-    1. The temporal variance, from differences between frames, contains all noise that changes from frame to frame,
-       including row and column noise. It also determines the read noise.
-    2. The spatial variance is the variance of the mean frame, extrapolated to zero exposure time. The variances of row and
-       column means are subtracted, because row and column noise are measured separately (`fixed_line_noise`). This leaves
-       the DSNU and the temporal noise that remains after averaging.
-    3. The remaining temporal noise, which is the temporal variance without row and column noise divided by the number of
-       frames, is subtracted from the spatial variance.
+    1. The temporal variance is computed from differences between frames. It contains all noise that changes from frame to
+       frame, including row and column noise. It also determines the read noise.
+    2. The spatial variance is the variance of the mean frame, extrapolated to zero exposure time, minus the variances of row
+       and column means (`fixed_line_noise` measures these separately). It consists of the DSNU and of temporal noise that
+       averaging did not remove.
+    3. This remaining temporal noise is subtracted. It is the temporal variance of the pixels, without row and column noise,
+       divided by the number of frames.
 
-    Raises InputFileError if all frames have the same exposure time, or if a capture contradicts the others.
+    Raises
+    ------
+    InputFileError
+        If all frames have the same exposure time, or if a capture contradicts the others.
     """
     exposures = np.array([capture.exposure for capture in captures])
     if np.unique(exposures).size < 2:
@@ -198,8 +201,8 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
 def _noise_left(kept: Array, squares: Sequence[LineSquares], pixels: float, body: Body) -> NoiseLeft:
     """Return the temporal noise that remains in a mean of captures.
 
-    `kept` is the remaining fraction of each capture's row and column noise variance, and `pixels` is the remaining variance
-    of the pixels.
+    `kept` contains the fraction of each capture's temporal variance that remains, and `pixels` is the remaining pixel
+    variance.
     """
     rows = float(kept @ [each.rows - each.pixels for each in squares]) / body.cols
     columns = float(kept @ [each.columns - each.pixels for each in squares]) / body.rows
@@ -207,9 +210,9 @@ def _noise_left(kept: Array, squares: Sequence[LineSquares], pixels: float, body
 
 
 def error_of_root(deviation: Any, error: Any) -> Any:
-    """Convert the standard error of a variance to the standard error of the standard deviation.
+    """Convert a variance's standard error to the standard error of the standard deviation.
 
-    Near a deviation of 0, the result is limited to √error.
+    Where `deviation` is close to 0, the result is limited to √`error`.
     """
     return np.sqrt(error) * np.minimum(np.sqrt(error) / np.maximum(2 * np.asarray(deviation), np.finfo(float).tiny), 1.0)
 
@@ -217,9 +220,9 @@ def error_of_root(deviation: Any, error: Any) -> Any:
 def line_noise(squares: Sequence[tuple[float, float, int]], pixels: int) -> LineNoise:
     """Estimate temporal row or column noise (docs/method.md#row-and-column-noise).
 
-    A line is a row or a column. The noise is significant if the ratio between the mean squares of lines and pixels is so
-    large that it has a probability of at most `CHANCE` in a sensor without line noise. Fixed patterns have no effect,
-    because the mean squares come from differences between frames.
+    A line is a row or a column. A chi-squared test decides whether the noise is significant: in a sensor without line noise,
+    a ratio between the mean squares of lines and pixels that is as large as the measured one must have a probability of at
+    most `CHANCE`. Fixed patterns have no effect, because the mean squares come from differences between frames.
 
     Parameters
     ----------
@@ -249,16 +252,16 @@ def fixed_line_noise(
 ) -> LineNoise:
     """Estimate fixed row or column noise in a mean frame (docs/method.md#row-and-column-noise).
 
-    If there is no fixed line noise, the expected mean square of the lines is the mean square of the pixels plus the temporal
-    line noise that remains after averaging. The line noise is significant if an F test at the level `CHANCE` rejects this
-    hypothesis.
+    Without fixed line noise, the expected mean square of the lines is the mean square of the pixels, plus the temporal line
+    noise that remains after averaging. The line noise is significant if an F test rejects this hypothesis at the level
+    `CHANCE`.
 
     Parameters
     ----------
     fixed : (float, float, float)
         In the mean frame: mean square of the lines, mean square of the pixels, and degrees of freedom of the lines.
     temporal : sequence of (float, float, int)
-        The same values for the temporal noise of each capture, as for `line_noise`.
+        The same three values for each capture's temporal noise, as in `line_noise`.
     kept : ndarray, (capture,)
         Fraction of each capture's temporal line noise variance that remains in the mean frame.
     pixels : int
@@ -267,7 +270,7 @@ def fixed_line_noise(
     Returns
     -------
     LineNoise
-        The noise. Its error accounts for the finite number of lines.
+        Fixed line noise. The standard error accounts for the finite number of lines.
     """
     from scipy.special import fdtrc
 
@@ -288,10 +291,10 @@ def fixed_line_noise(
 
 
 def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> PhotonTransfer:
-    """Fit the conversion gain, the slope of the temporal variance over the mean signal.
+    """Determine the conversion gain from the photon transfer curve.
 
-    The variance falls when the well or the converter saturates. Exposures beyond the maximum variance are therefore ignored
-    (docs/method.md#dark-and-white-frames).
+    The gain is the slope of the temporal variance over the mean signal. Exposures beyond the maximum variance are ignored,
+    because the variance falls when the well or the converter saturates (docs/method.md#dark-and-white-frames).
 
     Parameters
     ----------
@@ -300,7 +303,7 @@ def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> Pho
     body : Body
         Channels and bit depth of the camera.
     dark : DarkNoise
-        Results from dark frames.
+        Noise measured in dark frames.
 
     Raises
     ------
@@ -338,9 +341,9 @@ def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> Pho
 
 
 def _transfer_line(levels: Sequence[Level], mean: Array, channel: int) -> tuple[float, float]:
-    """Fit the photon transfer line of one channel. Returns its slope and the standard deviation of the slope.
+    """Fit one channel's photon transfer curve with a line, and return the slope and its standard deviation.
 
-    The weights follow from the relative standard deviation of a variance from n samples, which is √(2/n).
+    The weights follow from the relative standard deviation of a variance estimated from n samples, √(2/n).
     """
     variance = np.array([level.variance[channel] for level in levels])
     samples = np.array([level.counts[channel].sum() / level.trials * (level.trials // 2) for level in levels])
@@ -353,7 +356,7 @@ def linearity_errors(
 ) -> Array:
     """Return each channel's linearity error LE of EMVA 1288, as a fraction.
 
-    LE is the mean relative deviation of the signal from a line. It is set to 0 with fewer than three usable exposures.
+    LE is the signal's mean relative deviation from a line. If fewer than three exposures are usable, it is set to 0.
     """
     lit, exposure = np.array([(level.lit, level.exposure) for level in levels]).T
     errors = []
@@ -365,7 +368,7 @@ def linearity_errors(
 
 
 def linearity_error(lit: Array, signal: Array) -> float:
-    """Return the mean relative deviation of `signal` from a line over the exposure times `lit`.
+    """Return the mean absolute relative deviation of `signal` from a line over the exposure times `lit`.
 
     The line minimises the squared relative deviations.
     """
@@ -374,10 +377,11 @@ def linearity_error(lit: Array, signal: Array) -> float:
 
 
 def saturation(levels: Sequence[Level], variance: Array, top: int) -> tuple[float, bool]:
-    """Return the white level (DN), and whether the longest exposure reaches it.
+    """Return the white level in DN, and whether the longest exposure reaches it.
 
-    A channel is saturated if its variance at the longest exposure is at most half of its maximum variance. The white level
-    is then the median value of this channel. If no channel is saturated, it is `top`, the maximum of the converter.
+    A channel is saturated if its variance at the longest exposure is at most half its maximum variance. The white level is
+    the median value of the channel with the strongest drop in variance. If no channel is saturated, the white level is
+    `top`, the converter's maximum.
     """
     fallen = variance[-1] / variance.max(axis=0)
     channel = int(fallen.argmin())
@@ -395,10 +399,11 @@ def response_noise(
     dark: DarkNoise,
     each: Each = map,
 ) -> ResponseNoise:
-    """Measure the PRNU and find dead pixels, from the slope of each pixel's signal over exposure time.
+    """Measure the PRNU and find dead pixels.
 
-    The PRNU is the relative standard deviation of the slopes around their local mean. Uneven light affects a slope and its
-    local mean equally, so it does not increase the PRNU.
+    A pixel's response is the slope of its signal over exposure time. The PRNU is the relative standard deviation of the
+    responses around their local means. Uneven light does not increase the PRNU, because it affects a response and the local
+    mean equally.
 
     Parameters
     ----------
@@ -409,9 +414,9 @@ def response_noise(
     used : ndarray of bool, (capture, channel)
         Whether the channel is below saturation in the capture.
     body : Body
-        Geometry of the camera.
+        Size, CFA and channels of the camera.
     dark : DarkNoise
-        Results from dark frames.
+        Noise measured in dark frames.
     each : callable
         Function with the signature of the built-in `map`, which may use several processes.
     """
@@ -439,12 +444,13 @@ def response_noise(
 
 
 def _response_pattern(unpatched: Array, slopes: Array, levels: Sequence[Level], weights: Array, body: Body) -> Nonuniformity:
-    """Describe the PRNU by spectra and profiles, which include lens shading, and by histograms of local deviations.
+    """Compute the spectra, profiles and histograms of the PRNU.
 
-    The last three parameters are as in `_response_lines`.
+    The spectra and profiles include lens shading. The histograms show deviations from local means. The last three parameters
+    are the same as in `_response_lines`.
     """
     sites = list(by_site(slopes, body.cfa))
-    # (capture, site): relative change in response due to a deviation of 1 DN in a capture
+    # (capture, site): relative change in response per DN of deviation in a capture
     scale = np.stack([weights[:, channel] / site.mean() for channel, site in sites], axis=1)
     of_pixels = np.stack([[level.pixel_variance[channel] for level in levels] for channel, _ in sites], axis=1)
     of_lines = (scale * body.channel_gains[[channel for channel, _ in sites]]) ** 2
@@ -456,12 +462,12 @@ def _response_pattern(unpatched: Array, slopes: Array, levels: Sequence[Level], 
 
 
 def _spread(deviation: Array) -> float:
-    """Return the response variance of one CFA site, from relative deviations from local means."""
+    """Return one CFA site's response variance, estimated from relative deviations from local means."""
     return float(np.mean(deviation**2)) / PIXELS_LEFT
 
 
 def _spread_of_pixels(deviation: Array) -> float:
-    """As `_spread`, but without the variance that all pixels of a row or column share."""
+    """Return one CFA site's response variance, without the part that all pixels of a row or column share."""
     centred = deviation - deviation.mean()
     lines = sum(float(np.mean(centred.mean(axis=axis) ** 2)) for axis in (0, 1))
     return (float(np.mean(centred**2)) - lines) / (PIXELS_LEFT - LINES_LEFT * sum(1 / count for count in deviation.shape))
@@ -470,7 +476,7 @@ def _spread_of_pixels(deviation: Array) -> float:
 def relative_deviation(site: Array) -> tuple[Array, Array]:
     """Return each pixel's relative deviation from its local mean, and the local mean, for one CFA site.
 
-    Both arrays exclude border pixels, for which the window of the local mean would extend beyond the frame.
+    Both arrays exclude the border pixels, where the averaging window would extend beyond the frame.
     """
     inner = slice(WINDOW // 2, -(WINDOW // 2))
     local = _local_mean(site)[inner, inner]
@@ -480,7 +486,7 @@ def relative_deviation(site: Array) -> tuple[Array, Array]:
 def _response_lines(
     deviations: Sequence[tuple[Array, Array]], levels: Sequence[Level], weights: Array, body: Body
 ) -> tuple[LineNoise, LineNoise]:
-    """Estimate row and column PRNU: differences in response that all pixels of a row or column share.
+    """Estimate the row and column PRNU, the differences in response that all pixels of a line share.
 
     Parameters
     ----------
@@ -491,12 +497,12 @@ def _response_lines(
     weights : ndarray, (capture, channel)
         Weight of each capture in the response, divided by the square root of its number of frames.
     body : Body
-        Geometry of the camera.
+        Size, CFA and channel gains of the camera.
     """
     down, across = body.cfa.shape
     shape = (body.rows - (WINDOW - 1) * down, body.cols - (WINDOW - 1) * across)
     deviation = np.empty(shape)
-    # relative change in response due to an offset of 1 DN in a capture
+    # (capture, cfa_row, cfa_col): relative change in response per DN of offset in a capture
     scale = np.empty((len(levels), down, across))
     places = zip(deviations, by_site(deviation, body.cfa), np.ndindex(down, across), strict=True)
     for (relative, local), (channel, target), (row, col) in places:
@@ -522,10 +528,10 @@ def _response_lines(
 
 
 def dead_pixels(response: Array, cfa: NDArray[np.uint8]) -> tuple[Defects, Array]:
-    """Find pixels with a response to uniform light that differs from the local mean by at least 10 %.
+    """Find pixels with a response at least 10 % above or below the local mean.
 
-    A second search excludes the pixels found in the first search from the local means. Otherwise, intact pixels next to a
-    defective row or cluster would be found too.
+    The search runs twice. The second time, the local means exclude the pixels from the first search. Otherwise, intact
+    pixels next to a defective row or cluster would also be found.
 
     Returns
     -------
@@ -549,7 +555,7 @@ def _local_mean(site: Array) -> Array:
 
 
 def _over_local_mean(picture: Array, patched: Array, cfa: NDArray[np.uint8]) -> Array:
-    """Return each pixel's relative deviation in `picture` from the local mean of its CFA site in `patched`."""
+    """Return each pixel's relative deviation from its local mean. The local means are computed from `patched`."""
     deviation = np.empty_like(picture)
     for (_, into), (_, site), (_, whole) in zip(
         *(by_site(each, cfa) for each in (deviation, picture, patched)), strict=True

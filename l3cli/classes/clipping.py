@@ -1,20 +1,22 @@
-"""Correct areas with clipped channels: smooth outputs in uniform areas, and the hue of similar unclipped areas nearby.
+"""Correct the outputs in areas with clipped channels.
 
-docs/method.md#uniform-clipped-areas and docs/method.md#hue-of-clipped-areas describe the two methods.
+There are two corrections:
 
-A pixel's class changes abruptly where a channel clips, which would be visible as a contour in a uniform area. In uniform
-areas, the outputs are therefore replaced by a smooth function of the channel means.
+* Where a channel starts to clip, a pixel's class changes abruptly. In a uniform area, this would be visible as a contour.
+  The outputs in uniform areas are therefore replaced with a smooth function of the channel means
+  (docs/method.md#uniform-clipped-areas).
+* Clipped areas get the hue of nearby unclipped areas that may show the same surface (docs/method.md#hue-of-clipped-areas).
 
-The means are computed in blocks. A block consists of whole CFA periods, and its sides are at least 4 pixels long. Each block
-has seven values, called *maps*:
+The channel means are computed in blocks of whole CFA periods, at least 4 × 4 pixels in size. Each block has seven values,
+called *maps*:
 
-1. the fraction of the outputs that is replaced: in uniform areas, and in smooth blocks at an edge whose luminance is mainly
-   in clipped channels
-2. to 4. the values that are added to X, Y and Z instead
-5. the weight of a hue from nearby unclipped blocks that may show the same surface
+1. the fraction of the outputs to replace. It is large in uniform areas. It is also large in smooth blocks next to an edge,
+   if most of the luminance is in clipped channels.
+2. to 4. the replacements for X, Y and Z, multiplied by this fraction
+5. the weight of the hue from nearby unclipped blocks
 6. and 7. X/Y and Z/Y of this hue, multiplied by the weight
 
-The maps are interpolated between the blocks, with one value for all pixels of a *quad* (2 × 2 pixels).
+The maps are interpolated between blocks, with one value for each *quad* of 2 × 2 pixels.
 """
 
 from dataclasses import dataclass
@@ -62,22 +64,22 @@ class Mosaic:
 
 
 def block_sides(cfa: NDArray[np.uint8]) -> tuple[int, int]:
-    """Return the height and width of a block in pixels, which are multiples of the CFA's height and width."""
+    """Return a block's height and width in pixels: multiples of the CFA's height and width."""
     rows, cols = (-(-SMALLEST_BLOCK // period) * period for period in cfa.shape)
     return rows, cols
 
 
 def first_bright(black_level: float, white_level: float) -> int:
-    """Return the lowest raw value of a bright pixel, in DN. Blocks without bright pixels are ignored."""
+    """Return the lowest raw value, in DN, that counts as bright. Blocks without bright pixels are ignored."""
     return int(np.ceil(black_level + BEGINS * (white_level - black_level)))
 
 
 def limited_to_white(outputs: Array, clipped_white: Array) -> Array:
     """Limit the luminance of the outputs to the luminance of the clipped white.
 
-    If all channels clip, the raw values do not determine the brightness of a pixel, and each class estimates a different
-    one. Without the limit, uniform white areas would look grey next to brighter pixels along their edges. Above the limit,
-    colours fade to white. All pixels above WHITE_FROM times the limit are white.
+    If all channels clip, the raw values do not determine a pixel's brightness, and different classes estimate different
+    values. Without the limit, uniform white areas would look grey next to brighter pixels along their edges. Above the
+    limit, colours fade to white. All pixels above WHITE_FROM times the limit are white.
 
     Parameters
     ----------
@@ -99,7 +101,7 @@ def limited_to_white(outputs: Array, clipped_white: Array) -> Array:
 
 
 def replaced(outputs: Array, mosaic: Mosaic, response: Array, white: Array) -> Array:
-    """Correct areas with clipped channels: first the outputs of uniform areas, then the hue of all clipped areas.
+    """Correct the outputs of uniform clipped areas, then the hue of all clipped areas.
 
     Parameters
     ----------
@@ -144,13 +146,13 @@ def clipping_maps(mosaic: Mosaic, response: Array, white: Array) -> Array:
 def block_means(mosaic: Mosaic, channels: int) -> tuple[Array, Array]:
     """Compute each block's channel means, and the range of its values.
 
-    If the mosaic does not consist of whole blocks, the last blocks overlap their predecessors, so that every block is inside
-    the mosaic.
+    If the mosaic does not consist of whole blocks, the last row and column of blocks are moved inward and overlap their
+    neighbours.
 
     Returns
     -------
     means : ndarray, (channel, block row, block col)
-        Channel means as fractions of full scale. All are 0 if the block has no bright pixel, or if it lacks a channel.
+        Channel means as fractions of full scale. If a block has no bright pixel or lacks a channel, all its means are 0.
     spread : ndarray, (block row, block col)
         Largest difference between two values of the same channel, as a fraction of full scale.
     """
@@ -178,7 +180,7 @@ def block_means(mosaic: Mosaic, channels: int) -> tuple[Array, Array]:
 
 
 def plain_blocks(means: Array, spread: Array) -> tuple[NDArray[np.intp], Array, Array, Array]:
-    """Find the blocks that may be uniform. These blocks contain a bright pixel and are not textured.
+    """Select the bright blocks without texture, and measure how uniform they are.
 
     A bright block next to a dark block is not uniform, because a dark block's means are 0.
 
@@ -192,13 +194,13 @@ def plain_blocks(means: Array, spread: Array) -> tuple[NDArray[np.intp], Array, 
     Returns
     -------
     numbers : ndarray, (block,)
-        Indices of these blocks, in row-major order.
+        Indices of the selected blocks, in row-major order.
     signal : ndarray, (channel, block)
         Channel means, smoothed over 3 × 3 blocks.
     plain : ndarray, (block,)
         Uniformity of each block, from 0 (textured) to 1 (uniform).
     share : ndarray, (block,)
-        Replaced fraction of the outputs.
+        Fraction of the outputs to replace.
     """
     numbers = np.flatnonzero(means.any(axis=0) & (spread < TEXTURED))
     row, col = np.divmod(numbers, spread.shape[1])
@@ -230,17 +232,17 @@ def block_maps(means: Array, spread: Array, response: Array, white: Array) -> Ar
 
 
 def hue_spacing(side: int) -> int:
-    """Return the spacing, in blocks of `side` pixels, of the blocks with which a clipped block is compared."""
+    """Return the spacing, in blocks of `side` pixels, between the blocks that are compared with a clipped block."""
     return max(HUE_REACH // (HUE_STEPS * side), 1)
 
 
 def spread_spacing(side: int) -> int:
-    """Return the distance, in blocks of `side` pixels, over which one step spreads the estimates."""
+    """Return how far one step spreads the estimates, in blocks of `side` pixels."""
     return max(SPREAD_REACH // side, 1)
 
 
 def reach(cfa: NDArray[np.uint8]) -> int:
-    """Return how many rows above and below a pixel may influence its values in `clipping_maps`."""
+    """Return the number of rows above and below a pixel that can affect its values in `clipping_maps`."""
     side = block_sides(cfa)[0]
     return (HUE_STEPS * hue_spacing(side) + SPREADS * spread_spacing(side) + 3) * side
 
@@ -255,9 +257,9 @@ class ClippedBlocks:
     shape: tuple[int, int]  # block rows and block columns of the frame
 
     def neighbour(self, down: int, right: int) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-        """Return the index of each block's neighbour at an offset in blocks, and whether it is inside the frame.
+        """Return the index of each block's neighbour at an offset in blocks, and whether this neighbour exists.
 
-        Outside the frame, the index is 0.
+        The index of a neighbour outside the frame is 0.
         """
         row, col = np.divmod(self.numbers, self.shape[1])
         row, col = row + down, col + right
@@ -265,15 +267,15 @@ class ClippedBlocks:
         return np.where(inside, row * self.shape[1] + col, 0), inside
 
     def scaled(self, signal: Array) -> tuple[Array, Array]:
-        """Scale signals (channel, block) to match the blocks in their unclipped channels.
+        """Scale signals (channel, block) to the brightness of the blocks in their unclipped channels.
 
         Returns
         -------
         signal : ndarray, (channel, block)
             Scaled signals.
         likeness : ndarray, (block,)
-            Similarity of each block to its scaled signal, from 0 to 1. It is 1 if both agree in the unclipped channels and
-            the scaled signal is at least as large as the block in the clipped channels.
+            Similarity between each block and the scaled signals, from 0 to 1. It is 1 if the scaled signals equal the
+            block's means in the unclipped channels, and are at least as large in the clipped channels.
         """
         ratio, unclipped = signal / self.own, 1 - self.clipped
         scale = (unclipped * ratio).sum(axis=0) / ((unclipped * ratio**2).sum(axis=0) + MIN_WEIGHT)
@@ -282,15 +284,15 @@ class ClippedBlocks:
         return scale * signal, np.maximum(1 - difference / MAX_DIFFERENCE, 0.0)
 
     def change(self, signal: Array) -> Array:
-        """Return each block's mean squared relative difference from `signal` in its unclipped channels: (block,)."""
+        """Return the mean squared relative difference between blocks and `signal` in the unclipped channels: (block,)."""
         unclipped = 1 - self.clipped
         return np.asarray((unclipped * (1 - signal / self.own) ** 2).sum(axis=0) / (unclipped.sum(axis=0) + MIN_WEIGHT))
 
     def estimated(self, colour: Array, white: Array) -> Array:
-        """Estimate the signals (channel, block) that the blocks would have without clipping.
+        """Estimate the signals that the blocks would have without clipping: (channel, block).
 
-        Unclipped channels keep their signals. Clipped channels are computed from the mixture of `colour` (channel, block)
-        and white that best fits the unclipped channels.
+        Unclipped channels keep their signals. In clipped channels, the estimate comes from the mixture of `colour` (channel,
+        block) and white that best fits the unclipped channels.
         """
         unclipped, ratio, of_white = 1 - self.clipped, colour / self.own, white[:, None] / self.own
         squares = (unclipped * ratio**2).sum(axis=0) + MIN_WEIGHT
@@ -305,11 +307,11 @@ class ClippedBlocks:
 def estimated_maps(
     means: Array, spread: Array, response: Array, white: Array, sides: tuple[int, int]
 ) -> tuple[Array, Array]:
-    """Estimate the hue and the outputs of clipped blocks from unclipped blocks nearby.
+    """Estimate the hue and outputs of clipped blocks from nearby unclipped blocks.
 
-    A nearby block may show the same surface under less light. To test this, its signals are scaled to the brightness of the
-    clipped block. The scaled signals must then agree with the unclipped channels, and reach full scale in the clipped
-    channels. The estimated signals of clipped blocks then spread over uniform areas, such as a sky, in several steps.
+    A nearby block may show the same surface under less light. To test this, l3 scales its signals to the brightness of the
+    clipped block. If the surface is the same, the scaled signals equal the clipped block's unclipped channels, and reach
+    full scale in its clipped channels. The estimates then spread over uniform areas, such as a sky, in several steps.
 
     Parameters
     ----------
@@ -329,9 +331,9 @@ def estimated_maps(
     hue : ndarray, (map, block row, block col)
         Weight of the hue, and X/Y and Z/Y of the hue, multiplied by the weight.
     estimated : ndarray, (map, block row, block col)
-        Fraction of the outputs that the estimated outputs replace, and the estimated X, Y and Z, multiplied by this
-        fraction. The fraction is large in areas that are not uniform, if most of the luminance is in clipped channels. The
-        outputs of single pixels would then be noisy, because they are computed from the weak signals of the other channels.
+        Fraction of the outputs to replace, and the estimated X, Y and Z, multiplied by this fraction. The fraction is large
+        in smooth blocks next to an edge, if most of the luminance is in clipped channels. The outputs of single pixels would
+        be noisy there, because they depend on weak signals in the other channels.
     """
     channels, *shape = means.shape
     signals, every = means.reshape(channels, -1), smooth_step(means, KEPT, REPLACED).reshape(channels, -1)
@@ -389,10 +391,10 @@ def estimated_maps(
 
 
 def grey_level(signal: Array, white: Array) -> Array:
-    """Estimate the brightness of a surface from its signals, assuming that it is grey.
+    """Estimate the brightness of surfaces from their signals, assuming that the surfaces are grey.
 
-    The result is a weighted mean of one estimate per channel. The more a channel clips, the lower its weight. If all
-    channels clip, the result is the largest estimate.
+    Each channel provides an estimate, and the result is their weighted mean. The more a channel clips, the lower its weight.
+    If all channels clip, the result is the largest estimate.
 
     Parameters
     ----------
@@ -414,7 +416,7 @@ def grey_level(signal: Array, white: Array) -> Array:
 
 
 def added_terms(signal: Array) -> Array:
-    """Return the terms of the linear regression that corrects the outputs where channels clip.
+    """Return the regressors from which corrections of clipped outputs are computed.
 
     Each channel has a group of terms: all channel means and the constant 1, multiplied by the degree to which the channel
     clips.
@@ -434,6 +436,6 @@ def added_terms(signal: Array) -> Array:
 
 
 def smooth_step(values: Array, low: float, high: float) -> Array:
-    """Apply the smoothstep function, which increases from 0 at `low` to 1 at `high`, to `values`."""
+    """Apply the smoothstep function to `values`. It rises from 0 at `low` to 1 at `high`."""
     part = np.clip((values - low) / (high - low), 0.0, 1.0)
     return np.asarray(part * part * (3 - 2 * part))

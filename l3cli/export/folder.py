@@ -91,9 +91,9 @@ LAYERS = {
     "and of the difference between the means of a block and of the middle block. The means of a block are 0 if no value "
     "reaches the fraction begins[0] of full scale, or if the block lacks a channel",
     "hue of clipped areas": 'after "clipping", X = (1 - c) * X + x * Y and Z = (1 - c) * Z + z * Y. c, x and z are '
-    "computed for the same blocks as w and q and are interpolated in the same way. s contains the mean of each channel of "
-    "a block, not averaged over 3 x 3 blocks, and k = S(s; kept). Each block with max k > 0 and min k < 1 is compared with "
-    "a grid of 5 x 5 blocks inside the frame, of which it is the centre. Rows and columns of the grid are hue_spacing "
+    "computed for the same blocks as w and q and are interpolated in the same way. s contains the channel means of a "
+    "block, not averaged over 3 x 3 blocks, and k = S(s; kept). Each block with max k > 0 and min k < 1 is compared with "
+    "5 x 5 blocks around it, as far as they are inside the frame. The rows and columns of these blocks are hue_spacing "
     "blocks apart. A compared block has the means o, t = o / max(s, hue_darkest), r = sum of (1 - k) * t / (sum of (1 - k) "
     "* t^2 + faintest), e = 1 - r * t, the likeness l = max(0, 1 - sum of ((1 - k) * e^2 + k * max(e, 0)^2) / "
     "hue_difference) and the weight v = l^2 * (1 - max S(o; kept))^2 * b / 81, where b is the product of 1 2 3 2 1 in both "
@@ -140,7 +140,7 @@ LEAST_DOC = (
 
 
 def folder_files(table: TransformTable) -> dict[str, bytes]:
-    """Convert a table to table.json and array files: file name → content.
+    """Convert a table to table.json and array files. Return each file's content by name.
 
     Raises RecipeError if the table has too many layers.
     """
@@ -206,7 +206,7 @@ class _Arrays:
     def __init__(self) -> None:
         self.files: dict[str, bytes] = {}
         self.entries: list[dict[str, Any]] = []
-        # Prefix of array names in an additional set of transforms. Arrays that equal those of the main set are omitted.
+        # Prefix of array names in an additional set of transforms. An array is omitted if it is the same in the main set.
         self.prefix = ""
 
     def add(self, name: str, values: NDArray, axes: tuple[str, ...], unit: str, doc: str) -> None:
@@ -222,9 +222,9 @@ class _Arrays:
         )  # fmt: skip
 
     def add_fields(self, prefix: str, instance: Any, names: tuple[str, ...] | None = None) -> dict[str, Any]:
-        """Add the arrays of a dataclass, and return its scalars and texts with their units and descriptions.
+        """Add a dataclass's arrays, and return its scalars and texts with their units and descriptions.
 
-        `names` selects the fields. None means all.
+        `names` selects the fields. None selects all.
         """
         values = {}
         for name, spec in declared(type(instance)):
@@ -245,7 +245,7 @@ def _file(name: str) -> str:
 
 
 def _layer(arrays: _Arrays, number: int, layer: Any) -> dict[str, Any]:
-    """Add the arrays of a layer and its class rule, and return their scalars for table.json."""
+    """Add the arrays of a layer and of its class rule, and return the scalars for table.json."""
     prefix, rule = f"layer{number}/", layer.rule
     kind = next(iter(rule_fields(rule))) if number else "mosaic"
     entry: dict[str, Any] = {"reads": "planes" if number else "mosaic", "rule": kind}
@@ -266,7 +266,7 @@ def _layer(arrays: _Arrays, number: int, layer: Any) -> dict[str, Any]:
 
 
 def _derived(arrays: _Arrays, table: TransformTable) -> None:
-    """Add the arrays that l3 derives from a table before rendering, such as the number of taps per channel."""
+    """Add arrays that l3 derives from a table before rendering, such as the number of taps per channel."""
     neighbours = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
     for name, values, doc in (
         ("count", neighbours.count, "number of taps of each channel in the patch of a site"),
@@ -318,12 +318,12 @@ def _study(words: Words, costs: tuple[Cost, ...]) -> dict[str, Any]:
 
 
 def _clipped_white(table: TransformTable) -> dict[str, Any]:
-    """Return an entry for table.json with the XYZ of the darkest white that clips all channels, if the table contains it."""
+    """Return the table.json entry for the XYZ of the darkest white that clips all channels, or {} if it is unknown."""
     return {} if table.clipped_white is None else {"clipped_white": table.clipped_white.tolist()}
 
 
 def _white_scale(table: TransformTable) -> dict[str, Any]:
-    """Return an entry for table.json with the factors from DN in each channel to the luminance of white, if known."""
+    """Return the table.json entry for each channel's factor from DN to the luminance of white, or {} if it is unknown."""
     return {} if table.white_signals is None else {"white_scale": white_scale(table).tolist()}
 
 

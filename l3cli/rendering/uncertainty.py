@@ -1,17 +1,18 @@
-"""Uncertainty of rendered outputs due to camera noise (docs/measurement.md#uncertainty).
+"""Compute the uncertainty of rendered outputs due to camera noise (docs/measurement.md#uncertainty).
 
 The standard deviation of an output at pixel p is modelled as
 
     σ(p) = G(class) · K(kind) · E(p) · s(p)
 
-s is the standard deviation of a raw value at the output's signal level. G is a gain for each class of the last layer. K is a
-factor for each kind (chroma or saturation case) of the first layer. E is a factor for the outermost rows and columns, which
-are noisier because mirrored windows contain some raw values twice.
+* s is the standard deviation of a raw value at the pixel's signal level.
+* G is a gain for each class of the last layer.
+* K is a factor for each kind (chroma or saturation case) of the first layer.
+* E is a factor for the outermost rows and columns. They are noisier, because mirrored windows contain some raw values twice.
 
-A parametric bootstrap determines G, K and E. The rendered picture is treated as the true scene, of which several frames with
-independent noise are simulated and rendered. G, K and E are fitted so that the mean σ equals the standard deviation over the
-renderings: for each class, for each kind, and for the outermost rows and columns. The result therefore includes the effect
-of noise on the classification.
+G, K and E are determined by a parametric bootstrap. The rendered picture is treated as the true scene. Several frames of
+this scene with independent noise are simulated and rendered. G, K and E are then fitted so that the mean σ equals the
+measured standard deviation over the renderings, in each class, in each kind, and in the outermost rows and columns. The
+result includes the effect of noise on the classification.
 """
 
 import math
@@ -38,18 +39,18 @@ Array = NDArray[np.floating]
 Labels = NDArray[np.integer]
 CLIPPED = 1  # bit of the mask: clipped values affect the class or the result
 UNTRAINED = 2  # bit of the mask: the class has no training patches
-# Of large frames, only a grid of square pieces is simulated.
+# In large frames, only a grid of pieces is simulated.
 PIECE_PIXELS = 96  # approximate side of a piece
 PIECES_PER_SIDE = 4  # number of pieces along each side of the frame
 SEAM_PIXELS = 8  # width of the border to ignore in each piece
-BUDGET = 1 << 18  # approximate number of pixels in all renderings together
+BUDGET = 1 << 18  # approximate total number of pixels in all renderings
 DRAWS = (5, 40)  # minimum and maximum numbers of renderings
-SMOOTHED = 0.5  # σ in pixels of a Gaussian blur that removes noise from the picture, so that it does not count twice
+SMOOTHED = 0.5  # σ in pixels of a Gaussian blur that removes the picture's own noise before noise is simulated
 FITS = 3  # iterations of the robust fit from outputs to raw signals
 ROUNDS = 4  # iterations of the fit of G and K, enough for convergence
-PRIOR = 50  # weight, in pixels, of the assumption that a class has the gain of a coarser class
-EDGE_PIXELS = 4  # number of rows and columns with their own factor E; farther inside, σ changes by less than 2 %
-TILES = (1, 2, 4, 8, 16)  # sides in pixels of the tiles for which the noise of the mean is measured
+PRIOR = 50  # weight, in pixels, of the prior that a class has the same gain as the larger group of pixels around it
+EDGE_PIXELS = 4  # number of rows and columns at each side with their own factor E; elsewhere, E is within 2 % of 1
+TILES = (1, 2, 4, 8, 16)  # sides of tiles, in pixels; the noise of tile means is measured for each size
 MIN_TILES = 9  # tile sizes with fewer tiles per rendering are not evaluated
 MIN_VARIANCE = 1e-30  # avoids division by zero if noise changes no raw value, as in a black frame
 MIN_SIDE = 32  # smallest side of a frame, in pixels
@@ -60,19 +61,20 @@ SEED = 20
 
 @dataclass(frozen=True)
 class NoiseGains:
-    """Factors G, K and E, which convert raw noise to output noise (see the module docstring)."""
+    """The factors G, K and E, which convert raw noise to output noise (see the module docstring)."""
 
-    # For tables with Stokes parameters, the axis "output" contains the outputs, followed by SUMS.
+    # If the table has Stokes parameters, the axis "output" contains the outputs, followed by SUMS.
     by_class: NDArray[np.float32]  # (class of the last layer, output) gain G
     by_kind: NDArray[np.float32]  # (class of the first layer, output) factor K
     by_edge: NDArray[np.float32]  # (side, distance, output) factor E; the sides are top, bottom, left and right
-    area: Array  # (tile size, output) variance of the tile mean, times its number of pixels, relative to the pixel variance
+    # (tile size, output) variance of tile means times the pixels per tile, relative to the pixel variance; 1 for white noise
+    area: Array
     unit: float  # raw signal above black, in DN, at which the brightness of the outputs is 1
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Uncertainty of the outputs of a frame, in upright orientation."""
+    """Uncertainty of a frame's outputs, in upright orientation."""
 
     sigma: NDArray[np.float32]  # (row, col, output) standard deviation due to camera noise
     mask: NDArray[np.uint8]  # (row, col) bits CLIPPED and UNTRAINED; 0 for reliable pixels
@@ -81,9 +83,9 @@ class Uncertainty:
     polarisation: NDArray[np.float32] | None = None
 
     def of_mean(self, inside: NDArray[np.bool_]) -> Array:
-        """Return the standard deviation of each output's mean over a region.
+        """Return the standard deviation, due to noise, of each output's mean over a region.
 
-        The correlation of the noise is assumed to have the same effect as in a square with the same number of pixels.
+        The correlation between pixels is assumed to have the same effect as in a square with the same number of pixels.
 
         Parameters
         ----------
@@ -101,7 +103,7 @@ class Uncertainty:
 
 
 def require_known_noise(table: TransformTable) -> None:
-    """Raise a RecipeError if the table does not contain the noise model of its camera."""
+    """Raise a RecipeError if the table does not contain its camera's noise model."""
     if table.camera is None:
         raise RecipeError(
             "the uncertainty depends on the camera's noise model, which this table does not contain; train the table again"
@@ -109,16 +111,16 @@ def require_known_noise(table: TransformTable) -> None:
 
 
 def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = None) -> Uncertainty:
-    """Compute the uncertainty of the outputs of a frame.
+    """Compute the uncertainty of a frame's outputs.
 
     Parameters
     ----------
     renderer : Renderer
-        Renderer with a single set of transforms, for the gain and noise of the frame.
+        Renderer with a single set of transforms, trained for the gain and noise of the frame.
     frame : RawFrame
         The raw frame.
     like : Uncertainty, optional
-        Uncertainty of another frame of the same scene. Its factors replace the bootstrap.
+        Uncertainty of another frame of the same scene. Its factors G, K and E are reused, so the bootstrap is skipped.
 
     Returns
     -------
@@ -164,7 +166,7 @@ def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = 
 
 
 def _with_sums(table: TransformTable, outputs: Array) -> Array:
-    """Append the sums of Stokes parameters (SUMS) to the outputs, if these contain Stokes parameters."""
+    """Append the sums of pairs of Stokes parameters (SUMS) if the outputs contain Stokes parameters."""
     if not has_stokes(table.outputs):
         return outputs
     stokes = stokes_of(outputs, table.outputs)
@@ -172,7 +174,7 @@ def _with_sums(table: TransformTable, outputs: Array) -> Array:
 
 
 def _of_polarisation(table: TransformTable, outputs: Array, sigma: Array) -> NDArray[np.float32]:
-    """Return the standard deviations (row, col, 2) of DoLP and AoLP.
+    """Return the standard deviations of DoLP, and of AoLP in degrees: (row, col, 2).
 
     `sigma` (output, row, col) contains the standard deviations of the outputs and of SUMS. The covariance of two Stokes
     parameters follows from their variances and the variance of their sum.
@@ -203,9 +205,9 @@ class RegionMean:
 
 
 def region(picture: NDArray[np.floating], of: Uncertainty, polygon: Sequence[tuple[float, float]]) -> RegionMean:
-    """Average the outputs over a polygon, with the uncertainty of the mean.
+    """Average the outputs over a polygon, and compute the uncertainty of the mean.
 
-    Errors of neighbouring pixels are correlated, because their windows share raw values. The uncertainty of the mean takes
+    The noise of neighbouring pixels is correlated, because their windows share raw values. The uncertainty of the mean takes
     this correlation into account.
 
     Parameters
@@ -269,10 +271,7 @@ def within_polygon(shape: tuple[int, ...], polygon: Sequence[tuple[float, float]
 
 
 def _flags(table: TransformTable) -> list[NDArray[np.uint8]]:
-    """Return the mask bits (CLIPPED, UNTRAINED) of each class in the first and last layers.
-
-    For a table with a single layer, the result contains one array.
-    """
+    """Return the mask bits (CLIPPED, UNTRAINED) of each class, for the first layer and, if there is another, the last."""
     rule, samples = table.first.rule, [table.first.samples, *(layer.samples for layer in table.later[-1:])]
     flags = [np.where(each > 0, 0, UNTRAINED).astype(np.uint8) for each in samples]
     flags[0][rule.case(rule.split(np.arange(len(table.first.weights))).kind) > 0] |= CLIPPED
@@ -280,7 +279,7 @@ def _flags(table: TransformTable) -> list[NDArray[np.uint8]]:
 
 
 def _replaced(table: TransformTable, frame: RawFrame) -> NDArray[np.uint8]:
-    """Return an array (row, col) that is CLIPPED where rendering replaces clipped areas, and 0 elsewhere."""
+    """Return an array (row, col) that is CLIPPED where rendering corrects clipped areas, and 0 elsewhere."""
     none, clipping = np.zeros(frame.values.shape, np.uint8), table.later[-1].clipping if table.later else None
     if clipping is None:
         return none
@@ -312,10 +311,10 @@ def _sides(planes: NDArray[Any]) -> list[NDArray[Any]]:
 def _raw_sigma(
     table: TransformTable, terms: tuple[Array, Array, float], unit: float, outputs: Array, scale: Array
 ) -> Array:  # fmt: skip
-    """Return the standard deviation s of a raw value at each output's signal level, as a fraction of full scale.
+    """Return the standard deviation s of a raw value at each pixel's signal level, as a fraction of full scale.
 
-    The noise terms are averaged over the channels. `scale` is `RawFrame.light_share` times the shading gain of each pixel.
-    The outputs include this factor, and so does the result.
+    The noise terms are averaged over the channels. `scale` is `RawFrame.light_share` times each pixel's shading gain. The
+    outputs are multiplied by this factor, and so is the result.
     """
     span = table.white_level - table.black_level
     constant, linear, quadratic = (np.mean(term) / span**2 for term in terms)
@@ -333,9 +332,9 @@ def _brightness(table: TransformTable, outputs: Array) -> Array:
 
 
 def _noise_terms(table: TransformTable, frame: RawFrame) -> tuple[Array, Array, float]:
-    """Return the constant (channel,), linear (channel,) and quadratic noise terms of a frame.
+    """Return a frame's constant (channel,), linear (channel,) and quadratic noise terms.
 
-    They apply to raw values at the table's black and white levels, in DN.
+    They apply to raw values in DN, scaled to the table's black and white levels.
     """
     every = np.arange(len(table.channels))
     camera, dark = _camera_and_dark(table, frame)
@@ -344,15 +343,15 @@ def _noise_terms(table: TransformTable, frame: RawFrame) -> tuple[Array, Array, 
 
 
 def _line_variances(table: TransformTable, frame: RawFrame) -> tuple[float, float]:
-    """Return the variances of row noise and column noise in DN², at the table's black and white levels."""
+    """Return the variances of row noise and column noise in DN², for values scaled to the table's levels."""
     camera, dark = _camera_and_dark(table, frame)
     return camera.line_variances(dark)
 
 
 def _camera_and_dark(table: TransformTable, frame: RawFrame) -> tuple[CameraModel, float]:
-    """Return the table's camera with the noise that remains in a frame, and the frame's dark signal.
+    """Return the table's camera with the frame's remaining noise, and the frame's dark signal.
 
-    The dark signal is in DN at the table's black and white levels.
+    The dark signal is in DN, scaled to the table's black and white levels.
     """
     assert table.camera is not None
     dark = frame.dark * (table.white_level - table.black_level) / (frame.white_level - frame.black_level)
@@ -363,14 +362,15 @@ def _camera_and_dark(table: TransformTable, frame: RawFrame) -> tuple[CameraMode
 
 
 def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Array) -> NoiseGains:
-    """Determine the factors G, K and E by a bootstrap. The `outputs` of the frame include the factor `scale`.
+    """Determine the factors G, K and E by a bootstrap. The frame's `outputs` are multiplied by `scale`.
 
     Raises RecipeError if the frame is too small.
     """
     from scipy.ndimage import gaussian_filter
 
     table = renderer.table
-    # Pieces begin at multiples of both block sizes: for clipped areas (whole CFA periods), and for coarse chroma.
+    # Two steps of rendering work on blocks: the correction of clipped areas, and coarse chroma. Pieces begin at multiples of
+    # both block sizes.
     units = [math.lcm(side, BLOCK) for side in block_sides(table.cfa)]
     if min(frame.values.shape) < (least := max(MIN_SIDE, *units)):
         tall, wide = frame.values.shape
@@ -408,7 +408,7 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Arr
         first[draw], last[draw] = labels[0], labels[-1]
     spread = _raw_sigma(table, terms, unit, made[:own], np.ones((), np.float32))
     deviations = made - made.mean(axis=1, keepdims=True)
-    # Ratio of the expected sample standard deviation of `draws` values to the true standard deviation.
+    # The standard deviation of a few draws is too small on average, by this factor.
     chi = math.exp(math.lgamma(draws / 2) - math.lgamma((draws - 1) / 2)) * math.sqrt(2 / draws)
     measured = np.sqrt(np.square(deviations).mean(axis=1)) / chi
     inner = np.flatnonzero(_counts(rows)), np.flatnonzero(_counts(cols))
@@ -424,7 +424,8 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Arr
 
 
 def _edge_factors(measured: Array, expected: Array, inner: tuple[Labels, Labels]) -> Array:
-    """Return the factors E (side, distance, output): measured divided by expected standard deviation near each border.
+    """Return the factors E (side, distance, output), the ratios of measured to expected standard deviations near each
+    border.
 
     Corners and the seams between simulated pieces are ignored.
     """
@@ -444,15 +445,15 @@ def _cut(planes: NDArray[Any], rows: Labels, cols: Labels) -> NDArray[Any]:
 
 
 def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labels], outputs: Array) -> tuple[Array, float]:
-    """Fit the inverse of rendering: a matrix from outputs to raw signals in DN.
+    """Fit a matrix that converts outputs to raw signals in DN, the inverse of rendering.
 
-    The fit compares block means, because outputs and raw values disagree in fine patterns. It is a robust least-squares fit
-    of errors relative to the brightness of each block.
+    The matrix is fitted to block means, because outputs and raw values disagree in fine patterns. The robust fit minimises
+    errors relative to the brightness of each block.
 
     Parameters
     ----------
     table : TransformTable
-        Table that rendered the outputs.
+        Table with which the outputs were rendered.
     levelled : RawFrame
         The frame, from `at_table_levels`.
     sampled : (ndarray, ndarray)
@@ -489,7 +490,7 @@ def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labe
 
 
 def _sampled(length: int, unit: int) -> NDArray[np.int64]:
-    """Choose the rows or columns to simulate: all of them, or evenly spaced pieces of a large frame.
+    """Choose the rows or columns to simulate: all of them or, in a large frame, evenly spaced pieces.
 
     Pieces begin at multiples of `unit`. The first and last pieces include the borders of the frame.
     """
@@ -502,7 +503,7 @@ def _sampled(length: int, unit: int) -> NDArray[np.int64]:
 
 
 def _counts(indices: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return a mask of the indices from `_sampled` that are not near a seam between pieces or a border of the frame."""
+    """Return a mask of the indices from `_sampled` that are far from seams between pieces and from the frame's borders."""
     seams = np.concatenate([[-0.5], np.flatnonzero(np.diff(indices) != 1) + 0.5, [indices.size - 0.5]])
     return np.asarray(np.abs(np.arange(indices.size)[:, None] - seams).min(axis=1) > SEAM_PIXELS)
 
@@ -511,8 +512,8 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
     """Fit the gains G and the factors K by iterative proportional fitting.
 
     Pixels are grouped in four ways: by level, by the class in the last layer pooled over all CFA sites, by the class at each
-    site, and by the kind in the first layer. In each group, the fit makes the mean predicted standard deviation equal to the
-    mean measured standard deviation.
+    site, and by the kind in the first layer. In each group, the fit equates the predicted and the measured standard
+    deviation, averaged over the group's pixels.
 
     Parameters
     ----------
@@ -552,7 +553,8 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
     prior = PRIOR * len(last) * measured.mean(axis=(1, 2))
     wanted = _summed(cell.ravel(), np.tile(measured.reshape(len(measured), -1), len(cell)).T, used.size)
     seen = [_summed(part, wanted, len(factor)) for part, factor in zip(parts, factors, strict=True)]
-    # The mean over all draws is approximated from two draws per pixel: the draw itself, and one that represents all others.
+    # To save time, each pixel's mean over all draws is approximated from two draws: the draw itself, and the one before it,
+    # which represents all others.
     alone, others = _summed(cell.ravel(), spread.reshape(-1, 1) / len(cell), used.size), 1 - 1 / len(cell)
     by_others = coo_array((np.roll(spread * others, 1, 0).ravel(), (cell.ravel(), np.roll(cell, 1, 0).ravel()))).tocsr()
     for _ in range(ROUNDS):
@@ -565,12 +567,12 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
 
 
 def _summed(part: Labels, values: NDArray[Any], size: int) -> Array:
-    """Sum values (cell, output) over the cells of each part, to an array (part, output)."""
+    """Sum values (cell, output) over the cells of each part: (part, output)."""
     return np.stack([np.bincount(part, of, size) for of in values.T], axis=-1)
 
 
 def _areas(deviations: Array) -> Array:
-    """Compute `NoiseGains.area` from the deviations (output, draw, row, col) of renderings from their mean."""
+    """Compute `NoiseGains.area` from the renderings' deviations from their mean: (output, draw, row, col)."""
     areas, means = [], deviations
     for side in TILES:
         if side > 1:

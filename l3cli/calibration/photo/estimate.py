@@ -1,8 +1,8 @@
-"""Estimation of responsivities and of a photo's illuminant from the patches of a chart.
+"""Estimate a camera's responsivities, and a photo's illuminant, from the patches of a colour chart.
 
-The responsivities are the posterior of a Gaussian model (docs/method.md#charts-in-photographs). The same model determines
-the probability of each candidate illuminant, and the illuminant under which an additional photo would reduce the colour
-error most.
+The estimate is the posterior of a Gaussian model (docs/method.md#charts-in-photographs). The same model provides the
+probability of each candidate illuminant. It also determines which illuminant an additional photo should have, so that the
+colour error decreases most.
 """
 
 import functools
@@ -19,7 +19,7 @@ from l3cli.physics import spectra
 WAVELENGTH = np.arange(400.0, 721.0, 10.0)  # nm; all published curves of cameras cover this range
 ROLES = ("r", "g", "b")  # channels of the measured cameras
 MODES = 16  # number of principal components of measured cameras; more components would not change the results
-# Smooth deviations in the prior of measured cameras: their fraction of the variance, and their correlation length in nm.
+# The prior of measured cameras includes smooth deviations: their fraction of the variance, and correlation length in nm.
 SMOOTH_SHARE, SMOOTH_NM = 0.1, 25.0
 LEAST_SPREAD = 0.01  # smallest standard deviation between cameras, as a fraction of the peak
 # Mean, standard deviation and correlation length (nm) of the responsivity of an unknown filter.
@@ -27,34 +27,33 @@ UNKNOWN_MEAN, UNKNOWN_SPREAD, UNKNOWN_NM = 0.3, 0.35, 45.0
 UNKNOWN_PEAK = 0.7  # standard deviation of the natural logarithm of the peak of an unknown channel
 PEAK_FLOOR = 0.25  # added in quadrature to the spread of known peaks, because channels may have different converter gains
 MEASURED, UNLIKE, SMOOTH = "measured cameras", "cameras unlike the measured ones", "smooth"  # names of the priors
-# The prior of unusual cameras has WIDENING times the standard deviation of measured cameras, plus smooth deviations with the
-# standard deviation UNLIKE_SPREAD (fraction of the peak) and the correlation length UNLIKE_NM.
+# The prior of unusual cameras has WIDENING times the standard deviation of measured cameras. It also includes smooth
+# deviations with the standard deviation UNLIKE_SPREAD (fraction of the peak) and the correlation length UNLIKE_NM.
 WIDENING = 2.0
 UNLIKE_SPREAD, UNLIKE_NM = 0.05, 35.0
-# The evidence for an illuminant is overconfident, because no prior describes a camera exactly. If its logarithm is divided
+# The evidence for an illuminant is overconfident, because no prior describes a camera exactly. With the log evidence divided
 # by these factors, the computed probabilities match the frequency of correct guesses (tests/studies/test_photo_study.py).
 TEMPERING = {True: 1.5, False: 6.0}  # True: one of the priors is based on measured cameras
 JITTER = 1e-6  # added to the diagonals of covariances, so that they can be inverted
-STEPS = 4  # linearisations of the product of curve and illumination; results hardly change after the third
+STEPS = 4  # number of times that the product of responsivity and illumination is linearised; 3 would be almost as good
 SCALE_SPREAD = 0.5  # relative standard deviation of a channel's scale around the first guess; nearly uninformative
 SHOT_SPREAD = 0.3  # relative standard deviation of a shot's exposure around the first guess, except for the first shot
 FARTHEST = 4.0  # largest factor by which scales and exposures may differ from the first guess
 CURVATURE = 0.5  # standard deviation of a quadratic term of the illumination, relative to a linear term
 FLOOR = 0.001  # unexplained error, as a fraction of the brightest patch
-ERRORS = (0.0, 0.002, 0.005, 0.01, 0.02, 0.035, 0.06)  # relative model errors to try (reflectances, texture)
+ERRORS = (0.0, 0.002, 0.005, 0.01, 0.02, 0.035, 0.06)  # relative model errors to try, from wrong reflectances or texture
 TERMS = 6  # number of terms of the illumination: constant, x, y, x², xy, y²
 Array = NDArray[np.floating]
 MOST_EVIDENCES = 1000  # largest number of cached results
 _EVIDENCES: dict[bytes, float] = {}  # cache, because the same shots and illuminants are evaluated three times
 IMPROBABLE = 0.02  # illuminants with a lower probability do not widen the confidence band
-# l3 warns if another illuminant is more probable than the specified one, and the natural logarithm of the probability ratio
-# exceeds this value.
+# Smallest log ratio of probabilities, between another illuminant and the specified one, at which l3 warns.
 NOTICED = 3.0
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Gaussian prior of a camera's responsivity curves and of their peak heights."""
+    """Gaussian prior for a camera's responsivity curves and their peak heights."""
 
     mean: Array  # (channel, wavelength): mean of the curves, each with a peak of about 1
     covariance: Array  # (channel · wavelength, channel · wavelength): covariance of the curves
@@ -64,7 +63,10 @@ class Prior:
 
 
 def statistics(cameras: Sequence[FinishedCurves]) -> CurveStatistics:
-    """Compute the mean curves of measured cameras with the same channels, and up to MODES principal components."""
+    """Compute the mean responsivity curves of several cameras, and up to MODES principal components.
+
+    All cameras must have the same channels.
+    """
     curves = np.array([spectra.average(each.responsivity, each.wavelength, WAVELENGTH) for each in cameras])
     peaks = curves.max(axis=2)
     shapes = curves / peaks[..., None]
@@ -78,7 +80,7 @@ def statistics(cameras: Sequence[FinishedCurves]) -> CurveStatistics:
 
 
 def camera_prior(known: CurveStatistics) -> Prior:
-    """Return the prior of a camera that resembles the measured cameras and has the same channels."""
+    """Return the prior for a camera that has the channels of the measured cameras, and resembles them."""
     count, size = known.mean.shape
     covariance = _covariance(known.modes).reshape(count * size, count * size) + JITTER * np.eye(count * size)
     return Prior(
@@ -91,9 +93,9 @@ def camera_prior(known: CurveStatistics) -> Prior:
 
 
 def unlike(prior: Prior) -> Prior:
-    """Return the prior of a camera that differs from the measured cameras, which have the prior `prior`.
+    """Widen the prior of measured cameras to a prior for cameras that differ from them.
 
-    Its covariance is larger, and includes smooth deviations that no measured camera has.
+    The result has a larger covariance, which includes smooth deviations that no measured camera has.
     """
     count, size = prior.mean.shape
     further = np.kron(np.eye(count), _smooth(np.full(size, UNLIKE_SPREAD), UNLIKE_NM))
@@ -101,14 +103,14 @@ def unlike(prior: Prior) -> Prior:
 
 
 def placed(prior: Prior, places: Sequence[int], channels: int) -> Prior:
-    """Extend a prior to a camera with more channels, or with the channels in a different order.
+    """Extend a prior to a camera with more channels, or with the same channels in a different order.
 
     Parameters
     ----------
     prior : Prior
-        Prior of some of the channels.
+        Prior for some of the channels.
     places : sequence of int
-        Index in the result for each channel of `prior`. All other channels of the result get the smooth prior.
+        New index of each channel in `prior`. All other channels of the result get the smooth prior.
     channels : int
         Number of channels in the result.
     """
@@ -123,10 +125,10 @@ def placed(prior: Prior, places: Sequence[int], channels: int) -> Prior:
 
 
 def plausible(channels: Sequence[str], known: CurveStatistics | None) -> list[Prior]:
-    """Return the possible priors of a camera.
+    """Return the priors that may describe a camera.
 
-    For channels r, g and b, these are the prior of measured cameras, the prior of cameras that differ from them, and the
-    smooth prior. Otherwise, or if `known` is None, only the smooth prior is possible.
+    If the camera has the channels r, g and b, these are the prior of measured cameras, the prior of cameras that differ from
+    them, and the smooth prior. Otherwise, or if `known` is None, it is only the smooth prior.
     """
     if known is None or not set(ROLES) <= set(channels):
         return [smooth(len(channels))]
@@ -136,7 +138,7 @@ def plausible(channels: Sequence[str], known: CurveStatistics | None) -> list[Pr
 
 
 def smooth(channels: int) -> Prior:
-    """Return the prior of channels with unknown filters, which assumes only that the curves are smooth."""
+    """Return a prior for channels with unknown filters. It assumes only that their curves are smooth."""
     size = WAVELENGTH.size
     one = _smooth(np.full(size, UNKNOWN_SPREAD), UNKNOWN_NM) + JITTER * np.eye(size)
     covariance = np.kron(np.eye(channels), one)
@@ -147,8 +149,8 @@ def smooth(channels: int) -> Prior:
 def _covariance(modes: Array) -> Array:
     """Return the covariance of measured cameras' curves: (channel, wavelength, channel, wavelength).
 
-    It is the weighted mean of the covariance of the principal components `modes`, (mode, channel, wavelength), and the
-    covariance of smooth deviations, which are independent in each channel.
+    It is the weighted mean of two covariances: that of the principal components `modes`, (mode, channel, wavelength), and
+    that of smooth deviations, which are independent in each channel.
     """
     _, count, size = modes.shape
     flat = modes.reshape(len(modes), -1)
@@ -161,7 +163,7 @@ def _covariance(modes: Array) -> Array:
 
 
 def _smooth(spread: Array, correlation_nm: float) -> Array:
-    """Return the covariance of smooth deviations with the standard deviation `spread` at each wavelength."""
+    """Return the covariance (wavelength, wavelength) of smooth deviations with the standard deviation `spread`."""
     distance = (WAVELENGTH[:, None] - WAVELENGTH) / correlation_nm
     return np.exp(-0.5 * distance**2) * np.outer(spread, spread)
 
@@ -176,13 +178,13 @@ class Shot:
     values: Array  # (patch, channel): mean value above black in DN
     deviation: Array  # (patch, channel): standard deviation of each value in DN
     used: NDArray[np.bool_]  # (patch, channel): whether the value is used
-    # prior standard deviation of the illumination terms; small if a white target corrects the illumination
+    # prior standard deviation of the illumination's linear terms; small if a white target corrects the illumination
     uneven: float = 0.2
     glare: float = 0.03  # standard deviation of the glare, as a fraction of the brightest patch
 
     @functools.cached_property
     def stimuli(self) -> Array:
-        """Relative photon radiance of each patch: (patch, wavelength)."""
+        """Each patch's relative photon radiance: (patch, wavelength)."""
         return self.reflectance * self.light
 
     @functools.cached_property
@@ -192,7 +194,7 @@ class Shot:
 
     @functools.cached_property
     def brightest(self) -> Array:
-        """Value of the brightest used patch in each channel, in DN above black. It is 1 if no patch is used."""
+        """Largest used value in each channel, in DN above black: (channel,). If no value is used, it is 1."""
         top = np.where(self.used, self.values, 0.0).max(axis=0)
         return np.where(top > 0, top, 1.0)
 
@@ -205,22 +207,22 @@ class Posterior:
     covariance: Array  # (channel · wavelength, channel · wavelength): covariance of the responsivity
     glare: Array  # (shot, channel): offset that glare adds to all patches, in DN
     illumination: Array  # (shot, term): coefficients of the illumination terms
-    error: float  # relative error of patch values in addition to noise, for example because of wrong reflectances
+    error: float  # relative error of the patch values apart from noise, for example from wrong reflectances
     evidence: float  # natural logarithm of the probability of the values, up to a constant
     predicted: tuple[Array, ...]  # for each shot, (patch, channel): predicted value in DN
 
 
 def estimate(shots: Sequence[Shot], prior: Prior) -> Posterior:
-    """Estimate the responsivities from all shots, with the most probable model error in ERRORS."""
+    """Estimate the responsivities from all shots, assuming the most probable model error in ERRORS."""
     candidates = [_solve(shots, prior, error) for error in ERRORS]
     best = max(candidates, key=lambda solution: solution.evidence)
     return best.posterior()
 
 
 def evidence(shots: Sequence[Shot], prior: Prior) -> float:
-    """Return the log probability of the patch values, up to a constant, under the illuminants in `shots`.
+    """Return the log probability of the patch values under the illuminants in `shots`, up to a constant.
 
-    The probability is averaged over the model errors in ERRORS.
+    The probability is averaged over the model errors in ERRORS. Results are cached.
     """
     every: list[Shot | Prior] = [*shots, prior]
     parts = [getattr(each, field.name) for each in every for field in fields(each) if field.name != "source"]
@@ -238,9 +240,9 @@ def _log_mean(logarithms: Sequence[float]) -> float:
 
 
 def terms(place: Array) -> Array:
-    """Evaluate the terms of the illumination polynomial: (patch, term).
+    """Evaluate the illumination's polynomial terms at patch coordinates: (patch, term).
 
-    `place`, (patch, 2), contains the patch coordinates x and y, from −1 to 1 across the chart.
+    `place`, (patch, 2), contains x and y, from −1 to 1 across the chart.
     """
     x, y = place.T
     return np.stack([np.ones_like(x), x, y, x * x - np.mean(x * x), x * y, y * y - np.mean(y * y)], axis=1)
@@ -251,10 +253,9 @@ def terms(place: Array) -> Array:
 
 @dataclass(frozen=True)
 class _Solution:
-    """The last linearisation of the model, values ≈ design @ state, and its solution.
+    """The final linearised model, values ≈ design @ state, and its solution.
 
-    The state is a vector of the responsivities, the glare and the coefficients of the illumination. The prior of the state
-    is Gaussian.
+    The state vector contains the responsivities, the glare and the illumination coefficients. It has a Gaussian prior.
     """
 
     shots: Sequence[Shot]
@@ -269,7 +270,7 @@ class _Solution:
     evidence: float  # as in `Posterior`
 
     def posterior(self) -> Posterior:
-        """Return the posterior without negative responsivities, and the predicted values of each patch."""
+        """Return the estimate, with responsivities constrained to be non-negative."""
         count, size = self.shape
         curves = count * size
         state = self.state if self.state[:curves].min() >= 0 else self._not_negative()
@@ -329,7 +330,7 @@ def _solve(shots: Sequence[Shot], prior: Prior, error: float) -> _Solution:
 
 
 def _first_guess(shots: Sequence[Shot], prior: Prior) -> Array:
-    """Return the initial state: mean curves of the prior, scaled to the first shot, uniform illumination and no glare."""
+    """Return the initial state: the prior's mean curves scaled to the first shot, uniform illumination and no glare."""
     count = len(prior.mean)
     expected = [shot.stimuli @ prior.mean.T for shot in shots]
 
@@ -346,7 +347,7 @@ def _first_guess(shots: Sequence[Shot], prior: Prior) -> Array:
 
 
 def _scale(state: Array, prior: Prior) -> Array:
-    """Return each channel's least-squares factor from the mean curve of the prior to the curve in `state`."""
+    """Return, for each channel, the least-squares factor from the prior's mean curve to the curve in `state`."""
     count, size = prior.mean.shape
     curves = state[: count * size].reshape(count, size)
     return np.maximum((curves * prior.mean).sum(axis=1) / (prior.mean**2).sum(axis=1), 1e-12)
@@ -385,9 +386,9 @@ def _exposure(shots: Sequence[Shot], index: int, curves: Array) -> float:
 
 
 def _expansion(shots: Sequence[Shot], state: Array, count: int, size: int, error: float) -> tuple[Array, Array, Array]:
-    """Linearise the model around a state, and return the design matrix, the right-hand side and the variances.
+    """Linearise the model around a state. Return the design matrix, the right-hand side and the variances.
 
-    The values are sorted by shot, then by channel, then by patch.
+    Rows are sorted by shot, then channel, then patch.
     """
     responsivity, glare, illumination = _split_state(state, len(shots), count, size)
     designs, rights, variances = [], [], []
@@ -420,7 +421,7 @@ def _split_state(state: Array, shots: int, count: int, size: int) -> tuple[Array
 
 
 def _predict(shot: Shot, responsivity: Array, glare: Array, illumination: Array) -> Array:
-    """Predict the values of a shot in DN: (patch, channel)."""
+    """Predict a shot's patch values in DN: (patch, channel)."""
     return (shot.terms @ illumination)[:, None] * (shot.stimuli @ responsivity.T) + glare
 
 
@@ -433,16 +434,16 @@ def _peaks(state: Array, prior: Prior) -> float:
 
 
 def compare(shots: Sequence[Shot], index: int, among: Sequence[Prior], candidates: Mapping[str, Array]) -> tuple[str, float]:
-    """Find the most probable common illuminant for a shot, and compare it with the shot's own illuminant.
+    """Find the most probable common illuminant for a shot, and compare it with the shot's stated illuminant.
 
     Parameters
     ----------
     shots : sequence of Shot
-        Photos of charts by the same camera.
+        Photos of charts, from one camera.
     index : int
         Index of the shot.
     among : sequence of Prior
-        Possible priors of the camera, from `plausible`.
+        Possible priors for the camera, from `plausible`.
     candidates : mapping of str to ndarray, (wavelength,)
         Relative photon radiances of the common illuminants.
 
@@ -461,9 +462,9 @@ def compare(shots: Sequence[Shot], index: int, among: Sequence[Prior], candidate
 def probabilities(
     shots: Sequence[Shot], index: int, among: Sequence[Prior], candidates: Mapping[str, Array]
 ) -> dict[str, float]:
-    """Return the probability of each candidate illuminant for a shot, assuming that one of them is correct.
+    """Return each candidate illuminant's probability for a shot, assuming that one of the candidates is correct.
 
-    The parameters are as in `compare`.
+    The parameters are the same as in `compare`.
     """
     logarithms = {name: _likelihood(_under(shots, index, light), among) for name, light in candidates.items()}
     top = max(logarithms.values())
@@ -479,10 +480,10 @@ def unsure_of_light(
     likely: Mapping[str, float],
     candidates: Mapping[str, Array],
 ) -> Posterior:
-    """Widen the covariance of a posterior to account for the uncertainty of a guessed illuminant.
+    """Widen a posterior's covariance, because the illuminant was guessed.
 
-    The responsivities are estimated under each probable illuminant and scaled to the same sum. The scatter of these
-    estimates around the posterior is added to the covariance.
+    The responsivities are estimated again under each probable illuminant and scaled to the same sum. The scatter of these
+    estimates is added to the covariance, weighted by the illuminants' probabilities.
 
     Parameters
     ----------
@@ -493,9 +494,9 @@ def unsure_of_light(
     index : int
         Index of the shot whose illuminant was guessed.
     prior : Prior
-        Prior of the camera.
+        Prior for the camera.
     likely : mapping of str to float
-        Probability of each illuminant. Illuminants below IMPROBABLE are ignored.
+        Probability of each illuminant. Illuminants with a probability below IMPROBABLE are ignored.
     candidates : mapping of str to ndarray, (wavelength,)
         Relative photon radiance of each illuminant.
     """
@@ -510,13 +511,13 @@ def unsure_of_light(
 
 
 def _likelihood(shots: Sequence[Shot], among: Sequence[Prior]) -> float:
-    """Return the log probability of the patch values, averaged over the priors and divided by TEMPERING."""
+    """Return the log of the patch values' probability, averaged over the priors, and divided by TEMPERING."""
     measured = any(prior.source == MEASURED for prior in among)
     return _log_mean([evidence(shots, prior) for prior in among]) / TEMPERING[measured]
 
 
 def _under(shots: Sequence[Shot], index: int, light: Array) -> list[Shot]:
-    """Return the shots, with the illuminant of the shot `index` replaced by `light`."""
+    """Return copies of the shots in which the shot `index` has the illuminant `light`."""
     return [replace(shot, light=light) if number == index else shot for number, shot in enumerate(shots)]
 
 
@@ -524,10 +525,10 @@ def _under(shots: Sequence[Shot], index: int, light: Array) -> list[Shot]:
 
 
 def response_errors(responsivity: Array, covariance: Array, light: Array, surfaces: Array) -> Array:
-    """Return each channel's relative uncertainty in the predicted signals of surfaces under an illuminant.
+    """Return each channel's relative error in predicting the signals of surfaces under an illuminant.
 
-    This is the RMS of the signals' standard deviations over the surfaces, relative to the largest signal. The mean signal
-    of the surfaces is assumed to be known, because it is determined by exposure and white balance.
+    The error is the RMS, over the surfaces, of the signals' standard deviations, relative to the largest signal. The
+    surfaces' mean signal is assumed to be known, because exposure and white balance determine it.
 
     Parameters
     ----------
@@ -555,7 +556,7 @@ def response_errors(responsivity: Array, covariance: Array, light: Array, surfac
 def next_light(
     shot: Shot, posterior: Posterior, candidates: Mapping[str, Array], judged_under: Sequence[Array], surfaces: Array
 ) -> tuple[str, float]:
-    """Find the illuminant under which an additional photo of the same chart would reduce the colour error most.
+    """Find the best illuminant for an additional photo of the same chart: the one that reduces the colour error most.
 
     Parameters
     ----------
@@ -589,7 +590,10 @@ def next_light(
 
 
 def _with(shot: Shot, posterior: Posterior, light: Array) -> Array:
-    """Return the responsivities' covariance after an additional shot under `light`, with unknown exposure and glare."""
+    """Predict the responsivities' covariance after an additional shot under `light`.
+
+    The exposure and the glare of the additional shot are unknown.
+    """
     count = len(posterior.responsivity)
     stimuli = shot.reflectance * (light / light.mean() * shot.light.mean())
     predicted = (stimuli @ posterior.responsivity.T).T

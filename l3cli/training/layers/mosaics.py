@@ -1,7 +1,7 @@
-"""Cut training mosaics from frames, and render them with the previous layers (docs/method.md#layers).
+"""Cut training mosaics from frames, and render them with the existing layers (docs/method.md#layers).
 
-A mosaic is a piece of a training frame, scaled to a random level and simulated with and without noise. The next layer is
-trained on the rendered mosaics.
+A mosaic is a piece of a training frame, scaled to a random level and simulated with and without noise. The rendered mosaics
+are the training data of the next layer.
 """
 
 from collections.abc import Iterable, Iterator
@@ -45,7 +45,7 @@ class Mosaics:
 
     @classmethod
     def joined(cls, parts: list["Mosaics"]) -> "Mosaics":
-        """Stack the mosaics of all parts, which must have the same width."""
+        """Stack mosaics of equal width into one array."""
         values, target = (np.concatenate([getattr(part, name) for part in parts], axis=-2) for name in ("values", "target"))
         clean = [part.clean for part in parts if part.clean is not None]
         usable = None
@@ -62,13 +62,13 @@ class Exposed:
     camera: CameraModel
     recipe: LearningRecipe
     dark: float  # dark signal at the mean exposure time of the training frames, in DN
-    achromatic: float  # fraction of the mosaics in which greys replace all colours
+    achromatic: float  # fraction of the mosaics in which all colours are replaced with greys
     noisy: bool  # whether to add the camera's noise
-    inner: int  # side of the square of training pixels, if the frame is large enough
-    margin: int  # number of pixels that the layers read beyond each side of this square
+    inner: int  # side of the square of training pixels; smaller if the frame is too small
+    margin: int  # width, in pixels, of the border around this square that the layers also read
 
     def shape(self, frame: tuple[int, int]) -> tuple[int, int]:
-        """Return the shape (rows, cols) of mosaics from a frame of shape `frame`.
+        """Return the shape (rows, cols) of the mosaics to cut from a frame of shape `frame`.
 
         Both sides are multiples of the CFA period, unless the frame is smaller than one period.
         """
@@ -79,11 +79,11 @@ class Exposed:
 
 
 def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random.Generator) -> Iterator[Mosaics]:
-    """Yield random mosaics from a frame.
+    """Yield mosaics from random places in a frame.
 
-    Mosaics from a simulated frame have random levels, and are rotated and mirrored at random. The last mosaics have greys
-    instead of colours. Mosaics from a real pair are unchanged pieces of the frame, because a real frame's noise cannot be
-    separated from its scene. A frame that is not larger than the margins yields no mosaics.
+    Mosaics from a simulated frame have random levels and orientations. A fraction of them, at the end, are achromatic.
+    Mosaics from a real pair are unchanged pieces of the frame, because a real frame's noise cannot be separated from its
+    scene. A frame that is not larger than the margins yields no mosaics.
 
     Parameters
     ----------
@@ -138,23 +138,26 @@ def _shown(
             offsets = None if lines is None else lines.drawn(shape, rng)
             values = expose_patches(mosaic, camera, rng, None, exposed.dark, channel, offsets)
         target = _turned(frame.target, piece) * np.float32(scale * frame.exposure / camera.output_unit)
-        # Rounding to whole DN acts as noise at low levels, but is negligible at the frames' own levels.
+        # At randomly lowered levels, rounding to whole DN acts as noise, so the unrounded values are kept too.
         as_rounded = not (exposed.noisy or exposed.recipe.rescale)
         part_usable = None if usable is None else _turned(usable, piece)[0]
         yield Mosaics(1, values.astype(np.uint16), None if as_rounded else clean, target, part_usable)
 
 
 def _usable(frame: TrainingFrame, margin: int) -> NDArray[np.bool_] | None:
-    """Return a mask (1, row, col) of the pixels with no ignored pixel within `margin`, or None if all pixels are usable."""
+    """Return a mask of the pixels at a distance of more than `margin` from any ignored pixel: (1, row, col).
+
+    Return None if all pixels are usable.
+    """
     if frame.ignored is None:
         return None
     return np.asarray(maximum_filter(frame.ignored.mask, 2 * margin + 1, mode="nearest") == 0)[None]
 
 
 def sheets_of(mosaics: Iterable[Mosaics], period: int) -> Iterator[Mosaics]:
-    """Stack successive mosaics of equal size into sheets of up to `SHEET` pixels.
+    """Stack successive mosaics of equal size into batches of up to `SHEET` pixels.
 
-    Mosaics are not stacked if their height is not a multiple of `period`, the height of the CFA period.
+    `period` is the height of the CFA period. If a mosaic's height is not a multiple of it, the mosaic stays alone.
     """
     parts: list[Mosaics] = []
     for each in mosaics:
@@ -187,7 +190,7 @@ Turn = tuple[int, bool, slice, slice]  # quarter turns, whether mirrored, and th
 def _drawn_turn(
     frame: tuple[int, ...], shape: tuple[int, int], place: list[float], allowed: Allowed, rng: np.random.Generator
 ) -> tuple[Turn, Turn]:
-    """Draw a random orientation of a frame, and locate a mosaic and its surroundings in the turned frame.
+    """Draw a random orientation for a frame, and locate a mosaic and its surroundings in the turned frame.
 
     Parameters
     ----------
@@ -203,7 +206,7 @@ def _drawn_turn(
     Returns
     -------
     part : Turn
-        A larger area around the mosaic. Its mean signal is scaled to the drawn level.
+        A larger area around the mosaic. The mosaic is scaled so that this area has the drawn level.
     piece : Turn
         The mosaic.
     """
@@ -226,32 +229,32 @@ def _turned(planes: NDArray, turn: Turn) -> NDArray:
     return (turned[:, :, ::-1] if mirrored else turned)[:, rows, cols]
 
 
-AT_ONCE = 1 << 10  # number of pixels that are processed together, small enough for their windows to fit into the cache
-DARKEST_LEVEL = 1e-4  # lower limit of the level that determines a pixel's weight, as a fraction of full scale
+AT_ONCE = 1 << 10  # number of pixels to process together, so that their windows fit into the CPU cache
+DARKEST_LEVEL = 1e-4  # lower limit of a pixel's brightness in its training weight, as a fraction of full scale
 
 
 @dataclass(frozen=True)
 class Seen:
-    """Mosaics rendered by one or more layers, without the margins in which windows would extend beyond the mosaic."""
+    """Mosaics rendered by one or more layers, without the borders where windows would extend beyond the mosaic."""
 
     count: int  # number of stacked mosaics
     target: Floats  # (row, col, output) ideal outputs
     label: Integers  # (row, col) class in the first layer
-    brightness: Floats  # (row, col) mean of the channel means, as a fraction of full scale, corrected for clipped channels
+    brightness: Floats  # (row, col) mean signal of all channels, corrected for clipping, as a fraction of full scale
     noisy: NDArray[np.int32]  # (plane, row, col) planes with noise, in plane steps
     clean: Floats | None  # (plane, row, col) noise-free planes, in plane steps, with the classes of the noisy pixels
-    # (row, col, output) ideal outputs minus the first layer's noise-free outputs, if later layers correct these outputs
-    missing: Floats | None = None
-    spread: Floats | None = None  # (row, col, output) noise of the first layer's outputs, if later layers correct them
+    # The next two fields are None unless later layers correct the first layer's outputs.
+    missing: Floats | None = None  # (row, col, output) ideal outputs minus the first layer's noise-free outputs
+    spread: Floats | None = None  # (row, col, output) noise in the first layer's outputs
     usable: NDArray[np.bool_] | None = None  # (row, col) mask of the pixels to train on, or None for all pixels
 
     @property
     def light(self) -> Floats:
-        """The noise-free planes."""
+        """The noise-free planes, (plane, row, col)."""
         return self.noisy.astype(np.float32) if self.clean is None else self.clean
 
     def inner_pixels(self, margin: int) -> Integers:
-        """Return the indices of the training pixels, which are at least `margin` pixels away from the mosaic edges."""
+        """Return the flat indices of the training pixels, excluding `margin` pixels along each mosaic's edges."""
         inner = within(np.arange(self.label.size).reshape(self.label.shape), self.count, margin).ravel()
         return inner if self.usable is None else inner[self.usable.ravel()[inner]]
 
@@ -264,7 +267,7 @@ def within(planes: NDArray, count: int, margin: int) -> NDArray:
 
 
 def margin_of(side: int) -> int:
-    """Return how many pixels a layer with windows of `side` pixels needs around a pixel, also to determine its class."""
+    """Return the margin, in pixels, that filtering and classification with windows of `side` pixels need."""
     return max(BORDER_PIXELS, side // 2)
 
 
@@ -280,7 +283,8 @@ class FirstLayer:
     fixed : FixedPoint
         Fixed-point transforms of the first layer.
     outputs : MosaicLayer, optional
-        The first layer, if later layers correct its outputs. The outputs are then also computed in floating point.
+        The first layer, needed only if later layers correct its outputs. The outputs are then also computed in floating
+        point.
     """
 
     def __init__(self, camera: CameraModel, rule: ClassRule, fixed: FixedPoint, outputs: MosaicLayer | None = None) -> None:
@@ -310,14 +314,14 @@ class FirstLayer:
 
 
 class PlaneStage:
-    """Renders mosaics in fixed point with a refinement layer that is not the last layer of the table."""
+    """Renders mosaics in fixed point with any refinement layer except the last."""
 
     def __init__(self, layer: PlaneLayer, first: ClassRule, basis: NDArray[np.float64]) -> None:
         self.layer, self.first = layer, first
         self._apply = _Transforms(refined_fixed_point(layer, basis))
 
     def see(self, seen: Seen) -> Seen:
-        """Render planes with and without noise from the previous layer's planes, and crop the margin."""
+        """Refine the previous layer's planes, with and without noise, and crop the margin."""
         count, margin = seen.count, margin_of(self.layer.side)
         label = within(label_planes(seen.noisy, seen.label, self.layer.rule, self.first), count, margin)
         edge = margin - self.layer.radius
@@ -335,7 +339,7 @@ class PlaneStage:
 
 
 class _Transforms:
-    """Applies a layer's fixed-point transforms, and optionally floating-point transforms, to windows."""
+    """Applies a layer's fixed-point transforms and, optionally, its floating-point transforms."""
 
     def __init__(self, fixed: FixedPoint, exact: tuple[NDArray, NDArray] | None = None) -> None:
         self.fixed, weights, self._intercept = fixed, fixed.weights, fixed.intercept
@@ -343,14 +347,14 @@ class _Transforms:
             weights, self._intercept = (
                 np.concatenate(each, axis=1) for each in ((weights, exact[0]), (self._intercept, exact[1]))
             )
-        # The strides of an array can affect how products are rounded, and pickling does not preserve all strides. Make the
-        # arrays contiguous, so that every process computes the same bytes.
+        # The strides of an array can affect how products are rounded, and pickling does not preserve all strides. With
+        # contiguous arrays, every process computes the same bytes.
         self._weights = list(np.ascontiguousarray(np.swapaxes(weights, 1, 2), np.float64))
 
     def __call__(
         self, noisy: NDArray, clean: NDArray | None, side: int, count: int, label: Integers
     ) -> tuple[NDArray[np.int32], Floats | None, Floats]:
-        """Apply the transforms of the layer to every window of a stack of mosaics.
+        """Filter a stack of mosaics with the transform of each pixel's class.
 
         Parameters
         ----------
@@ -368,12 +372,12 @@ class _Transforms:
         Returns
         -------
         planes : ndarray, (plane, row, col)
-            Integer planes computed from `noisy` with the fixed-point transforms.
+            Integer planes from `noisy`, computed with the fixed-point transforms.
         clean_planes : ndarray or None, (plane, row, col)
-            Planes computed from `clean` with the same transforms, but without rounding. None if `clean` is None.
+            Planes from `clean`, computed with the same transforms but without rounding. None if `clean` is None.
         outputs : ndarray, (source, row, col, output)
-            Results of the floating-point transforms for the sources `noisy` and, if it is not None, `clean`. The last axis
-            has the length 0 without floating-point transforms.
+            Results of the floating-point transforms for `noisy` and, if it is not None, `clean`. The last axis is empty if
+            there are no floating-point transforms.
         """
         _, rows, cols = noisy.shape
         reach = np.arange(side) - side // 2

@@ -2,11 +2,11 @@
 
 The rule classifies pixels by structure (docs/method.md#structure) or by a decision tree (docs/method.md#trees).
 
-A tree is grown from a random subset of the samples. Each step splits the leaf where a split reduces the squared error most.
-To evaluate a split, l3 fits one filter to the samples on each side of the threshold. Two filters always fit the samples
-better than one, because they have twice as many taps. l3 therefore subtracts the error reduction to expect from a random
-split, and splits the leaf only if the remaining reduction is statistically significant. All sites share one tree, but each
-site has its own filters.
+A tree is grown from a random subset of the samples. Each step splits the leaf whose split reduces the squared error most. To
+evaluate a split, l3 fits one filter to the samples on each side of the threshold. Two filters always fit the samples better
+than one, because they have twice as many taps. l3 therefore subtracts the error reduction expected from a random split, and
+splits the leaf only if the remaining reduction is statistically significant. All sites share one tree, but each site has its
+own filters.
 """
 
 import heapq
@@ -30,16 +30,18 @@ from l3cli.training.layers.mosaics import Floats, mosaics_of, sheets_of
 from l3cli.training.layers.samples import sample_weights
 from l3cli.training.symmetry import orientations
 
-THRESHOLDS_PER_TEST = 5  # number of thresholds per test, at quantiles of the quotient that the test computes
-QUOTIENT_SAMPLES = 1 << 13  # approximate number of samples per site for these quantiles
+# A test compares a quotient with a threshold. Each test is tried with several thresholds, at quantiles of the quotient.
+THRESHOLDS_PER_TEST = 5
+QUOTIENT_SAMPLES = 1 << 13  # approximate number of samples per site from which these quantiles are computed
 TREE_SIDE_PIXELS = 64  # largest side of the mosaics, in pixels; small, because a tree needs only a few samples per mosaic
 SPLIT_SIDE_PIXELS = 3  # largest side, in pixels, of the windows for evaluating splits, when training on noise-free frames
 SAMPLES_PER_TAP = 4  # smallest number of samples per tap in a leaf, at every site
-COLUMN_STEPS = 2.0**16  # grid steps per column maximum, so that product sums over a million samples stay below 2^53 steps
+# A column's maximum is between 2^15 and 2^16 rounding steps. Sums of products over a million samples are then exact.
+COLUMN_STEPS = 2.0**16
 TAP_RIDGE = 1e-6  # ridge of the least-squares fit, relative to the mean power of the taps
 OUTPUT_RIDGE = 1e-10  # relative to the mean power of the outputs; keeps the matrix positive definite
 OUTPUTS = 3  # number of target values per sample
-# A split is significant if its gain exceeds this number of standard deviations of a random split's gain. The limit is high,
+# A split is significant if its gain exceeds this many standard deviations of a random split's gain. The limit is high,
 # because the best of many splits is chosen.
 CHANCE_DEVIATIONS = 3.0
 
@@ -68,24 +70,24 @@ class TreeSamples:
         return replace(self, columns=np.rint(self.columns / step) * step.astype(np.float64))
 
     def compared(self, test: int, chosen: Indices) -> tuple[Floats, Floats]:
-        """Return the numerators and denominators that a test uses for the chosen samples."""
+        """Return a test's numerators and denominators for the chosen samples."""
         return self.numerators[test].take(chosen), self.denominators[EVERY[test].denominator].take(chosen)
 
     def passed(self, test: int, cuts: Floats, chosen: Indices) -> NDArray[np.int8]:
-        """Count how many of the thresholds `cuts` a test's quotient exceeds, for each chosen sample."""
+        """Count, for each chosen sample, how many thresholds in `cuts` the test's quotient exceeds."""
         numerator, denominator = self.compared(test, chosen)
         return np.asarray(np.add.reduce([(numerator > cut * denominator).view(np.int8) for cut in cuts]))
 
 
 def turned_evidence(seen: Evidence, turn: int, pixels: Indices) -> tuple[Floats, Floats]:
-    """Return the numerators and denominators that the tests use for windows in another orientation.
+    """Convert the numerators and denominators of tree tests to another window orientation.
 
     Parameters
     ----------
     seen : Evidence
-        Numerators and denominators of all pixels, for windows in the original orientation.
+        Numerators and denominators for all pixels, in the original orientation.
     turn : int
-        Number of the orientation, as in `symmetry.orientations`.
+        Index of the new orientation in `symmetry.orientations`.
     pixels : ndarray, (pixel)
         Indices of the pixels.
 
@@ -195,10 +197,10 @@ def _best_split(sites: Sequence[TreeSamples], samples: list[Indices], mapped: Ma
 
 
 def _gains(site: TreeSamples, chosen: Indices, test: int, cuts: Floats, whole: Array, before: float) -> Array:
-    """Return the gain from splitting one site's samples at each of the thresholds `cuts`.
+    """Return the gain from splitting one site's samples, for each threshold in `cuts`.
 
-    The gain is the reduction of the squared error, minus the reduction to expect by chance from the additional taps. It is
-    −∞ if one side of the split has too few samples.
+    The gain is the reduction in squared error, minus the reduction that the additional taps cause by chance. If one side of
+    the split has too few samples, the gain is −∞.
     """
     taps = site.columns.shape[1] - OUTPUTS
     passed = site.passed(test, cuts, chosen)  # number of thresholds that each sample exceeds
@@ -215,10 +217,10 @@ def _gains(site: TreeSamples, chosen: Indices, test: int, cuts: Floats, whole: A
 
 
 def _sums_below(site: TreeSamples, chosen: Indices, ends: list[int], whole: Array) -> Array:
-    """Return sums of products (end, column, column) over the samples `chosen[:end]`, for each `end` in `ends`.
+    """Sum the products of columns over the samples `chosen[:end]`, for each `end` in `ends`: (end, column, column).
 
-    The indices `ends` divide the samples into segments. To save time, the largest segment is not summed but computed as the
-    difference between the total `whole` and all other segments.
+    The ends divide the samples into segments. To save time, the largest segment's sum is computed as the difference between
+    the total `whole` and the other segments' sums.
     """
     parts = list(itertools.pairwise([0, *ends, chosen.size]))
     largest = max(range(len(parts)), key=lambda part: parts[part][1] - parts[part][0])
@@ -233,13 +235,12 @@ def _sums_below(site: TreeSamples, chosen: Indices, ends: list[int], whole: Arra
 
 
 def _sums(site: TreeSamples, chosen: Indices) -> Array:
-    """Return the sums of products (column, column) over the chosen samples."""
     columns = site.columns.take(chosen, axis=0)
     return np.asarray(columns.T @ columns)
 
 
 def _error(sums: Array) -> Array:
-    """Return the squared residual (…) of a least-squares fit from the sums of products (…, column, column)."""
+    """Return the squared residual of a least-squares fit, from sums of products (…, column, column)."""
     taps = sums.shape[-1] - OUTPUTS
     systems = sums.copy()
     diagonal = np.einsum("...ii->...i", systems)  # a view: changes to the diagonal also change `systems`
@@ -249,15 +250,15 @@ def _error(sums: Array) -> Array:
     return np.asarray((left * left).sum(axis=(-2, -1)))
 
 
-PILOT_MOSAICS = 48  # total number of mosaics for measuring luminance noise
+PILOT_MOSAICS = 48  # total number of mosaics in which luminance noise is measured
 PILOT_SIDE = 72  # side of these mosaics, in pixels
 MAX_MEASURED_LEVEL = 0.8  # fraction of full scale above which noise is not measured
 MIN_LEVEL_PIXELS = 1000  # for levels with fewer pixels, the noise is interpolated
-LAB_SLOPES = (500.0, 116.0, 200.0)  # factors that convert small plane errors, relative to white, to errors of a*, L* and b*
+LAB_SLOPES = (500.0, 116.0, 200.0)  # proportional to the slopes of a*, L* and b* near white, in the order of the planes
 
 
 def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int, every: int) -> list[NDArray[np.float64]]:
-    """Measure the noise in the luminance plane from which the new layer is computed.
+    """Measure the noise in the luminance plane that the new layer reads.
 
     Parameters
     ----------
@@ -268,14 +269,14 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
     first : int
         Index of the first frame.
     every : int
-        Measure only frames with an index that is a multiple of this number.
+        Spacing of the measured frames. Frames with an index that is not a multiple of this number are skipped.
 
     Returns
     -------
     list of ndarray, (2, level)
-        One array per measured frame. Row 0 contains the sum of (dx² + dy²) / 2 over the pixels of each level, where dx and
-        dy are the horizontal and vertical central differences of the noise (right minus left neighbour, lower minus upper
-        neighbour). Row 1 contains the number of pixels of each level.
+        One array per measured frame. Row 0 contains, for each level, the sum of (dx² + dy²) / 2 over its pixels. dx and dy
+        are the differences in noise between the right and left neighbours, and between the lower and upper neighbours. Row 1
+        contains the number of pixels at each level.
     """
     see, noisy, measured = layer.seer(), replace(layer.exposed, noisy=True, inner=PILOT_SIDE), []
     brightest = MAX_MEASURED_LEVEL * layer.camera.sensitivity.mean() / layer.camera.sensitivity.min()
@@ -298,9 +299,9 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
 
 
 def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> GradientScale:
-    """Compute the factor that normalises gradients by the noise of each level.
+    """Compute each level's factor that normalises gradients by their noise.
 
-    In areas that contain only noise, normalised gradients have the standard deviation `structure.SIGMA`.
+    In areas without structure, normalised gradients have the standard deviation `structure.SIGMA`.
 
     Parameters
     ----------
@@ -323,7 +324,7 @@ def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> Gr
 
 
 def structure_rule(layer: LayerPass, scale: GradientScale) -> StructureRule:
-    """Build the class rule that classifies pixels by level and structure (docs/method.md#structure)."""
+    """Build a rule that classifies pixels by level and structure (docs/method.md#structure)."""
     return StructureRule(
         **vars(scale),
         level_step=layer.recipe.level_step,
@@ -337,7 +338,7 @@ def structure_rule(layer: LayerPass, scale: GradientScale) -> StructureRule:
 def sample_tree(
     layer: LayerPass, scale: GradientScale, frames: Iterable[TrainingPair], first: int
 ) -> list[dict[int, TreeSamples]]:
-    """Draw random samples from frames for growing a tree.
+    """Draw random samples from which to grow a tree.
 
     Parameters
     ----------
@@ -353,7 +354,7 @@ def sample_tree(
     Returns
     -------
     list of dict of int to TreeSamples
-        For each frame, the samples by canonical site.
+        Each frame's samples, by canonical site.
     """
     see, reading, sampled = layer.seer(), layer.reading(_split_side(layer)), []
     perceptual_basis, turns = _perceptual_basis(layer), layer.turns
@@ -394,7 +395,7 @@ def _split_side(layer: LayerPass) -> int:
 
 
 def are_samples(layer: LayerPass, samples: dict[int, TreeSamples]) -> bool:
-    """Whether `samples` has the types and shapes that `sample_tree` returns for a frame."""
+    """Check that `samples`, one frame's entry, has the types and shapes that `sample_tree` returns."""
     width, sites = PLANES * _split_side(layer) ** 2 + OUTPUTS, layer.reading(1).canonical
     return all(
         site in sites
@@ -409,7 +410,7 @@ def are_samples(layer: LayerPass, samples: dict[int, TreeSamples]) -> bool:
 def tree_rule(
     layer: LayerPass, scale: GradientScale, samples: Sequence[dict[int, TreeSamples]], mapped: Mapped = map
 ) -> TreeRule:
-    """Grow a decision tree, and build the class rule that classifies pixels by its leaves.
+    """Grow a decision tree, and build a rule that classifies pixels by its leaves.
 
     Parameters
     ----------
@@ -436,9 +437,9 @@ def tree_rule(
 
 
 def _perceptual_basis(layer: LayerPass) -> NDArray[np.float32]:
-    """Return a matrix (output, 3) that converts errors of X, Y, Z to a*, L* and b* for colours near white.
+    """Return a matrix that converts errors in X, Y and Z to errors in a*, L* and b* for colours near white: (output, 3).
 
-    If the outputs are not X, Y and Z, it is the identity matrix.
+    If the outputs are not X, Y and Z, return the identity matrix.
     """
     if not layer.pictures:
         return np.eye(3, dtype=np.float32)

@@ -35,14 +35,18 @@ from l3cli.training.sums import (
 )
 
 MEAN_FLOOR = 1e-5  # added to each mosaic's mean squared error, so that mosaics with tiny errors have similar weights
-# Mean squared error of a mosaic with the weight 1. With this value, all weights stay below 10, and sums over 7 million
+# Mean squared error at which a mosaic has the weight 1. This value keeps all weights below 10, so that sums over 7 million
 # samples are exact.
 MEAN_ERROR = 2.0**-10
 
 
 @dataclass(frozen=True)
 class Reading:
-    """How to read the window at each site in the orientation of its canonical site."""
+    """Order of the taps and other columns in a training sample.
+
+    Symmetric CFA sites share the filters of one *canonical site*. The window at each site is turned to the orientation of
+    its canonical site.
+    """
 
     canonical: Integers  # (site) canonical site
     order: Integers  # (site, tap) position of each tap in the window
@@ -56,20 +60,19 @@ class Reading:
 
     @property
     def noisy(self) -> int:
-        """Number of columns that contain noise: all taps, and also the ideal outputs if the layer corrects outputs."""
+        """Number of columns with noise: all taps and, if the layer corrects the first layer's outputs, the ideal outputs."""
         return self.taps + (self.outputs if self.corrects else 0)
 
     @property
     def taps(self) -> int:
-        """Total number of taps: the pixels of the window in all planes, plus the ratio taps."""
+        """Number of taps: the window's pixels in all planes, plus the ratio taps."""
         return PLANES * self.order.shape[1] + self.ratio_taps
 
     def offsets(self, cols: int) -> Integers:
-        """Return the offset of each tap from the central pixel, in elements of a flattened plane.
+        """Return each tap's offset from the central pixel, in elements of a flattened plane.
 
-        At each tap, a sample has the values of three planes, and a fourth value that stores one other column (see
-        `columns`). If there are more other columns than taps per plane, offsets of 0 are appended, so that every column has
-        a place.
+        Samples store four values per tap: three planes and one of the remaining columns (see `columns`). If there are more
+        remaining columns than taps, the offsets are padded with zeros, so that every column has a place.
 
         Parameters
         ----------
@@ -86,26 +89,26 @@ class Reading:
 
     @property
     def columns(self) -> Integers:
-        """Position of each column of a sample in the rows of the array from `_weighted`.
+        """Index of each sample column in the rows returned by `_weighted`.
 
-        A row has four values per tap of the window: the three planes, and a fourth value that stores one other column. The
-        fourth values of successive taps store the ratio taps, the constant 1 and the ideal outputs.
+        Each row has four values per window tap. The first three are the planes. The fourth values of successive taps are the
+        ratio taps, the constant 1 and the ideal outputs.
         """
         window, behind = np.arange(self.order.shape[1]), np.arange(self.ratio_taps + 1 + self.outputs)
         return np.concatenate([4 * window, 4 * window + 1, 4 * window + 2, 4 * behind + 3])
 
 
 def empty_sums(rule: PlaneRule, reading: Reading) -> LayerSums:
-    """Return zero sums for one site."""
     classes, width = rule.classes_per_site, reading.taps + 1 + reading.outputs
     moments, noise = (np.zeros((classes, each * (each + 1) // 2)) for each in (width, reading.noisy))
     return LayerSums(moments, noise, np.zeros(classes))
 
 
 def grid_steps(rule: PlaneRule, first: ClassRule, camera: CameraModel, taps: int, outputs: int) -> NDArray[np.float64]:
-    """Return the grid steps (level, pair) for products of columns in a refinement layer.
+    """Return the rounding steps for a refinement layer's products of columns: (level, pair of columns).
 
-    If a level of the refinement layer comprises several levels of the first layer, the darkest of them determines the step.
+    Products are rounded to multiples of these steps, so that their sums are exact in any order. If a level of the refinement
+    layer combines several levels of the first layer, the darkest of these levels determines the step.
     """
     darkest = np.searchsorted(rule.level_of(np.arange(first.levels)), np.arange(rule.levels))
     return steps_of_columns(intercept_scale(first, camera)[darkest], taps, outputs)
@@ -123,11 +126,11 @@ def require_exact(sums: LayerSums, rule: PlaneRule, steps: NDArray[np.float64]) 
 def sample_weights(
     seen: Seen, basis: NDArray[np.float64], white: NDArray[np.float64], recipe: LearningRecipe, pictures: bool
 ) -> Floats:
-    """Compute the sample weight of every pixel (docs/method.md#sample-weights, docs/method.md#second-pass).
+    """Compute every pixel's training weight (docs/method.md#sample-weights, docs/method.md#second-pass).
 
-    The weight decreases with the brightness, and with the squared error after the previous layers. For X, Y, Z, the squared
-    error from noise is averaged over 5 × 5 pixels, and added to the squared error without noise. For other outputs, the
-    squared error is averaged over the mosaic.
+    Bright pixels, and pixels with a large squared error after the previous layers, have small weights. For X, Y, Z, the
+    error is the sum of two terms: the pixel's squared error without noise, and the squared error due to noise, averaged over
+    5 × 5 pixels. For other outputs, the squared error is averaged over the mosaic.
 
     Parameters
     ----------
@@ -165,9 +168,9 @@ def sample_weights(
 
 
 def _of_mosaics(seen: Seen, basis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (mean squared error + `MEAN_FLOOR`) / `MEAN_ERROR` for each mosaic.
+    """Return each mosaic's mean squared error plus `MEAN_FLOOR`, divided by `MEAN_ERROR`.
 
-    Outputs other than X, Y and Z are evaluated by the PSNR, which depends on the mean squared error over a whole picture.
+    The error is averaged over whole mosaics, because outputs other than X, Y and Z are evaluated by the PSNR.
     """
     if seen.missing is not None:
         error = seen.missing if seen.spread is None else seen.missing - seen.spread
@@ -177,9 +180,9 @@ def _of_mosaics(seen: Seen, basis: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class _Samples(NamedTuple):
-    """Samples from one or more sheets of mosaics, and the planes from which their windows are read."""
+    """Samples from one or more stacks of mosaics, and the planes that contain their windows."""
 
-    clean: Floats  # (pixel, 4) three planes in output units, padded to four values, which are read as fast as one
+    clean: Floats  # (pixel, 4) three planes in output units, padded to four values, which numpy gathers as fast as one
     noise: Floats  # (pixel, 4) noise of the three planes, padded with a zero
     pixel: Integers  # (sample) index of the central pixel
     site: Integers  # (sample) CFA site
@@ -190,10 +193,11 @@ class _Samples(NamedTuple):
 
 
 class GatheredSamples:
-    """Collects the samples of many mosaics, and accumulates their products class by class.
+    """Collects samples from many mosaics, then accumulates their products class by class.
 
-    A mosaic has few samples per class, and large matrix products are more efficient than many small ones. Rounding errors
-    depend on which samples are multiplied together, so their grouping must depend only on the frames of a block.
+    A single mosaic has few samples per class, and one large matrix product is faster than many small ones. Rounding errors
+    depend on which samples a product combines. Samples are therefore combined only within a block of frames, the unit of
+    work that one process handles.
     """
 
     def __init__(
@@ -225,8 +229,8 @@ class GatheredSamples:
     def add(self, seen: Seen, label: Integers, pixels: Integers, weight: Floats) -> None:
         """Collect samples from mosaics.
 
-        If the width of the mosaics changes, the samples collected so far are first added to the sums, because only mosaics
-        of equal width can be collected together.
+        Only mosaics of equal width can be collected together. If the width changes, the samples collected so far are first
+        added to the sums.
 
         Parameters
         ----------
@@ -259,7 +263,7 @@ class GatheredSamples:
         self._sheets.append(_Samples(clean, noise, *about, behind, spread))
 
     def _ratios(self, planes: NDArray, pixels: Integers) -> Floats:
-        """Return the ratio taps (pixel, tap) of the pixels with the given indices."""
+        """Return the ratio taps of selected pixels: (pixel, tap)."""
         taps = taps_behind(planes, self.reading.side, self.reading.ratio_taps)
         return (taps.reshape(len(taps), planes[0].size)[:, pixels].T * PLANE_STEP).astype(np.float32)
 
@@ -277,7 +281,7 @@ class GatheredSamples:
             self._add_site(sums, samples, chosen[np.argsort(samples.label[chosen], kind="stable")])
 
     def _add_site(self, sums: LayerSums, samples: _Samples, order: Integers) -> None:
-        """Add samples to the sums of one site. `order` contains the indices of the samples, sorted by class."""
+        """Add one site's samples to its sums. `order` contains the samples' indices, sorted by class."""
         offsets, columns = self.reading.offsets(self._cols), self.reading.columns
         samples = samples._replace(**{name: getattr(samples, name).take(order, axis=0) for name in _Samples._fields[2:]})
         levels = self.rule.split(samples.label).level
@@ -295,28 +299,28 @@ class GatheredSamples:
 
 
 def _in_fours(planes: NDArray) -> Floats:
-    """Return the three planes in output units, padded with a zero, as an array (pixel, 4)."""
+    """Convert three planes to output units, padded with a plane of zeros: (pixel, 4)."""
     fours = np.zeros((planes[0].size, 4), np.float32)
     np.multiply(planes.reshape(3, -1).T, np.float32(PLANE_STEP), out=fours[:, :3])
     return fours
 
 
 def _weighted(windows: Floats, behind: Floats, weight: Floats) -> Floats:
-    """Combine the window taps with the other columns of each sample, and multiply them by the sample's weight.
+    """Combine each sample's window taps and remaining columns in one row, multiplied by the sample's weight.
 
     Parameters
     ----------
     windows : ndarray, (sample · tap, 4)
-        Values of the three planes at each tap, and an unused fourth value. The array is overwritten.
+        Three planes at each tap, and an unused fourth value. The array is overwritten.
     behind : ndarray, (sample, column)
-        Other columns, to be stored in the fourth values, one column per tap.
+        Remaining columns. Column i replaces the fourth value at tap i.
     weight : ndarray, (sample)
         Weight of each sample.
 
     Returns
     -------
     ndarray, (sample, 4 · tap)
-        `Reading.columns` contains the position of each column.
+        Rows with the columns in the order of `Reading.columns`.
     """
     values = windows.reshape(len(weight), -1)
     values[:, 3 : 3 + 4 * behind.shape[1] : 4] = behind
