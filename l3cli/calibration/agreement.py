@@ -1,4 +1,4 @@
-"""Consistency checks between captures, which find wrong exposure times, units and illuminants.
+"""Check captures against each other, to find wrong exposure times, units and illuminants.
 
 The signal is proportional to exposure time × radiance. A mistyped exposure time, a wrong unit or swapped illuminants
 therefore change the ratio between signal and expected signal by a large factor. The tolerances are much wider than the
@@ -15,12 +15,12 @@ from l3cli.errors import InputFileError
 from l3cli.frames.measurement import BandCapture, Capture, ChartCapture, MonoCapture
 
 FACTOR = 1.5  # largest plausible ratio between signals per second under the same illuminant
-# Largest plausible ratio between the responses to charts and to the monochromator. The limit is high, because the light of a
-# monochromator fills the frame differently.
+# Largest plausible ratio between the responses to charts and to a monochromator. The limit is high, because a monochromator
+# illuminates the frame differently.
 SCALE = 3.0
 STEP = 3.0  # a response that differs from both neighbouring responses by more than this factor is implausible
-# As STEP, but for the first and the last capture, which are compared with the nearest capture and with an extrapolation from
-# the two nearest captures
+# The same limit for the first and last captures. They are compared with the nearest capture, and with a value extrapolated
+# from the two nearest captures.
 END = 20.0
 LEAST = 0.02  # differences below this fraction of the largest response or signal are ignored
 NEAR_TOP = 0.85  # signals above this fraction of the largest signal may be saturated
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 
 def check_whites(captures: Sequence[Capture], lit: Array, signal: Array) -> None:
-    """Raise InputFileError if a white capture's signal is far from proportional to its exposure time.
+    """Raise InputFileError if the signal of a white capture is not roughly proportional to its exposure time.
 
     Parameters
     ----------
@@ -55,12 +55,14 @@ def check_whites(captures: Sequence[Capture], lit: Array, signal: Array) -> None
 
 
 def check_darks(captures: Sequence[Capture], signal: Array, deviation: float = 0.0) -> None:
-    """Raise InputFileError if a dark capture is far from the straight line through the other dark captures.
+    """Raise InputFileError if a dark capture's mean value is far from the line through the other dark captures.
+
+    A capture is checked only if the other captures have at least three different exposure times.
 
     Parameters
     ----------
     captures : sequence of Capture
-        Dark captures. A capture is checked only if the other captures have at least three different exposure times.
+        Dark captures.
     signal : ndarray, (capture,)
         Mean raw value of each capture in DN.
     deviation : float
@@ -88,7 +90,7 @@ def check_darks(captures: Sequence[Capture], signal: Array, deviation: float = 0
 
 
 def check_series(captures: Sequence[BandCapture], light: NDArray[np.int64], values: Array, valid: NDArray[np.bool_]) -> None:
-    """Raise InputFileError if a capture contradicts the other captures with the same filter.
+    """Raise InputFileError if a capture contradicts other captures with the same filter.
 
     Parameters
     ----------
@@ -127,13 +129,13 @@ def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: A
     measured : ndarray, (chart, channel)
         Measured signals.
     predicted : ndarray, (chart, channel)
-        Signals predicted by the responsivities from the monochromatic captures.
+        Signals predicted from the responsivities that were fitted to the monochromatic captures.
     absolute : bool
         Whether the monochromatic radiances are in absolute units. If they are relative, the charts are compared only with
         each other.
     """
     ratio = np.median(np.maximum(measured, 1e-9) / np.maximum(predicted, 1e-30), axis=1)
-    # With only two charts, the monochromatic captures determine which chart is wrong.
+    # If there are only two charts, the monochromatic captures determine which one is wrong.
     votes = np.append(ratio, 1.0) if absolute and len(ratio) == 2 else ratio
     off = np.abs(np.log(ratio / np.median(votes)))
     if off.max() > np.log(FACTOR if votes.size > 2 else FACTOR**2):
@@ -147,11 +149,11 @@ def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: A
 
 
 def odd_steps(captures: Sequence[MonoCapture], sweep: Sweep) -> tuple[str, ...]:
-    """Describe implausible monochromatic captures.
+    """Find implausible monochromatic captures, and describe them.
 
     A capture is implausible if the response is far above, or far below, the responses at both neighbouring wavelengths, in
-    every channel that is sensitive at this wavelength. The worst capture is removed and the search repeated, until all
-    remaining captures are plausible.
+    every channel that is sensitive at this wavelength. The search removes the worst capture and repeats until all remaining
+    captures are plausible.
 
     Returns
     -------
@@ -172,10 +174,11 @@ def odd_steps(captures: Sequence[MonoCapture], sweep: Sweep) -> tuple[str, ...]:
 
 
 def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
-    """Return the factor by which a monochromatic capture is brighter (> 1) or darker (< 1) than its neighbours allow.
+    """Return the factor by which a monochromatic capture is too bright (> 1) or too dark (< 1), compared with its
+    neighbours.
 
-    The result is 1 if the capture is plausible in at least one channel, otherwise the factor in the channel that deviates
-    least. `order` contains capture indices, sorted by wavelength, and `place` is the position of the capture in `order`.
+    If the capture is plausible in at least one channel, the factor is 1. Otherwise, it is the factor in the channel that
+    deviates least. `order` contains capture indices sorted by wavelength. `place` is the capture's position in `order`.
     """
     factors = []
     for channel in range(sweep.values.shape[1]):
@@ -192,7 +195,7 @@ def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
         else:
             low, high = min(values[at - 1], values[at + 1]) / STEP, max(values[at - 1], values[at + 1]) * STEP
         if max(values[at], low) < floor:
-            continue  # the response and its prediction are both negligible
+            continue  # both the response and its prediction are negligible
         value = max(values[at], 1e-3 * floor)
         factors.append(value / high if value > max(high, floor) else value / low if value < low else 1.0)
     if not factors or min(factors) <= 1.0 <= max(factors):
@@ -201,9 +204,9 @@ def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
 
 
 def _check_alike(captures: Sequence[Capture], rates: Array, kind: str) -> None:
-    """Raise InputFileError if the signal per second of a capture differs from the others by more than a factor of FACTOR.
+    """Raise InputFileError if the signals per second of captures under one illuminant differ by more than FACTOR.
 
-    All captures must have the same illuminant. Three or more captures are compared with their median, two with each other.
+    Three or more captures are compared with their median. Two captures are compared with each other.
     """
     if len(captures) < 2:
         return

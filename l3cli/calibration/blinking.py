@@ -1,16 +1,17 @@
-"""Detection of blinking pixels in dark frames (docs/method.md#blinking-pixels).
+"""Detect blinking pixels in dark frames (docs/method.md#blinking-pixels).
 
-A blinking pixel switches between two levels at random, for example because a single electron is trapped and released in its
-transistors (random telegraph noise). The distribution of its values has two peaks. A hot pixel also has a higher variance
-than normal, but only one peak.
+A blinking pixel switches between two levels at random, for example because its transistor traps and releases single
+electrons (random telegraph noise). Its values have a distribution with two peaks. A hot pixel also has an increased
+variance, but only one peak.
 
 1. Each frame's row and column offsets are subtracted. The variance of each pixel over the frames is computed.
 2. Pixels with less than twice the median variance are not blinking. The values of each remaining pixel are divided into a
    lower and an upper group with at least `MIN_STATE` values each, such that the variance between the groups is as large as
    possible (Otsu, 1979).
-3. The pixel is blinking if the variance between the groups, as a fraction of the total variance, exceeds `highest_share`.
-   Normally distributed values of any variance exceed this limit with a probability of `FALSE_ALARMS`. In addition, the
-   levels must differ by `MIN_SIGMAS` standard deviations of a normal pixel, and by more than rounding can explain.
+3. The pixel is blinking if two conditions are met. The variance between the groups, as a fraction of the total variance,
+   must exceed `highest_share`. Normally distributed values exceed this limit with a probability of `FALSE_ALARMS`, whatever
+   their variance. The levels must differ by `MIN_SIGMAS` standard deviations of a normal pixel, and by more than rounding
+   can explain.
 """
 
 import itertools
@@ -25,10 +26,11 @@ from l3cli.frames.measurement import Body, Capture
 
 MIN_FRAMES = 32  # minimum number of dark frames with the same exposure time
 FALSE_ALARMS = 1e-6  # probability that a pixel with normally distributed noise is classified as blinking
-# Number of frames → share from `two_levels` that normally distributed values exceed with the probability FALSE_ALARMS. The
-# shares were simulated, and the tail below 0.1 % was extrapolated exponentially (checked by tests/science/test_blinking.py).
+# For each number of frames, the result of `two_levels` (`share`) that normally distributed values exceed with the
+# probability FALSE_ALARMS. The values were simulated, with the tail below 0.1 % extrapolated exponentially (checked by
+# tests/science/test_blinking.py).
 SHARE_OF_COUNT = {32: 0.896, 64: 0.832, 128: 0.778, 256: 0.740, 512: 0.710}
-MIN_STATE = 3  # minimum number of values on each level, so that one or two particle hits have no effect
+MIN_STATE = 3  # minimum number of values at each level, so that one or two particle hits have no effect
 MIN_SIGMAS = 4.0  # minimum difference between the levels, in standard deviations of a normal pixel
 MIN_STEP_DN = 2.0  # minimum difference between the levels in DN, because rounding alone produces two levels 1 DN apart
 MIN_EXCESS = 2.0  # minimum variance, relative to the median variance
@@ -47,7 +49,7 @@ class BlinkingPixels:
 def find_blinking(captures: Sequence[Capture], trials: Sequence[int], body: Body) -> BlinkingPixels | None:
     """Find blinking pixels in the dark capture with the most frames.
 
-    `trials` contains the number of frames in each capture. The result is None if no capture has MIN_FRAMES frames.
+    `trials` contains the number of frames in each capture. If no capture has MIN_FRAMES frames, return None.
     """
     most = int(np.argmax(trials))
     if trials[most] < MIN_FRAMES:
@@ -110,6 +112,9 @@ def two_levels(values: Array) -> tuple[Array, Array]:
 
 
 def highest_share(count: int) -> float:
-    """Return the share that `count` normally distributed values exceed in `two_levels` with the probability FALSE_ALARMS."""
+    """Return the detection limit for `share` from `two_levels`, for `count` frames.
+
+    Normally distributed values exceed it with the probability FALSE_ALARMS.
+    """
     counts, shares = zip(*SHARE_OF_COUNT.items(), strict=True)
     return float(np.interp(np.log(count), np.log(counts), shares))

@@ -1,4 +1,4 @@
-"""Evaluation of the captures in a measurement file, and computation of defect maps and flat fields.
+"""Evaluate the captures in a measurement file, and compute defect maps and flat fields.
 
 The captures are dark and white frames, monochromatic captures, charts (docs/method.md#calibration), charts through
 narrow-band filters (docs/method.md#sweeps-and-band-series), and frames behind a rotating polariser
@@ -31,7 +31,7 @@ from l3cli.frames.measurement import (
 )
 from l3cli.physics import spectra
 
-OVEREXPOSED = 1e-3  # a channel with at least this fraction of saturated pixels ignores the monochromatic capture
+OVEREXPOSED = 1e-3  # if a channel has at least this fraction of saturated pixels, it ignores a monochromatic capture
 CUT_OFF = 0.05  # a monochromatic spectrum is incomplete if its ends exceed this fraction of its peak
 Array = NDArray[np.float64]
 DEGREE = 4  # degree of the polynomial that models the shading
@@ -64,7 +64,7 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Charts:
-    """Measured patch values in all chart captures, and the photons that pixels received from these patches."""
+    """Patch values measured in the chart captures, and the photons that pixels received from these patches."""
 
     illuminants: tuple[str, ...]  # illuminant of each chart capture
     values: Array  # (chart, patch, channel): mean value in DN, without dark signal
@@ -73,7 +73,7 @@ class Charts:
 
 
 def measure_sensor(measurements: Measurements, each: statistics.Each = map) -> Sensor:
-    """Measure noise, black level, saturation and defects from dark and white frames (docs/method.md#dark-and-white-frames).
+    """Measure noise, black level, saturation and defects in dark and white frames (docs/method.md#dark-and-white-frames).
 
     Parameters
     ----------
@@ -121,11 +121,11 @@ def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Bo
 def measure_sweep(
     captures: Sequence[MonoCapture], body: Body, sensor: Sensor, each: statistics.Each = map
 ) -> tuple[responsivity.Sweep, tuple[str, ...]]:
-    """Set up the linear systems for the spectral responsivities (docs/method.md#responsivity).
+    """Set up the linear systems whose solutions are the responsivities (docs/method.md#responsivity).
 
-    Each monochromatic capture results in one equation per channel, from the mean signal of the whole frame. Both sides are
+    Each monochromatic capture contributes one equation per channel, from the mean signal of the whole frame. Both sides are
     divided by the number of photons. Lens falloff is the same in all captures, so it affects only the scale of the
-    responsivities, which is later determined from the charts.
+    responsivities. The charts later determine this scale.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def measure_sweep(
 def measure_charts(
     captures: Sequence[ChartCapture], nodes: Array, body: Body, sensor: Sensor, each: statistics.Each = map
 ) -> Charts:
-    """Measure the mean value of each patch, and compute the photons that pixels receive from it.
+    """Measure each patch's mean value, and compute the photons that pixels receive from the patch.
 
     Raises InputFileError if the measured radiances do not cover the wavelengths `nodes`, or if a patch is saturated.
     """
@@ -206,9 +206,9 @@ def measure_charts(
 
 
 def flat_field(response: Array, body: Body) -> FlatField:
-    """Compute the gains that make the response to an evenly lit white target uniform.
+    """Compute the gains that equalise the response to an evenly lit white target over the frame.
 
-    A polynomial is fitted to the square root of the gain. For cos⁴ falloff, this root is exactly a polynomial of degree two.
+    A polynomial is fitted to the square root of the gain. For cos⁴ falloff, this root is exactly a polynomial of degree 2.
 
     Parameters
     ----------
@@ -256,9 +256,9 @@ def _surface(y: Array, x: Array) -> Array:
 
 
 def _means(response: Array, body: Body, channel: int) -> tuple[Array, Array, Array]:
-    """Average the pixels of a channel over cells: mean y, mean x and mean response of each cell.
+    """Return the mean y, mean x and mean response of a channel's pixels in each cell.
 
-    The coordinates y and x range from −1 to 1.
+    The coordinates y and x range from −1 to 1 over the frame.
     """
     places: list[tuple[Array, Array, Array]] = []
     y, x = (np.linspace(-1.0, 1.0, length) for length in response.shape)
@@ -273,7 +273,7 @@ def _means(response: Array, body: Body, channel: int) -> tuple[Array, Array, Arr
 
 
 def _by_cell(site: Array) -> Array:
-    """Divide a picture into equal cells, at most CELLS rows and columns of them, and return the mean of each cell."""
+    """Return the mean of each cell in a grid of equal cells, with at most CELLS rows and columns."""
     starts = [
         np.linspace(0, length, min(length, most) + 1).astype(int) for length, most in zip(site.shape, CELLS, strict=True)
     ]
@@ -365,7 +365,7 @@ class Series:
 def fit_series(
     captures: Sequence[BandCapture], darks: Sequence[Capture], body: Body, black_level: float, white_level: float
 ) -> tuple[Curves, SeriesFit]:
-    """Fit each channel's response to the light through each narrow-band filter, and measure the linearity.
+    """Fit each channel's response to light through each narrow-band filter, and measure the linearity.
 
     Saturated patches are ignored.
 
@@ -425,7 +425,7 @@ def fit_series(
 def measure_polarisers(
     measurements: Measurements, sensor: Sensor | SensorFigures, each: statistics.Each = map
 ) -> PolariserFit | None:
-    """Measure the polarisers of the channels in frames behind a rotating polariser.
+    """Measure the channels' polarisers in frames taken through a rotating polariser.
 
     Parameters
     ----------
@@ -439,7 +439,7 @@ def measure_polarisers(
     Returns
     -------
     PolariserFit or None
-        None if there are no frames behind a rotating polariser.
+        None if no frames were taken through a rotating polariser.
 
     Raises
     ------
@@ -472,9 +472,9 @@ def measure_polarisers(
 
 
 def check_polarisers(measurements: Measurements) -> None:
-    """Check frames behind a rotating polariser before the long calibration starts.
+    """Check frames taken through a rotating polariser, before the long calibration starts.
 
-    Nothing is checked if there are no such frames, or if the black level is unknown.
+    If there are no such frames, or if the black level is unknown, nothing is checked.
 
     Raises
     ------
@@ -485,8 +485,8 @@ def check_polarisers(measurements: Measurements) -> None:
     if base is not None:
         sensor = _figures_of(base)
     elif sensor is None and measurements.darks:
-        # The black level comes from the dark frames. The noise affects only the weights of the captures, so any values are
-        # good enough for this check.
+        # The dark frames provide the black level. The noise affects only the weights of the captures, so any values are good
+        # enough for this check.
         sensor = SensorFigures(1.0, 0.0, 2.0**measurements.body.bits - 1.0, Noise(0.0, 0.0, 0.0, 0.0, math.inf))
     if sensor is not None:
         measure_polarisers(measurements, sensor)
@@ -510,10 +510,9 @@ def measure_series(
     body : Body
         Geometry of the camera.
     black_level : float
-        Black level in DN, which is subtracted if there are no dark captures.
+        Black level in DN. It is used only if there are no dark captures.
     limit : float
-        Value in DN at and above which a pixel counts as saturated. Patches with too many saturated pixels are marked as
-        invalid.
+        Value in DN at and above which a pixel counts as saturated. Patches with too many saturated pixels are invalid.
 
     Returns
     -------
@@ -534,10 +533,10 @@ def measure_series(
 
 
 def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body, black_level: float) -> Array:
-    """Return the mean raw value in the dark at each exposure time, interpolated between dark captures.
+    """Estimate the mean raw value in the dark at each exposure time.
 
-    Beyond the shortest and the longest dark exposure, the nearest dark capture is used. If there are no dark captures, all
-    values are `black_level`.
+    The value is interpolated between dark captures, or taken from the nearest one outside their range of exposure times. If
+    there are no dark captures, all values are `black_level`.
 
     Returns
     -------
@@ -555,7 +554,7 @@ def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body
 
 
 def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Fit the signal per second of each patch, and predict each capture from the other captures with the same filter.
+    """Fit each patch's signal per second, and predict each capture from the other captures with the same filter.
 
     Returns
     -------
@@ -578,12 +577,12 @@ def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
 
 
 def band_centre(capture: BandCapture) -> float:
-    """Return the central wavelength in nm of the light through a filter, from the radiances of all patches."""
+    """Return the central wavelength, in nm, of a filter's light, averaged over the patches."""
     return light_centre(capture.wavelength, capture.radiance.sum(axis=0))
 
 
 def band_photons(captures: Sequence[BandCapture], series: Series) -> tuple[Array, Array]:
-    """Return the central wavelength of each filter, and the radiance of each patch through each filter.
+    """Return each filter's central wavelength, and each patch's photon radiance through each filter.
 
     Returns
     -------
@@ -598,10 +597,10 @@ def band_photons(captures: Sequence[BandCapture], series: Series) -> tuple[Array
 
 
 def respond(rates: Array, photons: Array) -> tuple[Array, Array]:
-    """Compute the mean response over the patches, through each filter, and its relative spread.
+    """Compute the response through each filter, averaged over the patches, and its relative spread.
 
-    Uneven illumination multiplies the signal of a patch by the same factor through all filters. This factor is estimated
-    from the channel with the largest response to each filter, and removed before the spread is computed.
+    Uneven illumination multiplies a patch's signal by the same factor through all filters. For each filter, this factor is
+    estimated from the channel with the largest response, and removed before the spread is computed.
 
     Parameters
     ----------
@@ -626,11 +625,10 @@ def respond(rates: Array, photons: Array) -> tuple[Array, Array]:
 
 
 def linearity_errors(series: Series, span: float) -> Array:
-    """Return the linearity error of each channel, averaged over filters and patches.
+    """Return each channel's linearity error, averaged over filters and patches.
 
-    For each patch and filter, only captures with a signal between 5 % and 95 % of full scale are used. If fewer than three
-    captures remain, the patch is ignored for this filter. `span` is the full scale in DN. The error of a channel without
-    usable patches is 0.
+    Only captures in which a patch's signal is between 5 % and 95 % of full scale (`span`, in DN) are used. If fewer than
+    three such captures remain for a filter, this patch is ignored. If no patch is usable, the error is 0.
     """
     low, high = (share * span for share in noise.LINEAR)
     errors: list[list[float]] = [[] for _ in range(series.values.shape[2])]
@@ -644,7 +642,7 @@ def linearity_errors(series: Series, span: float) -> Array:
 
 
 def named(captures: Sequence[BandCapture], series: Series, body: Body) -> tuple[str, ...]:
-    """Describe the captures with saturated patches: one line per capture, with the number of these patches per channel."""
+    """Describe each capture that has saturated patches in one line, with the number of such patches per channel."""
     lines = []
     for capture, valid in zip(captures, series.valid, strict=True):
         counts = zip(body.channels, (~valid).sum(axis=0), strict=True)

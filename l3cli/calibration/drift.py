@@ -1,9 +1,9 @@
-"""Estimation of lamp drift from disagreements between charts (docs/method.md#drift-of-lamps).
+"""Estimate lamp drift from disagreements between charts (docs/method.md#drift-of-lamps).
 
 If a lamp is brighter during a capture than when its spectrum was measured, all channel signals increase by the same factor.
-During a monochromator sweep, this factor changes slowly with wavelength and deforms the responsivity curves, which the
-curves alone do not reveal. In a chart capture, the factor changes the scale of the signals. Both effects become visible when
-the measured values of each chart and channel are compared with predictions from the curves.
+During a monochromator sweep, this factor changes slowly with wavelength and distorts the responsivity curves. The curves
+alone do not reveal the distortion. In a chart capture, the factor changes the scale of the signals. A comparison between
+the measured values of each chart and channel, and the values predicted from the curves, reveals both effects.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from l3cli.calibration.captures import Charts
 from l3cli.calibration.responsivity import Sweep, chart_factors, fit_gain, smoothers
 
 MEMORY = 0.8  # correlation of the drift between consecutive captures in the measurement file
-# relative error of a chart's mean in a channel, of which half is due to errors of 0.5 % in single patches
+# Relative error of a channel's mean over a chart. Errors of 0.5 % in single patches cause half of it.
 CHART_ERROR = 0.002
 TRIED = np.geomspace(2e-4, 0.2, 100)  # trial values for the relative standard deviation of the drift
 EVIDENCE = 4.0  # log likelihood ratio at which the estimated drift replaces the declared drift
@@ -82,7 +82,7 @@ def estimate_drift(
         scale = response[:, channel, :steps].mean(axis=0)
         deformations.append(deformation + curve[:, None] * scale)
     if not (factors > 0).all():
-        return None  # the charts contradict the curves so strongly that `fit_charts` will raise an error
+        return None  # the charts contradict the curves, so `fit_charts` will raise an error
     seen_factors, cause = np.log(factors).ravel(), response.reshape(factors.size, -1)
     seen_factors, cause = seen_factors - seen_factors.mean(), cause - cause.mean(axis=0)
     deviation = _deviation(seen_factors, cause @ correlation @ cause.T, declared)
@@ -95,8 +95,9 @@ def estimate_drift(
 
 
 def _deviation(factors: Array, covariance: Array, declared: float) -> float | None:
-    """Estimate the standard deviation of the drift. Returns None if the declared drift explains the differences
-    between measured and predicted signals.
+    """Estimate the standard deviation of the drift.
+
+    Return None if the declared drift explains the differences between measured and predicted signals.
 
     `factors` contains ln(measured / predicted signal) for all charts and channels. `covariance` is the covariance of these
     logarithms for a drift with a standard deviation of 1.

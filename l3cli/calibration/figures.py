@@ -1,4 +1,4 @@
-"""Calibration results for reports: EMVA 1288 parameters, errors relative to a known true camera, and warnings."""
+"""Format calibration results for reports: EMVA 1288 parameters, errors relative to a true camera, and warnings."""
 
 from typing import Any
 
@@ -26,7 +26,7 @@ LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # validation limits for each channel; t
 
 
 def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
-    """Return the noise parameters and levels that apply to all channels of a camera.
+    """Return a camera's noise parameters and levels, averaged over its channels.
 
     Returns
     -------
@@ -83,9 +83,9 @@ def noise_errors(camera: CameraModel) -> dict[str, tuple[float, str]]:
 
 
 def _error_of_mean(camera: CameraModel, mean: float, deviations: Any, errors: Any) -> float:
-    """Return the standard error of `mean`, the quadratic mean of the channels' `deviations` over all pixels.
+    """Return the standard error of `mean`, the RMS of the channels' `deviations`, weighted by the numbers of pixels.
 
-    `errors` are the standard errors of the deviations. The result is 0 if they are unknown or if the mean is 0.
+    `errors` are the standard errors of the deviations. If they are unknown, or if the mean is 0, the result is 0.
     """
     if errors is None or not mean:
         return 0.0
@@ -94,9 +94,9 @@ def _error_of_mean(camera: CameraModel, mean: float, deviations: Any, errors: An
 
 
 def blinking_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
-    """Return the blinking pixels per million, the number of dark frames used, and the median step between both levels.
+    """Return the blinking pixels per million, the number of dark frames, and the median step between the two levels.
 
-    The result is empty if there were too few dark frames. Without blinking pixels, it contains no step.
+    If there were too few dark frames, the result is empty. If no pixel blinks, it contains no step.
     """
     fit = camera.fit.noise if camera.fit else None
     if fit is None or not fit.blinking_frames:
@@ -117,8 +117,8 @@ def figures(camera: CameraModel) -> dict[str, Any]:
     Returns
     -------
     dict
-        Results for the whole camera, and for each channel, illuminant, filter, analog gain and photo. Entries without a
-        measurement are empty or None.
+        Results for the whole camera, and for each channel, illuminant, filter, analog gain and photo. Entries that were not
+        measured are empty or None.
     """
     fit = camera.fit or Fit()
     columns: dict[str, Any] = {}
@@ -183,7 +183,7 @@ def _corners(camera: CameraModel) -> dict[str, float] | None:
 
 
 def _efficiency_columns(camera: CameraModel, chart: ChartFit) -> dict[str, Any]:
-    """Return each channel's peak quantum efficiency, the half width of its 95 % band if known, and its offset.
+    """Return each channel's peak quantum efficiency, the half width of its 95 % band (if known), and its offset.
 
     The offset is beta in Eq. 2 (docs/method.md#gain-and-offset).
     """
@@ -214,8 +214,8 @@ def _emva_columns(noise: NoiseFit) -> dict[str, Any]:
 def _polariser_columns(fit: PolariserFit) -> dict[str, Any]:
     """Return each channel's angle, extinction ratio and relative gain, with 95 % confidence intervals.
 
-    Leakages are raised to at least their standard deviation, so that extinction ratios are finite. A channel without a
-    polariser has the extinction ratio 1.
+    A leakage is at least its standard deviation, so that extinction ratios are finite. A channel without a polariser has an
+    extinction ratio of 1.
     """
     leakage = np.maximum(fit.leakage, fit.leakage_error)
     return {
@@ -269,7 +269,7 @@ def _bands(camera: CameraModel, series: SeriesFit) -> dict[str, dict[str, float]
 
 
 def _photo_columns(camera: CameraModel, fit: PhotoFit) -> dict[str, Any]:
-    """Return the uncertainties of the curves and of the colours predicted from them under other illuminants."""
+    """Return the uncertainties of the curves, and of colours predicted from the curves under other illuminants."""
     band = camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     return {
         "curve ± 95 % (% of peak)": 100.0 * np.sqrt(np.mean(band**2, axis=1)),
@@ -300,7 +300,7 @@ def _photos(fit: PhotoFit) -> dict[str, dict[str, Any]]:
 
 
 def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
-    """Compare the parameters and responsivities of a calibrated camera with the true camera.
+    """Compare a calibrated camera's parameters and responsivities with those of the true camera.
 
     Parameters
     ----------
@@ -365,7 +365,7 @@ def _polariser_errors(measured: Polarisers, truth: CameraModel) -> dict[str, Any
 
 
 def _by_channel(camera: CameraModel, columns: dict[str, Any]) -> dict[str, dict[str, float]]:
-    """Transpose columns, which contain one value per channel, to one dict of Python numbers per channel."""
+    """Convert columns of one value per channel to one dict of Python numbers per channel."""
     return {
         name: {title: float(column[index]) for title, column in columns.items()}
         for index, name in enumerate(camera.channels)
@@ -378,7 +378,7 @@ def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
     Parameters
     ----------
     result : dict
-        The result of `figures`. If the true camera is known, the entry "truth" contains the result of `compare`.
+        Result of `figures`. If the true camera is known, the entry "truth" contains the result of `compare`.
     width : int, optional
         Largest width in characters. Wider tables are split. If None, the width is not limited.
     """
@@ -415,7 +415,6 @@ def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
 
 
 def _curve_lines(curves: dict[str, Any], width: int | None) -> list[str]:
-    """Format the wavelength range, and each channel's peak wavelength and FWHM."""
     rows = []
     for name, curve in curves["channels"].items():
         wide = "–" if curve["FWHM (nm)"] is None else f"{curve['FWHM (nm)']:.0f}"
@@ -435,7 +434,7 @@ def _correction_lines(result: dict[str, Any]) -> list[str]:
 
 
 def matrix_lines(matrices: dict[str, dict[str, dict[str, Any]]], width: int | None = None) -> list[str]:
-    """Format the colour errors of the exported matrices as a table with one row per illuminant and matrix.
+    """Format the colour errors of the exported matrices as a table with a row for each illuminant and matrix.
 
     Parameters
     ----------
@@ -459,7 +458,7 @@ def matrix_lines(matrices: dict[str, dict[str, dict[str, Any]]], width: int | No
 
 
 def _table(rows: dict[str, dict[str, float]], width: int | None) -> list[str]:
-    """Format a table with two heading lines. The second line contains the units in brackets from the titles."""
+    """Format a table with two heading lines: titles, and units from the brackets in the titles."""
     titles = list(next(iter(rows.values())))
     headings = ["channel\n", *("\n".join(title.rstrip(")").partition(" (")[::2]) for title in titles)]
     return columns(headings, [[name, *(figure(row[title], ".5g") for title in titles)] for name, row in rows.items()], width)
@@ -487,7 +486,7 @@ def _photo_lines(result: dict[str, Any]) -> list[str]:
 def doubts(camera: CameraModel) -> list[str]:
     """Return warnings about a calibration that is still usable.
 
-    l3 warns if the lamps drifted more than declared in the measurement file, and if the patches of a photo fit another
+    There are warnings if the lamps drifted more than declared in the measurement file, or if a photo's patches fit another
     illuminant much better than the specified one.
     """
     if camera.fit and camera.fit.drift:
@@ -509,7 +508,7 @@ def doubts(camera: CameraModel) -> list[str]:
 
 
 def _times(logarithm: float) -> str:
-    """Format a factor, given as its natural logarithm, with one significant digit or, if it is large, as a power of ten."""
+    """Format a factor, passed as its natural logarithm, with one significant digit. Large factors become powers of ten."""
     power = logarithm / np.log(10)
     return f"{float(f'{10**power:.1g}'):.0f}" if power < LARGEST_POWER else f"10^{power:.0f}"
 
@@ -543,7 +542,7 @@ def shortfall(camera: CameraModel) -> str | None:
 
 
 def _photo_shortfall(fit: PhotoFit, channels: tuple[str, ...]) -> str | None:
-    """Describe the first photo with patches that do not fit the curves. Returns None if all photos fit."""
+    """Describe the first photo with patches that do not fit the curves, or return None if all photos fit."""
     for index, name in enumerate(fit.names):
         worst = int(fit.misfit[index].argmax())
         if fit.misfit[index, worst] > MOST_MISFIT:

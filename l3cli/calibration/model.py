@@ -1,4 +1,4 @@
-"""Calibration: estimation of a camera model from measurements (docs/method.md#calibration)."""
+"""Estimate a camera model from measurements (docs/method.md#calibration)."""
 
 from dataclasses import replace
 from typing import Any
@@ -33,8 +33,8 @@ LEAST_R_SQUARED = 0.5  # a lower R² means that the measurement file describes t
 Array = NDArray[np.float64]
 TOLERANCE = 0.1  # largest relative difference between a gain or exposure in the measurement file and its measured value
 SAME_SPEED = 1.25  # largest factor between a measured gain and the gain that the ISO speed implies
-# Row or column noise below this fraction of the temporal dark noise is omitted from the camera model. It is invisible, but
-# would slow down training. Stripes become visible at about twice this strength.
+# Row or column noise below this fraction of the temporal dark noise is omitted from the camera model, because it would slow
+# down training. Stripes become visible only at about twice this strength.
 LEAST_LINE_NOISE = 0.05
 CERTAIN = 4.0  # a measured gain contradicts the file only if it deviates by more than this number of standard deviations
 
@@ -97,7 +97,7 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
 
 
 def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = map) -> AnalogGains | None:
-    """Measure gain and read noise at each ISO speed from dark and white frames (docs/method.md#gains).
+    """Measure gain and read noise at each ISO speed, from dark and white frames (docs/method.md#gains).
 
     Returns
     -------
@@ -133,8 +133,13 @@ def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = 
 def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:
     """Build a camera model with relative responsivities from photos of charts.
 
-    Noise and levels come from white and dark frames, if there are any. Otherwise the levels come from the raw files of the
-    photos, and the noise is estimated from the patches. Raises InputFileError if no responsivities explain the patch values.
+    Noise and levels come from white and dark frames, if there are any. Otherwise, the levels come from the photos' raw
+    files, and the noise is estimated from the patches.
+
+    Raises
+    ------
+    InputFileError
+        If no responsivities explain the patch values.
     """
     try:
         curves, fit, sensor = fit_photos(measurements)
@@ -157,8 +162,8 @@ def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:
 def from_data_sheet(measurements: Measurements, figures: SensorFigures, each: Each = map) -> CameraModel:
     """Build a camera model with relative responsivities, and with noise and levels from a data sheet.
 
-    The responsivities come from a table or from a sweep with a photodiode, if the measurements contain one. Otherwise they
-    are fitted to captures of a chart through narrow-band filters.
+    If the measurements contain a table of responsivities, or a sweep with a photodiode as reference, the responsivities come
+    from it. Otherwise, they are fitted to captures of a chart through narrow-band filters.
     """
     body, drift, shift = measurements.body, measurements.lamp_drift, measurements.wavelength_uncertainty
     polarisers = measure_polarisers(measurements, figures, each)
@@ -186,8 +191,8 @@ def fit_curves(
     SweepFit
         Details of the fit.
     DriftError or None
-        The estimated lamp drift, if the charts disagree by more than the declared drift explains, otherwise None. The
-        confidence bands include this drift.
+        The estimated lamp drift, which the confidence bands include. None if the declared drift explains the disagreements
+        between the charts.
     """
     errors = np.array([_validation_error(sweep, charts, delta, black_level) for delta in DELTAS])
     delta = responsivity.choose_smoothing(DELTAS, errors)
@@ -203,7 +208,7 @@ def fit_curves(
 
 
 def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, black_level: Array) -> float:
-    """Cross-validate the curves with smoothing weight `delta` over the charts. Returns the mean relative RMSE."""
+    """Return the mean relative RMSE of a cross-validation over the charts, for curves with the smoothing weight `delta`."""
     photons = charts.photons @ responsivity.solve_channels(sweep, delta).T
     channels = range(len(black_level))
     return float(
@@ -216,7 +221,7 @@ def check_charts(
 ) -> None:
     """Raise InputFileError if a chart contradicts the other charts, or if the charts contradict the sweep.
 
-    `smoothing` is the smoothing weight in the computation of the curves from the sweep.
+    `smoothing` is the smoothing weight with which the curves are computed from the sweep.
     """
     curves = responsivity.solve_channels(sweep, smoothing)
     measured = (charts.values - black_level).sum(axis=1)
@@ -243,7 +248,7 @@ def fit_charts(
     body : Body
         Geometry and channels of the camera.
     odd : tuple of str
-        Descriptions of implausible monochromatic captures, of which the error message quotes the first.
+        Descriptions of implausible monochromatic captures. An error message quotes the first one.
 
     Raises
     ------
@@ -350,9 +355,9 @@ def _blinking(sensor: Sensor, body: Body) -> dict[str, Any]:
 def conversion_gain(sensor: Sensor, body: Body) -> float:
     """Return the conversion gain K of the whole sensor in DN/e-.
 
-    K is the mean of the channels' conversion gains, weighted with the numbers of pixels. If the channels have different
-    exposure times or gains, each conversion gain is first divided by the channel's relative gain, and the weights are the
-    inverse variances.
+    K is the mean of the channels' conversion gains, weighted by the numbers of pixels. If the channels have different
+    exposure times or gains, each conversion gain is first divided by the channel's relative gain, and the mean is weighted
+    by the inverse variances.
     """
     each = sensor.transfer.gain / body.channel_gains
     if body.readout is None:
@@ -361,7 +366,7 @@ def conversion_gain(sensor: Sensor, body: Body) -> float:
 
 
 def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
-    """Average the noise parameters over all channels, weighted with the numbers of pixels.
+    """Average the noise parameters over all channels, weighted by the numbers of pixels.
 
     The read noise is averaged only over the channels with the lowest gain.
     """
@@ -410,7 +415,7 @@ def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
 def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> CameraModel:
     """Assemble the camera model from the results of all fits.
 
-    The responsivity is absolute if charts determine the scale of the curves, otherwise relative.
+    If charts determine the scale of the curves, the responsivity is absolute. Otherwise, it is relative.
 
     Parameters
     ----------
@@ -431,7 +436,7 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
     curve, band = curves.relative, curves.band
     if fit.chart is not None:
         curve, band = efficiency(curves, fit, sensor.gain, body)
-        # Without bands of the curves, the error of the scale alone would result in bands that are too narrow.
+        # If the errors of the curves are unknown, bands from the error of the scale alone would be too narrow.
         band = band if curves.band.any() else np.zeros_like(band)
         check_exposures(curve, body)
         check_efficiency(curve, fit.sweep.odd if fit.sweep else ())
@@ -465,7 +470,7 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
 
 
 def _declared(fit: Fit) -> tuple[str, ...]:
-    """Name the quantities that were not measured, but come from a data sheet or are assumed."""
+    """List the quantities that were not measured, but come from a data sheet or are assumed."""
     if fit.noise is not None:
         return ()
     if fit.photo is None:
@@ -500,9 +505,10 @@ def check_gains(measured: Array, error: Array, body: Body) -> None:
 
 
 def check_exposures(responsivity: Array, body: Body) -> None:
-    """Raise InputFileError if two channels with the same filter differ in quantum efficiency, (channel, wavelength).
+    """Raise InputFileError if two channels with the same filter have different quantum efficiencies.
 
-    Such a difference means that an exposure time in the measurement file is wrong.
+    Such a difference means that an exposure time in the measurement file is wrong. `responsivity` has the shape (channel,
+    wavelength).
     """
     if body.readout is None:
         return
@@ -519,16 +525,16 @@ def check_exposures(responsivity: Array, body: Body) -> None:
 
 
 def filter_curves(curves: Array, band: Array, body: Body) -> tuple[Array, Array]:
-    """Divide curves and bands, (channel, wavelength), by channel gain and exposure, and scale the highest peak to 1."""
+    """Divide curves and bands (channel, wavelength) by each channel's gain and exposure, and scale the highest peak to 1."""
     setting = (body.channel_gains * body.channel_exposures)[:, None]
     peak = float((curves / setting).max())
     return curves / setting / peak, band / setting / peak
 
 
 def measured_readout(body: Body, fit: NoiseFit | None, noise: Noise) -> Readout | None:
-    """Return each channel's exposure, gain and measured read noise, or None if all channels have the same readout.
+    """Return each channel's exposure, gain and read noise, or None if all channels have the same readout.
 
-    If the noise was not measured (`fit` is None), the read noise of all channels comes from `noise`.
+    If the noise was not measured (`fit` is None), the read noise comes from `noise`.
     """
     if body.readout is None:
         return None

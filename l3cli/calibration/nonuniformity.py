@@ -1,7 +1,7 @@
-"""Spectra, profiles and histograms of DSNU and PRNU, as in EMVA 1288, release 4.0 (docs/method.md#dark-and-white-frames).
+"""Compute spectra, profiles and histograms of DSNU and PRNU, as in EMVA 1288, release 4.0.
 
 All results apply to the whole sensor. The mean of each CFA site is subtracted first, so that differences between channels
-have no effect.
+have no effect. See docs/method.md#dark-and-white-frames.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from l3cli.frames.measurement import Body
 MAX_FREQUENCIES = 128  # largest number of points in a spectrum
 MAX_POSITIONS = 200  # largest number of points in a profile
 BINS = 200  # number of bins in a histogram
-BINS_PER_SIGMA = 8  # bins per standard deviation; fewer if some deviations are too large for BINS bins of this width
+BINS_PER_SIGMA = 8  # bins per standard deviation; bins are wider if BINS of them would not cover all deviations
 THRESHOLDS = 64  # number of thresholds in an accumulated histogram
 LOWEST_THRESHOLD = 0.1  # lowest threshold of an accumulated histogram, in standard deviations
 Array = NDArray[np.float64]
@@ -39,11 +39,11 @@ def centred(picture: Array, repaired: Array, body: Body, relative: bool) -> Arra
     picture : ndarray, (row, col)
         Offset or response of each pixel.
     repaired : ndarray, (row, col)
-        The same picture with interpolated defective pixels, from which the means are computed.
+        The same picture with defective pixels interpolated. The means are computed from it.
     body : Body
         Filter array and channel gains of the camera.
     relative : bool
-        Whether to divide the result by the mean of the site, instead of the relative gain of the channel.
+        Whether to divide the result by the site's mean, instead of the channel's relative gain.
     """
     result = np.empty(picture.shape)
     sites = zip(by_site(result, body.cfa), by_site(picture, body.cfa), by_site(repaired, body.cfa), strict=True)
@@ -59,7 +59,7 @@ def describe(picture: Array, repaired: Array, deviation: Array, left: NoiseLeft)
     Parameters
     ----------
     picture, repaired : ndarray, (row, col)
-        Results of `centred` with and without defective pixels. The spectra are computed without defective pixels.
+        Results of `centred`, with and without defective pixels. The spectra are computed from `repaired`.
     deviation : ndarray, (row, col)
         Each pixel's deviation for the histograms: `picture`, or a version of it without shading.
     left : NoiseLeft
@@ -93,8 +93,8 @@ def describe(picture: Array, repaired: Array, deviation: Array, left: NoiseLeft)
 def power_spectrum(picture: Array, axis: int, count: int) -> Array:
     """Compute the power spectrum along an axis, averaged over all lines.
 
-    The result is the mean power in `count` equal ranges from 0 to 0.5 cycles per pixel, without the constant component. For
-    white noise, it equals the variance at all frequencies.
+    The result is the mean power in `count` equal frequency ranges from 0 to 0.5 cycles per pixel, without the constant
+    component. For white noise, it equals the variance at every frequency.
     """
     length = picture.shape[axis]
     lines = picture if axis == 1 else picture.T
@@ -109,8 +109,8 @@ def power_spectrum(picture: Array, axis: int, count: int) -> Array:
 def profile(picture: Array, axis: int) -> tuple[Array, Array]:
     """Return positions along an axis, and the profile (4, position): mean, minimum, maximum and middle line.
 
-    Mean, minimum and maximum are computed over all lines and a short range of positions. The middle line is sampled at the
-    position itself.
+    The mean, minimum and maximum are computed over all lines in a short range around each position. The middle line is
+    sampled at the position itself.
     """
     lines = picture if axis == 1 else picture.T
     length = lines.shape[1]
@@ -128,7 +128,7 @@ def profile(picture: Array, axis: int) -> tuple[Array, Array]:
 
 
 def histogram(deviation: Array, spread: float) -> tuple[Array, NDArray[np.int64]]:
-    """Return the edges and counts of equal bins that cover all deviations, which have the standard deviation `spread`."""
+    """Return the edges and counts of a histogram with equal bins. `spread` is the standard deviation of the deviations."""
     low, high = float(deviation.min()), float(deviation.max())
     reach = max(0.5 * BINS / BINS_PER_SIGMA * spread, 0.51 * (high - low))
     edges = (low + high) / 2 + np.linspace(-reach, reach, BINS + 1)

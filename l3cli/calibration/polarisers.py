@@ -1,4 +1,4 @@
-"""Measurement of the channels' polarisers with a rotating linear polariser (docs/method.md#rotating-polariser).
+"""Measure the channels' polarisers with a rotating linear polariser (docs/method.md#rotating-polariser).
 
 If a channel's polariser has the angle θ and the leakage k (the inverse of the extinction ratio), its response to light
 polarised at the angle φ follows Malus's law:
@@ -6,8 +6,8 @@ polarised at the angle φ follows Malus's law:
     signal = brightness · gain / 2 · [(1 + k) + p (1 − k) cos 2(θ − φ)]
 
 The light's degree of polarisation p follows from the extinction ratio of the rotating polariser. The brightness may change
-between captures, because lamps drift and their light can itself be polarised. It is therefore estimated for each capture,
-which is possible because the channels have different angles.
+between captures, because lamps drift and their light can itself be polarised. It is therefore estimated for each capture.
+This is possible because the channels have different angles.
 """
 
 import functools
@@ -73,13 +73,13 @@ def fit_polarisers(
     deviation : ndarray, (capture, channel)
         Standard deviation of each rate in DN/s. Rates with an infinite standard deviation are ignored.
     polarised : ndarray of bool, (channel,)
-        Whether each channel has a polariser. At least one channel must have a polariser.
+        Whether each channel has a polariser. At least one channel must have one.
     light_polarisation : float
         Degree of linear polarisation of the light.
     light_angle_error : float
         Standard deviation of each `light_angle` in degrees. The errors of the captures are independent.
     black_error : ndarray, (capture,), or float
-        Standard deviation of the subtracted dark signal in DN/s. In DN, each channel has the same error in all captures.
+        Standard deviation of the subtracted dark signal in DN/s. A channel's error in DN is the same in all captures.
 
     Returns
     -------
@@ -93,9 +93,8 @@ def fit_polarisers(
     first = first_guess(light_angle, rate, used, polarised, light_polarisation)
     count = int(polarised.sum())
     black = np.broadcast_to(black_error, captures)[:, None]
-    # The channel parameters are ln gain and angle, both relative to the first estimate, and leakage. The remaining
-    # parameters are the black level errors, ln brightnesses and light angle errors, in units of their prior standard
-    # deviations.
+    # The parameters of a channel are ln gain and angle, both relative to the first estimate, and the leakage. The other
+    # parameters are black level errors, ln brightnesses and light angle errors, in units of their prior standard deviations.
     parts = np.cumsum([channels, count, count, channels, captures])
 
     def unpacked(values: Array) -> tuple[Array, ...]:
@@ -114,8 +113,8 @@ def fit_polarisers(
 
     start = np.concatenate([np.zeros(channels + count), first.leakage[polarised], np.zeros(channels + 2 * captures)])
     solved = least_squares(residuals, start, method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    # Degrees of freedom: number of rates minus number of parameters. Angle and black level errors do not count, because
-    # their priors are narrow. One brightness does not count, because the gains include the overall brightness.
+    # Degrees of freedom: number of rates minus number of parameters. Light angle errors and black level errors are not
+    # counted, because their priors are narrow. One brightness is not counted, because the gains include the mean brightness.
     spare = int(used.sum()) - parts[2] - (len(rate) - 1)
     scatter = 2.0 * solved.cost / spare if spare > 0 else 1.0
     covariance = np.linalg.inv(solved.jac.T @ solved.jac) * max(1.0, scatter)
@@ -146,7 +145,7 @@ def fit_polarisers(
 def first_guess(
     light_angle: Array, rate: Array, used: NDArray[np.bool_], polarised: NDArray[np.bool_], light_polarisation: float
 ) -> Guess:
-    """Estimate each channel's gain, angle and leakage with a linear fit, assuming constant brightness of the light."""
+    """Estimate each channel's gain, angle and leakage with a linear fit, assuming that the light is constant."""
     terms = harmonics(light_angle)
     law = np.array([np.linalg.lstsq(terms[use], of[use], rcond=None)[0] for use, of in zip(used.T, rate.T, strict=True)])
     mean, amplitude = law[:, 0], np.hypot(law[:, 1], law[:, 2])
@@ -164,7 +163,7 @@ def first_guess(
 
 @dataclass(frozen=True)
 class Electronics:
-    """Sensor properties that are needed to convert raw values to rates with uncertainties."""
+    """Sensor properties for converting raw values to rates with uncertainties."""
 
     dark: Array  # (capture, channel): mean value in the dark in DN, including the black level
     saturation: float  # DN; pixels at or above this value are saturated
@@ -180,10 +179,10 @@ def measure_polarisers(
     electronics: Electronics,
     each: statistics.Each = map,
 ) -> PolariserFit:
-    """Measure the polarisers of all channels in frames behind a rotating polariser.
+    """Measure the polarisers of all channels in frames taken through a rotating polariser.
 
-    Each channel ignores captures in which it is saturated. If the measurement file does not specify polarisers, l3 assumes
-    that a channel has a polariser if its signal depends on the angle of the rotating polariser.
+    Each channel ignores captures in which it is saturated. If the measurement file does not specify polarisers, a channel
+    counts as polarised if its signal depends on the angle of the rotating polariser.
 
     Raises
     ------
@@ -237,10 +236,10 @@ def _check_angles(angle: Array, used: NDArray[np.bool_], body: Body) -> None:
 
 
 def _check_captures(captures: Sequence[PolariserCapture], fit: PolariserFit) -> None:
-    """Raise InputFileError if the stated polariser angle of a capture contradicts its frames.
+    """Raise InputFileError if a capture's frames contradict its stated polariser angle.
 
-    The true angle is computed from the ratios between the channels. This requires at least three usable channels with
-    different angles, so other captures are not checked.
+    The true angle is computed from the ratios between the channels. Captures with fewer than three usable channels with
+    different angles are not checked.
     """
     response = fit.gain[:, None] * np.stack([1.0 + fit.leakage, *(1.0 - fit.leakage) * harmonics(fit.angle).T[1:]], axis=1)
     seen = []
@@ -262,8 +261,8 @@ def _check_captures(captures: Sequence[PolariserCapture], fit: PolariserFit) -> 
 def _with_reference(fit: PolariserFit, reference: str, body: Body) -> PolariserFit:
     """Shift all angles so that the channel `reference` has its stated angle.
 
-    The other angles then inherit the error of the reference channel, which is added in quadrature. The reference channel's
-    own error becomes 0.
+    The measurement error of the reference channel is added to the errors of the other angles in quadrature. The reference
+    channel's own error becomes 0.
     """
     if body.polarisers is None or reference not in body.channels:
         raise InputFileError(
@@ -283,7 +282,7 @@ def _with_reference(fit: PolariserFit, reference: str, body: Body) -> PolariserF
 
 
 def contradiction(body: Body, measured: Array) -> str:
-    """Return an error message if the measured angles contradict the stated angles of the channels, otherwise "".
+    """Return an error message if the measured angles contradict the channels' stated angles, otherwise "".
 
     Parameters
     ----------
@@ -318,7 +317,7 @@ def contradiction(body: Body, measured: Array) -> str:
 
 
 def polarisers_of(fit: PolariserFit | None, body: Body, wavelength: Array) -> Polarisers | None:
-    """Return the measured polarisers of a camera or, if they were not measured, the stated polarisers.
+    """Return a camera's measured polarisers or, if they were not measured, its stated polarisers.
 
     Parameters
     ----------
@@ -347,8 +346,8 @@ def with_polarisers(camera: CameraModel, fit: PolariserFit | None, body: Body) -
     """Add polarisers to a camera model with responsivities that were measured in unpolarised light.
 
     In channels with a polariser, the responsivity is multiplied by 2 / (1 + k), where k is the leakage. It then applies to
-    light polarised along the transmission axis. Relative responsivities are rescaled to a highest peak of 1. Without
-    polarisers, the camera model is returned unchanged.
+    light polarised along the transmission axis. Relative responsivities are rescaled to a highest peak of 1. If no channel
+    has a polariser, the camera model is returned unchanged.
     """
     polarisers = polarisers_of(fit, body, camera.wavelength)
     if polarisers is None:

@@ -1,4 +1,4 @@
-"""Estimation of spectral responsivities and of each channel's gain.
+"""Estimate spectral responsivities, and each channel's gain.
 
 Eq. 1 determines the responsivities from monochromatic captures (docs/method.md#responsivity). Eq. 2 determines each
 channel's gain and offset from charts under known illuminants (docs/method.md#gain-and-offset). Sweep tables and finished
@@ -19,14 +19,14 @@ from l3cli.physics import spectra
 
 NODE_STEP = 5.0  # nm; distance between hat functions; 10 nm would double the error (docs/method.md#responsivity)
 EDGE = 0.01  # radiances below this fraction of the peak are ignored
-PLATEAU = 1.05  # smoothing weights with an error up to 5 % above the minimum are equally good
+PLATEAU = 1.05  # smoothing weights with an error up to 5 % above the minimum count as equally good
 PILOT = 10.0  # smoothing weight of the pilot curve for confidence bands, relative to the curve itself
 BAND_FLOOR = 0.0002  # smallest half width of a confidence band, as a fraction of the peak
 COVERAGE = 1.96  # half width of a 95 % band in standard deviations
 Array = NDArray[np.float64]
 USUAL = (0.03, 1.0)  # range of plausible peak quantum efficiencies, including lens and filters
 PHOTONS_PER_JOULE = 2.5e18  # at 500 nm
-# common mistakes in measurement files, and their factor on the quantum efficiency
+# Common mistakes in measurement files, and the factors by which they change the quantum efficiency.
 MISTAKES = {
     "exposure times are in ms (use exposure_ms)": 1e-3,
     "exposure times are in µs (use exposure_us)": 1e-6,
@@ -37,13 +37,13 @@ MISTAKES = {
     "exposure times are in s but declared as ms": 1e3,
 }
 CORE = 0.25  # half the side of the central square that is averaged in each patch, as a fraction of the patch spacing
-# standard deviation of a patch's mean value: relative, and in DN (docs/method.md#gain-and-offset)
+# Standard deviation of a patch's mean value: relative, and in DN (docs/method.md#gain-and-offset).
 RELATIVE_ERROR, ABSOLUTE_ERROR = 0.005, 0.3
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """The linear systems of Eq. 1 for all channels: values = design @ responsivity."""
+    """Linear systems of Eq. 1, one per channel: values = design @ responsivity."""
 
     nodes: Array  # (wavelength,): centres of the hat functions in nm
     design: Array  # (capture, wavelength): fraction of the capture's photons in each hat function
@@ -52,7 +52,7 @@ class Sweep:
 
 
 def node_grid(lights: list[tuple[Array, Array]]) -> Array:
-    """Return the centres in nm of hat functions (triangles) that cover all spectra, spaced by NODE_STEP.
+    """Return the centres, in nm, of hat functions (triangles) that cover all spectra at a spacing of NODE_STEP.
 
     Each spectrum in `lights` is a pair (wavelength in nm, radiance).
     """
@@ -63,13 +63,13 @@ def node_grid(lights: list[tuple[Array, Array]]) -> Array:
 
 
 def light_centre(wavelength: Array, radiance: Array) -> float:
-    """Return the central wavelength of a narrow spectrum in nm: the centroid of the part above half maximum."""
+    """Return a narrow spectrum's central wavelength in nm: the centroid of the part above half maximum."""
     inside = np.where(radiance >= radiance.max() / 2, radiance * spectra.bin_widths(wavelength), 0.0)
     return float(inside @ wavelength / inside.sum())
 
 
 def node_photons(wavelength: Array, radiance: Array, nodes: Array) -> Array:
-    """Integrate a radiance, multiplied by each hat function, over wavelength.
+    """Integrate a radiance over wavelength, weighted by each hat function.
 
     Parameters
     ----------
@@ -141,10 +141,11 @@ def residuals(sweep: Sweep, responsivity: Array) -> Array:
 
 
 def choose_smoothing(deltas: Array, errors: Array) -> float:
-    """Choose a smoothing weight from the validation errors of several weights (docs/method.md#responsivity).
+    """Choose a smoothing weight by its validation error (docs/method.md#responsivity).
 
-    Neighbours of the best weight have nearly the same error, so the exact minimum depends on chance. The result is therefore
-    the geometric centre of the contiguous range of weights with errors of at most PLATEAU times the minimum.
+    The weights next to the best one have nearly the same error, so the exact minimum depends on chance. The result is
+    therefore the geometric centre of a range: the weights around the minimum with errors of at most PLATEAU times the
+    minimum.
 
     Parameters
     ----------
@@ -221,15 +222,15 @@ def confidence_bands(sweep: Sweep, responsivity: Array, delta: float, drift: flo
 
 
 def _smoother(design: Array, delta: float) -> Array:
-    """Return the matrix (node, capture) that converts capture values to a responsivity, without the constraint r ≥ 0."""
+    """Return the matrix (node, capture) that converts capture values to a responsivity, ignoring the constraint r ≥ 0."""
     penalty = roughness(design.shape[1])
     return np.asarray(np.linalg.solve(design.T @ design + delta * penalty.T @ penalty, design.T), dtype=np.float64)
 
 
 def smoothers(sweep: Sweep, delta: float) -> list[Array]:
-    """Return each channel's matrix (node, capture) that converts capture values to a responsivity.
+    """Return, for each channel, the matrix (node, capture) that converts capture values to a responsivity.
 
-    Columns of captures in which the channel is saturated contain zeros.
+    If the channel is saturated in a capture, the capture's column contains zeros.
     """
     matrices = []
     for valid in sweep.valid.T:
@@ -258,7 +259,7 @@ class Curves:
         return replace(self, relative=self.relative / peak, band=self.band / peak)
 
     def widened(self, light_error: float, wavelength_error: float) -> "Curves":
-        """Widen the confidence bands by the brightness and wavelength errors of the light used for the measurement.
+        """Widen the confidence bands to include errors in the brightness and wavelength of the measurement light.
 
         Parameters
         ----------
@@ -275,7 +276,7 @@ class Curves:
 def from_sweep(table: SweepTable, body: Body) -> Array:
     """Compute the responsivities per photon from a wavelength sweep with a photodiode as reference.
 
-    Dark readings are subtracted for camera and photodiode. Negative responsivities become zero.
+    The dark readings of camera and photodiode are subtracted. Negative responsivities become zero.
 
     Returns
     -------
@@ -305,8 +306,8 @@ def from_sweep(table: SweepTable, body: Body) -> Array:
 def without_fit(curve: SweepTable | FinishedCurves, body: Body, light_error: float, wavelength_error: float) -> Curves:
     """Convert a sweep table or finished curves to relative responsivities with a highest peak of 1.
 
-    The confidence bands follow from the declared errors of brightness and wavelength. They are 0 (unknown) if one of these
-    errors is 0.
+    The confidence bands follow from the declared errors of brightness and wavelength. If one of these errors is 0, the bands
+    are 0 (unknown).
     """
     relative = from_sweep(curve, body) if isinstance(curve, SweepTable) else curve.responsivity
     curves = Curves(curve.wavelength, relative, np.zeros_like(relative))
@@ -347,8 +348,8 @@ def efficiency(curves: Curves, fit: Fit, gain: float, body: Body) -> tuple[Array
 def check_efficiency(responsivity: Array, odd: tuple[str, ...] = ()) -> None:
     """Raise InputFileError if a quantum efficiency exceeds 1.
 
-    If `odd` contains descriptions of implausible captures, the message recommends checking the first one. Otherwise it
-    recommends checking the units.
+    `odd` contains descriptions of implausible captures. The message recommends checking the first one or, if there is none,
+    the units.
     """
     peak = float(responsivity.max())
     if peak > 1.0:
@@ -368,8 +369,8 @@ def likely_mistake(peak: float) -> str:
 def patch_map(corners: Array, rows: int, cols: int) -> NDArray[np.int64]:
     """Return the index of the ColorChecker patch at each pixel: (row, col).
 
-    Only the central square of each patch gets its index, and all other pixels get 24. The chart may be rotated and seen in
-    perspective.
+    The index is assigned only in the central square of a patch. All other pixels have the value 24. The chart may be rotated
+    and seen in perspective.
 
     Parameters
     ----------
@@ -383,9 +384,9 @@ def patch_map(corners: Array, rows: int, cols: int) -> NDArray[np.int64]:
 
 
 def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> tuple[Array, NDArray[np.bool_]]:
-    """Measure the patches of a chart, averaged over all frames of the capture.
+    """Measure a chart's patches, averaged over all frames of a capture.
 
-    A patch is saturated in a channel if more than 0.1 % of the pixels in its central square reach `limit` DN in any frame.
+    A patch is saturated in a channel if, in any frame, more than 0.1 % of the pixels in its central square reach `limit` DN.
     Defective pixels are ignored.
 
     Returns
@@ -414,7 +415,7 @@ def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defec
 
 
 def unsaturated_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> Array:
-    """As `patch_values`, but return only the values, and raise InputFileError if a patch is saturated."""
+    """Measure a chart's patches like `patch_values`, but raise InputFileError if a patch is saturated: (patch, channel)."""
     values, saturated = patch_values(capture, body, limit, defects)
     if saturated.any():
         patch, channel = np.argwhere(saturated)[0]
@@ -425,7 +426,7 @@ def unsaturated_values(capture: ChartCapture, body: Body, limit: float, defects:
 
 
 def patch_illumination(capture: ChartCapture, body: Body, defects: Defects) -> Array:
-    """Return the illumination of each patch's image relative to the optical axis, due to cos⁴ falloff: (patch, 1)."""
+    """Return the illumination at each patch in the frame, relative to the optical axis (cos⁴ falloff): (patch, 1)."""
     pixels, label, count = _cores(capture, body, defects)
     channels = len(body.channels)
     light = _per_label(label, body.relative_illumination.ravel()[pixels], channels)
@@ -433,7 +434,7 @@ def patch_illumination(capture: ChartCapture, body: Body, defects: Defects) -> A
 
 
 def _cores(capture: ChartCapture, body: Body, defects: Defects) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Find the pixels in the patches' central squares, except defective pixels.
+    """Find the pixels in the central squares of the patches, except defective pixels.
 
     Returns
     -------
@@ -477,7 +478,7 @@ def _cores(capture: ChartCapture, body: Body, defects: Defects) -> tuple[NDArray
 
 
 def _per_label(label: NDArray[np.int64], weights: NDArray, channels: int) -> Array:
-    """Sum `weights` over the pixels with the same label. The result has the shape (patch, channel)."""
+    """Sum `weights` over all pixels with the same label: (patch, channel)."""
     sums = np.bincount(label, weights=weights, minlength=PATCHES * channels)
     return sums.astype(np.float64).reshape(PATCHES, channels)
 
@@ -509,10 +510,10 @@ def fit_gain(photons: Array, values: Array, black_level: float) -> tuple[float, 
 
 
 def gain_error(photons: Array, values: Array, black_level: float, alpha: float, beta: float, drift: float) -> float:
-    """Return the standard error of `alpha`, the slope of the fit in Eq. 2.
+    """Return the standard error of `alpha`, the slope in Eq. 2.
 
-    It is the standard deviation of the slopes of separate fits to each chart, or the standard deviation due to the declared
-    lamp drift if that is larger, divided by the square root of the number of charts.
+    It is a standard deviation divided by the square root of the number of charts. This deviation is the larger of two: the
+    standard deviation between the slopes of the charts, fitted separately, and the one that the declared lamp drift causes.
 
     Parameters
     ----------
@@ -533,7 +534,7 @@ def gain_error(photons: Array, values: Array, black_level: float, alpha: float, 
 
 
 def chart_factors(photons: Array, values: Array, black_level: float, beta: float) -> tuple[Array, Array]:
-    """Fit the slope of Eq. 2 for each chart separately, with the common offset `beta`.
+    """Fit the slope in Eq. 2 to each chart separately, with the same offset `beta`.
 
     Returns
     -------
@@ -566,7 +567,8 @@ def r_squared(measured: Array, predicted: Array) -> Array:
 def cross_validate(photons: Array, values: Array, black_level: float) -> float:
     """Return the relative RMSE of a leave-one-out cross-validation over the charts.
 
-    Each chart is predicted with alpha and beta from the other charts. `photons` and `values` are arrays (chart, patch).
+    Each chart is predicted with alpha and beta fitted to the other charts. `photons` and `values` have the shape (chart,
+    patch).
     """
     predicted = np.empty_like(values)
     for left_out in range(len(values)):

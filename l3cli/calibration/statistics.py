@@ -1,7 +1,7 @@
-"""Statistics of frames, and detection of defective pixels.
+"""Compute statistics of frames, and find defective pixels.
 
 Histograms, means and temporal variances are computed per channel, without defective pixels. The parameter `each` is the
-built-in `map` or a parallel replacement, which applies a function to each capture.
+built-in `map`, or a parallel replacement for it.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -15,9 +15,9 @@ from l3cli.artifacts.camera import DefectMap
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import Body, Capture
 
-# limit in robust standard deviations, which normally distributed pixels exceed with a probability below 10⁻⁸
+# Limit in robust standard deviations. Normally distributed pixels exceed it with a probability below 10⁻⁸.
 OUTLIER = 6.0
-LEAST_LOSS = 0.1  # smaller relative deviations from neighbouring pixels count as PRNU, not as a defect
+LEAST_LOSS = 0.1  # pixels with a smaller relative deviation from their neighbours are not defective
 WHOLE_LINE = 0.9  # if at least this fraction of a row or column is defective, the whole line is marked as defective
 Defects = NDArray[np.int64]  # (defect, 2): row and column of each defective pixel
 Array = NDArray[np.float64]
@@ -32,10 +32,9 @@ def no_defects() -> Defects:
 def outliers(picture: Array, cfa: NDArray[np.uint8], least: float = 0.0) -> Defects:
     """Find defective pixels, rows and columns by their deviation from other pixels at the same CFA site.
 
-    A pixel is an outlier if its deviation from the site's median exceeds both OUTLIER standard deviations and `least`. A
-    whole row is an outlier if its median deviates from the typical row median by more than each of three limits: OUTLIER
-    standard deviations of the row medians, one standard deviation of the pixels, and `least`. Columns are tested in the same
-    way.
+    A pixel is an outlier if its deviation from the site's median exceeds both OUTLIER standard deviations and `least`. A row
+    is an outlier if its median deviates from the typical row median by more than three limits: OUTLIER standard deviations
+    of the row medians, one standard deviation of the pixels, and `least`. Columns are tested in the same way.
     """
     rows, cols = cfa.shape
     defects = []
@@ -64,7 +63,7 @@ def joined_defects(*parts: Defects) -> Defects:
 
 
 def patched(picture: Array, cfa: NDArray[np.uint8], defects: Defects) -> Array:
-    """Replace defective pixels by the median of neighbouring pixels at the same CFA site."""
+    """Replace each defective pixel with the median of neighbouring pixels at the same CFA site."""
     rows, cols = cfa.shape
     result = picture.copy()
     for row, col in defects:
@@ -77,7 +76,7 @@ def patched(picture: Array, cfa: NDArray[np.uint8], defects: Defects) -> Array:
 def defect_map(defects: Defects, hot: Defects, shape: tuple[int, int], blinking: Defects | None = None) -> DefectMap:
     """Build the defect map of a sensor.
 
-    A row or column is marked as a whole if nearly all of its pixels are defective (WHOLE_LINE).
+    If nearly all pixels of a row or column are defective (WHOLE_LINE), the whole line is marked.
 
     Parameters
     ----------
@@ -88,7 +87,7 @@ def defect_map(defects: Defects, hot: Defects, shape: tuple[int, int], blinking:
     shape : tuple of int
         Rows and columns of the sensor.
     blinking : ndarray, (defect, 2), optional
-        Row and column of the blinking pixels. They get the type "blinking" even if they are also hot. [default: none]
+        Row and column of the blinking pixels. They get the type "blinking" even if they are also hot.
     """
     bad, named = np.zeros(shape, bool), np.full(shape, "dead", dtype="<U8")
     bad[tuple(defects.T)] = True
@@ -138,11 +137,11 @@ class Level:
 
 @dataclass(frozen=True)
 class LineSquares:
-    """Mean squares from a two-way analysis of variance of a picture.
+    """Mean squares from a picture's two-way analysis of variance, into rows, columns and pixels.
 
     Without row noise, `rows` and `pixels` have the same expected value. Row noise increases the expected value of `rows` by
-    its variance times the number of pixels in a row. The same applies to columns. To measure temporal noise, the picture is
-    the difference between two frames, and the mean squares are halved.
+    its variance times the number of pixels in a row. The same applies to columns. For temporal noise, the picture is the
+    difference between two frames, and the mean squares are halved.
     """
 
     rows: float  # DN²
@@ -153,9 +152,9 @@ class LineSquares:
 
 
 def line_squares(picture: NDArray[Any], body: Body) -> Array:
-    """Return the sums of squares of the rows, columns and pixels of a picture, for `mean_squares`.
+    """Return a picture's sums of squares for rows, columns and pixels, the input of `mean_squares`.
 
-    First, the mean of each CFA site is subtracted, and the pixels are divided by the relative gain of their channel.
+    First, each CFA site's mean is subtracted, and the pixels are divided by their channel's relative gain.
     """
     scaled = np.empty(picture.shape)
     for (channel, site), (_, target) in zip(by_site(picture, body.cfa), by_site(scaled, body.cfa), strict=True):
@@ -165,9 +164,9 @@ def line_squares(picture: NDArray[Any], body: Body) -> Array:
 
 
 def mean_squares(sums: Sequence[Array], body: Body) -> LineSquares:
-    """Combine the sums of squares of several pictures with the same noise, from `line_squares`, into mean squares.
+    """Convert the sums of squares from `line_squares` to mean squares, averaged over several pictures.
 
-    The pictures can be, for example, the pairs of frames with the same exposure time.
+    The pictures must have the same noise. For temporal noise, each picture is the difference between two frames.
     """
     (down, across), pairs = body.cfa.shape, len(sums)
     rows, columns = body.rows - down, body.cols - across
@@ -177,20 +176,20 @@ def mean_squares(sums: Sequence[Array], body: Body) -> LineSquares:
 
 
 def by_site(values: NDArray, cfa: NDArray[np.uint8]) -> Iterator[tuple[int, NDArray]]:
-    """Iterate over the CFA sites, row by row. Yields each site's channel and a view of its pixels (row, col)."""
+    """Yield the channel of each CFA site, row by row, and a view of the site's pixels (row, col)."""
     rows, cols = cfa.shape
     for row, col in np.ndindex(rows, cols):
         yield int(cfa[row, col]), values[row::rows, col::cols]
 
 
 def pooled(per_site: Sequence[float], cfa: NDArray[np.uint8]) -> Array:
-    """Average `per_site`, one number per CFA site in the order of `by_site`, over the sites of each channel."""
+    """Average one number per CFA site, in the order of `by_site`, over the sites of each channel."""
     count = np.bincount(cfa.ravel())
     return np.bincount(cfa.ravel(), weights=np.asarray(per_site, dtype=np.float64)) / count
 
 
 def histogram(values: NDArray[np.uint16], body: Body, defects: Defects) -> Counts:
-    """Return the histogram of each channel of a frame, without defective pixels: (channel, value)."""
+    """Return the histogram of each channel in a frame, without defective pixels: (channel, value)."""
     counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
     for channel, site in by_site(values, body.cfa):
         counts[channel] += np.bincount(site.ravel(), minlength=2**body.bits)
@@ -214,7 +213,7 @@ def mean_value(counts: Counts) -> Array:
 
 
 def share_from(counts: Counts, value: float) -> Array:
-    """Compute each channel's fraction of pixels with at least `value` DN from its histogram."""
+    """Compute, from each channel's histogram, the fraction of pixels with at least `value` DN."""
     return counts[:, int(np.ceil(value)) :].sum(axis=1) / counts.sum(axis=1)
 
 
@@ -222,7 +221,7 @@ def measure_level(capture: Capture, body: Body, defects: Defects) -> Level:
     """Measure the histogram and the temporal variance of a capture in uniform light or in the dark.
 
     The temporal variance is half the variance of the difference between two consecutive frames, averaged over pairs (frames
-    1 and 2, frames 3 and 4…). Fixed-pattern noise cancels in the difference, and lamp and black level hardly drift between
+    1 and 2, frames 3 and 4…). Fixed-pattern noise cancels in the difference. Lamp and black level hardly drift between
     consecutive frames. Raises InputFileError if the capture contains only one frame.
     """
     counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
@@ -252,9 +251,9 @@ def measure_level(capture: Capture, body: Body, defects: Defects) -> Level:
 
 
 def pixel_variance(picture: NDArray[Any]) -> float:
-    """Return the variance of a picture without the variances of its row means and column means.
+    """Return a picture's variance without the part that rows and columns share.
 
-    The estimate is unbiased: without row noise and column noise, its expected value is the variance of the pixels.
+    The estimate is unbiased: without row and column noise, its expected value is the variance of the pixels.
     """
     rows, cols = picture.shape
     lines = [picture.mean(axis=axis, dtype=np.float64).var() for axis in (0, 1)]
@@ -263,9 +262,9 @@ def pixel_variance(picture: NDArray[Any]) -> float:
 
 
 def weighted_sums(captures: Sequence[Capture], weights: Array, body: Body, each: Each = map) -> Array:
-    """Return weighted sums of the mean frames of captures.
+    """Return weighted sums of the captures' mean frames.
 
-    Captures are read one at a time. Captures with a weight of 0 in all sums are not read.
+    Captures with a weight of 0 in all sums are not read.
 
     Parameters
     ----------
@@ -274,14 +273,13 @@ def weighted_sums(captures: Sequence[Capture], weights: Array, body: Body, each:
     weights : ndarray, (sum, capture, channel)
         Weight of each capture in each sum, for each channel.
     body : Body
-        Geometry of the camera.
+        Size, CFA and channels of the camera.
     each : callable
-        As described in the module docstring.
+        The built-in `map`, or a parallel replacement for it.
 
     Returns
     -------
     ndarray, (sum, row, col)
-        The weighted sums.
     """
     total = np.zeros((len(weights), body.rows, body.cols))
     used = [index for index in range(len(captures)) if weights[:, index].any()]
@@ -294,7 +292,7 @@ def weighted_sums(captures: Sequence[Capture], weights: Array, body: Body, each:
 
 
 def mean_frame(capture: Capture) -> NDArray[np.float32]:
-    """Average all frames of a capture, in DN: (row, col)."""
+    """Average all frames of a capture: (row, col), in DN."""
     total: NDArray | None = None
     trials = 0
     for frame in capture.frames:

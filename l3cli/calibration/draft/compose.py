@@ -1,4 +1,4 @@
-"""Composition of a draft measurement file from the frames and tables of spectra in a folder."""
+"""Compose a draft measurement file from the frames and tables of spectra in a folder."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -42,7 +42,7 @@ PITCH = "µm; distance between pixels, from the data sheet"
 LEAST_CHARTS = 2  # smallest number of charts from which gain and offset can be fitted
 CORNERS = [[10, 10], [240, 10], [240, 170], [10, 170]]  # example of chart corners: column and row in pixels
 SHARING = ("[[mono]]", "[[band]]")  # types of captures to which the section [common] applies
-SEVERAL = 2  # if at least this many captures lack a key, the key is written only once, in [common]
+SEVERAL = 2  # if at least this many captures lack a key, it is written once, in [common]
 EXAMPLE_SPECTRUM = "spectra/mono.csv"
 PAIR = 2  # smallest number of frames from which noise can be measured
 Mosaic = NDArray[np.floating]
@@ -54,7 +54,7 @@ class DraftText:
     def __init__(self) -> None:
         self._lines: list[str] = []
         self.assumed: list[str] = []  # messages about assumed values, which the user should check
-        # for each missing key: the key, the capture or section that needs the key, and an explanation
+        # (key, capture or section that needs it, explanation) of each missing key
         self._missing: list[tuple[str, str, str]] = []
 
     def __str__(self) -> str:
@@ -91,7 +91,7 @@ class DraftText:
         self._missing.append((name, where, what))
 
     def fill(self, name: str, value: Any, what: str, where: str) -> None:
-        """Add a key for the name of a file that the user must create, marked TODO."""
+        """Add a key, marked TODO, with the name of a file that the user must create."""
         self._line(f"{name} = {toml_value(value)}", f"TODO: {what}")
         self._missing.append((name, where, what))
 
@@ -103,7 +103,7 @@ class DraftText:
 
     @property
     def missing(self) -> list[str]:
-        """One line for each key that the user must fill in. Captures that lack the same key share a line."""
+        """One line for each key that the user must fill in. If several captures lack a key, they share a line."""
         alike: dict[tuple[str, str], list[str]] = {}
         for name, where, what in self._missing:
             alike.setdefault((name, re.sub(r"\d[\d.e+-]*", "#", what)), []).append(where)
@@ -165,10 +165,10 @@ def unknown_optics(out: DraftText) -> None:
 
 
 def _seen_body(out: DraftText, seen: Survey, photo: bool) -> None:
-    """Add the sections [sensor], [cfa] and [optics] with the values that can be determined from the frames.
+    """Add the sections [sensor], [cfa] and [optics], with values determined from the frames.
 
-    If the captures are photos of charts (`photo`), typical values are assumed for pixel pitch and optics, because they do
-    not affect the result.
+    If the captures are photos of charts (`photo`), the pixel pitch and the optics do not affect the result, so typical
+    values are assumed.
     """
     out.table("[sensor]", rows=seen.shape[0], cols=seen.shape[1])
     if photo:
@@ -202,7 +202,7 @@ def _seen_body(out: DraftText, seen: Survey, photo: bool) -> None:
 
 
 class Composer:
-    """Writes the draft of a measurement file for a folder.
+    """Composes the draft of a measurement file for a folder.
 
     Parameters
     ----------
@@ -298,10 +298,10 @@ class Composer:
         note_unused(columns, matched, seen.notes)
 
     def _share(self, groups: Sequence[Group], unitless: Sequence[str], unit: str) -> None:
-        """Add the section [common] with keys that several captures lack, marked TODO.
+        """Add the section [common] with the keys that several captures lack, marked TODO.
 
-        Such keys can be the exposure time and the unit of radiances. `unitless` lists captures or tables with radiances
-        without a unit.
+        These can be the exposure time and the unit of radiances. `unitless` lists the captures or tables in which radiances
+        have no unit.
         """
         out, untimed = self.out, [group for group in groups if group.first.seconds is None]
         if len(untimed) < SEVERAL and len(unitless) < SEVERAL:
@@ -325,10 +325,10 @@ class Composer:
             self.shared.add(key)
 
     def _unit(self, table: CurveTable, column: int | None) -> None:
-        """Add the unit of radiances if the table headings contain no unit.
+        """Add the unit of radiances if the table headings do not contain it.
 
-        Photon radiance is assumed if the values are typical. Otherwise the unit is added as a TODO, unless `column` is set
-        and [common] already contains the unit.
+        If the values are typical of photon radiance, this unit is assumed. Otherwise, the unit is added as a TODO, unless
+        `column` is set and [common] already contains the unit.
         """
         if unknown_unit(table, column):
             if column is None or "unit" not in self.shared:
@@ -340,9 +340,9 @@ class Composer:
             self.out.assume("unit", PHOTON_RADIANCE, why, False)
 
     def _chart_corners(self) -> dict[int, sorting.Corners]:
-        """Search all captures in `self.charts` for a chart, and return its corners by the `id()` of the capture.
+        """Find the chart in each capture in `self.charts`, and return its corners by the `id()` of the capture.
 
-        Captures that are not uniform but contain no chart are removed from `self.charts`, unless they are named as charts.
+        If a capture contains no chart, it is removed from `self.charts`, unless its name says that it shows a chart.
         """
         seen, found = self.seen, dict[int, sorting.Corners]()
         for group in list(self.charts):
@@ -362,7 +362,7 @@ class Composer:
             self.out.todo("corners", CORNERS, what, path)
 
     def _charts(self, corners: dict[int, sorting.Corners]) -> None:
-        """Add the [[chart]] captures that accompany monochromatic captures, each with its table of radiances.
+        """Add the [[chart]] captures of a folder with monochromatic captures, each with its table of radiances.
 
         A missing table is added as a TODO.
         """
@@ -388,8 +388,8 @@ class Composer:
     def _bands(self) -> None:
         """Add the [[band]] captures, which show a chart through narrow-band filters.
 
-        The corners of the chart are found in the brightest captures, and are used for all captures. A missing table of
-        radiances is added as a TODO.
+        The corners of the chart are found in the brightest captures, and apply to all captures. A missing table of radiances
+        is added as a TODO.
         """
         out, seen = self.out, self.seen
         corners = sorting.corners_of_series(self.bands, seen.scale, seen.period, self.read)
@@ -415,9 +415,9 @@ class Composer:
     def _photos(self, corners: dict[int, sorting.Corners]) -> None:
         """Add the [[photo]] captures: charts in a folder without monochromatic captures.
 
-        A photo's illuminant is a matching measured spectrum or the illuminant in the file name. If both are missing, a
-        comment explains the key `light`. Dark frames with the same exposure time are added to the photo. They become a TODO
-        if there are none and the black level is unknown.
+        A photo's illuminant is a matching measured spectrum, or the illuminant in the file name. If both are missing, a
+        comment explains the key `light`. Dark frames with the same exposure time are added to the photo. If there are none
+        and the black level is unknown, they become a TODO.
         """
         out, seen = self.out, self.seen
         for group in self.charts:
@@ -447,8 +447,8 @@ class Composer:
     def _sensor_frames(self) -> None:
         """Add the [[white]] and [[dark]] captures and, for captures through filters, the section [datasheet].
 
-        Missing captures are added as TODOs. If there are monochromatic captures, missing [[chart]] captures are added too. A
-        draft with only photos needs none of these entries.
+        Missing captures are added as TODOs, including [[chart]] captures if there are monochromatic captures. A draft with
+        only photos needs none of these entries.
         """
         out = self.out
         if self.steps and len(self.charts) < LEAST_CHARTS:

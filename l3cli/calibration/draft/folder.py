@@ -1,4 +1,4 @@
-"""Survey of a folder of frames, or of a folder with only tables, for the draft of a measurement file.
+"""Survey a folder of frames, or a folder that contains only tables, for the draft of a measurement file.
 
 In a folder of frames, l3 reads the metadata of each file, selects the frames from one sensor, and determines what each frame
 shows.
@@ -22,9 +22,9 @@ from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.frames.measurement import DIODE, CaptureFolder, RawFile
 from l3cli.system.text import counted
 
-SAMPLED = 6  # frames from which the period of the filter array is estimated
+SAMPLED = 6  # number of frames from which the period of the filter array is estimated
 SKIPPED = "; skipped"  # end of each note about an unused file
-MOST_NOTED = 12  # notes about rejected files; all further files share one note
+MOST_NOTED = 12  # largest number of notes about rejected files; a single note covers the others
 LIGHT = re.compile(r"light[ _]+(?!diode)(.+)", re.IGNORECASE)  # heading of a channel's column in a sweep table
 USUAL = {1: ["y"], 3: ["r", "g", "b"]}  # assumed names of the channels, for each number of columns
 SENSOR = (
@@ -62,7 +62,7 @@ class _Fact:
 def survey(
     listing: CaptureFolder, tables: list[Spectra], notes: list[str], camera: CameraModel | None, reading: Reading
 ) -> Survey:
-    """Determine the contents of a folder of frames.
+    """Determine what the frames in a folder show, and collect their metadata.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def survey(
     tables : list of Spectra
         Tables of spectra in the folder.
     notes : list of str
-        Remarks for the user, to which remarks about unused files and assumptions are appended.
+        Remarks for the user. Remarks about unused files and assumptions are appended.
     camera : CameraModel or None
         The camera, if it is known.
     reading : Reading
@@ -109,7 +109,7 @@ def survey(
 
 
 def _with_wavelengths(usable: list[Frame], notes: list[str]) -> list[Frame]:
-    """Set the wavelengths of frames that have a wavelength without a unit in their names, and add a note about them."""
+    """Set the wavelengths of frames with unitless wavelengths in their names, and add a note about these frames."""
     names = with_bare_wavelengths([frame.name for frame in usable])
     new = [name for name, frame in zip(names, usable, strict=True) if name != frame.name]
     if new:
@@ -158,10 +158,10 @@ def _frames_of_one_sensor(facts: Sequence[_Fact], notes: list[str]) -> list[_Fac
 
 
 def _period(facts: Sequence[_Fact], camera: CameraModel | None, reading: Reading) -> tuple[int, int]:
-    """Return the period of the colour filter array in rows and columns.
+    """Return the CFA period (rows, columns).
 
-    The period comes from the camera if it is known, otherwise from the metadata or, if they contain no filter array, from a
-    sample of the frames.
+    It comes from the first available of: (1) the camera; (2) the metadata of the files; (3) an estimate from a sample of the
+    frames.
     """
     known = facts[0].raw.pattern if camera is None else camera.cfa
     if known is not None:
@@ -201,12 +201,14 @@ def _summarised(facts: Sequence[_Fact], period: tuple[int, int], notes: list[str
 
 
 def first_lines(lines: Sequence[str], most: int, more: str) -> list[str]:
-    """Return the first `most` lines. If there are more, add the line `more`, with the number of omitted lines for {}."""
+    """Return the first `most` lines. If there are more, add the line `more`, in which {} is the number of omitted lines."""
     return [*lines[:most], *([more.format(len(lines) - most)] if len(lines) > most else [])]
 
 
 def compose_tables(tables: Sequence[Spectra], camera: CameraModel | None, name: str, left_out: Sequence[str]) -> DraftText:
-    """Draft a measurement file from tables alone: a sweep with a photodiode as reference, or finished curves.
+    """Draft a measurement file from tables alone.
+
+    The tables contain a sweep with a photodiode as reference, or finished curves.
 
     Parameters
     ----------
@@ -271,8 +273,8 @@ def channels_of_sweep(spectra: Spectra) -> list[str]:
 def _finished(tables: Sequence[Spectra]) -> list[Spectra]:
     """Select the tables that may contain responsivities.
 
-    Tables with spectra of monochromator steps or of patches are excluded. Tables with a single column, which may describe a
-    lamp or a photodiode, are selected only if there are no others.
+    Tables with spectra of monochromator steps or of patches are excluded. A table with a single column may describe a lamp
+    or a photodiode, so it is selected only if it is the only table.
     """
     broad = [table for table in tables if not table.has_patches and not _has_lines(table)]
     broad = [table for table in broad if len(table.table.values) <= MAX_CHANNELS and table.table.values.max() > 0]
@@ -282,7 +284,7 @@ def _finished(tables: Sequence[Spectra]) -> list[Spectra]:
 def _has_lines(spectra: Spectra) -> bool:
     """Return whether the columns are monochromator spectra, one per wavelength setting.
 
-    In this case, all column names contain a wavelength or, if the table has no heading, most spectra are narrow-band.
+    They are if all column names contain a wavelength or, in a table without a heading, if most spectra are narrow-band.
     """
     names = spectra.table.names
     return spectra.narrow if names is None else all(read_name(f"{name}.csv").nm is not None for name in names)
@@ -320,9 +322,10 @@ def _body(out: DraftText, names: list[str] | None, columns: int) -> None:
 
 
 def _photodiode(out: DraftText, sweep: Spectra, tables: Sequence[Spectra]) -> None:
-    """Add the key `photodiode`, with the first table that has one column and covers the wavelengths of the sweep.
+    """Add the key `photodiode` with the name of the table that contains the photodiode's response.
 
-    The table is marked as assumed if there are several, and as a TODO if there is none.
+    It is a table with one column that covers the wavelengths of the sweep. If there are several, the first one is used and
+    marked as assumed. If there is none, the key becomes a TODO.
     """
     grid = sweep.table.wavelength
     single = [table for table in tables if table is not sweep and len(table.table.values) == 1]
@@ -338,7 +341,7 @@ def _photodiode(out: DraftText, sweep: Spectra, tables: Sequence[Spectra]) -> No
 
 
 def _per_energy(out: DraftText, curves: Spectra) -> None:
-    """Add the key `per_energy`: whether the curves are per energy or per photon.
+    """Add the key `per_energy`, which specifies whether the curves are per energy or per photon.
 
     The unit in the heading determines the value. If the heading contains no unit, a value is assumed.
     """
@@ -360,10 +363,10 @@ def _has_unit(curves: Spectra, per_energy: bool) -> bool:
 
 
 def sensor_figures(out: DraftText, camera: CameraModel | None) -> None:
-    """Add the section [datasheet] with the black level, the white level and the noise of the camera.
+    """Add the section [datasheet] with the camera's black level, white level and noise.
 
-    The section is needed because tables of responsivities do not contain these values. It becomes a TODO if the camera is
-    unknown.
+    The section is needed because tables of responsivities do not contain these values. If the camera is unknown, it becomes
+    a TODO.
     """
     if camera is None:
         out.todo_table("[datasheet]", "levels and noise of the sensor, from its data sheet", *SHEET)

@@ -1,4 +1,4 @@
-"""Extraction of a capture's type and settings from its file name and folder, and statistics of its frames."""
+"""Read a capture's type and settings from its file name and folder, and compute statistics of its frames."""
 
 import itertools
 import operator
@@ -10,7 +10,7 @@ from pathlib import PurePath
 import numpy as np
 from numpy.typing import NDArray
 
-# types of captures, and the words in file names that identify them
+# Types of captures, and the words in file names that identify them.
 KINDS = {
     "dark": ("dark", "darks", "cap", "lenscap", "bias", "offset"),
     "white": ("white", "whites", "flat", "flats", "flatfield", "ptc"),
@@ -26,21 +26,22 @@ FRACTION = re.compile(r"(?:(?<=^)|(?<=[_ ]))1[-/](\d{1,5})[ ]?s(?:ec)?(?![a-zA-Z
 UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "µs": 1e-6, "μs": 1e-6}
 LIGHT = re.compile(r"(?<![A-Za-z0-9])(A|D\d\d|FL?\d{1,2}|HP\d|LED[-_]?[A-Z0-9]+|\d{4,5}K)(?![A-Za-z0-9])")
 WORD = re.compile(r"[a-z]+|[A-Z][a-z]+|[A-Z]+(?![a-z])")
-# Numbers without a unit are wavelengths if all are within BARE (nm), and if at least LEAST_STEPS of them differ.
+# Numbers without a unit are wavelengths if all are within the range BARE (nm), and if at least LEAST_STEPS of them differ.
 BARE, LEAST_STEPS = (300.0, 1200.0), 5
 VISIBLE = (200.0, 2000.0)  # nm; numbers with the unit nm outside this range are not wavelengths
 BLOCKS = 16  # largest number of block rows and block columns in the summary of a frame
 PERIODS = (1, 2, 3, 4, 5, 6, 8)  # possible numbers of rows or columns of the filter array
 LARGEST_CROP = 960  # pixels; largest side of the crop for estimating the period, a multiple of all periods
-# a smaller period is preferred if it explains at least this fraction of the variance that the best period explains
+# A smaller period is preferred if it explains at least this fraction of the variance that the best period explains.
 EXPLAINED = 0.98
 SIGNIFICANT = 0.02  # smallest fraction of the variance that a filter array must explain
 EVEN = 0.05  # largest relative residual of a uniform field after the fit of a smooth surface
 TERMS = 4  # degree of the polynomial of the smooth fit
 COMMON = 12  # a value that occurs in at least this many pixels is frequent
 LEAST_CODES = 16  # smallest number of frequent values from which stretched values can be recognised
-MOST_GAPS = 0.25  # in unprocessed data, at most this fraction of the frequent values lacks the next higher value
-# A frame is a drawing if its values span more than DRAWN (DN), and more than the fraction PLAIN of its pixels with
+# In unprocessed data, the value v + 1 may be missing for at most this fraction of the frequent values v.
+MOST_GAPS = 0.25
+# A frame is a drawing if its values span more than DRAWN (DN), and if more than the fraction PLAIN of its pixels with
 # intermediate values equal their neighbours.
 PLAIN, DRAWN = 0.8, 8
 Array = NDArray[np.floating]
@@ -48,7 +49,7 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True)
 class Name:
-    """Information in the path of a file. Fields without information are None."""
+    """Information extracted from a file's path. Fields are None if the path does not contain the information."""
 
     path: str  # path relative to the folder of captures
     kind: str | None = None  # type of the capture, a key of KINDS
@@ -56,7 +57,7 @@ class Name:
     seconds: float | None = None  # exposure time
     light: str | None = None  # name of the illuminant
     angle: float | None = None  # angle of a rotating polariser in degrees
-    series: str = ""  # path without its running number, which all frames of one exposure share
+    series: str = ""  # path without its running number; the same for all frames of one exposure
 
     @property
     def words(self) -> frozenset[str]:
@@ -67,7 +68,7 @@ class Name:
 def read_name(path: str) -> Name:
     """Extract the information in the path of a capture or a table of spectra.
 
-    The file name takes precedence over folder names, and inner folders take precedence over outer folders.
+    The file name takes precedence over folder names, and inner folders over outer folders.
     """
     pure = PurePath(path)
     stem, parts = pure.stem, (pure.stem, *reversed(pure.parent.parts))
@@ -102,8 +103,8 @@ def _seconds(part: str) -> float | None:
 def with_bare_wavelengths(names: Sequence[Name]) -> list[Name]:
     """Find wavelengths without a unit in the names of monochromatic captures, such as 450 in mono_450_03.
 
-    The names must contain equally many numbers. The wavelength is the first number that is plausible in all names and is not
-    a running number. Without such a number, the names are returned unchanged.
+    All names must contain the same number of numbers. The wavelength is the first number that is plausible in all names and
+    is not a running number. If there is no such number, the names are returned unchanged.
     """
     bare = [name for name in names if name.kind == "mono" and name.nm is None]
     numbers = [re.findall(r"\d+(?:\.\d+)?", PurePath(name.path).stem) for name in bare]
@@ -120,9 +121,9 @@ def with_bare_wavelengths(names: Sequence[Name]) -> list[Name]:
 
 
 def kind_of(path: PurePath) -> str | None:
-    """Determine the type of a capture from its file name or the innermost folder whose name contains a type.
+    """Determine a capture's type from its file name or from the names of its folders, starting with the innermost.
 
-    Names with words for several types are ignored. Returns None if no type is found.
+    A name with words for several types is ignored. Returns None if no name contains a type.
     """
     for part in (path.stem, *reversed(path.parent.parts)):
         whole = {word.lower() for word in re.findall(r"[A-Za-z]+", part)}
@@ -160,7 +161,7 @@ class Summary:
         return np.asarray(self.blocks.mean(axis=(0, 1)))
 
     def unevenness(self, black: float) -> float:
-        """Return the RMS deviation of the frame from a smooth surface, relative to the mean signal.
+        """Return the frame's RMS deviation from a smooth surface, relative to the mean signal.
 
         Only the brightest CFA site is used. `black` is the black level in DN.
         """
@@ -175,7 +176,7 @@ class Summary:
 
 
 def summarise(values: NDArray[np.uint16], period: tuple[int, int]) -> Summary:
-    """Compute the statistics of a raw frame in DN with a filter array of the given period (rows, columns)."""
+    """Compute the statistics of a raw frame. `period` is the number of rows and columns in the CFA."""
     rows, cols = period
     down, across = (max(1, length // each // BLOCKS) for length, each in zip(values.shape, period, strict=True))
     high, wide = (min(BLOCKS, length // each) for length, each in zip(values.shape, period, strict=True))
@@ -187,10 +188,10 @@ def summarise(values: NDArray[np.uint16], period: tuple[int, int]) -> Summary:
 
 
 def period_of(frames: Sequence[NDArray[np.uint16]]) -> tuple[int, int]:
-    """Estimate the period of the colour filter array in rows and columns from several frames.
+    """Estimate the CFA period (rows, columns) from several frames.
 
     Under some illuminants, channels have equal signals, and the period seems too small. The result is therefore the largest
-    period that is found in at least a third of the frames with a visible array, or (1, 1) if no array is visible.
+    period that is found in at least a third of the frames with a visible CFA. If no CFA is visible, the result is (1, 1).
     """
     found = [each for each in map(_period, frames) if each != (1, 1)]
     often = [each for each in found if len(frames) == 1 or 3 * found.count(each) >= len(found)]
@@ -202,7 +203,7 @@ def _period(frame: NDArray[np.uint16]) -> tuple[int, int]:
 
     rows, cols = (min(length, LARGEST_CROP) for length in frame.shape)
     cut = frame[:rows, :cols].astype(np.float64)
-    # Neighbouring pixels receive nearly the same light, so subtracting the local mean leaves only the array and the noise.
+    # Neighbouring pixels receive nearly the same light, so subtracting the local mean leaves only CFA pattern and noise.
     smooth = cut - ndimage.uniform_filter(cut, 2 * max(PERIODS) + 1)
     explained = {each: _explained(smooth, each) for each in itertools.product(PERIODS, PERIODS)}
     most = max(explained.values())
@@ -213,10 +214,10 @@ def _period(frame: NDArray[np.uint16]) -> tuple[int, int]:
 
 
 def _explained(values: Array, period: tuple[int, int]) -> float:
-    """Measure how well a colour filter array with the given period explains the variation in a frame.
+    """Measure how well a CFA with the given period explains the variation in a frame.
 
-    The result is n · R² − m, where n is the number of pixels, R² the fraction of the variance that the site means explain,
-    and m the number of sites. It is close to 0 for a frame without an array.
+    The result is n · R² − m. n is the number of pixels, R² the fraction of the variance that the site means explain, and m
+    the number of sites. Without a CFA, the result is close to 0.
     """
     rows, cols = (length // each for length, each in zip(values.shape, period, strict=True))
     if min(rows, cols) < 4:
@@ -228,13 +229,13 @@ def _explained(values: Array, period: tuple[int, int]) -> float:
 
 
 def altered(values: NDArray[np.uint16]) -> str | None:
-    """Describe how a frame seems to have been processed. Returns None if it seems to contain raw values."""
+    """Describe how a frame seems to have been processed, or return None if it seems to contain raw values."""
     counts = np.bincount(values.ravel())
     codes = np.flatnonzero(counts)
     step = int(np.gcd.reduce(codes))
     if step > 1 and codes.size > DRAWN:
         return f"all values are multiples of {step}, so they seem to be shifted to the left"
-    # The next higher value after a frequent value is not missing by chance.
+    # If v is a frequent value, v + 1 is not missing by chance.
     common = np.flatnonzero(counts[:-1] >= COMMON)
     gaps = float(np.mean(counts[common + 1] == 0)) if common.size else 0.0
     if common.size >= LEAST_CODES and gaps > MOST_GAPS:
@@ -245,7 +246,7 @@ def altered(values: NDArray[np.uint16]) -> str | None:
 
 
 def drawn(values: NDArray[np.uint16]) -> bool:
-    """Return whether a frame is probably a mask or a drawing: pixels with intermediate values have no noise."""
+    """Return whether a frame is probably a mask or a drawing, because its intermediate values have no noise."""
     inner = values[1:, 1:]
     same = (inner == values[:-1, 1:]) & (inner == values[1:, :-1])
     low, high = int(values.min()), int(values.max())

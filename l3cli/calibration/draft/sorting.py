@@ -1,7 +1,7 @@
-"""Grouping of frames into captures, and assignment of spectra to captures.
+"""Group frames into captures, and assign spectra to captures.
 
-A capture's type is determined from the names of its frames or, if they do not specify it, from their content. Its spectrum
-is found by the wavelength or illuminant in the names, or by the order of the names.
+The type of a capture follows from the names of its frames or, if they do not contain it, from the content of the frames. Its
+spectrum is found by the wavelength or illuminant in the names, or by the order of the names.
 """
 
 import itertools
@@ -88,7 +88,7 @@ class Scale:
 
 
 def scale_of(frames: Sequence[Frame], black: float | None) -> Scale:
-    """Determine the range of the values of all frames in a folder.
+    """Determine the range of raw values over all frames in a folder.
 
     The black level in DN is the first available of: (1) `black`, from the metadata; (2) the mean of the darkest frame with
     "dark" in its name; (3) the mean of the darkest frame, if it is uniform; (4) 0.
@@ -107,7 +107,7 @@ def scale_of(frames: Sequence[Frame], black: float | None) -> Scale:
 
 
 def sort_frames(frames: Sequence[Frame], scale: Scale, notes: list[str]) -> list[Group]:
-    """Group frames into captures, sorted by name, and add remarks about frames that contradict their names to `notes`."""
+    """Group frames into captures, sorted by name. Remarks about frames that contradict their names are added to `notes`."""
     ordered = sorted(frames, key=lambda frame: natural(frame.name.path))
     kinds = [_kind(frame, scale, notes) for frame in ordered]
     groups: dict[tuple[object, ...], list[Frame]] = {}
@@ -122,7 +122,7 @@ def sort_frames(frames: Sequence[Frame], scale: Scale, notes: list[str]) -> list
 
 
 def _kind(frame: Frame, scale: Scale, notes: list[str]) -> str:
-    """Determine the type of a frame's capture, as in `Group.kind`, from its name or otherwise from its content.
+    """Determine a frame's type (see `Group.kind`) from its name or, if the name does not contain it, from the frame.
 
     A note is added if a frame with "dark" in its name is bright.
     """
@@ -146,7 +146,7 @@ def _kind(frame: Frame, scale: Scale, notes: list[str]) -> str:
 
 
 def _alike(members: Sequence[Frame], scale: Scale) -> Iterable[list[Frame]]:
-    """Split frames with similar names into lists of frames with about the same signal at each CFA site."""
+    """Split frames with similar names into lists with about the same signal at each CFA site."""
     parts: list[list[Frame]] = []
     for frame in members:
         signal = frame.summary.level - scale.black
@@ -163,9 +163,10 @@ def _alike(members: Sequence[Frame], scale: Scale) -> Iterable[list[Frame]]:
 def with_plain_kinds(groups: Sequence[Group], scale: Scale, notes: list[str]) -> list[Group]:
     """Classify each capture of the type "plain" as white or monochromatic, and add a note about the result.
 
-    Among the unclipped captures, the illuminant with the most frames is determined. Its captures are white if there are at
-    least LEAST_WHITES of them and no capture is named as white. All other unclipped captures are monochromatic. A clipped
-    capture has no usable colour, so it gets the type of the preceding plain capture.
+    White captures have the same illuminant, and monochromatic captures have different ones. The largest group of unclipped
+    captures under the same illuminant is therefore white, if it consists of at least LEAST_WHITES captures and if no name
+    contains "white". All other unclipped captures are monochromatic. A clipped capture has no usable colour, so it gets the
+    type of the preceding plain capture.
     """
     plain = [group for group in groups if group.kind == "plain"]
     if not plain:
@@ -206,8 +207,8 @@ def _same_light(group: Group, other: Group, scale: Scale) -> bool:
 def guess_array(steps: Sequence[Group], scale: Scale, period: tuple[int, int]) -> CfaRecipe | None:
     """Guess the colour filter array from the wavelengths to which its sites respond.
 
-    The monochromatic captures `steps` are ignored if they clip, are too dark or have no wavelength in their names. Returns
-    None if fewer than LEAST_STEPS captures remain, or if no site responds.
+    `steps` are monochromatic captures. They are ignored if they clip, if they are too dark, or if their names contain no
+    wavelength. Returns None if fewer than LEAST_STEPS captures remain, or if no site responds.
     """
     steps = [step for step in steps if step.first.name.nm is not None and not scale.clipped(step)]
     if len(steps) < LEAST_STEPS:
@@ -251,7 +252,7 @@ def _names(peaks: Sequence[float]) -> list[str]:
 
 
 def find_corners(mosaic: Array, period: tuple[int, int]) -> Corners | None:
-    """Find the corners of a ColorChecker in a mosaic of values above black. Returns None if there is no ColorChecker.
+    """Find the corners of a ColorChecker in a mosaic of values above black, or return None if there is no ColorChecker.
 
     CFA sites are treated as separate channels, because the channels may be unknown.
     """
@@ -265,9 +266,9 @@ def find_corners(mosaic: Array, period: tuple[int, int]) -> Corners | None:
 def corners_of_series(
     groups: Sequence[Group], scale: Scale, period: tuple[int, int], read: Callable[[str], Array]
 ) -> Corners | None:
-    """Find the corners of a chart that does not move during a series of captures. Returns None if no chart is found.
+    """Find the corners of a chart that does not move during a series of captures, or return None if there is no chart.
 
-    The corners are the median over several captures. `read` is a function from the path of a frame to its raw values.
+    The corners are the median over several captures. `read` returns the raw values of the frame at a path.
     """
     lit = [group for group in groups if scale.signal(group).max() > DIM * scale.range]
     lit.sort(key=lambda group: (scale.clipped(group), -float(scale.signal(group).max())))
@@ -309,13 +310,13 @@ class Column:
 
     @property
     def key(self) -> int | str:
-        """Value of the key `column` in a measurement file: the column's name if it is unique, otherwise its number."""
+        """Value for the key `column` in a measurement file: the column's name if it is unique, otherwise its number."""
         names = self.spectra.table.names or ()
         return self.name if self.name and names.count(self.name) == 1 else self.number
 
 
 def columns_of(tables: Sequence[Spectra]) -> list[Column]:
-    """List the columns of all tables with mostly narrow-band spectra, in order.
+    """List the columns of all tables in which most spectra are narrow-band.
 
     A column's wavelength comes from its name or, if the table has only one column, from the file name. If neither contains a
     wavelength, the wavelength of the peak is used.
@@ -336,7 +337,7 @@ def columns_of(tables: Sequence[Spectra]) -> list[Column]:
 def match_steps(steps: Sequence[Group], columns: Sequence[Column], scale: Scale, notes: list[str]) -> list[Column | None]:
     """Assign a spectrum to each monochromatic capture, or None if no spectrum matches.
 
-    Captures are matched by the wavelength in their names or, without a wavelength, by order.
+    Captures are matched by the wavelengths in their names or, if a name contains none, by their order.
     """
     if not columns or not steps:
         return [None] * len(steps)
@@ -353,9 +354,9 @@ def match_steps(steps: Sequence[Group], columns: Sequence[Column], scale: Scale,
 def _in_order(
     steps: Sequence[Group], columns: Sequence[Column], scale: Scale, notes: list[str]
 ) -> Sequence[Column] | list[None]:
-    """Assign spectra, in order, to captures without a wavelength in their names, and add a note about the assignment.
+    """Assign spectra by their order to captures without a wavelength in their names, and add a note about the result.
 
-    This requires as many spectra as captures or monochromator steps. Otherwise no spectra are assigned.
+    This requires as many spectra as captures or monochromator steps. Otherwise, no spectra are assigned.
     """
     numbers = list(range(len(steps))) if len(steps) == len(columns) else _steps_in_order(steps, scale)
     if numbers[-1] + 1 != len(columns):
@@ -400,7 +401,7 @@ def match_charts(charts: Sequence[Group], tables: Sequence[Spectra], notes: list
     """Assign a table of radiances to each chart, or None if no table matches.
 
     A table matches if its name and the chart's name contain the same illuminant. If a chart has no match, but there are as
-    many tables as charts, all tables are assigned by order, and a note is added.
+    many tables as charts, all tables are assigned by their order, and a note is added.
     """
     patches = [table for table in tables if table.has_patches]
     lights = [table.name.light for table in patches]
@@ -440,7 +441,7 @@ def match_light(chart: Group, tables: Sequence[Spectra]) -> tuple[Spectra | None
 
 
 def radiances(table: CurveTable, column: int | None) -> Array:
-    """Return the values of one column, counted from 0, or by default of all columns: (column, wavelength)."""
+    """Return the values of one column, counted from 0, or of all columns if it is None: (column, wavelength)."""
     return table.values if column is None else table.values[column : column + 1]
 
 
@@ -450,7 +451,7 @@ def unknown_unit(table: CurveTable, column: int | None) -> bool:
 
 
 def note_unused(columns: Sequence[Column], matched: Sequence[Column | None], notes: list[str]) -> None:
-    """Add a note about spectra without a capture, unless no spectrum has a capture."""
+    """Add a note about spectra that were not assigned to a capture, if other spectra were assigned."""
     unused = [column for column in columns if all(column is not each for each in matched)]
     if unused and any(matched):
         where = ", ".join(f"{column.nm:g} nm" for column in unused[:6])

@@ -1,4 +1,4 @@
-"""Text of a camera recipe and its responsivity file, for a camera known from raw files or from l3's list of cameras.
+"""Write a camera recipe and its responsivity file for a camera known from raw files or from l3's list of cameras.
 
 Comments in the recipe mark assumed values.
 """
@@ -22,7 +22,7 @@ PEAK_EFFICIENCY = 0.4  # typical peak quantum efficiency of a silicon camera wit
 ELECTRONS_PER_UM2 = 1500.0  # typical full-well capacity per µm² at ISO 100
 BASE_ISO = 100.0  # typical lowest ISO speed
 READ_NOISE_E = 3.0  # e-; typical read noise
-# gains, relative to the gain at the lowest ISO speed, in the recipe of a camera without raw files
+# Gains in the recipe of a camera without raw files, relative to the gain at the lowest ISO speed.
 USUAL_GAINS = (4.0, 16.0, 64.0)
 FEWEST_ELECTRONS = 100.0  # e-; smallest plausible full scale
 Array = NDArray[np.floating]
@@ -30,7 +30,7 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Gain and read noise at the ISO speed of a photo, and a description of their source."""
+    """Gain and read noise at a photo's ISO speed, and a description of their source."""
 
     gain: float  # DN/e-
     read_noise_e: float
@@ -39,7 +39,7 @@ class SensorNoise:
 
 @dataclass(frozen=True)
 class PhotoCamera:
-    """Data about a camera, from its raw files or only from its name."""
+    """Data about a camera, from its raw files or, if there are none, from l3's list of cameras."""
 
     photo: Path | None  # raw file; None if only the name of the camera is known
     body: Body
@@ -169,8 +169,8 @@ def gains_of(known: Stated, others: Sequence[Stated]) -> tuple[tuple[float, floa
     known : Stated
         Metadata of the raw file to which the gains are relative.
     others : sequence of Stated
-        Metadata of additional raw files. Files are ignored if they lack a noise profile or an ISO speed, if their ISO speed
-        is not higher, or if their gain is too large for a camera recipe.
+        Metadata of additional raw files. A file is ignored if it lacks a noise profile or an ISO speed, if its ISO speed is
+        not higher, or if its gain is too large for a camera recipe.
 
     Returns
     -------
@@ -186,9 +186,10 @@ def gains_of(known: Stated, others: Sequence[Stated]) -> tuple[tuple[float, floa
 
 
 def noise_of(stated: Stated, span: float) -> SensorNoise:
-    """Compute gain and read noise from the noise profile of a raw file, or assume typical values for its ISO speed.
+    """Compute gain and read noise from a raw file's noise profile.
 
-    `span` is the difference between white level and black level in DN.
+    Without a noise profile, typical values for the ISO speed are assumed. `span` is the white level minus the black level,
+    in DN.
     """
     if stated.noise is not None:
         slope, constant = stated.noise

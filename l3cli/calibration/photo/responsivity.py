@@ -1,4 +1,4 @@
-"""Estimation of responsivities from photos of charts, or from the colour matrices in a raw file.
+"""Estimate responsivities from photos of charts, or from the colour matrices in a raw file.
 
 docs/method.md#charts-in-photographs describes the method.
 """
@@ -47,7 +47,7 @@ from l3cli.frames.measurement import Body, CurveStatistics, Measurements, PhotoC
 from l3cli.physics import spectra
 from l3cli.physics.mosaic import shifted_cfa
 
-# Relative standard deviation of the illumination: without correction, and corrected with a photo of a white target.
+# Relative standard deviation of the illumination over a chart: uncorrected, and corrected with a photo of a white target.
 UNEVEN, UNEVEN_LEFT = 0.2, 0.01
 LEAST_SHARE = 0.5  # smallest acceptable fraction of usable patches in a channel
 LEAST_SIGNAL = 20.0  # DN; smallest acceptable value of the brightest patch
@@ -55,7 +55,7 @@ CANDIDATES = (  # possible illuminants of photos with an unknown illuminant
     "A", "2400K", "3200K", "4000K", "D50", "D55", "D65", "D75", "F2", "F7", "F11", "LED-B1", "LED-B3", "LED-B5",
 )  # fmt: skip
 JUDGED_UNDER = ("A", "D65", "F11")  # illuminants under which the uncertainty of colours is evaluated
-SURFACES_EVERY = 7  # only every seventh surface of the library is evaluated, to save time
+SURFACES_EVERY = 7  # only every seventh surface in the library is evaluated, to save time
 # Outliers deviate from the fit by more than FAR standard deviations. At most MOST_FAR outliers are excluded.
 FAR, MOST_FAR = 4.0, 4
 Array = NDArray[np.floating]
@@ -76,10 +76,10 @@ class Photograph:
 
 
 def measure(capture: PhotoCapture, body: Body) -> Photograph:
-    """Measure the patches of a photo.
+    """Measure the chart patches in a photo.
 
-    The black level comes from the dark frames or, without dark frames, from the raw file. Photos of a white target, if there
-    are any, are used to correct uneven illumination.
+    The black level comes from the dark frames or, without dark frames, from the raw file. Uneven illumination is corrected
+    if there are photos of a white target.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def measure(capture: PhotoCapture, body: Body) -> Photograph:
 
 
 def light_of(capture: PhotoCapture) -> Array:
-    """Return the photon radiance of the illuminant of a photo, sampled at WAVELENGTH and divided by its mean."""
+    """Return the photon radiance of a photo's illuminant, sampled at WAVELENGTH and divided by its mean."""
     light = np.maximum(spectra.resample(capture.radiance, capture.wavelength, WAVELENGTH), 0.0)
     return np.asarray(light / light.mean())
 
@@ -131,7 +131,7 @@ def light_of(capture: PhotoCapture) -> Array:
 def _geometry(capture: PhotoCapture, mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array) -> Array:
     """Compute the homography from chart coordinates, in patches, to pixels.
 
-    It is computed from the corners in the measurement file. If they are missing, l3 searches the photo for the chart. Raises
+    It follows from the corners in the measurement file. If they are missing, l3 searches the photo for the chart. Raises
     InputFileError if no chart is found, or if the corners are outside the photo or on a line.
     """
     rows, cols = capture.chart.grid
@@ -195,7 +195,7 @@ def _over_white(
 ) -> Array:
     """Measure the illumination of each patch, relative to the mean of all patches: (patch, channel).
 
-    The photos show a white target at the position of the chart. Raises InputFileError if the target is clipped, dark or
+    The photos in `whites` show a white target in place of the chart. Raises InputFileError if the target is clipped, dark or
     uneven in this area.
     """
     mosaics = [white.values.astype(np.float64) - black for white in whites]
@@ -270,14 +270,14 @@ def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigu
 
 
 def _window(frames: Sequence[RawFrame], body: Body) -> PhotoWindow | None:
-    """Return the sensor area that each frame covers, or None if all frames cover the whole sensor."""
+    """Return the CFA phase and size of each frame, or None if all frames cover the whole sensor."""
     if all(frame.phase == (0, 0) and frame.values.shape == (body.rows, body.cols) for frame in frames):
         return None
     return PhotoWindow(np.array([frame.phase for frame in frames]), np.array([frame.values.shape for frame in frames]))
 
 
 def curves_of(posterior: Posterior) -> Curves:
-    """Convert a posterior to responsivities with 95 % confidence bands and a highest peak of 1."""
+    """Convert a posterior to responsivities with 95 % confidence bands, scaled to a highest peak of 1."""
     count, size = posterior.responsivity.shape
     deviation = np.sqrt(np.maximum(np.diag(posterior.covariance), 0.0)).reshape(count, size)
     relative = posterior.responsivity.astype(np.float64)
@@ -299,7 +299,7 @@ def _surfaces() -> Array:
 
 
 def _under_lights(photographs: Sequence[Photograph], among: Sequence[Prior]) -> list[Shot]:
-    """Convert photos to shots, with the most probable candidate for each unknown illuminant."""
+    """Convert photos to shots. Each unknown illuminant is set to the most probable candidate."""
     shots = [photo.shot for photo in photographs]
     for index, photo in enumerate(photographs):
         if photo.capture.light is None:
@@ -321,8 +321,8 @@ def _priors(measurements: Measurements) -> list[Prior]:
 def _without_far_ones(shots: list[Shot], prior: Prior) -> tuple[Posterior, list[Shot], list[tuple[int, int, int]]]:
     """Fit the shots, remove outliers, and repeat the fit.
 
-    Outliers deviate from the first fit by more than FAR standard deviations. At most the MOST_FAR largest deviations are
-    removed.
+    Outliers deviate from the first fit by more than FAR standard deviations. If there are more than MOST_FAR, only those
+    with the largest deviations are removed.
 
     Returns
     -------
@@ -331,7 +331,7 @@ def _without_far_ones(shots: list[Shot], prior: Prior) -> tuple[Posterior, list[
     shots : list of Shot
         The shots without outliers.
     outliers : list of tuple
-        Index of the shot, index of the patch and index of the channel of each outlier.
+        Indices of each outlier's shot, patch and channel.
     """
     posterior = estimate(shots, prior)
     far: list[tuple[float, int, int, int]] = []
@@ -404,17 +404,17 @@ def _sensor(photographs: Sequence[Photograph], measurements: Measurements) -> tu
 
 @dataclass(frozen=True)
 class ColourMatrix:
-    """Colour matrix of a camera for one illuminant, as in the ColorMatrix tags of DNG 1.7."""
+    """A camera's colour matrix for one illuminant, as in the ColorMatrix tags of DNG 1.7."""
 
     light: str  # name of the illuminant
-    values: Array  # (channel, 3): converts XYZ to the signals of the channels
+    values: Array  # (channel, 3): converts XYZ to channel signals
 
 
 def curves_of_matrices(matrices: Sequence[ColourMatrix], prior: Prior) -> Curves:
     """Estimate responsivities from colour matrices, with 95 % confidence bands.
 
-    From the matrices, l3 predicts the channel values of the patches of a ColorChecker. It then estimates the responsivities
-    from these values as if they had been measured in a photo.
+    l3 uses the matrices to predict the channel values of a ColorChecker's patches. It then estimates the responsivities as
+    if these values had been measured in a photo.
     """
     reflectance = spectra.colorchecker(WAVELENGTH)[1]
     shots = [_shot(matrix, reflectance) for matrix in matrices]
@@ -422,7 +422,7 @@ def curves_of_matrices(matrices: Sequence[ColourMatrix], prior: Prior) -> Curves
 
 
 def usual_curves(prior: Prior) -> Curves:
-    """Return the mean curves of `prior` with 95 % confidence bands, for an otherwise unknown camera."""
+    """Return the prior's mean curves with 95 % confidence bands, for a camera about which nothing else is known."""
     peaks = np.exp(prior.log_peak)[:, None]
     deviation = np.sqrt(np.diag(prior.covariance)).reshape(prior.mean.shape)
     mean = np.asarray(prior.mean * peaks, np.float64)
@@ -430,7 +430,7 @@ def usual_curves(prior: Prior) -> Curves:
 
 
 def balanced_curves(curves: Curves, light: str) -> Curves:
-    """Scale each channel's curve so that grey has equal signals in all channels under the illuminant `light`."""
+    """Scale each channel's curve so that greys have equal signals in all channels under the illuminant `light`."""
     signals = curves.relative @ spectra.illuminant(light, curves.wavelength)
     scale = (signals.min() / signals)[:, None]
     return Curves(curves.wavelength, curves.relative * scale, curves.band * scale).to_common_peak()
@@ -439,7 +439,7 @@ def balanced_curves(curves: Curves, light: str) -> Curves:
 def prior_of(channels: Sequence[str], known: CurveStatistics) -> Prior:
     """Return the prior for a camera with these channels.
 
-    This is the prior of measured cameras if the channels are r, g and b in any order, otherwise the smooth prior.
+    If the channels are r, g and b in any order, it is the prior of measured cameras. Otherwise, it is the smooth prior.
     """
     if sorted(channels) != sorted(ROLES):
         return smooth(len(channels))
@@ -447,7 +447,7 @@ def prior_of(channels: Sequence[str], known: CurveStatistics) -> Prior:
 
 
 def _shot(matrix: ColourMatrix, reflectance: Array) -> Shot:
-    """Predict a shot of an evenly lit chart without glare from a colour matrix."""
+    """Predict, from a colour matrix, a shot of an evenly lit chart without glare."""
     light = spectra.illuminant(matrix.light, WAVELENGTH)
     weights = spectra.xyz_weights(WAVELENGTH)
     xyz = (reflectance * light) @ weights.T / (weights[1] @ light)
