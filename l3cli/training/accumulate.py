@@ -2,8 +2,8 @@
 
 Patches are added in two steps, so that intermediate arrays fit into the processor caches:
 
-1. Small groups of patches are scaled to random levels and receive noise. Each patch is assigned to a class. Only its class,
-   level and scale factor are kept.
+1. Small groups of patches are scaled to random levels, noise is added, and each patch is assigned to a class. Only its
+   class, level and scale factor are kept.
 2. The patches are sorted by class, scaled again without noise, and weighted. Each patch's taps, intercept and outputs are
    multiplied pairwise, and the products are added to the sums of its class.
 """
@@ -29,7 +29,7 @@ from l3cli.training.training_pass import BATCH_PATCHES, TrainingPass
 
 EXPOSED_PATCHES = 4096  # number of patches per group in step 1, small enough for the processor caches
 CLIPPED_GREY_EDGES = 8.0  # weight of grey patches at edges of clipped areas, such as text on over-exposed paper
-DARKEST_LEVEL = 1e-4  # lower limit of the level that determines a patch's weight, as a fraction of full scale
+DARKEST_LEVEL = 1e-4  # smallest level by which a patch's weight is computed, as a fraction of full scale
 
 
 def sum_sites(
@@ -37,7 +37,7 @@ def sum_sites(
     blocks: Iterable[tuple[int, tuple[int, ...], Iterator[TrainingPair]]],
     weightings: Mapping[int, SampleWeighting | None],
 ) -> dict[int, ClassSums]:
-    """Accumulate the sums of each class at each site over all training patches.
+    """Draw training patches from frames, and accumulate each class's sums at each site.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def sum_sites(
     blocks : iterable of (int, tuple of int, iterator of TrainingPair)
         For each block of frames: the index of its first frame, the sites to sum, and its frames.
     weightings : mapping of int to SampleWeighting or None
-        For each site, the object that computes weights from the errors of the first pass. None in the first pass.
+        For each site, the object that computes weights from the errors of the first pass, or None in the first pass.
 
     Returns
     -------
@@ -69,9 +69,10 @@ def _batches(
     neighbours: Neighbourhoods,
     rngs: dict[int, np.random.Generator],
 ) -> Iterator[tuple[int, Patches]]:
-    """Yield (site, patches) for a block of frames. `first` is the index of the block's first frame.
+    """Draw patches from a block of frames, and yield them in batches (site, patches).
 
-    A site's patches from the whole block form one batch, unless a single frame has more than `BATCH_PATCHES` patches.
+    `first` is the index of the block's first frame. A site's patches from the whole block form one batch, unless a single
+    frame has more than `BATCH_PATCHES` patches.
     """
     waiting: dict[int, list[Patches]] = {site: [] for site in rngs}
     for index, frame in enumerate(frames, first):
@@ -99,7 +100,7 @@ class _Batch:
         self.pass_, self.patches, self.neighbours, self.site, self.weighting = pass_, patches, neighbours, site, weighting
         self.lines = LineNoise.of(pass_.head.camera, pass_.dark)
         member = (neighbours.channel[site][:, None] == np.arange(neighbours.count.shape[1])) / neighbours.count[site]
-        # A patch's level, the mean of its channel means, is a weighted mean of its taps. These are the weights.
+        # weights of the taps in a patch's level, which is the mean of its channel means
         self.tap_share = member.mean(axis=1).astype(np.float32)
 
     def add_to(self, sums: ClassSums, rng: np.random.Generator) -> None:
@@ -116,8 +117,8 @@ class _Batch:
     def _exposed(self, rng: np.random.Generator) -> tuple[NDArray[np.unsignedinteger], Floats, Floats]:
         """Scale each patch to several levels, add noise, and assign the results to classes.
 
-        Returns three flat arrays, ordered by draw and then by patch: classes, levels of the noisy, clipped patches, and
-        scale factors.
+        Returns three flat arrays, sorted by draw and then by patch: the classes, the levels of the noisy and clipped
+        patches, and the scale factors.
         """
         pass_, signal = self.pass_, self.patches.signal
         patch_level = np.maximum(signal @ self.tap_share, 1e-3)
@@ -142,7 +143,7 @@ class _Batch:
     def _seen(
         self, batch: slice, scale: Floats, order: TapOrder, rng: np.random.Generator
     ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-        """Scale a slice of the patches by each row of `scale` (draw, patch), add noise, and yield classes and levels."""
+        """Scale the patches in `batch` by each row of `scale` (draw, patch), add noise, and yield classes and levels."""
         pass_, patches = self.pass_, self.patches
         signal: Floats = np.ascontiguousarray(patches.signal[batch].T)[order.taps]
         channel = self.neighbours.channel[self.site][order.taps][:, None]
@@ -161,7 +162,7 @@ class _Batch:
         self, signal: Floats, rng: np.random.Generator, carried: Floats | None, channel: NDArray[np.int64],
         offsets: Offsets | None,
     ) -> NDArray[np.uint32]:  # fmt: skip
-        """Convert signals to raw values as `expose_patches` does, but without noise if the recipe sets noise = "none"."""
+        """Convert signals to raw values with noise or, if the recipe sets noise = "none", without noise."""
         camera = self.pass_.head.camera
         if self.pass_.recipe.noise != "none":
             return expose_patches(signal, camera, rng, carried, self.pass_.dark, channel, offsets)
@@ -251,7 +252,7 @@ class _Batch:
             sums.count[index] += last - first
 
     def _shared(self, lines: LineNoise, clean: Floats, patch: NDArray[np.int64], scale: Floats) -> SharedNoise:
-        """Return the line noise that scaled patches lack.
+        """Return the row and column noise that must be added to scaled patches.
 
         Parameters
         ----------
@@ -267,8 +268,8 @@ class _Batch:
         Returns
         -------
         SharedNoise
-            Line noise of the camera, and the factor by which it applies to each tap. The factor is lower for patches that
-            already contain noise.
+            The camera's line noise, and the factor by which it is multiplied at each tap. The factor is lower for patches
+            that already contain noise.
         """
         pass_, chosen = self.pass_, self.patches
         gain = pass_.head.camera.channel_gains.astype(np.float32)[self.neighbours.channel[self.site]]

@@ -36,8 +36,8 @@ def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Ar
     Returns
     -------
     Clipping or None
-        None if the illuminant is unknown, if the channels differ in exposure or gain, or if the camera has a single channel,
-        so that no other channel can predict the clipped signal.
+        None if the illuminant is unknown, if the channels differ in exposure or gain, or if the camera has a single channel
+        (a clipped signal is predicted from other channels).
     """
     if light is None or camera.readout is not None or len(camera.channels) == 1:
         return None
@@ -68,13 +68,13 @@ def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Ar
 
 
 def _changes(values: Array) -> Array:
-    """Return the differences between successive exposures. Rows of `values` are sorted by exposure, then by surface."""
+    """Return the differences between successive exposures. The rows of `values` are sorted by exposure, then by surface."""
     by_exposure = values.reshape(EXPOSURES.size, -1, values.shape[1])
     return np.diff(by_exposure, axis=0).reshape(-1, values.shape[1])
 
 
 def _colours(signals: Array, outputs: Array) -> Array:
-    """Fit a matrix (channel, output) from signals to outputs, both relative to white, that preserves white exactly."""
+    """Fit a matrix (channel, output) that converts signals to outputs, both relative to white, and preserves white."""
     weight = 1 / signals.mean(axis=1)
     about, wanted = (each - signals.mean(axis=1, keepdims=True) for each in (signals, outputs))
     power = np.einsum("s,si,sj->ij", weight**2, about, about, optimize=False)
@@ -89,8 +89,8 @@ def _target(outputs: Array, over: Array, white: Array, brightest: float) -> Arra
     """Return the target outputs of surfaces that may clip.
 
     `over` is each surface's exposure, relative to the exposure at which its first channel just clips. Above 1, the target
-    colour becomes paler. The target luminance is limited to `brightest`, the luminance of a white at the exposure at which
-    its last channel just clips.
+    colour becomes paler. The target luminance is limited to `brightest`, the luminance of the darkest white that clips every
+    channel.
     """
     luminance = np.minimum(outputs[:, 1:2], brightest)
     chroma = outputs / outputs[:, 1:2] - white

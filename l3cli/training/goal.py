@@ -32,7 +32,7 @@ class Goal:
     white_signal: Array | None  # (channel) signals of this white, as fractions of full scale, or None if unknown
     black_level: float  # DN
     white_level: float  # DN
-    white_error: Array | float = 0.0  # (channel) relative error of white's signals if estimated from patches
+    white_error: Array | float = 0.0  # (channel) relative error of white's signals if they are estimated from patches
     surfaces: PlainSurfaces | None = None  # measured surfaces under the training illuminant, if used for training
     filters: tuple[int, ...] = ()  # (channel) first channel with the same filter, or () if no channels share a filter
     sensitivity: Array | None = None  # (channel) relative sensitivity, or None if all channels are equally exposed
@@ -47,7 +47,7 @@ def one_light(light: LightSpectrum | None) -> LightSpectrum | None:
 def has_components(head: TrainingSet) -> bool:
     """Whether a refinement layer can correct the outputs' three leading components.
 
-    This requires a spectrum of more than three outputs, or colours with Stokes parameters.
+    This requires a spectrum of more than three outputs, or colour outputs with Stokes parameters.
     """
     spectrum = is_spectrum(head.outputs, head.camera.channels)
     return head.outputs == COLOUR_STOKES or (len(head.outputs) > PLANES and spectrum)

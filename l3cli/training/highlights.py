@@ -1,10 +1,10 @@
 """Train clipped areas to render grey (docs/method.md#clipped-areas).
 
-Where channels clip, the colour of a surface is lost. The mean colour of all training surfaces that clip in the same channels
-would give highlights a colour cast. Most highlights are neutral, and an error towards neutral is hardly visible. Saturated
-classes for uniform areas are therefore also trained on uniform greys that clip in the same channels. The more channels clip,
-the more weight the greys have. Classes for textured areas are not trained on greys, because their unclipped pixels still
-show the colour, and greys would suppress detail.
+Where channels clip, the colour of a surface is lost. A class that is trained only on patches renders the mean colour of all
+training surfaces that clip in the same channels, which gives highlights a colour cast. Most highlights are neutral, and an
+error towards neutral is hardly visible. Saturated classes for uniform areas are therefore also trained on uniform greys that
+clip in the same channels. The more channels clip, the more weight the greys have. Classes for textured areas are not trained
+on greys: their unclipped pixels still show the colour, and greys would suppress detail.
 """
 
 import numpy as np
@@ -25,8 +25,8 @@ MAX_GREY = 1.6  # brightest grey, relative to the grey that just clips the last 
 GREY_RATIO = 1.02  # brightness ratio of successive greys
 # Saturation thresholds for the greys, relative to the class rule's threshold. Noise can clip a slightly darker grey.
 CLIPPING_FRACTIONS = (0.94, 0.97, 1.0)
-# Number of greys per training patch, as a multiple of the ratio of clipped to unclipped filters. With a factor of 1, the
-# borders between classes would be visible.
+# Number of greys per training patch, divided by the ratio of clipped to unclipped filters. With a value of 1, the borders
+# between classes would be visible.
 GREYS_PER_PATCH = 4.0
 MAX_GREYS_PER_PATCH = 30.0  # upper limit of this number, reached if every channel clips
 UNCLIPPED_FRACTION = 0.2  # assumed fraction of clipped filters if no filter clips; it results in one grey per patch
@@ -45,12 +45,12 @@ def grey_patches(
     filters: tuple[int, ...] = (),
     sensitivity: Array | None = None,
 ) -> dict[int, Array]:
-    """Compute moments of uniform greys for the saturated classes of the lowest contrast.
+    """Compute the moments of uniform greys for the saturated classes of the lowest contrast.
 
     A class's moments are the weighted mean over its greys. The weight of a grey, relative to a training patch, is
-    `GREYS_PER_PATCH` times the ratio of clipped to unclipped filters, up to `MAX_GREYS_PER_PATCH`. Each grey also counts
-    in the corresponding classes one level below and one level above. The saturation case in which every channel clips
-    uses only greys that are fully clipped in every channel.
+    `GREYS_PER_PATCH` times the ratio of clipped to unclipped filters, up to `MAX_GREYS_PER_PATCH`. Each grey is also used in
+    the classes one level below and one level above. The saturation case in which every channel clips uses only greys that
+    are fully clipped in every channel.
 
     Parameters
     ----------
@@ -91,9 +91,8 @@ def grey_patches(
         for nearly in CLIPPING_FRACTIONS:
             saturated = clipped >= nearly * threshold
             case = int(saturation.cases(rule, saturation.code_of(saturated)))
-            # All fully clipped greys have identical values. With greys in which one channel is just short of clipping, the
-            # class would learn a steep rise over the top 1 % of this channel's range. It would then render textures black,
-            # because some of their taps are far below clipping.
+            # Exclude greys with a channel just below clipping. From such greys, the class would learn a steep rise over the
+            # top 1 % of this channel's range. It would then render textures black, because some taps are far below clipping.
             if not case or (saturated.all() and clipped.min() < 1.0):
                 continue
             clipped_filters = (saturated[:, None] | ~same).all(axis=0).mean() or UNCLIPPED_FRACTION
@@ -111,14 +110,14 @@ def grey_patches(
 def steps_back(
     common: Array, clipping: NDArray[np.int64], rule: ClassRule, signal: Array, black_level: float, white_level: float
 ) -> tuple[NDArray[np.int64], Array]:
-    """Compute the drop in a grey's rendered luminance where its last channel clips.
+    """Compute by how much a grey's rendered luminance drops when its last channel clips.
 
     Parameters
     ----------
     common : ndarray, (class, channel + 1)
         For each class in `clipping`, the luminance per unit signal of each channel, followed by the intercept.
     clipping : ndarray, (class)
-        Numbers of the saturated classes.
+        Indices of the saturated classes.
     rule : ClassRule
         Class rule of the first layer.
     signal : ndarray, (channel)
@@ -131,8 +130,8 @@ def steps_back(
     last : ndarray of int
         Positions in `clipping` of the classes that can contain a fully clipped grey.
     missing : ndarray
-        For each class in `last`, the luminance by which the fully clipped grey is darker than the brightest grey with an
-        unclipped channel. It is 0 if the fully clipped grey is not darker.
+        Drop in luminance for each class in `last`, from the brightest grey with an unclipped channel to the fully clipped
+        grey. It is 0 if the fully clipped grey is at least as bright.
     """
     threshold = (rule.saturation - black_level) / (white_level - black_level)
     greys = np.exp(np.arange(np.log(threshold / signal.max()), np.log(threshold / signal.min()), np.log(GREY_RATIO)))
@@ -158,8 +157,8 @@ def white_channels(
 ) -> Array | None:
     """Determine the signals of a white with Y = 1 under the training illuminant.
 
-    They come from the camera model if the patches agree with it, and otherwise from the patches. Patches can disagree with
-    the camera model if real frames were taken through another lens, for example.
+    If the patches agree with the camera model, the signals come from the camera model. Otherwise, they are estimated from
+    the patches. Patches can disagree, for example, if real frames were taken through another lens.
 
     Parameters
     ----------
@@ -188,11 +187,11 @@ def white_channels(
 
 
 def error_of_white(light: LightSpectrum, camera: CameraModel) -> Array:
-    """Return the relative error with which a regression on X, Y, Z predicts each channel's signal of white.
+    """Return each channel's relative error if the signals of white are predicted from X, Y and Z by regression.
 
     The regression is fitted to measured surfaces. The error is a few per cent for visible light. It is large for a camera
-    that is sensitive to infrared light, because X, Y and Z contain no infrared light. All errors are 0 if a surface has no
-    luminance or if a channel has no signal for white.
+    that is sensitive to infrared light, which X, Y and Z do not include. If a surface has no luminance, or if a channel has
+    no signal for white, all errors are 0.
 
     Returns
     -------
@@ -209,7 +208,10 @@ def error_of_white(light: LightSpectrum, camera: CameraModel) -> Array:
 
 
 def plain_colours(sums: ClassSums, rule: ClassRule, window: NDArray[np.int64]) -> Array:
-    """Return the channel means' second moments (channel, channel) in uniform, unsaturated patches, with a trace of 1."""
+    """Return the second moments of channel means in uniform, unsaturated patches, scaled to a trace of 1.
+
+    The result has the shape (channel, channel).
+    """
     width = int((np.sqrt(8 * sums.moments.shape[1] + 1) - 1) / 2)
     means = (window == np.arange(window.max() + 1)[:, None]) / np.bincount(window)[:, None]
     colours = means @ flat_moments(sums, rule, width)[: window.size, : window.size] @ means.T
@@ -218,12 +220,12 @@ def plain_colours(sums: ClassSums, rule: ClassRule, window: NDArray[np.int64]) -
 
 
 def flat_moments(sums: ClassSums, rule: ClassRule, width: int) -> Array:
-    """Sum the moments over all unsaturated classes of the lowest contrast, as a matrix with `width` columns."""
+    """Sum the moments of all unsaturated classes of the lowest contrast: (column, column), with `width` columns."""
     return moment_matrix(rule.by_feature(sums.moments)[0, :, 0, :, rule.kinds_of(0)].sum(axis=(0, 1, 2)), width)
 
 
 def _channels_of(moments: Array, window: NDArray[np.int64], white: Array) -> Array | None:
-    """Estimate the signals of white by regressing the channels on the outputs. Return None if this is impossible.
+    """Estimate the signals of white by a regression of the channels on the outputs, or return None if it is impossible.
 
     The estimate has an error of one or two per cent, because few training surfaces are white.
     """

@@ -1,8 +1,8 @@
-"""Row and column noise (docs/method.md#row-and-column-noise).
+"""Model row and column noise in training patches (docs/method.md#row-and-column-noise).
 
 A *line* is a row or a column. All pixels of a line receive the same random offset, so taps in the same line of a patch have
-correlated noise. A tap's *share* is the factor by which the offsets of its row and column are multiplied. It is 0 if the tap
-clips, because clipped taps have no noise. Otherwise, it is the gain of the tap's channel relative to the camera's gain.
+correlated noise. At each tap, the offsets are multiplied by a factor, the tap's *share*. The share is 0 if the tap clips,
+because clipped taps have no noise. Otherwise, it is the gain of the tap's channel, relative to the camera's gain.
 """
 
 import functools
@@ -20,9 +20,9 @@ Indices = NDArray[np.intp]
 
 
 class Offsets(NamedTuple):
-    """Random row and column offsets, summed per pixel, and their variance, for channels with the camera's gain.
+    """Random offsets of pixels, the sums of row and column offsets, and their variance.
 
-    Both arrays can be broadcast against the signals.
+    The offsets apply to channels with the camera's gain. Both arrays can be broadcast against the signals.
     """
 
     values: Floats  # fractions of full scale
@@ -41,14 +41,14 @@ class LineNoise:
 
     @classmethod
     def of(cls, camera: CameraModel, dark: float = 0.0) -> "LineNoise | None":
-        """Return the line noise of a camera, or None if it has none. `dark` is the subtracted dark signal in DN."""
+        """Return a camera's line noise, or None if it has none. `dark` is the subtracted dark signal in DN."""
         rows, columns = camera.line_variances(dark)
         span = camera.white_level - camera.black_level
         return cls(rows / span**2, columns / span**2) if camera.has_line_noise else None
 
     @property
     def total(self) -> float:
-        """Variance of a pixel's total offset, the sum of its row offset and its column offset, in full scale²."""
+        """Variance of a pixel's offset, the sum of its row and column offsets, in full scale²."""
         return self.rows + self.columns
 
     def drawn(self, shape: tuple[int, ...], rng: np.random.Generator) -> Offsets:
@@ -90,13 +90,13 @@ class LineNoise:
 
 @dataclass(frozen=True)
 class SharedNoise:
-    """Line noise in patches: its variances, and each tap's *share* (see the module docstring)."""
+    """Line noise in patches: the variances of row and column offsets, and each tap's *share* (see the module docstring)."""
 
     noise: LineNoise
     shares: Floats  # (patch, tap)
 
     def of(self, first: int, last: int) -> "SharedNoise":
-        """Return the line noise of the patches `first` to `last` − 1."""
+        """Return the line noise in the patches `first` to `last` − 1."""
         return replace(self, shares=self.shares[first:last])
 
     def covariances(self) -> Floats:
@@ -106,9 +106,10 @@ class SharedNoise:
         return np.asarray((self.shares.T @ self.shares)[pairs.first, pairs.second] * variance)
 
     def propagated(self, weights: Floats, outputs: Sequence[tuple[int, int]]) -> Floats:
-        """Compute how much the correlation of line noise changes the noise covariance of the outputs.
+        """Compute by how much the correlation of line noise changes the noise covariance of the outputs.
 
-        This is the covariance from line noise, minus the covariance from independent noise of the same variance in each tap.
+        The change is the covariance due to line noise, minus the covariance due to independent noise with the same variance
+        at each tap.
 
         Parameters
         ----------

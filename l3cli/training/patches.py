@@ -36,10 +36,10 @@ class Patches:
     colourless: NDArray[np.bool_] | None = None  # (patch) whether colours were replaced by greys; None if nowhere
 
     def possible(self, scale: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Limit the factors that scale patches to other levels.
+        """Limit the factors by which patches are scaled to other levels.
 
         Simulated patches may be scaled by any factor. A patch from a real frame may only be made darker, because noise can
-        be added but not removed. A real patch with a clipped tap is not scaled.
+        be added but not removed. If a tap of a real patch clips, the patch is not scaled.
 
         Parameters
         ----------
@@ -56,9 +56,10 @@ class Patches:
         return np.where(self.carried.any(axis=1), followed, scale)
 
     def lacking_share(self, scale: Floats) -> Floats:
-        """Return the fraction of signal-independent noise variance that patches lack after scaling.
+        """Return the fraction of the signal-independent noise variance that is missing from patches after scaling.
 
-        Noise-free patches lack all of this noise. Patches from real frames lack noise only if they are made darker.
+        Noise-free patches contain none of this noise. In patches from real frames, noise is missing only if they are made
+        darker.
         """
         if self.carried is None:
             return np.ones_like(scale)
@@ -86,7 +87,7 @@ def patches_of(
     achromatic: float = 0.0,
     colourless: TrainingFrame | None = None,
 ) -> Patches:
-    """Draw patches for a canonical site from a frame.
+    """Draw a canonical site's patches from a frame.
 
     Parameters
     ----------
@@ -139,7 +140,7 @@ def patches_of(
 
 
 def colourless_frame(frame: TrainingPair, head: TrainingSet) -> TrainingFrame | None:
-    """Replace the colours of a simulated frame by greys, or return None if this is impossible.
+    """Replace the colours of a simulated frame with greys, or return None if this is impossible.
 
     The illuminant must be known, and the outputs must begin with X, Y, Z or be Stokes parameters. The new Stokes parameters
     describe unpolarised light.
@@ -150,7 +151,7 @@ def colourless_frame(frame: TrainingPair, head: TrainingSet) -> TrainingFrame | 
 
 
 def without_colour(frame: TrainingFrame, camera: CameraModel) -> TrainingFrame:
-    """Replace every surface of a frame by a neutral grey with the same luminance.
+    """Replace every surface in a frame with a neutral grey of the same luminance.
 
     Raises ValueError if the illuminant of the frame is unknown.
     """
@@ -172,10 +173,10 @@ def sample_pair(
     rng: np.random.Generator,
     allowed: Allowed = EVERY_ORIENTATION,
 ) -> Patches:
-    """Draw patches at random positions from a real pair: a raw frame and a picture of the same scene.
+    """Draw patches at random positions from a real pair, a raw frame and a picture of the same scene.
 
-    The CFA of a real frame cannot be moved or rotated. Patches are therefore drawn only at sites that are equivalent to the
-    canonical site by rotation or reflection, and are read in the corresponding orientation.
+    The CFA of a real frame cannot be moved or rotated. Patches are therefore drawn only at sites that a rotation or
+    reflection maps to the canonical site, and are read in this orientation.
 
     Parameters
     ----------
@@ -360,7 +361,7 @@ def _normal_deviates() -> Floats:
 def _normal(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
     """Return consecutive values from a table of 2²⁰ standard normal deviates, starting at a random position.
 
-    This is twenty times as fast as drawing new deviates. Reusing them does no harm, because they only affect the class to
+    This is twenty times as fast as drawing new deviates. Reuse does no harm, because the deviates affect only the class to
     which a patch is assigned.
     """
     pool, size = _normal_deviates(), math.prod(shape)
@@ -378,7 +379,7 @@ def expose_patches(
     channel: NDArray[np.integer] | None = None,
     offsets: Offsets | None = None,
 ) -> NDArray[np.uint32]:
-    """Convert signals to noisy raw values, from which patches are assigned to classes.
+    """Convert signals to noisy raw values, which determine the classes of the patches.
 
     Parameters
     ----------
@@ -427,9 +428,9 @@ def lacking_variance(
     dark: float = 0.0,
     channel: NDArray[np.integer] | None = None,
 ) -> Floats:
-    """Return the noise variance that signals lack compared with raw values of the camera, in full scale².
+    """Return the noise variance that must be added to signals to match the camera's raw values, in full scale².
 
-    Clipped signals lack no noise. The parameters are the same as for `expose_patches`.
+    It is 0 for clipped signals. The parameters are the same as for `expose_patches`.
     """
     variance = _variance(signal, camera, carried, dark, channel=channel)
     variance *= signal < 1
@@ -446,8 +447,8 @@ def _variance(
 ) -> Floats:
     """Return the noise variance to add to each signal, in full scale².
 
-    This is the camera's noise variance minus `carried`, which the signals already contain, and minus `later`, the variance
-    in DN² that rounding will add. All other parameters are the same as for `expose_patches`.
+    Two variances are subtracted from the camera's noise variance: `carried`, which the signals already contain, and `later`,
+    which rounding will add (in DN²). All other parameters are the same as for `expose_patches`.
     """
     if carried is not None:  # only measured signals can be negative
         signal = np.clip(signal, 0.0, np.inf)

@@ -1,7 +1,7 @@
 """Train uniform areas on measured reflectances, in addition to patches from scenes (docs/method.md#uniform-surfaces).
 
-Most patches from scenes are textured. A class trained only on textures infers colour from detail, and renders uniform areas
-in wrong colours. Each class for uniform areas is therefore also trained on measured surfaces with the chroma of the class.
+Most patches from scenes are textured. A class that is trained only on textures infers colour from detail, and renders
+uniform areas in wrong colours. Each class for uniform areas is therefore also trained on measured surfaces with its chroma.
 Classes with a direction are trained on the same surfaces, mostly with a small weight. Each surface is used at several
 saturations, both bare and mixed with titanium white. White and grey paints are added because they are common in man-made
 scenes.
@@ -11,7 +11,7 @@ Some chromas occur only in stripes with the period of the CFA. Classes with thes
 
 If the outputs are the camera's channels, classes for uniform areas are also trained on patches in which each band varies
 independently (docs/method.md#single-bands). The training surfaces have smooth spectra. Without independent bands, a class
-would treat any deviation from a smooth spectrum as noise, and render uniform areas with other spectra with a colour cast.
+would treat any deviation from a smooth spectrum as noise, and shift the colours of uniform areas with other spectra.
 """
 
 import functools
@@ -42,8 +42,8 @@ BLACKS = (0.02, 0.1, 0.3)  # reflectances outside the bright band of an optimal 
 def uniform_stripes(cfa: NDArray[np.integer], channels: int) -> Array:
     """Find the stripe patterns that the CFA cannot distinguish from a uniform colour.
 
-    The patterns are sinusoids with a whole number of periods per CFA period, a mean of 0 and an amplitude of 1. All sites of
-    a channel sample a pattern at the same value, but different channels sample it at different values.
+    The patterns are sinusoids with a whole number of periods per CFA period, a mean of 0 and an amplitude of 1. A pattern
+    has the same value at all sites of a channel, but not at the sites of all channels.
 
     Parameters
     ----------
@@ -71,10 +71,10 @@ def uniform_stripes(cfa: NDArray[np.integer], channels: int) -> Array:
 
 
 def false_colours(camera: CameraModel, wavelength: Array, photons: Array) -> Array:
-    """Find stripes that look to the camera like a colour that no surface can have.
+    """Find stripes that the camera records as a colour that no surface can have.
 
-    Candidates are the patterns from `uniform_stripes`. Colours are compared as channel fractions. The distance from a
-    pattern to white must be at least `MIN_STRIPE_CHROMA`. The distance to the nearest optimal colour must be at least
+    Candidates are the patterns from `uniform_stripes`. Colours are compared as channel fractions. The distance between a
+    pattern and white must be at least `MIN_STRIPE_CHROMA`. The distance to the nearest optimal colour must be at least
     `UNLIKE` times the distance to white.
 
     Parameters
@@ -106,7 +106,10 @@ def false_colours(camera: CameraModel, wavelength: Array, photons: Array) -> Arr
 
 
 def stripe_shares(white: Array, stripes: Array) -> Array:
-    """Return the chroma centre (stripe, channel) of each pattern on a white surface with the signals `white` (channel)."""
+    """Return the chroma centres of stripe patterns on a white surface with the signals `white` (channel).
+
+    The result has the shape (stripe, channel).
+    """
     return shares(white * (1.0 + CENTRE * stripes))
 
 
@@ -118,8 +121,7 @@ def shares(signals: Array) -> Array:
 def optimal_reflectances(wavelength: Array) -> Array:
     """Return reflectances close to Schrödinger's optimal colours, the most saturated colours that a surface can have.
 
-    Each reflectance is 1 inside one wavelength band, or everywhere outside it. At all other wavelengths it is one of
-    `BLACKS`.
+    Each reflectance is 1 either inside or outside a wavelength band. At all other wavelengths, it is one of `BLACKS`.
 
     Returns
     -------
@@ -139,7 +141,7 @@ WIDTHS = 6.5, 9.5  # width of titanium white's absorption edge, in nm
 BARE = 2  # number of copies of each surface without titanium white; there are six copies with titanium white
 GREYS = np.geomspace(0.03, 0.95, 12)  # reflectances of white and grey paints
 GREY_SHARE = 100.0  # total weight of the paints within a chroma, relative to all other surfaces
-OF_WHITE = 3.0  # extra weight of the chroma of white, where a colour cast is most visible
+OF_WHITE = 3.0  # additional weight of the chroma of white, where a colour cast is most visible
 # Typical distance of the chroma of noisy dark greys from the chroma of white, in units of 1 / number of channels
 NEAR_WHITE = 0.2
 MIN_SURFACES = 4  # smallest number of surfaces per channel for which a chroma is trained
@@ -148,9 +150,9 @@ SAME_WHITE = 0.005  # relative tolerance of the white's X, Y, Z, because differe
 
 @functools.lru_cache(maxsize=4)
 def cached_reflectances(wavelength: tuple[float, ...]) -> tuple[Array, int]:
-    """Return the training surfaces' reflectances on a wavelength grid.
+    """Return the reflectances of the training surfaces on a wavelength grid.
 
-    Each measured surface occurs at several saturations, both bare and mixed with titanium white.
+    Each measured surface is used at several saturations, both bare and mixed with titanium white.
 
     Returns
     -------
@@ -181,7 +183,7 @@ class PlainSurfaces:
     stripes: int  # number of stripes, which are the first samples of `beyond`
 
     def moments(self, rule: ClassRule, window: NDArray[np.int64]) -> list[Array | None]:
-        """Compute the mean moments of uniform patches, by chroma of the surface.
+        """Compute the mean moments of uniform patches for each chroma.
 
         Parameters
         ----------
@@ -205,14 +207,14 @@ class PlainSurfaces:
         return every
 
     def nearness(self, rule: ClassRule) -> Array:
-        """Return the closeness of each chroma to white, from 1 for white to almost 0 for saturated colours."""
+        """Return each chroma's closeness to white, from 1 for white to almost 0 for saturated colours."""
         if rule.chromas == 1:
             return np.zeros(1)
         distance = (chroma_centres(rule) - shares(self.white[None])) * rule.channels / NEAR_WHITE
         return np.asarray(np.exp(-(distance**2).sum(axis=1)))
 
     def moments_of_stripes(self, rule: ClassRule, window: NDArray[np.int64]) -> dict[int, Array]:
-        """Compute mean moments of stripes and optimal colours, for chromas that occur only in stripes.
+        """Compute the mean moments of stripes and optimal colours for chromas that occur only in stripes.
 
         The parameters are the same as for `moments`.
 
@@ -227,8 +229,8 @@ class PlainSurfaces:
         stripes = np.bincount(chroma[: self.stripes], minlength=rule.chromas)
         vivid = np.bincount(chroma[self.stripes :], minlength=rule.chromas)
         surfaces = np.bincount(_nearest(self.signals, chroma_centres(rule)), minlength=rule.chromas)
-        # Train a chroma on stripes if it has few surfaces and at least half as many stripes as there are modulation depths.
-        # A chroma with fewer stripes contains only low-contrast stripes.
+        # Train a chroma on stripes if it contains few surfaces, and at least half as many stripes as there are modulation
+        # depths. A chroma with fewer stripes contains only low-contrast stripes.
         theirs = np.flatnonzero((stripes >= len(MODULATIONS) / 2) & (surfaces < MIN_SURFACES * self.signals.shape[1]))
         every = {}
         for each in theirs.tolist():
@@ -247,7 +249,7 @@ class PlainSurfaces:
 
 
 def _moments(signals: Array, outputs: Array, count: Array, window: NDArray[np.int64]) -> Array:
-    """Compute the weighted mean moments of uniform patches, one patch per sample (a surface or a stripe pattern).
+    """Compute the weighted mean moments of uniform patches. Each sample is a surface or a stripe pattern.
 
     Parameters
     ----------
@@ -275,7 +277,7 @@ def _moments(signals: Array, outputs: Array, count: Array, window: NDArray[np.in
 
 
 def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpectrum, white: Array) -> PlainSurfaces | None:
-    """Compute the training surfaces' signals and outputs for a camera and an illuminant.
+    """Compute the signals and outputs of the training surfaces for a camera and an illuminant.
 
     Parameters
     ----------
@@ -329,7 +331,7 @@ BAND_DEVIATION = 0.1  # standard deviation of a band's independent variation, re
 
 
 def output_gains(moments: Array, window: NDArray[np.int64]) -> Array | None:
-    """Regress each output on its channel's signal in uniform areas, and return the slopes.
+    """Return the slope of each output over its channel's signal in uniform areas, by regression.
 
     Parameters
     ----------
@@ -349,11 +351,10 @@ def output_gains(moments: Array, window: NDArray[np.int64]) -> Array | None:
 
 
 def single_bands(moments: Array, window: NDArray[np.int64], gains: Array) -> Array:
-    """Compute the moments of spatially uniform patches whose bands vary independently, from patch to patch, around the mean
-    colour of a class.
+    """Compute the moments of uniform patches in which each band varies independently around the mean colour of a class.
 
-    Each band's standard deviation is `BAND_DEVIATION` times its mean. The patches have the same total weight as the class's
-    training patches.
+    The standard deviation of a band, over the patches, is `BAND_DEVIATION` times its mean. The patches have the same total
+    weight as the class's training patches.
 
     Parameters
     ----------
@@ -385,5 +386,5 @@ def has_single_bands(rule: ClassRule, index: int) -> bool:
 
 
 def _membership(window: NDArray[np.int64]) -> Array:
-    """Return a matrix (tap, channel) with the value 1 for each tap's own channel, and 0 elsewhere."""
+    """Return a matrix (tap, channel) that is 1 at each tap's channel, and 0 elsewhere."""
     return (window[:, None] == np.arange(window.max() + 1)).astype(np.float64)

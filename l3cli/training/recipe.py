@@ -201,7 +201,7 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
     if learning.darkest:
         return msgspec.structs.replace(recipe, learning=learning)
     constant, linear, quadratic = camera.noise_terms(channel=np.arange(len(camera.channels)))
-    power = max(1 - quadratic, 1e-6)  # coefficient of s² in the equation s² = constant + linear s + quadratic s²
+    power = max(1 - quadratic, 1e-6)  # coefficient of s² in s² = constant + linear s + quadratic s²
     signals = (linear + np.sqrt(linear**2 + 4 * power * constant)) / (2 * power)
     signal = float(np.min(signals / sensitivity)) * mean
     level = max(signal / (camera.white_level - camera.black_level), recipe.classes.lowest_level * mean)
@@ -210,7 +210,7 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
 
 
 def for_noise(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
-    """Adapt a recipe to a camera as `for_camera` does, but for frames without temporal noise reduction."""
+    """Adapt a class recipe to a camera like `for_camera`, but for frames without temporal noise reduction."""
     return for_camera(recipe, replace(camera, noise_left=1.0))
 
 
@@ -231,7 +231,7 @@ def draft_of(recipe: TrainingRecipe) -> TrainingRecipe:
 
 
 def require_one_go(learning: LearningRecipe) -> None:
-    """Raise RecipeError if the recipe asks for transforms for single illuminants, which cannot be trained in shards."""
+    """Raise RecipeError if the recipe contains transforms for single illuminants, which cannot be trained in shards."""
     if learning.lights:
         raise RecipeError(
             "transforms for single illuminants (learning.lights) cannot be trained in shards; train without ‹shard›, or "
@@ -240,7 +240,7 @@ def require_one_go(learning: LearningRecipe) -> None:
 
 
 def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
-    """Yield the faults of the [learning] section."""
+    """Yield the faults in the section [learning]."""
     if not 0 <= recipe.darkest < recipe.highlight_from < recipe.brightest:
         keys = ("learning.darkest", "learning.highlight_from", "learning.brightest")
         message = (
@@ -265,7 +265,7 @@ def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
 
 
 def layer_faults(layers: tuple[LayerRecipe, ...]) -> Iterator[Fault]:
-    """Yield the faults of the [[layer]] sections."""
+    """Yield the faults in the [[layer]] sections."""
     for number, recipe in enumerate(layers):
         name, key = f"layer[{number + 1}]", f"layer.{number}"
         if recipe.colour_ratios and number + 1 < len(layers):
@@ -286,7 +286,7 @@ def layer_faults(layers: tuple[LayerRecipe, ...]) -> Iterator[Fault]:
 
 
 def class_recipe_faults(recipe: TrainingRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield all faults of a class recipe."""
+    """Yield all faults in a class recipe."""
     yield from learning_faults(recipe.learning)
     yield from layer_faults(recipe.layer)
     classes = recipe.classes

@@ -1,4 +1,4 @@
-"""Weights of the training samples in the second pass (docs/method.md#second-pass).
+"""Compute the weights of training samples in the second pass (docs/method.md#second-pass).
 
 The larger a sample's error in the first pass, the lower its weight in the second pass. Without these weights, least squares
 would mainly reduce the few largest errors.
@@ -25,7 +25,7 @@ PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2))  # output pairs with noise c
 
 @dataclass(frozen=True)
 class ColourWeighting:
-    """Weights one canonical site's samples by their colour errors in the first pass."""
+    """Computes the weights of a canonical site's samples from their colour errors in the first pass."""
 
     weights: Floats  # (class, tap, output) transforms of the first pass
     products: Floats  # (class, tap, product) products XX, YY, ZZ, XY and YZ of the weights, for noise propagation
@@ -59,7 +59,7 @@ class ColourWeighting:
         ndarray, (patch)
         """
         relative = 1 / level[:, None]
-        # Derivative of the cube root of X/X_w, Y/Y_w and Z/Z_w.
+        # derivatives of the cube roots of X/X_w, Y/Y_w and Z/Z_w
         slope = np.maximum(target * relative / self.white, MIN_TARGET) ** np.float32(-2 / 3) / (3 * self.white)
         bias, noise = np.empty_like(target), np.empty((len(target), 5), np.float32)
         for index, first, last in runs:
@@ -79,7 +79,7 @@ class ColourWeighting:
 
 @dataclass(frozen=True)
 class SpectralWeighting:
-    """Weights one canonical site's samples by their spectral angles in the first pass."""
+    """Computes the weights of a canonical site's samples from their spectral angles in the first pass."""
 
     weights: Floats  # (class, tap, output) transforms of the first pass
     squares: Floats  # (class, tap) squared weights, summed over the outputs, for noise propagation
@@ -114,7 +114,7 @@ SampleWeighting = ColourWeighting | SpectralWeighting
 
 
 def sample_weighting(table: TransformTable, site: int, power: float) -> SampleWeighting:
-    """Prepare the weighting of a canonical site's samples from the result of the first pass.
+    """Prepare the second pass's weights for a canonical site's samples.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def sample_weighting(table: TransformTable, site: int, power: float) -> SampleWe
 
 
 def lab_error(error: Floats, target: Floats, level: Floats, white: NDArray[np.floating]) -> Floats:
-    """Convert errors of X, Y and Z to squared errors in CIELAB units, with less weight for chroma than in CIELAB.
+    """Convert errors in X, Y and Z to squared colour errors like ΔE², but with less weight for chroma than in CIELAB.
 
     Parameters
     ----------

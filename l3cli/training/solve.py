@@ -3,12 +3,12 @@
 The transform of each class is a Wiener filter. Classes with few patches borrow statistics in three ways
 (docs/method.md#classes-with-few-patches):
 
-* **Neighbouring levels.** The sums of the neighbouring levels are added with weights below 1. Samples are normalised by
-  their level and transforms change slowly with level, so these sums are a good substitute.
-* **Pseudo-patches.** A class with fewer patches than taps has no unique solution, and a class with slightly more patches
-  overfits their noise. Therefore the mean sums of the class's *parent* are added, with the weight of `parent_patches`
-  patches. The parent pools all chromas with the same level, contrast and saturation case. The pseudo-patches hardly affect
-  a class with many patches. A class without patches gets its parent's transform.
+* **Neighbouring levels.** The sums of the neighbouring levels are added with weights below 1. They are a good substitute,
+  because samples are normalised by their level, and transforms change slowly with level.
+* **Pseudo-patches.** A class with fewer patches than taps has no unique solution. A class with slightly more patches
+  overfits their noise. Therefore, the mean sums of the class's *parent* are added, with the weight of `parent_patches`
+  patches. The parent pools all chromas with the same level, contrast and saturation case. In a class with many patches, the
+  pseudo-patches have hardly any effect. A class without patches gets its parent's transform.
 * **Nearest class.** If the parent has no patches either, the class uses the transform of the nearest solved class.
 """
 
@@ -43,7 +43,7 @@ THIN_PARENT = 100.0
 def shrunk(
     sums: ClassSums, parents: ClassSums, classes: NDArray[np.intp], rule: ClassRule, recipe: LearningRecipe
 ) -> tuple[Array, Array]:
-    """Add pseudo-patches and the sums of neighbouring levels to the sums of classes.
+    """Add pseudo-patches, and the sums of neighbouring levels, to the sums of classes.
 
     Every class receives `parent_patches` pseudo-patches of its parent. Unsaturated classes also receive the sums of the
     neighbouring levels, with the weights `level_pool` (docs/method.md#classes-with-few-patches).
@@ -87,9 +87,10 @@ def shrunk(
 def parents_of(sums: ClassSums, rule: ClassRule) -> ClassSums:
     """Compute each parent's mean sums per patch (docs/method.md#classes-with-few-patches).
 
-    A parent pools all classes with the same level, contrast and saturation case. If these classes have no patches, the mean
-    over all contrasts of the level is used. A mean over all levels of the saturation case is blended in. It has more weight
-    if the level has few patches. The returned `count` is the number of patches with the parent's level and saturation case.
+    A parent pools all classes with the same level, contrast and saturation case. If these classes have no patches, it is the
+    mean over all contrasts at this level. The result is blended with the mean over all levels of the saturation case, which
+    has more weight if the level has few patches. The returned `count` is the number of patches with the parent's level and
+    saturation case.
     """
     first = np.unique(rule.case(np.arange(rule.kinds)), return_index=True)[1]  # first kind of each saturation case
 
@@ -117,7 +118,8 @@ def parent_of(index: Any, rule: ClassRule) -> Any:
     return rule.join_cases(place.level, place.contrast, rule.case(place.kind))
 
 
-# Different responses at different sites are penalised. A textured patch counts as this number of uniform patches.
+# Differences between the responses of different sites are penalised. In this penalty, a textured patch has this weight,
+# relative to a uniform patch.
 UNIFORM_WEIGHT = 0.2
 # If noise has μ times the power of the signal, uniform surfaces have the weight 1 / (1 + 1000 μ + (2000 χ μ)²). χ is 1 for
 # the chroma of white and falls to 0 away from white (docs/method.md#uniform-surfaces).
@@ -133,9 +135,9 @@ class OutputKind(NamedTuple):
     """Settings of an output's least-squares problem."""
 
     noise_weight: float  # weight of noise relative to bias (docs/method.md#noise-weights)
-    # Whether to train the output on uniform greys, surfaces and single bands as well (docs/method.md#clipped-areas).
-    # Luminance is trained on these patches only if uniform areas have separate classes, because clipped textures and clipped
-    # uniform areas differ in mean luminance.
+    # Whether the output is also trained on uniform greys, surfaces and single bands (docs/method.md#clipped-areas). For
+    # luminance, this is true only if uniform areas have separate classes, because clipped textures and clipped uniform areas
+    # differ in mean luminance.
     uniform_patches: bool
 
 
@@ -143,8 +145,9 @@ class OutputKind(NamedTuple):
 class Solution:
     """Wiener solutions for all classes of one canonical site, in the opponent basis (docs/method.md#equal-response).
 
-    A transform's *response* is the sum of its taps per channel, together with its intercept. It determines how uniform areas
-    are rendered. The *compliance* determines how the optimal taps change if the response is constrained to another value.
+    A transform's *response* consists of the sum of its taps in each channel, and its intercept. It determines how uniform
+    areas are rendered. The *compliance* determines how the optimal taps change if the response is constrained to another
+    value.
     """
 
     taps: Array  # (class, tap + 1, output); the last tap is the intercept
@@ -162,7 +165,7 @@ class Solution:
 
 @dataclass(frozen=True)
 class Transforms:
-    """Transforms for all classes of one site. They apply to taps in fractions of full scale."""
+    """Transforms for all classes of one site, for taps in fractions of full scale."""
 
     weights: Array  # (class, output, tap)
     intercept: Array  # (class, output)
@@ -177,7 +180,7 @@ def solve(
 
     The solution is T = Y Xᵀ (X Xᵀ + Λ)⁻¹. Each column of X contains the taps of a training patch, and the same column of Y
     contains its target. Λ is the weighted noise covariance. Classes with few patches borrow statistics from neighbouring
-    levels and parents. A class has no solution if neither the class nor its parent has patches.
+    levels and parents. If neither a class nor its parent has patches, the class has no solution.
 
     Parameters
     ----------
@@ -287,12 +290,12 @@ def _averaged(
 
 
 def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Array | None) -> dict[int, Array]:
-    """Return moments of extra training patches, for unsaturated classes of the lowest contrast.
+    """Return the moments of additional uniform patches for unsaturated classes of the lowest contrast, by class.
 
-    These classes are trained on uniform surfaces, because textured surfaces must keep their colour. In classes with a
-    direction, the surfaces have the weight `DIRECTED_SURFACES`, unless the rule has only one chroma. Classes of chromas that
-    occur only in stripes are trained on stripes, whatever their direction. The dict is empty if the goal contains no
-    surfaces, or if `white` (from `white_channels`) was not computed from the camera model.
+    Only these classes are trained on uniform surfaces, so that textured surfaces keep their colour. In classes with a
+    direction, the surfaces have the weight `DIRECTED_SURFACES`, unless the rule has only one chroma. Chromas that occur only
+    in stripes are trained on stripes in classes of any direction. If the goal contains no surfaces, or if `white` (from
+    `white_channels`) does not come from the camera model, the dict is empty.
     """
     if goal.surfaces is None or white is None or goal.white_signal is None or not np.array_equal(white, goal.white_signal):
         return {}
@@ -312,8 +315,8 @@ def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Arr
 def _near_white(rule: ClassRule, goal: Goal) -> Array:
     """Return the factor 2000 χ of each class (see WHITE_FADES).
 
-    Noise moves some greys into classes of chromas that are only near white. These greys must stay grey. Therefore uniform
-    surfaces have less weight in noisy classes near white.
+    Noise moves some greys into the classes of chromas close to white. These greys must stay grey, so uniform surfaces have
+    less weight in noisy classes close to white.
     """
     kind = rule.split(np.arange(rule.classes_per_site)).kind
     if goal.surfaces is None:
@@ -327,8 +330,8 @@ def equal_responses(
     """Constrain the transforms of all sites to a common response (docs/method.md#equal-response).
 
     All sites then render a uniform patch identically, and white is rendered exactly as white. For spectral outputs, the
-    responses of textured classes may differ between sites if this reduces the error. If a class has no solution at some
-    site, it uses the transforms of the nearest class that is solved at every site.
+    responses of textured classes may differ between sites if this reduces the error. If a class is not solved at every site,
+    it uses the transforms of the nearest class that is.
 
     Parameters
     ----------
@@ -380,8 +383,8 @@ def _constrained(
 ) -> list[Array]:
     """Find the common response with the least error, and return each site's taps constrained to it.
 
-    White is rendered exactly if `_exact_white` returns its signals. As a grey gets brighter, its luminance must not drop
-    where the last channel clips (see `steps_back`).
+    White is rendered exactly if `_exact_white` returns its signals. The luminance of a grey that gets brighter must not drop
+    when its last channel clips (see `steps_back`).
     """
     constrained = [solution.taps.copy() for solution in solutions]
     saturated = rule.case(rule.split(np.arange(solved.size)).kind) > 0
@@ -389,8 +392,8 @@ def _constrained(
     rising = solutions[0].white if goal.outputs[:3] == XYZ else None
     of_white = (_opponent_basis(goal).T @ goal.white).tolist()
     colour_compliance = np.pad(_colour_compliance(solutions, copies), (0, 1))
-    # With many bands, each band has few pixels, and textures are more accurate if sites may have different responses. In
-    # colour pictures, even small differences between sites would be visible.
+    # If there are many bands, each band has few pixels, and textures are more accurate if the responses of the sites may
+    # differ. In colour pictures, even small differences between sites would be visible.
     free = (rule.split(np.arange(solved.size)).contrast > 0) & (goal.outputs[:3] not in (XYZ, STOKES))
     for kind in (False, True):
         used = slice(None) if kind else slice(0, -1)  # unsaturated classes have no intercept
@@ -438,9 +441,10 @@ def _exact_white(solutions: list[Solution], goal: Goal) -> Array | None:
 
 
 def _colour_compliance(solutions: list[Solution], copies: list[int]) -> Array:
-    """Return the matrix (channel, channel) that limits the differences between the responses of different sites.
+    """Return the matrix (channel, channel) that determines by how much the responses of sites may differ.
 
-    The more frequent a colour is in uniform patches, the less the responses to it may differ. Greys allow no difference.
+    The more frequent a colour is in uniform patches, the less the responses to it may differ. Responses to grey must not
+    differ.
     """
     colour_compliance = np.linalg.inv(np.average([solution.colours for solution in solutions], axis=0, weights=copies))
     white = solutions[0].white
@@ -453,8 +457,8 @@ def _colour_compliance(solutions: list[Solution], copies: list[int]) -> Array:
 
 def _equations(recipe: LearningRecipe, goal: Goal, rule: ClassRule) -> list[OutputKind]:
     """Return the settings of each output in the opponent basis."""
-    # The squared error is smallest if noise and bias have equal weights. Outputs that are not displayed gain nothing from a
-    # larger noise weight.
+    # The squared error is smallest if noise and bias have equal weights. A larger noise weight is useful only for outputs
+    # that are displayed.
     unseen = OutputKind(min(recipe.luminance_noise, 1.0), True)
     if goal.outputs[:3] != XYZ:
         return [unseen] * len(goal.outputs)
@@ -465,7 +469,7 @@ def _equations(recipe: LearningRecipe, goal: Goal, rule: ClassRule) -> list[Outp
 def _opponent_basis(goal: Goal) -> Array:
     """Return the matrix that converts X, Y, Z to X − X_w Y, Y, Z − Z_w Y, and leaves all other outputs unchanged.
 
-    The first and the third component are zero for greys under the training illuminant.
+    For greys under the training illuminant, the first and third components are zero.
     """
     basis = np.eye(len(goal.outputs))
     if goal.outputs[:3] == XYZ:

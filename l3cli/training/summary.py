@@ -1,4 +1,4 @@
-"""Summaries of tables and class recipes, as dicts for JSON and as lines of text."""
+"""Summarise tables and class recipes as dicts for JSON, and as lines of text."""
 
 from typing import Any
 
@@ -35,7 +35,7 @@ def insight(table: TransformTable) -> dict[str, Any]:
     Returns
     -------
     dict
-        Unless stated otherwise, the entries describe the first layer's transforms for all illuminants:
+        Unless stated otherwise, the entries describe the first layer's common transforms for all illuminants:
 
         * ``target``: description of the outputs
         * ``classes``: number of all classes (``all``), of trained classes (``trained``), of trained classes with fewer
@@ -43,8 +43,8 @@ def insight(table: TransformTable) -> dict[str, Any]:
         * ``kinds``: name and number of patches of each chroma and saturation case
         * ``features``: name and number of patches of each value of each additional feature, such as direction
         * ``noise_gain``: median and maximum of √Σw² over the trained classes, for each output
-        * ``dc_gain``: each output for a uniform signal of 1 in one channel and 0 in all others, as a median over the
-          trained unsaturated classes
+        * ``dc_gain``: each output for a uniform signal of 1 in one channel and 0 in all others, median over the trained
+          unsaturated classes
         * ``condition``: median and maximum of the condition number over the trained classes
         * ``worst``: the trained classes with the largest noise gain in Y, or in any output if there is no Y
         * ``later``: result of `refinement_layer` for each refinement layer
@@ -62,7 +62,7 @@ def insight(table: TransformTable) -> dict[str, Any]:
     kind = place.kind
     judged = noise_gain[:, table.outputs.index("Y")] if "Y" in table.outputs else noise_gain.max(axis=1)
     order = np.argsort(np.where(trained, -judged, np.inf), kind="stable")[: int(trained.sum())]
-    # Symmetric sites have the same transforms. List each class only for the first of these sites.
+    # Symmetric sites have the same transforms. Each class is listed only for the first of these sites.
     _, first = np.unique(np.stack([judged[order], table.first.samples[order]]), axis=1, return_index=True)
     worst = order[np.sort(first)[:LISTED_CLASSES]]
     per_kind = np.bincount(kind, weights=table.first.samples, minlength=rule.kinds)
@@ -146,7 +146,7 @@ def _features(rule: PlaneRule) -> dict[str, Any]:
 
 
 def _values_of_features(table: TransformTable, combination: NDArray[np.int64]) -> dict[str, list[dict[str, Any]]]:
-    """Return the name and the number of patches of each value of each additional feature, such as direction."""
+    """Return, for each value of each additional feature such as direction, its name and number of patches."""
     every = {}
     for (module, feature), value in zip(
         features_of(table.first.rule), table.first.rule.split_features(combination), strict=True
@@ -167,7 +167,7 @@ def _spread(values: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, di
 
 
 def _dc_gain(table: TransformTable, chosen: NDArray[np.bool_]) -> dict[str, dict[str, float]]:
-    """Return {output: {channel: gain}}: each channel's sum of weights, as a median over the chosen classes."""
+    """Return each channel's sum of weights, median over the chosen classes, as {output: {channel: gain}}."""
     windows = window_channels(table.cfa, table.first.rule.patch)
     site = table.first.rule.split(np.arange(len(chosen))).site
     gain = np.full((len(chosen), len(table.outputs), len(table.channels)), np.nan)

@@ -1,9 +1,9 @@
-"""Exact sums of products: the normal equations from which the transforms are solved (docs/method.md#exact-sums).
+"""Accumulate exact sums of products, the normal equations from which transforms are solved (docs/method.md#exact-sums).
 
 Each class of each canonical site has one set of sums. A canonical site represents all CFA sites that are symmetric to it. A
-sample has one *column* per tap, one for the intercept (the constant 1) and one per output. A *moment* is the sum of the
-products of two columns over all samples. Moment matrices are symmetric, so only the upper triangle is stored, with one
-number per *pair* of columns.
+sample has one *column* per tap, one for the intercept (the constant 1) and one per output. A *moment* is the sum, over all
+samples, of the product of two columns. Moment matrices are symmetric, so only the upper triangle is stored, with one number
+per *pair* of columns.
 
 Every product is rounded to a multiple of a fixed grid step before it is added. As long as a sum stays below 2⁵³ grid steps,
 float64 adds such multiples without rounding. The result is therefore bit-identical for any order of additions and any number
@@ -34,17 +34,16 @@ Array = NDArray[np.float64]
 
 @functools.cache
 def pairs(width: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the row and column indices of a moment matrix's upper triangle."""
+    """Return the row and column indices of the upper triangle of a moment matrix."""
     return np.triu_indices(width)
 
 
 def width_of(packed: Array) -> int:
-    """Return the number of columns of moment matrices that are stored as upper triangles in the last axis of `packed`."""
+    """Return the number of columns of moment matrices, of which the last axis of `packed` contains the upper triangles."""
     return (math.isqrt(8 * packed.shape[-1] + 1) - 1) // 2
 
 
 def empty_sums(rule: ClassRule, outputs: int, camera: CameraModel) -> ClassSums:
-    """Return zero sums for one site."""
     classes, width = rule.classes_per_site, rule.patch**2 + 1 + outputs
     shapes = (classes, width * (width + 1) // 2), (classes, noise_columns(rule, camera)), (classes,)
     return ClassSums(*map(np.zeros, shapes))
@@ -59,7 +58,7 @@ def same_shapes(sums: ClassSums | LayerSums, others: ClassSums | LayerSums) -> b
 
 
 def rounding_number(step: Array | float) -> Array:
-    """Return 1.5 · 2⁵² steps. Adding and then subtracting this number rounds a float64 value to whole steps."""
+    """Return 1.5 · 2⁵² steps. Adding this number and subtracting it again rounds a float64 value to whole steps."""
     return np.asarray(step * (1.5 * 2.0**52))
 
 
@@ -81,7 +80,7 @@ def add_rounded(total: Array, more: NDArray[np.float32], large: Array) -> None:
 
 
 def runs_of(label: NDArray[np.integer]) -> list[tuple[int, int, int]]:
-    """Return (class, first sample, end sample) for each class in `label`. The samples must be sorted by class."""
+    """Return each class's range of samples, (class, first sample, end sample). `label` must be sorted."""
     changes = (np.flatnonzero(label[1:] != label[:-1]) + 1).tolist()
     first, last = [0, *changes], [*changes, len(label)]
     return list(zip(label[first].tolist(), first, last, strict=True)) if len(label) else []
@@ -90,8 +89,8 @@ def runs_of(label: NDArray[np.integer]) -> list[tuple[int, int, int]]:
 def pieces_of(label: NDArray[np.integer]) -> Iterator[slice]:
     """Divide samples into slices of about `PIECE_SAMPLES` samples.
 
-    `label` is each sample's class, in increasing order. Several small classes share a slice, to reduce the overhead per
-    slice. A class is divided only if it has more than `MAX_CLASS_PIECE_SAMPLES` samples.
+    `label` contains the class of each sample, in increasing order. Small classes share a slice, to reduce the overhead. A
+    class is divided only if it has more than `MAX_CLASS_PIECE_SAMPLES` samples.
     """
     start = np.array([first for _, first, _ in runs_of(label)], np.int64)
     first = start[np.unique(start // PIECE_SAMPLES, return_index=True)[1]].tolist()
@@ -118,7 +117,7 @@ def add_products(
     runs : list of (class, first sample, end sample)
         Result of `runs_of`.
     large : sequence of ndarray
-        Results of `rounding_number` for the grid steps of each run's products.
+        For each run, the results of `rounding_number` for the grid steps of the products.
     columns : ndarray, optional
         Indices of the columns to multiply. [default: all columns]
     """
@@ -131,18 +130,18 @@ def add_products(
 
 
 def add(sums: ClassSums | LayerSums, more: ClassSums | LayerSums) -> None:
-    """Add the sums `more` to `sums` in place. The addition is exact, so the order of calls does not matter."""
+    """Add `more` to `sums` in place. The addition is exact, so the order of calls does not matter."""
     for total, part in ((sums.moments, more.moments), (sums.noise, more.noise), (sums.count, more.count)):
         np.add(total, part, out=total)
 
 
 def grid_steps(rule: ClassRule, camera: CameraModel, outputs: int) -> Array:
-    """Return the grid steps (level, pair) for products of columns in the first layer, as powers of two."""
+    """Return the grid steps (level, pair), powers of two, for products of columns in the first layer."""
     return steps_of_columns(intercept_scale(rule, camera), rule.patch**2, outputs)
 
 
 def intercept_scale(rule: ClassRule, camera: CameraModel) -> Array:
-    """Return the typical magnitude of the intercept column at each level, as a power of two.
+    """Return the intercept column's typical magnitude at each level, rounded to a power of two.
 
     Samples are divided by their level. Taps and outputs are therefore about 1, and the intercept is about 1/level.
     """
@@ -164,7 +163,7 @@ def steps_of_columns(intercept: Array, taps: int, outputs: int) -> Array:
 def require_exact(sums: ClassSums, rule: ClassRule, steps: Array) -> None:
     """Raise L3Error if a sum is too large for exact addition in float64.
 
-    Sums of squares suffice for this test, because no sum of products of two columns exceeds the larger sum of squares.
+    It is sufficient to test sums of squares, because no sum of products of two columns exceeds the larger sum of squares.
     """
     row, col = pairs(width_of(sums.moments))
     squares = rule.by_feature(sums.moments[:, row == col])[0] / steps[:, None, None, None, row == col]
@@ -175,7 +174,7 @@ def require_exact(sums: ClassSums, rule: ClassRule, steps: Array) -> None:
 
 
 def turned_places(turn: NDArray[np.integer], width: int) -> NDArray[np.intp]:
-    """Return the permutation of packed moments that corresponds to a permutation `turn` of the taps.
+    """Return the permutation of packed moments that results from the permutation `turn` of the taps.
 
     The first columns are the taps. All other columns, up to `width`, keep their order.
     """

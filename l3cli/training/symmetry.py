@@ -1,4 +1,4 @@
-"""Symmetry of a colour filter array.
+"""Find the symmetries of a colour filter array.
 
 If the neighbourhoods of two sites are rotations or reflections of each other, the sites are trained together. The eight
 rotations and reflections of a square are called *orientations*, and are numbered in the order of the function
@@ -34,8 +34,8 @@ LINES_KEPT: Allowed = (0, 2, 5, 7)  # rows stay rows and columns stay columns: i
 def orientations_of_scenes(camera: CameraModel) -> Allowed:
     """Return the orientations to which simulated scenes may be rotated or mirrored for training.
 
-    All orientations of a scene are equally likely. With polarisers, only a half turn is allowed, because it preserves the
-    angle of polarisation.
+    All orientations of a scene are equally likely. If the camera has polarisers, only a half turn is allowed, because all
+    other orientations change the angle of polarisation.
     """
     return EVERY_ORIENTATION if camera.polarisers is None else HALF_TURN
 
@@ -54,7 +54,7 @@ def orientations_of_frames(camera: CameraModel) -> Allowed:
 
 @dataclass(frozen=True)
 class SiteMap:
-    """Canonical site that provides the transforms of a site, and the orientation that relates the two sites.
+    """The canonical site that provides a site's transforms, and the orientation that relates the two sites.
 
     If ``patch`` is a patch at the site, ``patch[permutation]`` has the CFA layout of the canonical site.
     """
@@ -115,10 +115,10 @@ def stabilisers(window: Indices, patch: int, allowed: Allowed = EVERY_ORIENTATIO
 
 
 def turned_classes(rule: ClassRule, number: int) -> Indices:
-    """Map each class to the class of its patches when they are read in orientation `number`.
+    """Return, for each class, the class of its patches when they are read in orientation `number`.
 
-    Level, contrast, chroma and saturation case are the same in every orientation, because they are independent of the order
-    of the taps. Features such as direction can change.
+    Level, contrast, chroma and saturation case do not depend on the order of the taps, so they are the same in every
+    orientation. Features such as direction can change.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ class Turn(NamedTuple):
     """An orientation that leaves the CFA layout of a window unchanged."""
 
     taps: Indices  # (tap) permutation of the taps
-    classes: Indices  # (class) patches of class classes[c] have the class c if they are read in this orientation
+    classes: Indices  # (class) patches of the class classes[c] have the class c when they are read in this orientation
 
 
 def turns_of(rule: ClassRule, window: Indices, allowed: Allowed = EVERY_ORIENTATION) -> list[Turn]:
@@ -157,7 +157,7 @@ def turns_of(rule: ClassRule, window: Indices, allowed: Allowed = EVERY_ORIENTAT
 
 
 def turned_structures(rule: StructureRule, number: int) -> Indices:
-    """Map each structure class to the class of its windows when they are read in orientation `number`.
+    """Return, for each structure class, the class of its windows when they are read in orientation `number`.
 
     Only the direction of edges changes.
     """

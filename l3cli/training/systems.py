@@ -15,8 +15,8 @@ from l3cli.classes.planes import opponent_basis, room_between, room_for
 
 Array = NDArray[np.float64]
 MAX_RIDGE_STEPS = 5  # maximum number of tenfold increases of a ridge
-EQUAL_RESPONSE_MARGIN = 4.0  # safety factor for the correction that the equal-response constraint adds later
-ROUNDING_MARGIN = 1.001  # safety factor for the later rounding of transforms to float32
+EQUAL_RESPONSE_MARGIN = 4.0  # headroom factor for the correction that the equal-response constraint adds later
+ROUNDING_MARGIN = 1.001  # headroom factor for the later rounding of transforms to float32
 
 
 class Integers(NamedTuple):
@@ -38,7 +38,7 @@ class Equations(NamedTuple):
 
 
 def solve_within(equations: Equations, ridge: float, member: Array, integers: Integers | None) -> tuple[Array, Array]:
-    """Solve the normal equations of all classes, with transforms that fit the planes' integer formats.
+    """Solve the normal equations of all classes, so that the transforms fit the planes' integer formats.
 
     If a transform is too large, its class is solved again with a ten times larger ridge, up to `MAX_RIDGE_STEPS` times. The
     same applies if the correction that the equal-response constraint adds later could be too large.
@@ -76,8 +76,8 @@ def solve_within(equations: Equations, ridge: float, member: Array, integers: In
 def fits(transforms: Array, white: Array, integers: Integers) -> NDArray[np.bool_]:
     """Whether each class's transform fits the planes' integer formats.
 
-    Transforms to three outputs are first converted to transforms to planes. Transforms to more outputs are tested directly.
-    This test is stricter, because outputs are larger than their leading components.
+    If there are three outputs, the transforms are first converted to transforms to planes. If there are more, the transforms
+    are tested directly. This test is stricter, because outputs are larger than their leading components.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def fits_between(transforms: Array) -> NDArray[np.bool_]:
 def _moderate(solutions: Array, member: Array, taps: int, integers: Integers) -> NDArray[np.bool_]:
     """Whether each class's transform leaves enough headroom in the integer formats for the equal-response constraint.
 
-    `EQUAL_RESPONSE_MARGIN` times the transform must fit. The same condition applies to the correction that changes the
+    The transform must still fit if it is multiplied by `EQUAL_RESPONSE_MARGIN`. So must the correction that changes the
     response to one channel by 1.
     """
     outputs, used = solutions.shape[2] - len(member), member.any(axis=1)

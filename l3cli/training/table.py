@@ -2,8 +2,8 @@
 
 Training has these steps (docs/method.md#training):
 
-1. **Pilot.** `take_pilot` samples a few patches from each frame. From these samples, `survey` determines the class rule,
-   which is needed to assign patches to classes.
+1. **Pilot.** `take_pilot` samples a few patches from each frame. From these samples, `survey` determines the class rule, by
+   which patches are assigned to classes.
 2. **First pass.** Every patch is added to the sums of its class. Each class is then solved by least squares.
 3. **Second pass.** The patches are summed again. Each sample now has a weight that depends on how visible its error was in
    the first pass (docs/method.md#second-pass). Without these weights, least squares would mainly reduce the few largest
@@ -57,7 +57,7 @@ PILOT_PATCHES = 4000  # number of pilot patches per site, over all frames
 class Pilot:
     """Statistics of a small sample of training patches. They determine the class rule."""
 
-    occurrences: NDArray[np.int64]  # (code) number of patches per saturation code, which is the set of clipped channels
+    occurrences: NDArray[np.int64]  # (code) number of patches with each saturation code (a bit per clipped channel)
     shares: NDArray[np.float64]  # (patch, channel) channel fractions
     whites: NDArray[np.float64]  # (frame, output) outputs of a perfect white under the frame's illuminant, with Y = 1
     # (frame, wavelength) radiance of a white of 1 cd/m² on spectra.light_grid, or NaN if the illuminant is unknown
@@ -297,7 +297,7 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
 
 
 def _spectra(head: TrainingSet, recipe: LearningRecipe) -> SpectralSmoothing | None:
-    """Return the settings for smoothing spectra, or None if the outputs are not spectral or the recipe disables it."""
+    """Return the settings for smoothing spectra. None if the outputs are not spectral, or if the recipe disables smoothing."""
     if not recipe.spectral_window or len(head.outputs) == 1 or not spectra.is_spectrum(head.outputs, head.camera.channels):
         return None
     return SpectralSmoothing(recipe.spectral_window, recipe.spectral_reach)
@@ -313,10 +313,10 @@ def _chroma_smoothing(head: TrainingSet, recipe: LearningRecipe) -> ChromaSmooth
 def _components(
     head: TrainingSet, solutions: dict[int, Solution], copies: list[int], white: NDArray[np.float64]
 ) -> LeadingComponents | None:
-    """Compute the three leading components of a spectrum, or return None unless `has_components` applies.
+    """Compute the three leading components of a spectrum, or return None if `has_components` is false.
 
-    The second component is the mean of all outputs, relative to white. The first and third are the principal components of
-    the targets without this mean. They are rounded, because eigenvectors differ slightly between machines.
+    The second component is the mean of all outputs, relative to white. The first and third components are the principal
+    components of the targets without this mean. They are rounded, because eigenvectors differ slightly between machines.
     """
     if not has_components(head):
         return None
@@ -349,7 +349,7 @@ def _dark_signal(frame: TrainingPair, camera: CameraModel) -> float:
 
 
 def _unit_white(frame: TrainingPair, outputs: tuple[str, ...]) -> NDArray[np.float64]:
-    """Return a frame's outputs of white, scaled to Y = 1 or S0 = 1. Without Y and S0, their mean is 1.
+    """Return the outputs of a white in a frame, scaled to Y = 1 or S0 = 1 or, if there is neither, to a mean of 1.
 
     Raises InputFileError if the white is black or does not have one value per output.
     """
@@ -437,7 +437,7 @@ def finished_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]
 
 
 def passes_of(usual: TrainingPass, recipe: TrainingRecipe) -> list[TrainingPass]:
-    """Return the pass `usual`, followed by one pass per additional noise level of the recipe."""
+    """Return the pass `usual`, followed by a pass for each additional noise level in the recipe."""
     return [usual, *(at_noise(usual, noise, recipe.classes) for noise in recipe.learning.noises)]
 
 

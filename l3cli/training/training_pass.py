@@ -1,8 +1,8 @@
-"""One pass over the training frames, and its division among processes.
+"""Settings of a pass over the training frames, and its division among processes.
 
-Training usually has two passes. The second pass weights each sample by the visibility of its error in the first pass. Each
-pass is divided into blocks of frames, which are distributed over processes. The sums do not depend on the number of
-processes.
+Training usually has two passes. In the second pass, the weight of a sample depends on the visibility of its error in the
+first pass. Each pass is divided into blocks of frames, which are distributed over processes. The sums do not depend on the
+number of processes.
 """
 
 import functools
@@ -58,9 +58,9 @@ class TrainingPass:
 
     @functools.cached_property
     def divisors(self) -> dict[int, int]:
-        """Divisor of the number of patches, by canonical site (docs/method.md#symmetry).
+        """Divisor of the number of patches for each canonical site (docs/method.md#symmetry).
 
-        Each rotation or reflection that leaves the CFA around a site unchanged turns a patch into an additional patch. Sites
+        If a rotation or reflection leaves the CFA around a site unchanged, the turned patch is an additional patch. Sites
         with more symmetries therefore need fewer patches.
         """
         camera, allowed = self.head.camera, self.recipe.orientations(self.head.camera)
@@ -75,7 +75,7 @@ class TrainingPass:
         return self.recipe.first_draws if self.number == FIRST else self.recipe.draws
 
     def brightness(self, target: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the brightness of each target as `brightness_of` does, with negative values replaced by 0."""
+        """Return each target's brightness from `brightness_of`, or 0 if it is negative."""
         return np.maximum(brightness_of(target, self.head.outputs), np.float32(0.0))
 
 
@@ -89,7 +89,7 @@ def at_noise(pass_: TrainingPass, noise: NoiseScale, classes: ClassRecipe) -> Tr
     noise : NoiseScale
         Noise of the frames, relative to the camera model.
     classes : ClassRecipe
-        Class recipe of the table, from which all class edges that depend on noise are computed again.
+        Class recipe of the table. All class edges that depend on noise are computed from it again.
 
     Returns
     -------
@@ -141,8 +141,8 @@ def has_two_passes(head: TrainingSet, recipe: LearningRecipe) -> bool:
     return recipe.first_draws > 0 and (head.outputs == XYZ or is_spectrum(head.outputs, head.camera.channels))
 
 
-# Number of patches that are sorted by class and multiplied together. More patches need more memory, and fewer patches make
-# the matrix products slower.
+# Number of patches that are sorted by class and multiplied together. More patches would need more memory. Fewer patches
+# would slow down the matrix products.
 BATCH_PATCHES = 50_000
 LAYER_SAMPLES = 300_000  # like BATCH_PATCHES, for the samples of refinement layers
 SUM_BYTES = 200 << 20  # memory limit in bytes for one process's sums, but at least two sites are always allowed
@@ -150,7 +150,7 @@ SUM_BYTES = 200 << 20  # memory limit in bytes for one process's sums, but at le
 
 @dataclass(frozen=True)
 class WorkShare:
-    """Work of one process in a pass: blocks of frames, and the sites to sum in each block."""
+    """A process's part of a pass: blocks of frames, and the sites to sum in each block."""
 
     blocks: tuple[tuple[range, tuple[int, ...]], ...]  # frames of each block, and the canonical sites to sum
     whole: tuple[int, ...]  # sites for which this share contains all blocks, so that their sums are complete
@@ -205,7 +205,7 @@ def work_shares(pass_: TrainingPass, divisors: Mapping[int, int], blocks: list[r
     Returns
     -------
     list of WorkShare
-        A multiple of `jobs` shares, each with few enough sites for their sums to fit into memory. Empty shares are omitted.
+        A multiple of `jobs` shares, without empty shares. The sums of all sites in a share fit into memory.
     """
     one = empty_sums(pass_.rule, len(pass_.head.outputs), pass_.head.camera)
     most = max(2, SUM_BYTES // one.moments.nbytes)  # largest number of sites per share

@@ -376,12 +376,11 @@ def _padded(parts: Sequence[NDArray], fill: float | bool) -> NDArray:
 
 
 def _sensor(photographs: Sequence[Photograph], measurements: Measurements) -> tuple[SensorFigures, bool]:
-    """Return gain, noise and levels of the sensor, and whether gain and noise were estimated from the patches.
+    """Return the sensor's gain, noise and levels, and whether gain and noise were estimated from the patches.
 
     Gain and noise come from the data sheet or, without a data sheet, from the patches. The levels come from the first photo.
-
-    Without a data sheet, raises InputFileError if the white level does not fit the bit depth, or if the noise of the patches
-    does not increase with the signal.
+    If there is no data sheet, InputFileError is raised in two cases: the white level exceeds the bit depth, or the noise of
+    the patches does not increase with the signal.
     """
     first = photographs[0]
     if measurements.datasheet is not None:

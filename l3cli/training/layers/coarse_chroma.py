@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 def measured_noise(layer: LayerPass) -> CoarseChroma:
     """Measure the noise level for a layer's coarse chroma filter.
 
-    Each step of the filter smooths block means. The noise level of a step is their variance in simulated greys.
+    Each step of the filter smooths block means. A step's noise level is the variance of its block means in simulated greys.
 
     Parameters
     ----------
@@ -65,16 +65,16 @@ def _planes_of_greys(layer: LayerPass) -> list[NDArray[np.int32]]:
 
 
 def _variances(planes: list[Array]) -> Array:
-    """Return the variances (grey, plane), without `CUT` blocks at each edge."""
+    """Return the variance of the blocks of each grey, without `CUT` blocks at each edge: (grey, plane)."""
     return np.array([each[:, CUT:-CUT, CUT:-CUT].var(axis=(1, 2)) for each in planes])
 
 
 def rising_terms(luminance: Array, variances: Array) -> Array:
     """Fit each plane's variance with a polynomial in luminance that has non-negative coefficients.
 
-    The fit minimises the squared error of the logarithm of the variance. Some layers reduce chroma in dark areas so strongly
-    that the polynomial cannot follow the low variance there. Minimising relative errors would then underestimate the
-    variance in brighter areas and leave visible blotches.
+    The fit minimises the squared error of the log variance. In dark areas, some layers reduce chroma so strongly that the
+    polynomial cannot follow the low variance. A fit that minimises relative errors would then underestimate the variance in
+    brighter areas and leave visible blotches.
 
     Parameters
     ----------

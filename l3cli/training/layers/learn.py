@@ -2,8 +2,8 @@
 
 As in the first layer, classes with few samples borrow statistics from other classes. An unsaturated class also uses samples
 from classes with neighbouring levels and strengths. Every class uses pseudo-samples from its *parent*, a weighted mean of
-many classes. An unsaturated class's parent is mainly the mean over all unsaturated classes with the same level. A saturated
-class's parent is a mean over all classes with the same saturation case, with larger weights for nearby levels.
+many classes. The parent of an unsaturated class is mainly the mean over all unsaturated classes with the same level. The
+parent of a saturated class is a mean over all classes with the same saturation case, with larger weights for nearby levels.
 """
 
 import functools
@@ -115,15 +115,15 @@ def solve_layer(
 def _solution(moments: Array, noise: Array, noise_weight: float, ridge: float, of: list[int], member: Array) -> Array:
     """Compute the Wiener solutions for some outputs, and their compliance.
 
-    The compliance determines how the optimal taps change if the response to uniform areas is constrained. The solutions have
-    no intercept, because black must stay black.
+    The compliance determines how the optimal taps change if the response to uniform areas is constrained. The solutions
+    contain no intercept, so that black stays black.
 
     Parameters
     ----------
     moments : ndarray, (column, column)
         Moments of the taps, the intercept and the outputs.
     noise : ndarray, (column, column)
-        Noise covariance of the taps and, if the layer corrects outputs, of the outputs.
+        Noise covariance of the taps and, if the layer corrects the first layer's outputs, of the outputs.
     noise_weight : float
         Factor by which the noise covariance is multiplied.
     ridge : float
@@ -193,10 +193,9 @@ def _constrained(
 
 
 class _Parents:
-    """Mean sums per sample of each parent.
+    """Each parent's mean sums per sample.
 
-    All unsaturated classes with the same level have a common parent. Saturated classes have one parent per level and
-    saturation case.
+    Unsaturated classes have one parent per level. Saturated classes have one parent per level and saturation case.
     """
 
     def __init__(self, sums: LayerSums, rule: PlaneRule) -> None:
@@ -221,10 +220,10 @@ class _Parents:
 
 
 def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goal: LayerGoal) -> tuple[Array, Array] | None:
-    """Add support from other classes to a class's moments and noise. Return None if its parent has no samples.
+    """Add the statistics of other classes to a class's moments and noise, or return None if its parent has no samples.
 
-    Pseudo-samples of the parent are always added. An unsaturated class that has samples also receives samples from classes
-    with neighbouring levels or strengths.
+    The parent's pseudo-samples are always added. If an unsaturated class has samples, those of classes with neighbouring
+    levels or strengths are also added.
     """
     _, level, kind = rule.split(index)
     case = int(rule.case(kind))
@@ -316,7 +315,7 @@ class LayerPass:
         return 2 + len(self.before)
 
     def rng(self, frame: int, purpose: int) -> np.random.Generator:
-        """Return a random generator for a frame. Generators for different purposes are independent."""
+        """Return the random number generator for a frame and a purpose. All of these generators are independent."""
         return np.random.default_rng([self.seed, self.number + 1, frame, purpose])
 
     def seer(self) -> Callable[[Mosaics], Seen]:
@@ -330,7 +329,7 @@ class LayerPass:
         return see
 
     def reading(self, side: int) -> Reading:
-        """Return the settings for reading windows of `side` × `side` pixels in the canonical site's orientation."""
+        """Return the order in which windows of `side` × `side` pixels are read at each site."""
         maps = self._site_maps()
         order = np.array([orientations(side)[one.orientation] for one in maps])
         ratios = self.recipe.ratio_taps
@@ -347,7 +346,7 @@ class LayerPass:
 
     @property
     def turns(self) -> list[int]:
-        """Number of the orientation in which each CFA site is trained."""
+        """Each CFA site's orientation relative to its canonical site, as an index into `symmetry.orientations`."""
         return [one.orientation for one in self._site_maps()]
 
     def _site_maps(self) -> list[SiteMap]:
@@ -356,7 +355,6 @@ class LayerPass:
 
 
 def no_sums(layer: LayerPass, rule: PlaneRule) -> dict[int, LayerSums]:
-    """Return zero sums for every canonical site."""
     reading = layer.reading(layer.recipe.side)
     return {site: empty_sums(rule, reading) for site in np.unique(reading.canonical).tolist()}
 
@@ -397,7 +395,7 @@ def sum_layer(
 
 
 def drawn_mosaics(layer: LayerPass, frames: Iterable[TrainingPair], first: int, purpose: int) -> Iterator[Mosaics]:
-    """Yield random mosaics from frames. `first` is the index of the first frame, and `purpose` is as in `LayerPass.rng`."""
+    """Yield random mosaics from frames. `first` is the index of the first frame. For `purpose`, see `LayerPass.rng`."""
     for index, frame in enumerate(frames, first):
         yield from mosaics_of(frame, layer.mosaics[index], layer.exposed, layer.rng(index, purpose))
 
@@ -468,8 +466,8 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
 def _symmetric(layer: LayerPass, rule: PlaneRule, site: int, sums: LayerSums) -> LayerSums:
     """Average a canonical site's sums over the orientations that leave the CFA around the site unchanged.
 
-    This requires that rotating or reflecting a window permutes the classes. The leaves of a tree are not simply permuted, so
-    the sums for a tree are returned unchanged.
+    This is possible only if a rotation or reflection of the windows permutes the classes. It does not permute the leaves of
+    a tree, so the sums for a tree are returned unchanged.
     """
     if not isinstance(rule, StructureRule):
         return sums
