@@ -1,7 +1,7 @@
 """Find a colour chart in a mosaic, and measure its patches (docs/method.md#charts-in-photographs).
 
-A chart is recognised as a grid of uniform regions with values that are consistent with the patch reflectances. Because the
-camera's responsivities are unknown, l3 tests whether the values of each channel are a linear combination of a constant and
+A chart is recognised as a grid of uniform regions with values that are consistent with the patch reflectances. The camera's
+responsivities are unknown. l3 therefore tests whether the values of each channel are a linear combination of a constant and
 the principal components of the reflectances. This test also determines the orientation of the chart.
 """
 
@@ -33,7 +33,7 @@ DARK_FRACTION = 0.02
 MIN_AREA, MAX_SHARE = 9, 0.03  # minimum area of a patch in pixels, and maximum area as a fraction of the picture
 # Maximum aspect ratio of a patch, and range of its area relative to a parallelogram with the same moments.
 LONG, FILLED = 2.2, (0.75, 1.25)
-# Number of nearest regions that may define the basis vectors of a grid, and number of regions at which grids are started.
+# Number of nearest regions that may define the basis vectors of a grid, and number of regions from which grids are built.
 NEIGHBOURS, SEEDS = 8, 160
 PAIRS = np.array(list(itertools.permutations(range(NEIGHBOURS), 2)))
 # Basis vectors of a grid: maximum cosine of the angle between them, and maximum ratio of their lengths.
@@ -78,7 +78,7 @@ def homography(cells: Array, pixels: Array) -> Array:
 def _equations(cells: Array, pixels: Array) -> Array:
     """Return the matrix, (…, 2 · point, 8), of the linear equations for the first eight elements of a homography.
 
-    The ninth element is 1. The right-hand side contains the column and the row of each pixel.
+    The ninth element is 1. The right-hand side consists of each point's column and row.
     """
     place = np.concatenate([cells, np.ones_like(cells[..., :1])], axis=-1)
     along = [np.concatenate(parts, axis=-1) for parts in ((place, 0 * place), (0 * place, place))]
@@ -114,8 +114,8 @@ def through(matrix: Array, points: Array) -> Array:
 def patch_map(to_pixels: Array, grid: tuple[int, int], shape: tuple[int, int], core: float) -> NDArray[np.int64]:
     """Return the index of the patch at each pixel, (row, col).
 
-    Only the core of a patch, a square at its centre, counts. Pixels outside all cores have the number of patches as their
-    index.
+    A patch's index is assigned only in its core, a square at its centre. The index of all other pixels is the number of
+    patches.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def patch_values(
     grid : tuple of int
         Number of rows and columns of patches.
     saturation : float
-        DN above black from which a pixel counts as clipped.
+        Value in DN above black from which a pixel counts as clipped.
 
     Raises
     ------
@@ -224,9 +224,9 @@ def _typical(values: Array, least: float) -> NDArray[np.bool_]:
 def _differences(frames: Sequence[Array], cfa: NDArray[np.uint8]) -> Array:
     """Return differences between pixels, (row, col), scaled so that their variance is the noise variance of a pixel.
 
-    For several frames, the result is the difference between the first two, divided by √2. For a single frame, it is the
-    mixed second difference of four neighbouring pixels at the same CFA site, in which linear gradients cancel, divided by 2.
-    It is NaN at the lower and right edges of a single frame.
+    If there are several frames, the result is the difference between the first two, divided by √2. If there is only one, it
+    is the mixed second difference of four neighbouring pixels at the same CFA site, divided by 2. Linear gradients cancel in
+    this difference. At the lower and right edges of a single frame, the result is NaN.
     """
     if len(frames) > 1:
         return np.asarray((frames[0].astype(np.float64) - frames[1]) / np.sqrt(2.0))
@@ -249,8 +249,8 @@ def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None
     """Estimate the conversion gain (DN/e-) and the dark noise (DN) by fitting a photon transfer line.
 
     The line is fitted to the usable patches and channels in `values`. The dark noise excludes quantisation noise. Returns
-    None if there are too few points, or if the slope is not positive, for example because the files were processed or
-    contain almost no noise.
+    None if there are too few points, or if the slope is not positive. The slope may be zero or negative if the files were
+    processed, or if they contain almost no noise.
     """
     mean = np.concatenate([each.mean[each.used] for each in values])
     variance = np.concatenate([each.variance[each.used] for each in values])
@@ -358,8 +358,8 @@ def _plain_regions(steepest: Array, slope: float) -> tuple[Array, Array]:
     """Find uniform regions that may be patches, and return their centres, (region, 2), and their areas in pixels.
 
     A centre is (column, row). A region consists of connected pixels with relative gradients below `slope`. It may be a patch
-    if it is neither too small nor too large, is not elongated, and has about the area of a parallelogram with the same
-    moments.
+    if it is neither too small nor too large, if it is not elongated, and if its area is close to that of a parallelogram
+    with the same moments.
     """
     from scipy import ndimage
 
@@ -388,8 +388,8 @@ def _plain_regions(steepest: Array, slope: float) -> tuple[Array, Array]:
 def _grids(centres: Array, areas: Array, grid: tuple[int, int]) -> list[Array]:
     """Find the grids that contain the most regions, and return their homographies from grid points to pixels.
 
-    Each grid is built outwards from one region, which becomes grid point (0, 0). The result is empty if there are too few
-    regions.
+    Each grid is built outwards from one region, which becomes grid point (0, 0). If there are too few regions, the result is
+    empty.
     """
     least = max(MIN_REGIONS, round(MIN_SHARE * grid[0] * grid[1]))
     if len(centres) < least:
@@ -414,10 +414,10 @@ def _grids(centres: Array, areas: Array, grid: tuple[int, int]) -> list[Array]:
 
 
 def _may_be_steps(steps: Array) -> NDArray[np.bool_]:
-    """Return a mask, (pair,), of the pairs of offsets, (pair, 2, 2), that may be the basis vectors of a chart's grid.
+    """Return which pairs of offsets, (pair, 2, 2), may be the basis vectors of a chart's grid: (pair,).
 
     The two offsets must have similar lengths and be roughly perpendicular. They must not form a mirrored grid, because the
-    camera sees the front of the chart.
+    camera records the front of the chart.
     """
     one, other = np.hypot(*steps.T)
     turn = np.linalg.det(steps)  # positive unless the grid is mirrored
@@ -427,10 +427,10 @@ def _may_be_steps(steps: Array) -> NDArray[np.bool_]:
 
 
 def _on_grid(coordinates: Array, reach: int) -> NDArray[np.int64]:
-    """Return the index of the region nearest to each grid point, (grid, y, x), or -1 if there is no region near the point.
+    """Return the index of the region nearest to each grid point, or -1 if there is no region nearby: (grid, y, x).
 
-    The grid points extend from −`reach` to `reach` in x and y. `coordinates`, (grid, region, 2), contains x and y of every
-    region in each grid.
+    Grid points have x and y from −`reach` to `reach`. `coordinates`, (grid, region, 2), contains x and y of every region in
+    each grid.
     """
     places = np.rint(coordinates)
     off = np.abs(coordinates - places).max(axis=-1)
@@ -496,7 +496,7 @@ def _refined(located: Located, centres: Array, grid: tuple[int, int]) -> Located
 
 
 def _placed(matrix: Array, smooth: Array, basis: Array, grid: tuple[int, int]) -> Located | None:
-    """Try all positions and orientations of the chart on a grid, and return the one that fits the reflectances best.
+    """Try all positions and orientations of the chart on a grid, and return the best fit to the reflectances.
 
     Returns None if no position is completely inside the picture.
     """
@@ -518,7 +518,10 @@ def _placed(matrix: Array, smooth: Array, basis: Array, grid: tuple[int, int]) -
 
 
 def _sampled(picture: Array, points: Array) -> Array:
-    """Return the values, (…, channel), of the pixels nearest to points (column, row), (…, 2), or NaN outside the picture."""
+    """Return the values, (…, channel), of the pixels nearest to `points`, (…, 2), or NaN outside the picture.
+
+    A point is (column, row).
+    """
     inside: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1))
     index = np.rint(np.where(inside[..., None], points, -1)).astype(np.int64)
     height, width = picture.shape[:2]
@@ -528,7 +531,7 @@ def _sampled(picture: Array, points: Array) -> Array:
 
 
 def fit(patches: Array, basis: Array) -> Array:
-    """Fit the basis from `components` to patch values, (…, patch, channel), and return R², averaged over the channels."""
+    """Fit the basis from `components` to patch values, (…, patch, channel), and return R², the mean over the channels."""
     centred = patches - patches.mean(axis=-2, keepdims=True)
     left = patches - basis @ (basis.T @ patches)
     return np.asarray(np.mean(1.0 - (left**2).sum(axis=-2) / np.maximum((centred**2).sum(axis=-2), 1e-12), axis=-1))

@@ -1,4 +1,4 @@
-"""Correct raw frames: bad and hot pixels, shading, dark frames (docs/method.md#corrections).
+"""Correct bad pixels, hot pixels and shading in raw frames, and subtract dark frames (docs/method.md#corrections).
 
 This module also reads corrections from a camera model file, and checks that they match a transform table.
 """
@@ -43,7 +43,7 @@ MAD = 1.4826  # standard deviation of a normal distribution, divided by its medi
 
 @dataclass(frozen=True, eq=False)
 class BadPixelCorrection:
-    """A sensor's bad pixels, and for each of them the good pixels from which its value is computed."""
+    """A sensor's bad pixels, and the good pixels from which their values are computed."""
 
     target: NDArray[np.int64]  # (defect) flat index in a frame
     source: NDArray[np.int64]  # (defect, NEIGHBOURS) flat indices of good pixels
@@ -51,7 +51,7 @@ class BadPixelCorrection:
     def corrected(self, values: NDArray[np.uint16]) -> NDArray[np.uint16]:
         """Return a copy of a frame, (row, col), with the bad pixels replaced.
 
-        The new value of a bad pixel is the mean, rounded up, of its four neighbours without the brightest and the darkest.
+        The new value of a bad pixel is the mean of the two middle values of its four neighbours, with halves rounded up.
         """
         result = values.copy()
         neighbours = values.ravel()[self.source].astype(np.int32)
@@ -60,7 +60,7 @@ class BadPixelCorrection:
 
 
 def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixelCorrection:
-    """Find the nearest good pixels of the same channel, from which each bad pixel is computed.
+    """Select the good pixels from which bad pixels are computed: the nearest ones of the same channel.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixe
                 f"the defective pixel in row {row}, column {col} has no good neighbour of the same channel within "
                 f"{SEARCH_PIXELS} pixels; mark fewer pixels as defective"
             )
-        # If there are fewer than NEIGHBOURS good pixels, some of them are used repeatedly.
+        # If a bad pixel has fewer than NEIGHBOURS good neighbours, some of them are used repeatedly.
         again = np.arange(NEIGHBOURS) % count[:, None]
         targets.append(defects[:, 0] * shape[1] + defects[:, 1])
         sources.append(np.take_along_axis(nearest, again, axis=1))
@@ -147,8 +147,8 @@ class Correction:
     def corrected(self, frame: RawFrame) -> RawFrame:
         """Return the frame with bad pixels replaced, and with the shading correction from the camera's flat field, if any.
 
-        That shading correction replaces the one in the raw file. Raises InputFileError if the frame is not a full frame from
-        this camera.
+        The flat field takes precedence over a shading correction in the raw file. Raises InputFileError if the frame is not
+        a full frame from this camera.
         """
         if frame.values.shape != self.shape or frame.phase != (0, 0):
             raise InputFileError(
@@ -198,7 +198,7 @@ class HotTest:
 
     @classmethod
     def of(cls, camera: CameraModel) -> "HotTest":
-        """Return the test for a camera, with the noise of its noisiest channel for all channels."""
+        """Return the test for a camera. The noise of the noisiest channel is assumed for all channels."""
         rows, cols = camera.cfa.shape
         constant, linear, quadratic = camera.noise_terms(channel=np.arange(len(camera.channels)))
         noisiest = float(np.max(constant)), float(np.max(linear))  # the terms differ between channels with different gains
@@ -207,9 +207,9 @@ class HotTest:
     def without_hot(self, frame: RawFrame, cfa: NDArray[np.uint8]) -> RawFrame:
         """Return the frame with hot pixels replaced.
 
-        A hot pixel is far brighter than the eight nearest pixels at the same CFA site, while its adjacent pixels are not
-        brighter than usual. In contrast, a star or any other small detail also brightens adjacent pixels. Frames with at
-        most two CFA periods per row or column are returned unchanged.
+        A hot pixel is far brighter than the eight nearest pixels at the same CFA site, but its adjacent pixels are not
+        brighter than usual. In contrast, a star or any other small detail also brightens adjacent pixels. Frames with a
+        height or width of at most two CFA periods are returned unchanged.
 
         Parameters
         ----------
@@ -263,7 +263,7 @@ class HotTest:
             usual = np.median(self._neighbours(frame, *place), axis=0)
             inside = (place[0] != row) | (place[1] != col)
             brighter += np.where(inside, frame.values[place] - usual, 0.0)
-            # The variance of the median of eight values is about 0.2 times the variance of a pixel.
+            # The variance of the median of eight pixels is about 0.2 times the variance of a pixel.
             variance += np.where(inside, 1.2 * self._variance(frame, usual), 0.0)
         hot = brighter < np.maximum(NEXT_SIGMAS * np.sqrt(variance), NEXT_SHARE * excess)
         return row[hot], col[hot]
@@ -310,11 +310,11 @@ class DarkFrame:
 def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
     """Average dark frames, which must have the same size, phase, orientation and exposure time.
 
-    The mean of n frames still contains 1/√n of one frame's noise, which would be added to every picture. The difference d
+    The noise in the mean of n frames is 1/√n of one frame's noise, and would be added to every picture. The difference d
     between a pixel and the mean level is therefore shrunk to d · max(0, 1 − σ²/d²), where σ is the standard deviation of
-    the remaining noise (non-negative garrote, Breiman 1995). With this shrinkage, a few frames remove hot pixels almost
-    completely, and more frames improve the removal of weak patterns. σ is estimated from the differences between consecutive
-    frames or, for a single frame, from the spread of its pixels.
+    the remaining noise (non-negative garrote, Breiman 1995). A few dark frames are then enough to remove hot pixels almost
+    completely. Weak patterns are removed better with more frames. σ is estimated from the differences between consecutive
+    frames or, if there is only one frame, from the spread of its pixels.
 
     Raises
     ------
@@ -362,8 +362,8 @@ def without_dark(frame: RawFrame, dark: DarkFrame) -> RawFrame:
     """Subtract the pattern of a dark frame from a frame.
 
     Only the differences from the dark frame's mean level are subtracted. The mean level above black is stored as
-    `RawFrame.dark`. Clipped pixels are unchanged. The exposure times may differ by 2 %, and are not compared if one of them
-    is unknown.
+    `RawFrame.dark`. Clipped pixels are unchanged. The exposure times may differ by 2 %. If one of them is unknown, they are
+    not compared.
 
     Raises
     ------

@@ -29,14 +29,14 @@ class Shot:
 
 @dataclass(frozen=True)
 class NoiseLeft:
-    """The fraction of the noise variance that remains after a temporal filter, for each cell (a rectangle of pixels)."""
+    """Fraction of the noise variance that remains after a temporal filter, for each cell (a rectangle of pixels)."""
 
     shares: NDArray[np.uint16]  # (cell row, cell col) fraction of the camera's noise variance, times `whole`
     whole: int  # value in `shares` that represents a fraction of 1
     cell: tuple[int, int]  # rows and columns of pixels in a cell
 
     def below(self, limits: Sequence[float], shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Count for each pixel, (row, col), how many of the `limits` its noise fraction does not exceed.
+        """Return, for each pixel, the number of `limits` that are at least its noise fraction: (row, col).
 
         `shape` contains the number of rows and columns in the frame.
         """
@@ -66,7 +66,7 @@ class RawFrame:
     shot: Shot = Shot()
     shading: Shading | None = None  # lens shading that is still present in the values
     gain: float = 1.0  # analog gain, relative to the gain of the camera model
-    baseline_exposure: float = 0.0  # EV by which pictures should be brightened according to the file
+    baseline_exposure: float = 0.0  # EV; brightening of pictures that the file recommends
     noise_share: float = 1.0  # noise variance as a fraction of the camera's noise variance; below 1 after a temporal filter
     noise_left: NoiseLeft | None = None  # remaining noise fraction of each cell; None for 1 everywhere
     warps: tuple[LensWarp, ...] = ()  # lens corrections for the rendered picture, in order of application
@@ -99,8 +99,8 @@ class RawFrame:
         are limited to `bits` bits. Full scale of the result corresponds to the fraction `light_share` of this frame's full
         scale.
 
-        To keep different values distinct, the dark current is subtracted in whole DN. The remainder of at most half a DN is
-        converted to the new scale and added to the black level of the result.
+        The dark current is subtracted in whole DN, so that different values remain different. The remainder, at most half a
+        DN, is converted to the new scale and added to the black level of the result.
         """
         levelled = self.rescaled(black_level, white_level, bits)
         if levelled.values is self.values and self.values.max() >= 2**bits:
@@ -108,9 +108,9 @@ class RawFrame:
         return levelled
 
     def rescaled(self, black_level: float, white_level: float, bits: int) -> "RawFrame":
-        """Convert the frame as `at_levels` does, unless it already has these levels and no dark current.
+        """Convert the frame like `at_levels`, but return it unchanged if it already has these levels and no dark current.
 
-        Such a frame is returned unchanged, even if its values exceed `bits` bits.
+        The values of an unchanged frame may exceed `bits` bits.
         """
         if (self.black_level, self.white_level, self.dark) == (black_level, white_level, 0):
             return self
@@ -126,7 +126,7 @@ class RawFrame:
     def shading_corrected(self) -> "RawFrame":
         """Return the frame with its colour shading corrected (see `shading.colour_corrected`).
 
-        The shading that all channels have in common is not corrected, and remains in `shading`.
+        The mean shading of all channels is not corrected, and remains in `shading`.
         """
         if self.shading is None or self.shading.colour is None:
             return self
@@ -136,7 +136,7 @@ class RawFrame:
 
 @functools.lru_cache(maxsize=8)
 def _level_table(black_level: float, new_black_level: float, scale: float, top: int) -> NDArray[np.uint16] | None:
-    """Return a look-up table for 16-bit values with entries from 0 to `top`, or None if it would not change any of them."""
+    """Return a look-up table from 16-bit values to values of at most `top`, or None if no value up to `top` would change."""
     every = np.arange(1 << 16)
     table = np.clip(np.rint((every - black_level) * scale + new_black_level), 0, top).astype(np.uint16)
     return None if np.array_equal(table[: top + 1], every[: top + 1]) else table
@@ -145,7 +145,7 @@ def _level_table(black_level: float, new_black_level: float, scale: float, top: 
 def with_one_black_level(
     values: NDArray[np.uint16], black_level: NDArray[np.floating], white_level: NDArray[np.floating]
 ) -> tuple[NDArray[np.uint16], float, float]:
-    """Shift the values of pixels with different black levels to a common black level.
+    """Shift pixel values with different black levels to a common black level.
 
     Parameters
     ----------
@@ -185,11 +185,11 @@ def upright(pixels: NDArray, orientation: int) -> NDArray:
 
 
 def mirrored_indices(length: int, margin: int, period: int) -> NDArray[np.int32]:
-    """Return the indices of the samples from which a row or column is padded on both sides.
+    """Return the indices of the samples in a row or column that is padded by mirroring on both sides.
 
-    The result has `length` + 2 · `margin` elements. A sample within the frame is its own source. So that the padding
-    continues the mosaic, the source of a sample in the margin is the sample with the same CFA phase that is nearest to its
-    mirror image (docs/method.md#rendering). If the frame is shorter than the CFA period, it is the nearest sample.
+    The result has `length` + 2 · `margin` elements. So that the padding continues the mosaic, a sample in the margin is
+    copied from the sample with the same CFA phase that is nearest to its mirror image (docs/method.md#rendering). If the
+    frame is shorter than the CFA period, it is copied from the nearest sample.
     """
     wanted = np.arange(-margin, length + margin)
     if length < period:
@@ -203,7 +203,7 @@ def mirrored_indices(length: int, margin: int, period: int) -> NDArray[np.int32]
 
 
 def pad_mosaic(values: NDArray, margin: int, cfa_shape: tuple[int, int]) -> NDArray:
-    """Pad a mosaic, (row, col), by `margin` pixels on every side, with the source pixels from `mirrored_indices`."""
+    """Pad a mosaic, (row, col), by `margin` mirrored pixels on every side (see `mirrored_indices`)."""
     rows = mirrored_indices(values.shape[0], margin, cfa_shape[0])
     cols = mirrored_indices(values.shape[1], margin, cfa_shape[1])
     return values[np.ix_(rows, cols)]

@@ -2,11 +2,10 @@
 
 1. The frame is divided into patches that are aligned with the CFA, so that all patches have the same channels at the same
    positions. In each patch, the channel means are subtracted, and the differences are divided by the standard deviation of
-   the noise that the camera would have at an assumed gain.
-2. The principal components of all patches are divided into a stronger half, which contains texture, and a weaker half, in
-   which natural pictures have almost no texture. This combines noise estimation by principal components (Pyatykh, Hesser and
-   Zheng, 2013) with the selection of weakly textured patches (Liu, Tanaka and Okutomi, 2013). The components are computed
-   from one half of the frame and applied to the other half.
+   the noise at an assumed gain.
+2. The principal components of all patches are divided into a strong and a weak half. Texture is in the strong half. In the
+   weak half, natural pictures have almost no texture. The components are computed from one half of the frame and applied to
+   the other half.
 3. The patches with the smallest strong components are assumed to be uniform, and their noise is measured in the weak
    components. This selection causes no bias, because the noise in the weak components is independent of the noise in the
    strong components.
@@ -14,7 +13,9 @@
    of the remaining texture is assumed to be proportional to the square of the signal, like that of photo-response
    nonuniformity. The factor of proportionality is fitted as a second parameter (`excess`).
 
-These steps are repeated with the estimated gain until it no longer changes.
+These steps are repeated with the estimated gain until it no longer changes. The method combines noise estimation by
+principal components (Pyatykh, Hesser and Zheng, 2013) with the selection of weakly textured patches (Liu, Tanaka and
+Okutomi, 2013).
 """
 
 from dataclasses import dataclass, replace
@@ -26,25 +27,25 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.frames.frame import RawFrame
 
-# Side of a patch, and minimum spacing of patches, which is rounded up to a multiple of the CFA period, both in pixels.
+# Side of a patch, and minimum spacing of patches (rounded up to a multiple of the CFA period), in pixels.
 PATCH_SIDE_PIXELS, MIN_STEP = 8, 4
 MAX_PATCHES = 20_000  # maximum number of patches in a frame
-ROUNDS, CLOSE = 10, 0.01  # maximum number of iterations, and relative change of the gain below which they end
+ROUNDS, CLOSE = 10, 0.01  # maximum number of iterations; they end earlier if the relative change in gain is below CLOSE
 STRIPE = 8  # width, in patches, of the alternating vertical stripes that form the two halves of the frame
 # Fraction of full scale from which a pixel is clipped, and maximum fraction of clipped pixels in a patch.
 CLIPPED, MAX_CLIPPED = 0.99, 0.02
-# Minimum distance of a mean from black and from white, in standard deviations, so that almost no noise is clipped.
+# Minimum distance between a channel mean and black or white, in standard deviations, so that almost no noise is clipped.
 MIN_DEVIATIONS = 2.5
 SIGNAL_RANGES, MIN_PLAIN = 8, 32  # maximum number of signal ranges, and minimum number of uniform patches in each range
-# Criteria for uniform patches, in the order in which they are tried: fraction of the patches to select in each signal range,
-# and maximum mean square of the selected patches' strong components, relative to their weak components.
+# Criteria for uniform patches, in the order in which they are tried. Each criterion consists of the fraction of patches to
+# select in a signal range, and the maximum mean square of their strong components, relative to their weak components.
 PLAIN = ((0.05, 1.0), (0.01, 2.0))
 AGREE = 1.3  # a signal range agrees with a gain if its measured and predicted variance differ by less than this factor
 LOWEST, HIGHEST = 2.0**-8, 2.0**10  # range of gains
 USUAL_EXCESS, MAX_EXCESS = 0.01**2, 25.0  # expected relative variance of texture, and maximum multiple of this variance
-# Fisher scoring: maximum number of steps, and change of the log gain below which they end.
+# Fisher scoring: maximum number of steps, and the change in log gain at which it ends.
 MAX_SCORING_STEPS, SMALL = 50, 1e-4
-# Relative standard errors: systematic error (tests/studies/test_gain_study.py), and maximum error of an accepted estimate
+# Relative standard errors: systematic error (tests/studies/test_gain_study.py), and maximum error of an accepted estimate.
 SYSTEMATIC, MAX_ERROR = 0.04, 0.08
 LINE_TERMS = (
     "row_temporal_noise", "column_temporal_noise", "row_noise", "column_noise", "row_prnu", "column_prnu",
@@ -68,13 +69,13 @@ class GainEstimate:
 def estimate_gain(frame: RawFrame, camera: CameraModel) -> GainEstimate:
     """Estimate a frame's analog gain, relative to the gain of the camera model.
 
-    The frame may have any levels and any phase of the camera's CFA.
+    The frame may have any black and white levels, and any phase of the camera's CFA.
 
     Raises
     ------
     ValueError
-        If the gain cannot be estimated, with the reason as the message. An example is a frame with too few uniform,
-        unclipped areas.
+        If the gain cannot be estimated, for example because too few areas are uniform and unclipped. The message contains
+        the reason.
     """
     camera = _without_lines(camera)
     patches, gain, excess = _patches_of(frame, camera), 1.0, 0.0
@@ -93,8 +94,8 @@ def estimate_gain(frame: RawFrame, camera: CameraModel) -> GainEstimate:
 def _without_lines(camera: CameraModel) -> CameraModel:
     """Return the camera without the noise of rows and columns.
 
-    In a patch, such noise has few components: one per row and one per column. They are among the strong components, so that
-    the weak components contain only the noise of the pixels.
+    In a patch, row and column noise has one component per row and one per column. These are among the strong components, so
+    the weak components contain only the noise of single pixels.
     """
     camera = camera.as_corrected()
     return replace(camera, noise=replace(camera.noise, **dict.fromkeys(LINE_TERMS, 0.0)))
@@ -102,19 +103,19 @@ def _without_lines(camera: CameraModel) -> CameraModel:
 
 @dataclass(frozen=True, eq=False)
 class _Patches:
-    """A frame's patches, in DN above black on the scale of the camera model."""
+    """A frame's patches, in DN above black, scaled to the levels of the camera model."""
 
     values: Array  # (patch, pixel)
     means: Array  # (patch, channel) mean of each channel
     half: NDArray[np.bool_]  # (patch) whether the patch is in the second half of the frame
     channel: NDArray[np.intp]  # (pixel) channel, as an index into the columns of `means`
     sites: NDArray[np.uint8]  # (channel) index of the channel in the camera model
-    black: float  # DN; black level of the frame; signals cannot be lower than -black, because DN are not negative
+    black: float  # DN; black level of the frame, and therefore the largest possible negative signal
     span: float  # DN; difference between white and black level
 
     @property
     def member(self) -> NDArray[np.bool_]:
-        """Which pixels belong to which channel, as a mask, (pixel, channel)."""
+        """Mask of each channel's pixels: (pixel, channel)."""
         return np.asarray(self.channel[:, None] == np.arange(len(self.sites)))
 
     def chosen(self, which: NDArray[np.bool_]) -> "_Patches":
@@ -123,7 +124,7 @@ class _Patches:
 
 
 def _patches_of(frame: RawFrame, camera: CameraModel) -> _Patches:
-    """Return patches that contain few clipped pixels, at most about MAX_PATCHES, on the scale of the camera model.
+    """Cut a frame into at most about MAX_PATCHES patches, and return those with few clipped pixels.
 
     Raises ValueError if the frame is smaller than a patch.
     """
@@ -151,7 +152,7 @@ def _patches_of(frame: RawFrame, camera: CameraModel) -> _Patches:
 class _Plain:
     """Uniform patches, and the variance of their weak components.
 
-    Variances are relative to the noise variance that was assumed when the patches were selected.
+    Variances are relative to an assumed variance: the noise variance at the gain with which the patches were selected.
     """
 
     level: NDArray[np.intp]  # (patch) index of the signal range
@@ -166,18 +167,18 @@ class _Plain:
         return _Plain(*parts, self.sites)
 
     def predicted(self, camera: CameraModel, gain: float, excess: float) -> Array:
-        """Return each patch's variance according to the noise model at `gain`, relative to the assumed variance."""
+        """Predict each patch's variance from the noise model at `gain`, relative to the assumed variance."""
         return np.asarray((_variance(self.signal, self.sites, camera, gain, excess) * self.weight).sum(axis=1))
 
     def slopes(self, camera: CameraModel, gain: float, excess: float) -> Array:
-        """Return the derivatives, (2, patch), of the log predicted variance by the log gain and by the excess."""
+        """Return the derivatives of the log predicted variance with respect to log gain and excess: (2, patch)."""
         middle = self.predicted(camera, gain, excess)
         moved = self.predicted(camera, gain * np.exp(SMALL), excess), self.predicted(camera, gain, excess + SMALL)
         return np.stack([np.log(each / middle) / SMALL for each in moved])
 
 
 def _variance(signal: Array, sites: NDArray[np.uint8], camera: CameraModel, gain: float, excess: float) -> Array:
-    """Return the variance of noise and texture in DN² for each patch and channel.
+    """Return the variance of noise plus texture, in DN², for each patch and channel.
 
     The relative variance of the texture is `excess` · USUAL_EXCESS.
     """
@@ -188,7 +189,7 @@ def _variance(signal: Array, sites: NDArray[np.uint8], camera: CameraModel, gain
 def _plain(patches: _Patches, camera: CameraModel, gain: float, excess: float) -> _Plain:
     """Select uniform patches, for an assumed gain and excess.
 
-    Patches near black or white are left out. The others are divided into signal ranges, and the most uniform patches in each
+    Patches near black or white are excluded. All others are divided into signal ranges, and the most uniform patches in each
     range are selected. Raises ValueError if nearly all patches are near black or white, or if none is uniform.
     """
     signal = np.maximum(patches.means, 0.0)
@@ -219,8 +220,8 @@ def _plain(patches: _Patches, camera: CameraModel, gain: float, excess: float) -
 def _energies(whitened: Array, patches: _Patches) -> tuple[Array, Array, int]:
     """Split the variation within each patch into weak components (noise) and strong components (texture).
 
-    The components are the eigenvectors of the pixel covariance, without the channel means. They
-    are estimated from one half of the patches and applied to the other half, so no patch influences its own components.
+    The components are the eigenvectors of the pixel covariance, orthogonal to the channel means. They are computed from one
+    half of the patches and applied to the other half, so that no patch affects its own components.
 
     Returns
     -------
@@ -245,10 +246,10 @@ def _energies(whitened: Array, patches: _Patches) -> tuple[Array, Array, int]:
 def _consistent(plain: _Plain, camera: CameraModel, gain: float) -> _Plain:
     """Keep only the patches in signal ranges where the weak components contain noise and no texture.
 
-    Texture in the weak components, for example a grating with a period of two pixels, raises the gain estimated from a
-    range. The gain is therefore estimated from each range alone, and these gains are tried in ascending order. The first one
-    that predicts the noise of at least a quarter of the ranges determines which ranges are kept. Raises ValueError if there
-    is none.
+    Texture in the weak components, for example a grating with a period of two pixels, raises the gain that is estimated from
+    a range. A gain is therefore estimated from each range separately, and these gains are tried in ascending order. The
+    first gain that predicts the noise in at least a quarter of the ranges is accepted, and these ranges are kept. Raises
+    ValueError if no gain does.
     """
     count = int(plain.level.max()) + 1
     alone = [_most_likely(plain.chosen(plain.level == each), camera, gain, None)[0] for each in range(count)]
@@ -262,16 +263,16 @@ def _consistent(plain: _Plain, camera: CameraModel, gain: float) -> _Plain:
 
 
 def _most_likely(plain: _Plain, camera: CameraModel, gain: float, excess: float | None) -> tuple[float, float]:
-    """Return the most likely gain and excess for the measured variances, by Fisher scoring from the given values.
+    """Find the most likely gain and excess for the measured variances, by Fisher scoring that starts at `gain` and `excess`.
 
-    The measured variances are assumed to be gamma-distributed around the predicted variances. The prior of the excess is a
-    normal distribution with a standard deviation of 1. If `excess` is None, it is fixed at 0. Otherwise, ValueError is
-    raised if all pixels are black, so that the noise does not depend on the gain.
+    The measured variances are assumed to have gamma distributions around the predicted variances. The prior of the excess is
+    a normal distribution with a standard deviation of 1. If `excess` is None, it is fixed at 0. Otherwise, ValueError is
+    raised if all pixels are black, because the noise then does not depend on the gain.
     """
     free, excess = excess is not None, excess or 0.0
     for _ in range(MAX_SCORING_STEPS):
         slopes = plain.slopes(camera, gain, excess)
-        if not slopes[0].any():  # the frame is black and the camera has no read noise
+        if not slopes[0].any():  # the frame is black, and the camera has no read noise
             if free:
                 raise ValueError("all pixels are black")
             break

@@ -67,17 +67,14 @@ class LensWarp:
 
 
 def source_places(warps: Sequence[LensWarp], rows: Floats, cols: Floats, colour: int) -> tuple[Floats, Floats]:
-    """Map positions as `LensWarp.source` does, for several warps that are applied in succession."""
+    """Map positions like `LensWarp.source`, for several warps that are applied in succession."""
     for warp in reversed(warps):
         rows, cols = warp.source(rows, cols, colour)
     return rows, cols
 
 
 def corrected_places(warps: Sequence[LensWarp], rows: Floats, cols: Floats) -> tuple[Floats, Floats]:
-    """Map positions in the uncorrected frame to rows and columns in the corrected frame, as the inverse of `source_places`.
-
-    The warps for green are used.
-    """
+    """Map positions in the uncorrected frame to the corrected frame. This is the inverse of `source_places` for green."""
     there = rows, cols
     for _ in range(INVERSE_STEPS):
         back = source_places(warps, *there, GREEN)

@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class MaskedValues:
-    """Values of the masked pixels beside a frame's rows, and above and below its columns."""
+    """Values of the masked pixels to the left and right of a frame, and above and below it."""
 
     of_rows: NDArray[np.number]  # (row, masked pixel) DN; may have no masked pixels
     of_columns: NDArray[np.number]  # (masked pixel, col) DN; may have no masked pixels
@@ -129,6 +129,6 @@ def line_offsets(values: NDArray[np.number], period: int, variance: float, pixel
 
 @functools.lru_cache(maxsize=2)
 def _thresholds(rows: int, cols: int) -> Floats:
-    """Return numbers from 0 to 1, (row, col), that are evenly distributed in every row and in every column."""
+    """Return numbers from 0 to 1 that are evenly distributed in every row and every column: (row, col)."""
     steps = np.arange(cols) * GOLDEN + np.arange(rows)[:, None] * GOLDEN**2
     return np.asarray(steps % 1.0)

@@ -44,7 +44,7 @@ class Body:
     readout: Readout | None = None  # exposure and gain of each channel, without read noise; None if all channels are equal
     # polarisers in the measurement file, with leakages at LEAKAGE_NM; None if the file contains none
     polarisers: Polarisers | None = None
-    masked: MaskedPixels | None = None  # masked pixels in the files, which are cut off before frames are used
+    masked: MaskedPixels | None = None  # masked pixels in the files; they are removed when frames are read
 
     @property
     def channel_gains(self) -> NDArray[np.float64]:
@@ -87,7 +87,7 @@ class Capture:
 class MonoCapture(Capture):
     """Frames of a uniform field, illuminated by a monochromator at one wavelength setting.
 
-    The spectrum is measured, and therefore includes the monochromator's bandwidth and stray light.
+    The radiance is a measured spectrum, so it includes the monochromator's bandwidth and stray light.
     """
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
@@ -124,7 +124,7 @@ class Rotator:
 
     leakage: float = 0.0  # inverse of the extinction ratio
     angle_error: float = 0.0  # degrees; standard deviation of the error in the angle of a capture
-    # Channel with an exact angle, from which the zero of the angle scale is derived. If None, the scale's zero is exact.
+    # Channel with a known angle, which determines the zero of the rotator's scale. None if the scale's zero is exact.
     reference: str | None = None
 
     @property
@@ -147,7 +147,7 @@ class SweepTable:
 
 @dataclass(frozen=True)
 class FinishedCurves:
-    """Relative responsivities per photon from a file, which need not be computed from captures."""
+    """Relative responsivities per photon that were read from a file, not computed from captures."""
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
     responsivity: NDArray[np.float64]  # (channel, wavelength)
@@ -156,7 +156,7 @@ class FinishedCurves:
 
 @dataclass(frozen=True)
 class CurveStatistics:
-    """Statistics of the responsivities measured for many cameras, per photon, with each channel scaled to a peak of 1."""
+    """Statistics of measured responsivities of many cameras, per photon, with each channel scaled to a peak of 1."""
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
     mean: NDArray[np.float64]  # (channel, wavelength) mean over the cameras
@@ -230,8 +230,8 @@ class Measurements:
 
     The responsivity is determined from `mono`, `bands`, `curve` or `photos`, all with unpolarised light. Gain, levels and
     noise come from the first available source: (1) `darks` and `whites`; (2) `datasheet`; (3) `photos`. Polarisers are
-    measured with `polariser`, or specified in `body`. If there is a `base`, only its defects and flat field, or only its
-    polarisers, are measured, and all other data come from the base.
+    measured with `polariser`, or specified in `body`. If there is a `base`, only defects and flat field, or only polarisers,
+    are measured. All other data come from the base.
     """
 
     body: Body
@@ -249,7 +249,7 @@ class Measurements:
     cameras: CurveStatistics | tuple[FinishedCurves, ...] | None = None  # curves of other cameras, used with `photos`
     datasheet: SensorFigures | None = None
     base: CameraModel | None = None  # existing camera model to which the new measurements are added
-    lamp_drift: float = 0.0  # relative standard deviation of the lamp intensity since the spectra were measured
+    lamp_drift: float = 0.0  # relative standard deviation of the change in lamp intensity since the spectra were measured
     wavelength_uncertainty: float = 0.0  # nm; standard deviation of the error in the spectrometer's wavelength scale
     blinking_defects: bool = False  # whether to add blinking pixels to the defects
 
@@ -263,7 +263,7 @@ class StatedMatrix:
     rows: dict[int, NDArray[np.float64]]  # colour code of a channel → row of the matrix, (3,)
 
     def of(self, codes: Sequence[int | None]) -> NDArray[np.float64]:
-        """Return the matrix rows, (channel, 3), for these colour codes. Codes that are None are skipped."""
+        """Return the matrix rows for these colour codes, except None: (channel, 3)."""
         return np.array([self.rows[code] for code in codes if code is not None])
 
 

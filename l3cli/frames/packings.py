@@ -73,8 +73,8 @@ class Packing:
 def _stream(bits: int, lower_first: bool) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
     """Return the layout of pixels that are packed without gaps: bytes per group, and pieces of each pixel.
 
-    A group is the smallest number of pixels that fills a whole number of bytes. `lower_first` is True if the lower bits of a
-    pixel are stored first.
+    A group is the smallest number of pixels that fills a whole number of bytes. If `lower_first` is True, the lower bits of
+    a pixel are stored first.
     """
     pixels = next(count for count in (1, 2, 4, 8) if count * bits % 8 == 0)
     groups = []
@@ -95,8 +95,8 @@ def _stream(bits: int, lower_first: bool) -> tuple[int, tuple[tuple[Piece, ...],
 def _mipi(bits: int) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
     """Return the layout of a MIPI packing: bytes per group, and pieces of each pixel.
 
-    A group contains one byte per pixel with its upper 8 bits, followed by one byte with the lower bits of all pixels,
-    starting with the first pixel in the lowest bits.
+    A group contains one byte per pixel with its upper 8 bits, followed by one byte with the lower bits of all pixels. The
+    first pixel is in the lowest bits of this byte.
     """
     low = bits - 8
     pixels = 8 // low
@@ -153,7 +153,7 @@ WORDS = "u16"
 
 
 def packing_named(name: str) -> Packing | None:
-    """Return the packing with this name, in upper or lower case, or None if the name is unknown.
+    """Return the packing with a name, ignoring case, or None if the name is unknown.
 
     "Mono" may be omitted, as in "12p" for "Mono12p".
     """

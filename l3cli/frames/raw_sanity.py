@@ -1,9 +1,9 @@
-"""Check whether the CFA, the CFA phase and the black level stated in a raw file are consistent with its pixels.
+"""Check whether the CFA, CFA phase and black level stated in a raw file are consistent with its pixels.
 
 In a smooth block of a frame, all sites of a channel have nearly the same value. If they differ, the stated phase is probably
-wrong. This test cannot detect phases that exchange channels with equal patterns, such as r and b in a Bayer CFA. They are
-detected with the signals of a grey object, which many files contain: the mean of a photo is roughly grey, and should
-therefore be roughly proportional to these signals.
+wrong. This test cannot detect a phase that swaps two channels with equal patterns, such as r and b in a Bayer CFA. A second
+test detects such phases. It uses the signals of a grey object, which many files contain. The mean of a photo is roughly
+grey, so it should be roughly proportional to these signals.
 
 A super-pixel is one period of the CFA.
 """
@@ -25,39 +25,39 @@ MIN_SIGNAL = 1e-3  # fraction of full scale; frames with a lower mean are too da
 # Difference between the sites of a channel from which a phase may be wrong. In real frames, the difference is at most 0.007
 # at the correct phase, and at least 0.045 at wrong phases.
 SITES_DIFFER = 0.02
-# Log ratio of two channel signals, relative to a grey object, from which a phase may be wrong. Even in coloured scenes, it
-# is at most 0.67 at the correct phase.
+# A phase may be wrong if the log ratio of two channel means, relative to a grey object, is at least this value. At the
+# correct phase, it is at most 0.67 even in coloured scenes.
 FAR_FROM_GREY = 0.75
-BETTER = 0.4  # another phase is better only if its difference is below this fraction of the stated phase's difference
-ALIKE = 1.5  # two phases fit about equally well if their differences differ by at most this factor
+BETTER = 0.4  # another phase is better only if its difference is at most this fraction of the stated phase's difference
+ALIKE = 1.5  # two phases fit about equally well if the ratio of their differences is at most this value
 BLACK_PERCENTILE = 0.1  # percentile of a channel's values that is close to black in most pictures
 MIN_BLACK, MAX_BLACK = 1 / 64, 1 / 6  # range of real cameras' black levels, as fractions of the white level
-# A frame may be decoded incorrectly if its roughness is at least the fraction ROUGH of full scale, and SMOOTHER times the
-# roughness with another decoding.
+# A frame may be decoded incorrectly if its roughness is at least the fraction ROUGH of full scale, and more than SMOOTHER
+# times its roughness with another decoding.
 ROUGH, SMOOTHER = 0.01, 3.0
 MAX_BANDS = 32  # maximum number of bands, each two super-pixels high, in which roughness is measured
 ARRAY_PERIODS_PIXELS, COMMON_PERIOD = (4, 6, 8), 24  # CFA periods that are considered, and a common multiple
 TILE, TILES = 120, 8  # side of a tile in pixels, a multiple of all periods; maximum number of tiles in each direction
-# Mean difference between sites from which the CFA is different. With a Bayer CFA, it is 0.001 to 0.02 in real Bayer frames,
-# and 0.05 to 2 in frames with other CFAs.
+# The stated CFA is wrong if the mean difference between its sites is at least this value. If a Bayer CFA is stated, the
+# difference is 0.001 to 0.02 in real Bayer frames, and 0.05 to 2 in frames with other CFAs.
 ARRAYS_DIFFER = 0.05
-# With a different CFA, at least 30 % of the sites also differ by this amount. Autofocus pixels affect fewer sites.
+# In addition, at least 30 % of the sites must differ by this value. Autofocus pixels affect fewer sites.
 MOST_SITES_DIFFER = 0.03
 # The scene has stripes if a factor per row or column explains all but this fraction of the differences.
 STRIPED = 0.25
-SLANTED = 0.03  # like STRIPED, but for a factor per slanted line
+SLANTED = 0.03  # the same for stripes with a factor per slanted line
 SLANTS = ((1, 1), (1, -1), (2, 1), (2, -1), (1, 2), (1, -2))  # lines on which row · first + column · second is constant
 # Two limits distinguish a checkerboard in the scene from a different CFA: the minimum range of the sites in the mean
 # super-pixel, relative to their mean, and the minimum contrast of any site, relative to the maximum contrast.
 CHECKED_SITES_DIFFER = 0.15
 LEAST_CHECK = 0.1
-CHECK_FITS = 30  # number of alternating fits of super-pixel and checkerboard, needed if the squares have an odd size
-TWO_GAINS = 2.0  # minimum ratio of the gains in sensors with pairs of rows that alternate between two gains
-# Width, in pixels, of the areas in which noise is measured, and percentile over these areas, which represents uniform areas.
+CHECK_FITS = 30  # number of alternating fits of super-pixel and checkerboard; needed if the squares have an odd size
+TWO_GAINS = 2.0  # minimum ratio of the two gains in sensors in which pairs of rows alternate between them
+# Width, in pixels, of the areas in which noise is measured. This percentile over all areas represents uniform areas.
 NOISE_COLUMNS, NOISE_PERCENTILE = 8, 25
 UNCLIPPED = 0.8  # fraction of full scale; noise is measured only in areas with a lower mean
 MIN_NOISE = 0.5  # DN²; smaller variances are mainly rounding errors
-CONTROL = 3.0  # minimum difference that is evidence, as a multiple of the difference at a period that no CFA has
+CONTROL = 3.0  # smaller multiples of the difference at a period that no CFA has are no evidence of a wrong CFA
 FITS = 0.01  # sites that differ by less count as equal
 SMALLEST_BLACK = 16.0  # DN; lower black levels are not checked
 BELOW = 0.5  # fraction of a correct black level that even noisy dark pixels exceed
@@ -78,7 +78,7 @@ class PhaseDoubt:
 def phase_doubt(
     frame: RawFrame, cfa: NDArray[np.uint8], neutral: Sequence[float] | NDArray[np.floating] | None = None
 ) -> PhaseDoubt | None:
-    """Return evidence that a frame's CFA phase is wrong, or None if there is none or the frame is too dark.
+    """Return evidence that a frame's CFA phase is wrong. None if there is no evidence, or if the frame is too dark.
 
     Parameters
     ----------
@@ -87,18 +87,18 @@ def phase_doubt(
     cfa : ndarray, (cfa_row, cfa_col)
         Channel of each site.
     neutral : sequence of float, (channel,), optional
-        Signals of a grey object, on any scale. Without them, phases that exchange channels with equal patterns are not
+        Signals of a grey object, on any scale. Without them, a phase that swaps two channels with equal patterns is not
         detected.
     """
     blocks = block_means(frame, cfa.shape)
     if not blocks.size or not blocks.mean() > MIN_SIGNAL * (frame.white_level - frame.black_level):
         return None
-    arrays: dict[bytes, Phase] = {}  # bytes of a shifted CFA → first phase that results in this CFA
+    arrays: dict[bytes, Phase] = {}  # first phase that results in each shifted CFA, by the bytes of the CFA
     for phase in (frame.phase, *itertools.product(range(cfa.shape[0]), range(cfa.shape[1]))):
         arrays.setdefault(shifted_cfa(cfa, phase).tobytes(), phase)
     phases = {phase: shifted_cfa(cfa, phase) for phase in arrays.values()}
     grey = {phase: _far_from_grey(blocks, array, neutral) for phase, array in phases.items()}
-    # Blocks have stronger colours than the frame's mean, but the mean is less noisy.
+    # Both tests are useful: blocks have stronger colours than the mean of the frame, but the mean is less noisy.
     for scale in (blocks, blocks.mean(axis=0, keepdims=True)):
         sites = {phase: _sites_differ(scale, array) for phase, array in phases.items()}
         stated, least = sites[frame.phase], min(sites.values())
@@ -122,9 +122,9 @@ class ArrayDoubt:
     def likely(self, arrays: Mapping[str, NDArray[np.uint8]]) -> list[str]:
         """Return the names of the CFAs that fit the pixels best at any phase, sorted by the number of channels.
 
-        `arrays` contains the candidates, (row, col), by name. Two types of candidate are ignored: those with more than four
-        sites and a different channel at every site, because they would fit any pixels, and those with a period that does
-        not divide COMMON_PERIOD.
+        `arrays` contains the candidates, (row, col), by name. Two types of candidates are ignored. Candidates with more than
+        four sites, and a different channel at every site, would fit any pixels. Candidates with a period that does not
+        divide COMMON_PERIOD cannot be tested.
         """
         judged = {name: cfa for name, cfa in arrays.items() if len(set(cfa.flat)) < cfa.size or cfa.size <= 4}
         misfits = {
@@ -135,7 +135,7 @@ class ArrayDoubt:
         return sorted(fitting, key=lambda name: (len(set(arrays[name].flat)), misfits[name]))
 
     def _misfit(self, cfa: NDArray[np.uint8]) -> float:
-        """Return a CFA's mean difference between sites of a channel at the best phase, as a fraction of the signal."""
+        """Return the mean difference between sites of a channel at a CFA's best phase, as a fraction of the signal."""
         phases = itertools.product(range(cfa.shape[0]), range(cfa.shape[1]))
         whole = [tiled(shifted_cfa(cfa, phase), self.means.shape) for phase in phases]
         return min(_sites_differ(self.means[None], array) for array in whole)
@@ -144,8 +144,8 @@ class ArrayDoubt:
 def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
     """Return evidence that a frame's CFA differs from `cfa`, (row, col).
 
-    If the CFA is correct, sites at the same position in the super-pixel have the same mean over the frame. So do the sites
-    of a channel, unless the phase is wrong (see `phase_doubt`). Three types of difference are no evidence of a different
+    If the CFA is correct, sites at the same position in the super-pixel have the same mean over the frame. If the phase is
+    also correct (see `phase_doubt`), so do all sites of a channel. Three types of differences are no evidence of a different
     CFA:
 
     1. differences at single pixels, such as autofocus pixels
@@ -180,9 +180,9 @@ def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
 
 
 def _tiles(frame: RawFrame) -> NDArray[np.float64]:
-    """Return the signals in tiles that are evenly spaced over a frame, (tile row, tile col, row, col).
+    """Return the signals in tiles that are evenly spaced over a frame: (tile row, tile col, row, col).
 
-    Signals are in DN above black and dark current. All tiles start at the same CFA site if the CFA period divides TILE.
+    Signals are in DN above black and dark current. If the CFA period divides TILE, all tiles start at the same CFA site.
     """
     tops, lefts = (
         sorted({TILE * int(place) for place in np.linspace(0, max(length // TILE - 1, 0), TILES)})
@@ -210,8 +210,8 @@ def _are_stripes(
 ) -> bool:
     """Return whether the super-pixels in `means` differ only by a factor per row, per column or per slanted line.
 
-    There is one exception: if pairs of rows alternate between two factors in all `parts` of a frame and `two_gains` returns
-    True, the result is False, because such rows occur in sensors with two gains.
+    The exception is a sensor with two gains: if pairs of rows alternate between two factors in all `parts` of the frame, and
+    if `two_gains` returns True, the result is False.
     """
     blocks = _super_pixels(means, period)
     sites = blocks.mean(axis=(0, 2), keepdims=True)  # mean super-pixel
@@ -224,12 +224,12 @@ def _are_stripes(
 
 
 def _super_pixels(means: NDArray[np.float64], period: tuple[int, ...]) -> NDArray[np.float64]:
-    """Divide means, (row, col), into super-pixels, (down, row, across, col)."""
+    """Divide means, (row, col), into super-pixels: (down, row, across, col)."""
     return means.reshape(means.shape[0] // period[0], period[0], means.shape[1] // period[1], period[1])
 
 
 def _factors(blocks: NDArray[np.float64], along: tuple[int, int]) -> NDArray[np.float64]:
-    """Return each row's or column's mean, relative to all rows or columns at the same position in the super-pixel.
+    """Return the mean of each row or column, relative to all lines at the same position in the super-pixel.
 
     `along` contains the axes of `blocks` to average over: (2, 3) for rows, or (0, 1) for columns.
     """
@@ -241,13 +241,13 @@ def _factors(blocks: NDArray[np.float64], along: tuple[int, int]) -> NDArray[np.
 def _are_checks(means: NDArray[np.float64], period: tuple[int, ...]) -> bool:
     """Return whether `means` is the mean super-pixel multiplied by a checkerboard, 1 + f(row) · g(col).
 
-    Returns False if the frame has a CFA with a different period. With such a CFA, either the sites in the mean super-pixel
-    are nearly equal, as with a quad Bayer CFA, or some sites in `means` equal the mean super-pixel.
+    If the frame has a CFA with a different period, the result is False. Such a CFA is recognised in two ways: the sites of
+    the mean super-pixel are nearly equal (quad Bayer, for example), or some sites in `means` equal the mean super-pixel.
     """
     sites = _super_pixels(means, period).mean(axis=(0, 2))
     if np.ptp(sites) < CHECKED_SITES_DIFFER * sites.mean() or sites.min() <= 0:
         return False
-    for _ in range(CHECK_FITS):  # repeated, because squares of odd size also affect the mean super-pixel
+    for _ in range(CHECK_FITS):  # squares of odd size also affect the mean super-pixel
         left, sizes, right = np.linalg.svd(means / tiled(sites, means.shape) - 1.0)
         factors = 1.0 + sizes[0] * np.outer(left[:, 0], right[0])
         sums = [_super_pixels(each, period).sum(axis=(0, 2)) for each in (means * factors, factors**2)]
@@ -262,7 +262,7 @@ def _are_checks(means: NDArray[np.float64], period: tuple[int, ...]) -> bool:
 def _are_slanted(means: NDArray[np.float64], sites: NDArray[np.float64], slant: tuple[int, int]) -> bool:
     """Return whether `means` is the product of the mean super-pixel `sites` and a factor per slanted line.
 
-    The limit SLANTED is strict, because CFAs with diagonals of a single channel, such as RGBW, almost meet this condition.
+    The limit SLANTED is strict, because a CFA with diagonals of a single channel, such as RGBW, almost meets this condition.
     """
     usual = np.maximum(tiled(sites[0, :, 0], means.shape), MIN_SIGNAL)
     row, col = np.indices(means.shape)
@@ -283,10 +283,11 @@ def _has_two_gains(factors: NDArray[np.float64]) -> bool:
 
 
 def _noise_shows_two_gains(frame: RawFrame, tiles: NDArray[np.float64], period: tuple[int, ...]) -> bool:
-    """Return whether, according to the noise, the two bright rows of every four have a higher gain than the two dark rows.
+    """Return whether the noise shows that, in each group of four rows, the two bright rows have a higher gain than the
+    others.
 
-    The gain in DN/e- is the ratio of noise variance to signal, which is equal for bright and dark rows if all rows have the
-    same gain. Also returns True if the noise is too small to be measured.
+    The gain in DN/e- is the ratio of noise variance to signal. If all rows have the same gain, this ratio is the same in
+    bright and dark rows. If the noise is too small to be measured, the result is True.
     """
     cols = (tiles.shape[3] - period[1]) // NOISE_COLUMNS * NOISE_COLUMNS
     near, far = tiles[..., :cols], tiles[..., period[1] :][..., :cols]  # pairs of pixels of the same channel
@@ -310,7 +311,7 @@ def _noise_shows_two_gains(frame: RawFrame, tiles: NDArray[np.float64], period: 
 
 
 def _differences(means: NDArray[np.float64], array: NDArray[np.integer]) -> tuple[float, float]:
-    """Return how much sites deviate from the median over all sites with the same entry in `array`.
+    """Return by how much sites deviate from the median over all sites with the same entry in `array`.
 
     Only the entry with the largest mean deviation is considered.
 
@@ -332,7 +333,7 @@ def _differences(means: NDArray[np.float64], array: NDArray[np.integer]) -> tupl
 
 
 def _median(values: NDArray[np.float64]) -> float:
-    """Return the median without np.median, which imports numpy.ma and so adds 5 % to the rendering time."""
+    """Return the median without np.median, which imports numpy.ma and adds 5 % to the rendering time."""
     in_order = np.sort(values)
     return float(in_order[(values.size - 1) // 2] + in_order[values.size // 2]) / 2
 
@@ -367,9 +368,9 @@ def block_means(frame: RawFrame, period: tuple[int, ...]) -> NDArray[np.float64]
 
 
 def _sites_differ(blocks: NDArray[np.float64], array: NDArray[np.uint8]) -> float:
-    """Return the mean difference between a site and the mean over its channel's sites in the same block.
+    """Return the mean absolute deviation of sites from the mean of their channel in the same block.
 
-    The difference is a fraction of the signal.
+    The deviation is a fraction of the signal.
     """
     of_channels = (blocks[:, array == channel] for channel in sorted(set(array.flat)))
     return float(sum(np.abs(each - each.mean(axis=1, keepdims=True)).sum() for each in of_channels) / blocks.sum())
@@ -395,9 +396,10 @@ def _far_from_grey(
 
 
 def share_below_black(frame: RawFrame) -> float:
-    """Return the fraction of pixels below BELOW times the black level, which noise cannot explain if the level is correct.
+    """Return the fraction of pixels that are so far below the black level that this level must be wrong.
 
-    Returns 0 if the fraction is too small to report, or if the black level is below SMALLEST_BLACK.
+    These pixels are below BELOW times the black level. If the fraction is too small to report, or if the black level is
+    below SMALLEST_BLACK, the result is 0.
     """
     if frame.black_level < SMALLEST_BLACK:
         return 0.0
@@ -408,9 +410,9 @@ def share_below_black(frame: RawFrame) -> float:
 def black_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> float | None:
     """Return the probable black level, in DN, of a frame with a stated black level of 0.
 
-    If the stated level is wrong, the darkest values of all channels are at about the same level, far above 0: relative to
-    their mean, they differ less between the channels than the medians do. If light caused the darkest values, they would
-    differ in proportion to the filters' transmittances.
+    If the stated level is wrong, the darkest values of all channels are close to the true black level, far above 0. Relative
+    to their mean, they differ less between channels than the medians do. If they were caused by light, they would differ in
+    proportion to the filters' transmittances.
 
     Returns
     -------
@@ -432,7 +434,7 @@ def black_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> float | None:
 
 
 def smoother_reading(readings: Iterable[tuple[str, NDArray[np.uint16], int]], cfa: NDArray[np.uint8]) -> str:
-    """Find a decoding of a headerless file that results in a far smoother frame than the decoding in use.
+    """Find a decoding of a headerless file that results in a far smoother frame than the current decoding.
 
     If low bits are mistaken for high bits, neighbouring pixels of the same channel differ by a large fraction of full scale,
     even in uniform, dark or noisy frames. A wrong decoding never makes a frame smoother.
@@ -440,22 +442,22 @@ def smoother_reading(readings: Iterable[tuple[str, NDArray[np.uint16], int]], cf
     Parameters
     ----------
     readings : iterable of (str, ndarray of uint16 (row, col), int)
-        Option, pixels and bits per pixel of each decoding of the same bytes. The first one is the decoding in use. All
-        others are requested only if it results in a rough frame.
+        Option, pixels and bits per pixel of each decoding of the same bytes. The first one is the current decoding. The
+        others are computed only if it results in a rough frame.
     cfa : ndarray of uint8, (row, col)
         Channel of each site, starting with the site of the first pixel.
 
     Returns
     -------
     str
-        Option that selects the smoothest decoding, or "" if the first decoding is plausible or none is much smoother.
+        Option that selects the smoothest decoding. "" if the current decoding is plausible, or if no other is much smoother.
     """
     each = iter(readings)
     _, values, bits = next(each)
     rough = roughness(values, bits, cfa)
     if rough < ROUGH:
         return ""
-    # If no value exceeds 255, swapping the bytes always results in a smoother frame, even if their order was correct.
+    # Ignore swapped 16-bit values that all fit into 8 bits. They result in a smoother frame even if the order was correct.
     found = [(roughness(other, bits, cfa), name) for name, other, bits in each if bits < 16 or other.max() >= 256]
     least, name = min(found, default=(rough, ""))
     return name if least * SMOOTHER < rough else ""
@@ -464,8 +466,8 @@ def smoother_reading(readings: Iterable[tuple[str, NDArray[np.uint16], int]], cf
 def roughness(values: NDArray[np.uint16], bits: int, cfa: NDArray[np.uint8]) -> float:
     """Return the mean difference between neighbouring pixels of the same channel, as a fraction of full scale.
 
-    It is measured in evenly spaced bands of a frame, (row, col). `cfa` starts with the site of the first pixel. Returns 0 if
-    the frame has fewer than two super-pixels in one of the directions.
+    It is measured in evenly spaced bands of a frame, (row, col). `cfa` starts with the site of the first pixel. If the frame
+    has fewer than two super-pixels in one of the directions, the result is 0.
     """
     rows, cols = cfa.shape
     bands = len(values) // rows - 1

@@ -1,7 +1,7 @@
 """Correct lens shading, the loss of light towards the corners of a frame (docs/method.md#corrections).
 
-The mean loss of all channels is corrected by a gain on the rendered outputs. Because transforms are linear, this has the
-same effect as a gain on the raw values, but the classes are still determined from uncorrected raw values, so that the noise
+The mean loss of all channels is corrected by a gain on the rendered outputs. Transforms are linear, so this has the same
+effect as a gain on the raw values. The classes, however, are determined from uncorrected raw values, to which the noise
 model applies. Only colour shading, the difference between a channel's loss and the mean loss, is corrected in the raw
 values. This changes their noise only slightly.
 """
@@ -34,7 +34,7 @@ class Shading:
         return self.gain_at(np.arange(len(self.gain)), np.arange(cols))
 
     def gain_at(self, rows: NDArray[np.integer], cols: NDArray[np.integer]) -> NDArray[np.float64]:
-        """Return the output gains, (row, col), for all combinations of these rows and columns."""
+        """Return the output gains at all combinations of these rows and columns: (row, col)."""
         node, part = cols // NODE_SPACING_COLUMNS, (cols % NODE_SPACING_COLUMNS) / NODE_SPACING_COLUMNS
         gain = self.gain[rows].astype(np.float64)
         return np.asarray(gain[:, node] + (gain[:, node + 1] - gain[:, node]) * part)
@@ -54,8 +54,8 @@ class Shading:
         Returns
         -------
         Shading
-            Correction with the gain at each patch centre, (patch, 1), and the colour shading of each pixel (tap) in a patch,
-            (patch, tap).
+            Correction with the gain at each patch centre, (patch, 1), and the colour shading of each pixel (tap) in each
+            patch, (patch, tap).
         """
         colour = None if self.colour is None else self.colour[taken].reshape(rows.size * cols.size, -1)
         return Shading(self.gain_at(rows, cols).reshape(-1, 1).astype(np.float32), colour)
@@ -90,8 +90,8 @@ def shading_of(field: "FlatField", shape: tuple[int, int], cfa: NDArray[np.uint8
 def shading_of_gain(gain: NDArray[np.floating], period: tuple[int, ...]) -> Shading:
     """Return the shading correction that multiplies each pixel by a gain.
 
-    The output gain of a pixel is the mean gain in the surrounding CFA period. The quotient of the pixel's gain and the
-    output gain is corrected as colour shading.
+    The output gain of a pixel is the mean gain in the surrounding CFA period. The ratio of the pixel's gain to this output
+    gain is corrected as colour shading.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Reflectances of the patches of ColorChecker charts."""
+"""Reflectances of ColorChecker patches."""
 
 import functools
 import re
@@ -33,8 +33,8 @@ def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
 
     "classic" and "passport" are charts from before November 2014, with the average spectra of thirty charts (BabelColor).
     The spectra of "classic ISO 17321" are from ISO 17321-1. Later charts ("classic 2014", "passport 2") have different
-    pigments with unpublished spectra. They are represented by the average spectra of the older charts, each multiplied by a
-    smooth function of wavelength that yields the manufacturer's colour.
+    pigments with unpublished spectra. For these charts, each average spectrum of the older charts is multiplied by a smooth
+    function of wavelength, so that the patch has the manufacturer's colour.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
 
 
 def _corrected(reflectance: Array, wavelength: Array, stated: str) -> Array:
-    """Multiply each reflectance by the smoothest function of wavelength that yields the stated colour."""
+    """Multiply each reflectance by the smoothest function of wavelength that results in the stated colour."""
     target = _stated_xyz(stated)
     light = spectra.illuminant("D50", wavelength)
     weights = spectra.xyz_weights(wavelength) * light

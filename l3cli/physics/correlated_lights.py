@@ -1,6 +1,6 @@
 """Estimate the illuminant of a scene from its white point, or from the camera signals of a grey surface.
 
-Illuminants are modelled as black bodies or CIE daylight with a green or magenta tint (docs/method.md#scene-white).
+Illuminants are modelled as black bodies, or CIE daylight, with a green or magenta tint (docs/method.md#scene-white).
 """
 
 import functools
@@ -20,7 +20,7 @@ DAYLIGHT_MIRED = 250.0  # largest mired value (4000 K) of daylight; model illumi
 GREENS = np.arange(-0.8, 1.01, 0.1)  # tints: natural logarithm of the factor at GREEN_NM; negative values are magenta
 GREEN_NM, GREEN_WIDTH = 545.0, 45.0  # centre and width of the tint in nm, near the green line of fluorescent lamps
 SAME_MIRED = 1.0  # difference in mired (42 K at 6500 K) below which two colour temperatures look the same
-FINER = 10  # number of steps in the second search per step of the first
+FINER = 10  # number of steps in the second search for each step of the first search
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def _nearest(weights: Array, wavelength: Array, neutral: Array) -> tuple[float, 
 
 
 def light_of(white: Array) -> CorrelatedLight:
-    """Describe an illuminant with an unknown spectrum by its white point `white`, XYZ (3,) at any luminance."""
+    """Describe an illuminant with an unknown spectrum by its white point, XYZ (3,) at any luminance."""
     return CorrelatedLight(np.asarray(white / white[1], np.float64), *temperature(white), 0.0, None)
 
 

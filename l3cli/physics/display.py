@@ -24,7 +24,7 @@ LUMA = np.array([0.2126, 0.7152, 0.0722])  # luminance weights of the sRGB prima
 FLOAT_BITS = 32  # bits per value of linear floating-point pictures
 CODES = {8: np.uint8, 16: np.uint16}  # data type by number of bits per code
 AT_ONCE = 1 << 13  # number of colours per block, small enough for the processor cache
-TONE_LIMIT = 1e6  # limit for linear values before the tone curve, far above the value that is displayed as white
+TONE_LIMIT = 1e6  # upper limit of linear values before the tone curve, far above display white
 PRECISION = 1e-3  # gradient at which the optimisation stops, because smaller gradients would not change the results
 
 
@@ -54,8 +54,8 @@ def white_luminance(luminance: Array) -> float:
 def white_percentile(values: Array) -> float:
     """Return the 99th percentile of an array, or NaN if the array contains NaN.
 
-    The result equals np.percentile, except for the rounding in float32, which differs between versions of numpy.
-    np.percentile imports numpy's masked arrays, which would take 5 % of the time for rendering a picture.
+    The result equals the result of np.percentile, except for float32 rounding, which differs between versions of numpy.
+    np.percentile is not used, because it imports numpy's masked arrays, which takes 5 % of the time to render a picture.
     """
     flat = values.ravel()
     place = (flat.size - 1) * (WHITE_PERCENTILE / 100)
@@ -141,7 +141,7 @@ class Tone:
     e: float
 
     def toned(self, linear: Array) -> Array:
-        """Apply the tone curve to linear values. The result is linear and must still be encoded for display."""
+        """Apply the tone curve to linear values. The result is linear, and must still be encoded for display."""
         x = np.clip(linear, 0.0, TONE_LIMIT)
         return np.minimum(x * (self.a * x + self.b) / (x * (self.c * x + self.d) + self.e), 1.0)
 
@@ -175,13 +175,13 @@ def displayed(xyz: Array, white: Array, scale: float) -> Array:
 
 
 def scene_xyz(linear: Array, white: Array, scale: float) -> Array:
-    """Convert a picture to scene XYZ (3, row, col). This is the inverse of `displayed`, except for clipped values."""
+    """Convert a picture to scene XYZ (3, row, col), the inverse of `displayed` except for clipped values."""
     matrix = adaptation_matrix(daylight(), white) @ xyz_from_srgb_matrix() * scale
     return np.einsum("co,rko->crk", matrix, linear)
 
 
 def displayed_xyz(linear: Array) -> Array:
-    """Convert a picture to the XYZ (row, col, 3) that a display emits, where display white has Y = 1."""
+    """Convert a picture to the XYZ (row, col, 3) that a display emits, with Y = 1 for display white."""
     return linear @ xyz_from_srgb_matrix().T
 
 
@@ -230,8 +230,8 @@ def delta_e_2000(lab_a: Array, lab_b: Array) -> Array:
 def _delta_e_2000(one: Array, other: Array) -> Array:
     """Compute CIEDE2000 differences between L*, a*, b* values (3, colour), as in Sharma, Wu and Dalal (2005).
 
-    To avoid trigonometric functions, hues are represented by unit vectors, and the mean of two hues by their bisector. Only
-    the mean hue is computed as an angle.
+    To avoid trigonometric functions, hues are unit vectors, and the mean of two hues is their bisector. Only the mean hue is
+    computed as an angle.
     """
     (light_1, a_1, b_1), (light_2, a_2, b_2) = one, other
     stretch = 1.5 - 0.5 * _vivid((_length(a_1, b_1) + _length(a_2, b_2)) / 2)
@@ -276,7 +276,7 @@ def displayed_delta_e(one: Array, other: Array) -> Array:
 
 
 def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, noise: Array | float = 0.0) -> Array:
-    """Fit a matrix M that converts inputs to outputs by least squares, with the constraint M @ known = answer.
+    """Fit a matrix M that converts inputs to outputs, by least squares with the constraint M @ known = answer.
 
     Parameters
     ----------
@@ -285,7 +285,7 @@ def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, nois
     outputs : ndarray, (surface, output)
         Desired outputs, such as XYZ.
     known : ndarray, (input,)
-        Input that M must convert exactly, such as the signals of white.
+        Input for which M must be exact, such as the signals of white.
     answer : ndarray, (output,)
         Output for the input `known`.
     noise : ndarray, (input,), or float

@@ -12,7 +12,7 @@ Array = NDArray[np.floating]
 def image_distance(focal_length: float, object_distance: float) -> float:
     """Return the distance from the lens to the sensor for an object in focus at the distance d: f d / (d − f).
 
-    An `object_distance` d of 0 represents infinity, for which the result is the focal length f.
+    If `object_distance` (d) is 0, the object is at infinity, and the result is the focal length f.
     """
     if object_distance > 0:
         return focal_length * object_distance / (object_distance - focal_length)
@@ -22,7 +22,7 @@ def image_distance(focal_length: float, object_distance: float) -> float:
 def magnification(focal_length: float, object_distance: float) -> float:
     """Return the magnification |m| of an object in focus at the distance d: f / (d − f).
 
-    An `object_distance` d of 0 represents infinity, for which the result is 0.
+    If `object_distance` (d) is 0, the object is at infinity, and the result is 0.
     """
     return focal_length / (object_distance - focal_length) if object_distance > 0 else 0.0
 

@@ -1,4 +1,4 @@
-"""Functions for colour filter arrays (CFAs). A CFA is an array (row, col) of channel indices for one period."""
+"""Functions for colour filter arrays (CFAs). A CFA is an array (row, col) of channel indices, one per site of a period."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -16,7 +16,7 @@ def tiled(pattern: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
 def shifted_cfa(cfa: NDArray[np.uint8], phase: tuple[int, int]) -> NDArray[np.uint8]:
     """Shift a CFA cyclically, so that the site at `phase` becomes its first site.
 
-    `phase` is the CFA row and column of a frame's first pixel. The result is then the CFA of the frame.
+    If `phase` is the CFA row and column of a frame's first pixel, the result is the CFA of this frame.
     """
     return np.roll(cfa, (-phase[0], -phase[1]), axis=(0, 1))
 
@@ -37,7 +37,7 @@ def _near(pattern: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
 
 
 def least_period(pattern: NDArray[Any]) -> NDArray[Any]:
-    """Return the smallest rectangle, starting at pattern[0, 0], that yields the pattern (row, col) by repetition."""
+    """Return the smallest rectangle, starting at pattern[0, 0], of which the pattern (row, col) is a repetition."""
     lengths = []
     for axis, length in enumerate(pattern.shape):
         periods = (each for each in range(1, length + 1) if length % each == 0)

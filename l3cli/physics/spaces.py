@@ -22,9 +22,9 @@ D65: XY = (0.3127, 0.3290)
 
 @dataclass(frozen=True)
 class Curve:
-    """A transfer curve for linear values x in 0…1.
+    """Transfer curve for linear values x in 0…1.
 
-    The encoded value is slope · x for x ≤ knee, and gain · x^exponent − offset for larger x.
+    The encoded value is slope · x if x ≤ knee, otherwise gain · x^exponent − offset.
     """
 
     knee: float
@@ -101,7 +101,7 @@ def chromaticity_of(xyz: Array) -> XY:
 
 
 def adaptation_matrix(white: Array, to: Array) -> Array:
-    """Return the Bradford matrix, which adapts XYZ from one white to another.
+    """Return the matrix that adapts XYZ from one white to another, by the Bradford method.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Wavelength grids, illuminants, observers and reflectances.
 
 A spectrum is an array of values on a wavelength grid. Wavelengths are in nm. Radiance is in photons/s/sr/m²/nm unless stated
-otherwise. All other modules access colour-science through this module.
+otherwise. All other modules use colour-science through this module.
 """
 
 import functools
@@ -20,7 +20,8 @@ LIGHT_SPEED = 299792458.0  # m/s
 LUMINOUS_EFFICACY = 683.0  # lm/W
 BLACK_BODY = Quantity(500, 100_000, "K")  # permitted colour temperatures of black bodies
 DAYLIGHT = Quantity(4000, 25_000, "K")  # colour temperatures for which CIE daylight is defined
-# Correlated colour temperatures of CIE daylight in K, for the current value of the second radiation constant (CIE 15).
+# Correlated colour temperatures of CIE daylight in K, corrected to the present value of the second radiation constant (CIE
+# 15).
 DAYLIGHT_KELVIN = {f"D{hundreds}": hundreds * 100 * 1.4388 / 1.4380 for hundreds in (50, 55, 65, 75)}
 UNSEEN = 1e-9  # luminance, relative to 555 nm light of equal power, below which light is invisible
 LONGEST_NM = 20_000  # maximum wavelength of a spectrum
@@ -40,7 +41,7 @@ def colour_science() -> Any:
 
 
 def photons_from_energy(wavelength: Array, energy: Array) -> Array:
-    """Convert a power spectrum (…, wavelength) to photons/s by dividing it by the photon energy at each wavelength."""
+    """Convert a power spectrum (…, wavelength) to photons/s, by division by the photon energy at each wavelength."""
     return energy * (wavelength * 1e-9) / (PLANCK * LIGHT_SPEED)
 
 
@@ -66,15 +67,15 @@ def bin_widths(wavelength: Array) -> Array:
 
 
 def ascending(wavelength: NDArray[np.float64], values: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[Any]]:
-    """Reverse a wavelength grid and its values (…, wavelength) if the grid is decreasing."""
+    """Return a wavelength grid and its values (…, wavelength), reversed if the grid is decreasing."""
     falls = wavelength.size > 1 and (np.diff(wavelength) < 0).all()
     return (wavelength[::-1], values[..., ::-1]) if falls else (wavelength, values)
 
 
 def _neighbours(grid: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the two neighbours of each wavelength in an increasing grid, and their weights for linear interpolation.
+    """Return each wavelength's two neighbours in an increasing grid, and their weights for linear interpolation.
 
-    Both results have the shape (2, at). Beyond the ends of the grid, the first or the last sample has the weight 1.
+    Both results have the shape (2, at). Beyond the ends of the grid, the nearest sample has the weight 1.
     """
     if grid.size == 1:
         return np.zeros((2, at.size), np.intp), np.array([[1.0], [0.0]]) * np.ones(at.size)
@@ -86,7 +87,7 @@ def _neighbours(grid: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
 def light_grid(seen: Array) -> Array:
     """Return a wavelength grid in steps of 1 nm for an illuminant.
 
-    The grid covers the range of the CIE observer (360…830 nm) and a camera's increasing wavelengths `seen`.
+    The grid covers the range of the CIE observer (360…830 nm), and the range of a camera's increasing wavelengths `seen`.
     """
     return np.arange(np.floor(min(360.0, seen[0])), max(830.0, seen[-1]) + 1.0)
 
@@ -137,7 +138,7 @@ def sampling_matrix(source: Array, grid: Array) -> Array:
 
     Each resampled value is a mean over a bin of `grid`, so the integral is preserved even if a spectral line is between two
     samples of `grid`. If `grid` is finer than `source`, the matrix interpolates linearly. If both grids are equal, it is the
-    identity. Beyond the bins of `source`, the density is assumed to be zero. The wavelengths of each grid may be in any
+    identity. Beyond the bins of `source`, the density is assumed to be zero. The wavelengths in each grid may have any
     order. Raises ValueError if a wavelength occurs twice.
     """
     return _step_matrix(source, grid, extended=False)
@@ -347,7 +348,7 @@ def _illuminant_a(wavelength: Array) -> Array:
 
 
 def _tabulated(name: str, wavelength: Array) -> Array:
-    """Average a tabulated illuminant's power spectrum over the bin of each wavelength. It is constant beyond its table."""
+    """Average a tabulated power spectrum over the bin of each wavelength. Beyond its table, the spectrum is constant."""
     source, values = _illuminant_table(name)
     return np.asarray(values @ _step_matrix(source, wavelength, extended=True).T)
 
@@ -447,8 +448,8 @@ SURFACES_MEASURED = 380.0, 780.0  # range of the measured reflectances in nm, ou
 def reflectance_library(wavelength: Array) -> Array:
     """Return measured surface reflectances (sample, wavelength), clipped to 0.003…0.999.
 
-    They are interpolated linearly at the wavelengths, as `held_interpolation` expects. Averaging over wavelength bins would
-    flatten the curves (docs/method.md#procedural-scenes).
+    They are interpolated linearly, as `held_interpolation` expects. Averages over wavelength bins would flatten the curves
+    (docs/method.md#procedural-scenes).
     """
     library = np.concatenate(
         [[np.interp(wavelength, grid, sample) for sample in samples] for grid, samples in _reflectance_tables()]
@@ -467,8 +468,8 @@ def with_saturation(reflectance: Array, saturation: float, drawn: NDArray[np.boo
     reflectance : ndarray, (…, band)
         Reflectances.
     saturation : float
-        Exponent of the ratio between each reflectance and the geometric mean of the bands. 0 makes reflectances grey, and 1
-        leaves them unchanged.
+        Exponent of the ratio between each reflectance and the geometric mean of the bands. With 0, reflectances become grey.
+        With 1, they are unchanged.
     drawn : ndarray of bool, (band,), or slice
         Bands for the geometric mean. [default: all bands]
 
@@ -484,7 +485,7 @@ def with_titanium_white(reflectance: Array, wavelength: Array, edge: float, widt
     """Add the absorption edge of titanium white (rutile, 3.0 eV, 413 nm) to reflectances.
 
     Below this edge, the reflectance of materials with titanium white drops within about 20 nm. In this range, cameras and
-    the eye differ in sensitivity. If training scenes lacked such materials, a table would render white paint as yellow.
+    the eye differ in sensitivity. Without such materials in the training scenes, a table would render white paint as yellow.
 
     Parameters
     ----------
@@ -506,6 +507,6 @@ def with_titanium_white(reflectance: Array, wavelength: Array, edge: float, widt
 
 
 def kubelka_munk(absorption_per_scattering: Array) -> Array:
-    """Return the reflectance of an opaque paint layer with a ratio K/S of absorption to scattering (Kubelka–Munk)."""
+    """Return the reflectance of an opaque layer of paint from its ratio K/S of absorption to scattering (Kubelka–Munk)."""
     ratio = absorption_per_scattering
     return 1.0 + ratio - np.sqrt(ratio**2 + 2.0 * ratio)

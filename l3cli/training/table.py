@@ -297,7 +297,7 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
 
 
 def _spectra(head: TrainingSet, recipe: LearningRecipe) -> SpectralSmoothing | None:
-    """Return the settings for smoothing spectra. None if the outputs are not spectral, or if the recipe disables smoothing."""
+    """Return the settings for smoothing spectra, or None if the outputs are not spectral or smoothing is disabled."""
     if not recipe.spectral_window or len(head.outputs) == 1 or not spectra.is_spectrum(head.outputs, head.camera.channels):
         return None
     return SpectralSmoothing(recipe.spectral_window, recipe.spectral_reach)
