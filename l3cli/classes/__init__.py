@@ -8,7 +8,8 @@ its OpenCL snippet (opencl/), and the names of its values for tables and plots.
   that enable additional features.
 * `windows` and `statistics` compute the statistics from which all features are derived. Let v = DN >> shift be the values in
   the p × p patch around a pixel. For each channel, the statistics are the number n, the sum S and the sum of squares Q of
-  these values. They also contain the channels that are saturated near the centre, and window sums for additional features.
+  these values. In addition, there are the channels that are saturated near the centre, and window sums for additional
+  features.
 * `rule` computes a camera's class rule from a class recipe. `decide` assigns each pixel to a class.
 * `plane_kernel` prepares class rules for the OpenCL kernels. `names` describes classes in words.
 

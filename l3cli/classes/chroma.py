@@ -7,9 +7,9 @@ S and n are the sum and the number of a channel's values in the patch. Σ is the
 Let f be the channel means above black, divided by their sum, and let q be a chroma centre. The distance |f − q|² is smallest
 for the centre with the smallest |q|² Σ f − 2 Σ f q. With the weights |q|² − 2 q, no division is needed.
 
-A class rule may dither between chromas (docs/method.md#dither). For a colour midway between two chroma centres, half of the
-CFA sites use the second nearest centre. The closer the colour is to the nearest centre, the fewer sites do so. Colours then
-change smoothly, because later layers average over the sites.
+A class rule may dither between chromas (docs/method.md#dither). If a colour is midway between two chroma centres, half of
+the CFA sites use the second nearest centre. The closer the colour is to the nearest centre, the fewer sites do so. Later
+layers average over the sites, so that colours change smoothly.
 """
 
 import warnings
@@ -26,14 +26,15 @@ from l3cli.classes.windows import Integers, Neighbourhoods
 
 CHROMA_FRACTION = 4  # number of fractional bits of a channel mean in the chroma scores
 MAX_CHROMA_INPUT = 2**16 - 1  # channel means are clamped to this value, so that the scores fit into 32 bits
-# number of k-means runs, of which the best is used, because one run in ten increases the S-CIELAB error by 10 %
+# Number of k-means runs, of which the best is used. A single run would increase the S-CIELAB error by 10 % in one case of
+# ten.
 STARTS = 4
 WIDTH_FRACTION = 8  # number of fractional bits of the dither widths
-# dither width divided by the squared distance to the nearest other centre; a ratio of 1 would tint the palest paints
+# Dither width, divided by the squared distance to the nearest other centre. A ratio of 1 would tint the palest paints.
 DITHERED = 0.6
-# smallest squared distance between two centres, times the squared number of channels, at which the rule dithers
+# Smallest squared distance between two centres at which the rule dithers, multiplied by the squared number of channels.
 TWINS = 2e-3
-TURN = 159  # 256 × the golden ratio conjugate, for evenly distributed dither thresholds at consecutive sites
+TURN = 159  # 256 × 0.618 (golden ratio), so that the dither thresholds of consecutive sites are evenly distributed
 SNIPPET = "features/chroma.cl"
 
 
@@ -95,7 +96,7 @@ def _means(shares: NDArray[np.float64], count: int, seed: int) -> NDArray[np.flo
     if len(distinct) <= count:
         return distinct
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # about empty clusters, which are removed below
+        warnings.simplefilter("ignore", UserWarning)  # scipy warns about empty clusters, which are removed below
         rng = np.random.default_rng([seed, 2])
         tried = [kmeans2(shares, count, iter=30, minit="++", rng=rng) for _ in range(STARTS)]
     centres, member = min(tried, key=lambda each: float(((shares - each[0][each[1]]) ** 2).sum()))
@@ -103,7 +104,7 @@ def _means(shares: NDArray[np.float64], count: int, seed: int) -> NDArray[np.flo
 
 
 def chroma_weights(centres: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Convert chroma centres (chroma, channel) to integer weights with which the nearest centre has the lowest score."""
+    """Convert chroma centres (chroma, channel) to integer weights, so that the nearest centre has the lowest score."""
     weights = (centres**2).sum(axis=1, keepdims=True) - 2 * centres
     return np.rint(weights * CHROMA_SCALE).astype(np.int32)
 
@@ -127,8 +128,8 @@ def chroma_widths(rule: ClassRule) -> NDArray[np.int32]:
     """Return the dither width of each chroma, in 1/256 of a score for channel means that add up to 1.
 
     A pixel can use the second nearest chroma centre only if the scores of the two nearest centres differ by less than the
-    dither width. The width is DITHERED times the squared distance between the nearest centre and the closest other centre.
-    It is 0 if the rule does not dither, or if these centres are so close that greys would flicker between them.
+    dither width. A chroma's width is DITHERED times the squared distance from its centre to the closest other centre. If the
+    rule does not dither, or if the two centres are so close that greys would flicker between them, the width is 0.
     """
     centres = chroma_centres(rule)
     distance = ((centres[:, None] - centres[None]) ** 2).sum(axis=2)
@@ -147,7 +148,7 @@ def stored_black_level(camera: CameraModel, shift: int) -> int:
 def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
     """Return the chroma of each pixel. Saturated pixels also get a chroma, but it does not affect their class."""
     above_black = np.clip((statistics.scaled >> (16 - CHROMA_FRACTION)) - rule.chroma_black_level, 0, MAX_CHROMA_INPUT)
-    # The scores are below 2⁵³ and therefore exact in float64. With floats, numpy uses the faster matrix products of BLAS.
+    # The scores are below 2⁵³ and therefore exact in float64. For floats, numpy uses the faster matrix products of BLAS.
     scores = above_black.astype(np.float64) @ rule.chroma_weights.T.astype(np.float64)
     nearest = np.argmin(scores, axis=-1)
     if not (widths := chroma_widths(rule)).any():

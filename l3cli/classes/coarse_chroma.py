@@ -1,4 +1,4 @@
-"""Coarse chroma: the mean chroma of similar pixels in an area much larger than a window (docs/method.md#coarse-chroma).
+"""Average the chroma of similar pixels in an area much larger than a window (docs/method.md#coarse-chroma).
 
 The opponent planes are averaged over blocks of 4 × 4 pixels. The blocks are then smoothed in four edge-avoiding steps, with
 spacings of 1, 2, 4 and 8 blocks. The change in chroma is interpolated between the blocks and added to each pixel.
@@ -12,7 +12,7 @@ from l3cli.classes.planes import CHROMA, LUMINANCE
 
 BLOCK = 4  # side of a block in pixels
 SPACINGS = (1, 2, 4, 8)  # spacing of each step, in blocks
-REACH = BLOCK * (sum(SPACINGS) + 2)  # largest distance, in pixels, at which a pixel influences the result
+REACH = BLOCK * (sum(SPACINGS) + 2)  # largest distance, in pixels, at which a pixel can affect the result
 ALIKE = np.array([3.0, 4.0, 5.0, 6.0])  # width of the similarity function in each step, in standard deviations of the noise
 POWER = 8  # exponent in (1 − u / POWER)^POWER, an approximation of exp(−u) that reaches zero
 STEP_WEIGHTS = np.array([1.0, 2.0, 1.0]) / 4
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 def scales_of(chroma: CoarseChroma, noise_ratio: float = 1.0) -> Array:
-    """Compute the scale of squared differences between blocks in the similarity function.
+    """Compute the values by which squared differences between blocks are divided in the similarity function.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def scales_of(chroma: CoarseChroma, noise_ratio: float = 1.0) -> Array:
 
 
 def coarse_change(planes: NDArray[np.int32], scales: Array) -> Array:
-    """Compute the change that coarse chroma adds to the two chroma planes, in units of PLANE_STEP.
+    """Compute the change that the coarse chroma filter adds to the two chroma planes, in units of PLANE_STEP.
 
     Parameters
     ----------
@@ -63,14 +63,14 @@ def coarse_change(planes: NDArray[np.int32], scales: Array) -> Array:
 
 
 def blocks_of(planes: NDArray) -> Array:
-    """Return block means (plane, block row, block col). Incomplete blocks are filled by repeating the border pixels."""
+    """Return block means (plane, block row, block col). Incomplete blocks are filled with repeated border pixels."""
     rows, cols = planes.shape[1:]
     whole = np.pad(planes, ((0, 0), (0, -rows % BLOCK), (0, -cols % BLOCK)), mode="edge")
     return np.asarray(whole.reshape(3, -(-rows // BLOCK), BLOCK, -(-cols // BLOCK), BLOCK).mean(axis=(2, 4)))
 
 
 def edge_avoiding(blocks: Array, spacing: int, scale: Array) -> Array:
-    """Average each block with similar blocks among its eight neighbours at a given spacing.
+    """Average each block with its eight neighbours at a given spacing, weighted by their similarity.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def edge_avoiding(blocks: Array, spacing: int, scale: Array) -> Array:
 
 
 def _between(length: int) -> tuple[NDArray[np.intp], Array]:
-    """Return the previous block's index and the next block's weight, for interpolation at each pixel along an axis.
+    """Return, for each pixel along an axis, the index of the block before it and the interpolation weight of the next block.
 
     Index 0 is the padding block before the frame.
     """
@@ -106,6 +106,6 @@ def _between(length: int) -> tuple[NDArray[np.intp], Array]:
 
 
 def _at(scale: Array, luminance: Array) -> Array:
-    """Evaluate the polynomials `scale` (plane, power) at luminances (row, col), with negative luminances set to 0."""
+    """Evaluate the polynomials `scale` (plane, power) at luminances (row, col). Negative luminances count as 0."""
     above = np.maximum(luminance, 0)
     return np.asarray(np.einsum("pn,nrc->prc", scale, np.stack([np.ones_like(above), above, above**2])))

@@ -20,7 +20,7 @@ from l3cli.classes.statistics import Statistics
 from l3cli.classes.windows import VARIANCE_FRACTION, Integers, window_channels
 from l3cli.errors import RecipeError
 
-# mean increase of V, in DN², from rounding M down; it matters if the noise is below 1 DN
+# Mean increase of V, in DN², because M is rounded down. It is relevant only if the noise is below 1 DN.
 MEAN_TRUNCATED = 1 / 3
 SNIPPET = "features/contrast.cl"
 
@@ -41,7 +41,7 @@ def stored_edges(
     recipe : BasicKeys
         Class recipe with the edges in standard deviations of the noise.
     levels : ndarray, (level,)
-        Signal of the most sensitive channel at the centre of each level, as a fraction of full scale.
+        The most sensitive channel's signal at the centre of each level, as a fraction of full scale.
     camera : CameraModel
         The camera.
     shift : int
@@ -63,7 +63,9 @@ def stored_edges(
 
 
 def noise_of_grey(levels: NDArray[np.float64], camera: CameraModel, dark: float) -> NDArray[np.floating]:
-    """Compute the noise variance of grey patches, in DN², averaged over the channels. Clipped channels have no noise.
+    """Compute the noise variance of grey patches, in DN², averaged over the channels.
+
+    Clipped channels have no noise.
 
     Parameters
     ----------
@@ -83,10 +85,10 @@ def noise_of_grey(levels: NDArray[np.float64], camera: CameraModel, dark: float)
 
 
 def noise_of_means(camera: CameraModel, patch: int, dark: float) -> float:
-    """Compute the variance of a patch's channel means due to row and column noise, in DN², averaged over the channels.
+    """Compute the variance, due to row and column noise, of a patch's channel means, averaged over the channels, in DN².
 
-    This variance does not contribute to the contrast, which is measured relative to the channel means. Independent pixel
-    noise hardly affects these means and is neglected.
+    This variance does not contribute to the contrast, because deviations are measured from the channel means. Independent
+    pixel noise hardly affects these means and is neglected.
     """
     rows, columns = camera.line_variances(dark)
     channel = window_channels(camera.cfa, patch).reshape(-1, patch, patch)

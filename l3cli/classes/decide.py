@@ -89,7 +89,7 @@ def label_sums(seen: PatchSums, rule: ClassRule, neighbours: Neighbourhoods, sit
 def observe_patches(
     patches: NDArray[np.unsignedinteger], rule: ClassRule, neighbours: Neighbourhoods, site: int
 ) -> dict[str, NDArray[np.float64]]:
-    """Collect the statistics of pilot patches from which additional features compute their constants.
+    """Measure the pilot patches' statistics from which additional features compute their constants.
 
     Parameters
     ----------

@@ -1,14 +1,14 @@
 """Direction: the axis along which a patch changes most, and the strength and coherence of this change.
 
 docs/method.md#direction contains the formulas. A change is coherent if the values hardly change across the axis. Coherence
-is used only if the class recipe sets it. Because transforms are linear, increasing and decreasing brightness along an axis
-count as the same direction.
+is used only if the class recipe sets it. Transforms are linear, so increasing and decreasing brightness along an axis count
+as the same direction.
 
 Differences are computed along four axes: horizontal (0), diagonal (1), vertical (2) and the other diagonal (3). A rotation
-by 90° exchanges axes 0 and 2 as well as axes 1 and 3. Transposition exchanges axes 0 and 2. Strength and coherence do not
-change. Because the boxes are placed symmetrically, these rules are exact, unless the values change equally along two axes.
-CFA sites that are mirror images of each other are trained together, with their classes exchanged accordingly (`turned`,
-training/symmetry).
+by 90° swaps axes 0 and 2, and axes 1 and 3. Transposition swaps axes 0 and 2. Strength and coherence do not change. These
+rules are exact, because the boxes are placed symmetrically. The only exception is a patch in which the values change equally
+along two axes. CFA sites that are mirror images of each other are trained together, with their classes swapped accordingly
+(`turned`, training/symmetry).
 """
 
 import math
@@ -26,7 +26,7 @@ from l3cli.errors import RecipeError
 from l3cli.recipes.toml import Recipe, Share
 
 SNIPPET = "features/direction.cl"
-SCALE = 64  # the larger of the two multipliers that make differences along straight and diagonal axes comparable
+SCALE = 64  # larger one of the two multipliers that make differences along straight and diagonal axes comparable
 SHARES = 16  # coherence is stored in units of 1/SHARES
 # Number of constants before the strength edges: the multiplier of axes 0 and 2, the multiplier of axes 1 and 3, the number
 # of orientations, the number of strengths, and the coherence.
@@ -74,9 +74,9 @@ def make_feature(
 
 
 def inner_span(span: int) -> int:
-    """Return the offset, in rows and columns, between the two boxes of a diagonal axis.
+    """Return the offset, in rows and in columns, between the two boxes of a diagonal axis.
 
-    With this offset, the boxes are about as far apart as the boxes of a straight axis (`span` pixels), and both are equally
+    The distance between the boxes is then about the same as on a straight axis (`span` pixels), and both boxes are equally
     far from the centre of the patch.
     """
     return max(2 - span % 2, span - 2 * round((span - span / math.sqrt(2)) / 2))
@@ -85,7 +85,7 @@ def inner_span(span: int) -> int:
 def boxes(patch: int, period: int, inner: int) -> tuple[Window, ...]:
     """Return the boxes between which the differences along the four axes are computed.
 
-    If the centre of a box would lie between two pixels, two boxes at the two neighbouring positions replace it.
+    If the ideal position of a box is halfway between two pixels, the box is replaced with two boxes at these pixels.
     """
     span = patch - period
     inner_edge, outer_edge = (span - inner) // 2, (span + inner) // 2
@@ -109,9 +109,9 @@ def _strength_edges(
 ) -> Integers:
     """Return the integer edges between strengths: (strength edge, level).
 
-    The edges are multiples of the RMS difference from noise alone at each level. Row noise and column noise affect some of
-    the four differences more than others. For cameras with such noise, the edges are multiples of the noisiest difference,
-    so that noise is not mistaken for structure.
+    The edges are multiples of each level's RMS difference due to noise alone. Row noise and column noise affect some of the
+    four differences more than others. If a camera has such noise, the edges are multiples of the noisiest difference, so
+    that noise is not mistaken for structure.
     """
     counts = np.zeros((4, rule.patch, rule.patch))
     for window in windows:
@@ -184,7 +184,7 @@ def values(feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -
 
 
 def with_less_noise(feature: Feature, noise_fraction: float | NDArray[np.float64]) -> Feature:
-    """Scale the strength edges for frames in which a fraction `noise_fraction` of the noise variance remains."""
+    """Scale the strength edges for frames in which only the fraction `noise_fraction` of the noise variance remains."""
     constants = feature.constants.copy()
     edges = constants[HEAD:] * np.sqrt(np.resize(noise_fraction, constants.size - HEAD))
     constants[HEAD:] = np.minimum(np.rint(edges), 2**31 - 1)
@@ -192,7 +192,7 @@ def with_less_noise(feature: Feature, noise_fraction: float | NDArray[np.float64
 
 
 def turned(feature: Feature, transposed: bool, turns: int) -> Integers:
-    """Map each direction to the direction in the turned patch, rot90(patch.T if transposed else patch, turns)."""
+    """Return each direction's equivalent in the turned patch, rot90(patch.T if transposed else patch, turns)."""
     orientations = int(feature.constants[2])
     quarter = orientations // 2
     orientation = np.arange(orientations)

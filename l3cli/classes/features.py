@@ -1,12 +1,12 @@
-"""The features of a class rule, and the interface of the modules that implement them.
+"""The features of a class rule, and the interfaces of the modules that implement them.
 
 Every class rule has the basic features level, contrast, saturation and chroma. Training and the kernels contain special code
 for these four. For example, a level with few patches borrows patches from neighbouring levels, and classes with clipped
 channels are trained on greys.
 
 A class recipe enables an additional feature with a table of the same name (`ClassRecipe`). The feature's module contains the
-functions of `FeatureModule`. Its windows and constants are stored as a `class_rule.Feature`, which these functions receive
-as the parameter `feature`.
+functions of `FeatureModule`. A `class_rule.Feature` stores the feature's windows and constants. The functions receive it as
+the parameter `feature`.
 """
 
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ from l3cli.errors import InputFileError
 
 
 class DescribedFeature(Protocol):
-    """Functions in the module of every feature."""
+    """Interface of every feature's module."""
 
     SNIPPET: str  # OpenCL file with the feature's formula, relative to opencl/
 
@@ -41,7 +41,7 @@ class DescribedFeature(Protocol):
 
 
 class BasicFeatureModule(DescribedFeature, Protocol):
-    """Further functions in the modules of the basic features."""
+    """Interface of a basic feature's module."""
 
     def macros(self, rule: ClassRule) -> dict[str, int]:
         """Return the compiler macros for the feature's OpenCL snippet."""
@@ -51,10 +51,10 @@ class BasicFeatureModule(DescribedFeature, Protocol):
 
 
 class FeatureModule(DescribedFeature, Protocol):
-    """Functions in the module of an additional feature, which a class recipe can enable.
+    """Interface of an additional feature's module. A class recipe can enable the feature.
 
-    A feature value is computed from integer sums over windows of the patch, the level of the pixel, and constants. The
-    constants are computed together with the class rule. Window sums are sums of DN >> shift with absolute values below 2²⁰.
+    A feature value is computed from integer sums over windows of the patch, the pixel's level, and constants. The constants
+    are computed together with the class rule. Window sums are sums of DN >> shift. Their absolute values are below 2²⁰.
     The OpenCL snippet defines the function
 
         INLINE uints NAME_of(const ints *sum, uints level, __global const int *constants)
@@ -65,7 +65,7 @@ class FeatureModule(DescribedFeature, Protocol):
     def fits(self, camera: CameraModel, patch: int) -> bool:
         """Whether patches of `patch` × `patch` pixels are large enough for the feature on the camera's CFA.
 
-        If they are too small, the class rule omits the feature, although the recipe enables it.
+        If they are too small, the class rule omits the feature even if the recipe enables it.
         """
 
     def make_feature(
@@ -96,7 +96,7 @@ class FeatureModule(DescribedFeature, Protocol):
         """Raise ValueError if the number of stored constants is wrong, or if a constant is out of range."""
 
     def observe(self, feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:
-        """Return the statistics (patch, …) of pilot patches from which `make_feature` computes the constants.
+        """Measure the statistics of pilot patches from which `make_feature` computes the constants: (patch, …).
 
         The parameters are the same as for `values`. If the feature needs no statistics, the result has no columns.
         """
@@ -123,7 +123,7 @@ class FeatureModule(DescribedFeature, Protocol):
         """
 
     def turned(self, feature: Feature, transposed: bool, turns: int) -> Integers:
-        """Map each value to the value in the turned patch, rot90(patch.T if transposed else patch, turns)."""
+        """Return each value's equivalent in the turned patch, rot90(patch.T if transposed else patch, turns)."""
 
     def macros(self, feature: Feature, rule: ClassRule) -> dict[str, int]:
         """Return the compiler macros for the feature's OpenCL snippet."""
@@ -131,7 +131,7 @@ class FeatureModule(DescribedFeature, Protocol):
 
 # Kernels include the snippets, and receive the arrays, in this order.
 BASIC: tuple[BasicFeatureModule, ...] = (level, contrast, saturation, chroma)
-# modules of additional features, by the name of the recipe table that enables the feature
+# Modules of additional features, by the name of the recipe table that enables the feature.
 FEATURES: Mapping[str, FeatureModule] = {
     "direction": direction,
 }

@@ -30,7 +30,7 @@ def edge_shares(recipe: BasicKeys, reach: float = 1.0) -> NDArray[np.float64]:
     recipe : BasicKeys
         The class recipe.
     reach : float
-        Exposure at which a grey clips all channels, relative to the exposure at which it clips the most sensitive channel.
+        Exposure at which all channels of a grey clip, relative to the exposure at which its most sensitive channel clips.
 
     Returns
     -------
@@ -94,7 +94,7 @@ def unclipped_level(mean: NDArray[np.floating], sensitivity: NDArray[np.float64]
     """
     if (sensitivity == 1).all():
         return mean
-    # signals at which a channel starts to clip; the mean is linear in between
+    # Signals at which channels start to clip. Between these signals, the mean is linear.
     knots = np.append(0.0, np.unique(1 / sensitivity))
     shares = np.interp(mean, clipped_mean(knots, sensitivity), knots)
     return np.where(mean < 0, mean, shares * sensitivity.mean())

@@ -8,7 +8,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes import chroma, contrast, level, saturation, structure
 from l3cli.classes.features import FEATURES, DescribedFeature, features_of
 
-# modules of all features, by the feature's name in reports and JSON
+# Modules of all features, by the feature's name in reports and JSON.
 EVERY_FEATURE: dict[str, DescribedFeature] = {
     "level": level,
     "contrast": contrast,
@@ -19,12 +19,12 @@ EVERY_FEATURE: dict[str, DescribedFeature] = {
 
 
 def heading(feature: str, entry: dict[str, Any]) -> str:
-    """Return a row label for a value of the feature named `feature`, given the value's `entry` from the feature's module."""
+    """Return a row label for a feature value. `entry` is its description from the module of the feature."""
     return EVERY_FEATURE[feature].heading(entry)
 
 
 def feature_headings(entry: dict[str, Any]) -> list[str]:
-    """Return texts such as "direction 3: along 90°" for the additional features in `entry`, the description of a class."""
+    """Return texts such as "direction 3: along 90°" for the additional features in the class description `entry`."""
     return [f"{name} {module.heading(entry)}" for name, module in FEATURES.items() if name in entry]
 
 
@@ -38,7 +38,7 @@ def class_name(table: TransformTable, index: int) -> str:
 
 
 def class_words(table: TransformTable, index: int) -> dict[str, str]:
-    """Describe a class of the first layer in words, as a dict from feature names to values."""
+    """Describe a class of the first layer in words: the value of each feature, by feature name."""
     rule = table.first.rule
     place = rule.split(index)
     case = int(rule.case(place.kind))
@@ -57,7 +57,7 @@ def class_words(table: TransformTable, index: int) -> dict[str, str]:
 
 
 def plane_class_words(table: TransformTable, layer: PlaneLayer, index: int) -> dict[str, str]:
-    """Describe a class of a refinement layer in words, as a dict from feature names to values."""
+    """Describe a class of a refinement layer in words: the value of each feature, by feature name."""
     rule, place = layer.rule, layer.rule.split(index)
     case = int(rule.case(place.kind))
     words = {}

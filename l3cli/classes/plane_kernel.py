@@ -12,7 +12,7 @@ from l3cli.classes import contrast, tree
 from l3cli.classes.features import BASIC, features_of
 from l3cli.classes.structure import NOISE_TRACE
 
-PART_LEAVES = 16  # largest number of leaves of a part, which is a subtree with all its tests evaluated together
+PART_LEAVES = 16  # largest number of leaves in a part, a subtree in which all tests are evaluated together
 UNREACHABLE_THRESHOLD = np.finfo(np.float32).max  # threshold that no value exceeds, for leaves in the node array
 
 
@@ -78,7 +78,7 @@ def _tests(rule: TreeRule) -> NDArray[np.uint32]:
 
 
 def _parts(rule: TreeRule) -> list[int]:
-    """Divide a tree into its largest subtrees with at most PART_LEAVES leaves. Return the first leaf of each, in order."""
+    """Divide a tree into its largest subtrees with at most PART_LEAVES leaves, and return each subtree's first leaf."""
     leaf, end = rule.leaf, _leaf_ends(rule)
     first, above = [], [0]
     while above:
@@ -113,12 +113,12 @@ def _asked(rule: TreeRule, place: int) -> NDArray[np.uint32]:
 
 
 def snippets(rule: ClassRule) -> tuple[str, ...]:
-    """Return the OpenCL files with the formulas of a class rule's features, which are included before rule.cl."""
+    """Return the OpenCL files with the formulas of a class rule's features. Kernels include them before rule.cl."""
     return tuple(module.SNIPPET for module in (*BASIC, *(module for module, _ in features_of(rule))))
 
 
 def joined(rule: ClassRule) -> str:
-    """Return the OpenCL source, included in rule.cl, that combines the values of the additional features.
+    """Return the OpenCL source that combines the values of the additional features. rule.cl includes it.
 
     The source defines the macros COMBINATIONS (number of combinations) and WINDOW_SUMS (number of window sums, at least 1).
     If all windows have the same size, it also defines BOX_ROWS and BOX_COLUMNS. If there are additional features, it also
@@ -137,7 +137,7 @@ def joined(rule: ClassRule) -> str:
 def combination_function(rule: ClassRule) -> str:
     """Return the source of the OpenCL function `combination_of`, which numbers the combination of feature values.
 
-    `combination_of` calls the functions in the features' snippets, and limits each result to the feature's last value.
+    `combination_of` calls the function in each feature's snippet, and limits the result to the feature's last value.
     """
     lines = [
         "INLINE uints combination_of(const ints *sum, uints level, __global const int *constants) {",

@@ -1,8 +1,8 @@
 """Convert layers to fixed-point arithmetic, so that their output planes are identical on every device.
 
-See docs/method.md#planes. The weights of each channel are rounded so that their sum is also rounded correctly. If each
-weight were simply rounded to the nearest integer, uniform areas would have a different tint at every CFA site. Weights have
-16 bits, because processors multiply 16-bit integers twice as fast as floats.
+See docs/method.md#planes. The weights of each channel are rounded so that their sum is the correctly rounded sum. If each
+weight were rounded to the nearest integer, uniform areas would have a different tint at every CFA site. Weights have 16
+bits, because processors multiply 16-bit integers twice as fast as floats.
 """
 
 import functools
@@ -35,7 +35,7 @@ class FixedPoint:
     fraction: NDArray[np.int32]  # (class,): number of fractional bits of W and B
 
     def planes(self, sums: Integers, label: Integers) -> NDArray[np.int32]:
-        """Convert weighted sums to output planes by rounding the fractional bits off and clamping the result.
+        """Convert weighted sums to output planes: round off the fractional bits, and clamp the result.
 
         Parameters
         ----------
@@ -57,7 +57,8 @@ class FixedPoint:
 def opponent_basis(white_point: NDArray[np.floating]) -> NDArray[np.float64]:
     """Return the matrix (output, plane) that converts X, Y, Z to opponent planes: planes = outputs @ matrix.
 
-    The opponent planes are X − aY, Y and Z − bY. With a = X/Y and b = Z/Y of the white point, they are (0, Y, 0) for greys.
+    The opponent planes are X − aY, Y and Z − bY, where a = X/Y and b = Z/Y of the white point. For greys, they are (0, Y,
+    0).
     """
     basis = np.eye(3)
     basis[LUMINANCE, 0], basis[LUMINANCE, 2] = -white_point[0] / white_point[1], -white_point[2] / white_point[1]
@@ -88,7 +89,7 @@ def refined_fixed_point(layer: PlaneLayer, basis: NDArray[np.float64]) -> FixedP
 
 
 def coarse(planes: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Convert planes to coarse planes by rounding off COARSE bits and clamping to ±COARSE_TOP.
+    """Convert planes to coarse planes: round off COARSE bits, and clamp to ±COARSE_TOP.
 
     Coarse planes are the input of all layers between the first and the last layer.
     """
@@ -176,7 +177,7 @@ def _fixed_point(
         distinct, like = _distinct(weights[classes], intercept[classes])
         for start in range(0, len(distinct), CLASSES_AT_ONCE):
             block = distinct[start : start + CLASSES_AT_ONCE] + classes.start
-            # Make the classes the last axis, because numpy sums over the first axis several times faster.
+            # The classes become the last axis, because numpy sums over the first axis several times faster.
             exact = np.moveaxis(_to_planes(weights[block].transpose(1, 2, 0)[:, order], basis), 0, 1) / read.step
             fraction = _fraction(_room(exact, offset[:, block], read))
             scale = 2.0**fraction
@@ -193,7 +194,7 @@ def _fixed_point(
 def _distinct(weights: NDArray[np.float32], intercept: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Group classes with equal transforms, so that each transform is converted only once.
 
-    Classes without training patches use a similar class's transform. With many channels, this applies to half of all
+    Classes without training patches have the transform of a similar class. If there are many channels, these are half of all
     classes.
 
     Returns
@@ -234,10 +235,10 @@ def _fraction(room: NDArray[np.float64]) -> NDArray[np.int32]:
 
 
 def _rounded(weights: NDArray[np.float64], ends: list[int]) -> NDArray[np.float64]:
-    """Round weights up or down so that the sum over each channel's taps is rounded to the nearest integer.
+    """Round weights up or down, so that the sum over each channel's taps is rounded to the nearest integer.
 
-    The weights with the largest fractional parts are rounded up. If fractional parts are equal, the first weights are
-    rounded up. The taps are sorted by channel. Channel c has the taps ends[c] to ends[c + 1] − 1.
+    The weights with the largest fractional parts are rounded up. Among equal fractional parts, the first weights are rounded
+    up. The taps are sorted by channel. Channel c has the taps ends[c] to ends[c + 1] − 1.
     """
     whole = np.floor(weights)
     loss = whole - weights
@@ -260,7 +261,7 @@ def _rounded(weights: NDArray[np.float64], ends: list[int]) -> NDArray[np.float6
 def _to_planes(values: NDArray[np.float32], basis: NDArray[np.float64]) -> NDArray[np.float64]:
     """Convert outputs to planes along the first axis.
 
-    The products are added in a fixed order, for identical rounding errors on every machine.
+    The products are added in a fixed order, so that rounding errors are the same on every machine.
     """
     exact = values.astype(np.float64)
 

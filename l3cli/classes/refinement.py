@@ -1,4 +1,4 @@
-"""Classes and additional taps of refinement layers for whole frames (docs/method.md#structure)."""
+"""Compute the classes and the additional taps of refinement layers for whole frames (docs/method.md#structure)."""
 
 import functools
 from dataclasses import replace
@@ -58,7 +58,7 @@ def _of_all_sets(rule: PlaneRule, others: tuple[PlaneRule, ...]) -> PlaneRule:
 
 
 def _structure(planes: NDArray[np.int32], level: Integers, site: Integers, rule: PlaneRule) -> Integers:
-    """Return the structure of each pixel, or its leaf if the rule is a tree, without regard to saturation."""
+    """Return the structure of each pixel or, if the rule is a tree, its leaf, as if no channel clipped."""
     if isinstance(rule, StructureRule):
         luminance = mirrored(planes[LUMINANCE].astype(np.int32), BORDER_PIXELS)
         return structures(luminance, mirrored(level, BORDER_PIXELS - 1), site, rule)
@@ -94,7 +94,7 @@ def mirrored(planes: NDArray, margin: int) -> NDArray:
 def window_means(planes: NDArray, side: int) -> NDArray:
     """Return the means of planes over side × side windows. The planes must have a margin of side // 2 pixels.
 
-    Adding shifted copies of the planes, first along rows and then along columns, is ten times as fast as summing over a
+    Shifted copies of the planes are added along rows, and then along columns. This is ten times as fast as a sum over a
     strided view.
     """
     rows, cols = (length - side + 1 for length in planes.shape[-2:])
@@ -106,8 +106,8 @@ def first_label_words(rule: PlaneRule, first: ClassRule, *others: PlaneRule) -> 
     """Return a 64-bit word for each class of the first layer, in the layout of opencl/common/gradient.cl.
 
     The lower half contains the gradient factor, the gradient shift (from bit 8) and the site's orientation (from bit 14).
-    The upper half contains the first class of the site and level in the refinement layer. If all channels of a colour filter
-    clip, the upper half contains the class of the saturation case instead, and its highest bit is set. The parameters are
+    The upper half contains the refinement layer's first class for the site and level. If all channels of a colour filter
+    clip, the upper half instead contains the class of the saturation case, and its highest bit is set. The parameters are
     the same as for `label_planes`.
     """
     every = _of_all_sets(rule, others)
@@ -127,7 +127,7 @@ def first_label_words(rule: PlaneRule, first: ClassRule, *others: PlaneRule) -> 
 
 
 def shaded_chroma(planes: NDArray, side: int) -> NDArray[np.float64]:
-    """Estimate how much shading alone would change the chroma of each pixel, relative to the mean chroma of its window.
+    """Estimate the deviation of each pixel's chroma from its window's mean, assuming that only shading varies.
 
     On a surface of one colour, the chroma planes are proportional to the luminance Y. At the centre of a side × side window,
     a chroma plane C then differs from its mean in the window by
@@ -145,14 +145,14 @@ def shaded_chroma(planes: NDArray, side: int) -> NDArray[np.float64]:
 def bilateral_change(planes: NDArray, side: int) -> NDArray[np.floating]:
     """Return the mean chroma of similar pixels in a side × side window, minus the chroma of the central pixel.
 
-    Each pixel q of the window is weighted by its similarity to the central pixel in all planes p. The result for a chroma
+    Each pixel q in the window is weighted by its similarity to the central pixel, over all planes p. The result for a chroma
     plane C is
 
         Σ w_q (C_q − C) / Σ w_q        w_q = max(0, d̄ + RATIO_DARKEST² − d_q)²        d_q = Σ_p (p_q − p)²
 
     where d̄ is the mean of d_q over the window. The result has the shape (chroma plane, row, col) and the unit of `planes`.
     """
-    # keep float32 planes from training; convert integers to float64
+    # Float32 planes from training remain float32. Integers become float64.
     planes = planes.astype(np.result_type(planes, np.float32))
     padded, (_, rows, cols) = mirrored(planes, side // 2), planes.shape
     change = np.empty((2, rows, cols), planes.dtype)

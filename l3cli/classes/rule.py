@@ -95,11 +95,11 @@ def make_rule(
 
 
 def _saturation_radius(recipe: ClassRecipe, camera: CameraModel) -> int:
-    """Increase the recipe's saturation radius until the neighbourhood of every site contains every channel.
+    """Return the recipe's saturation radius, increased until the neighbourhood of every site contains every channel.
 
     With a smaller radius, the sites of a clipped area would have different saturation cases, and most of these cases would
     never be trained on clipped greys (docs/method.md#saturation-cases). The result is at most the radius of the patch. A
-    radius of 0 stays 0.
+    radius of 0 is not increased.
     """
     most, least = recipe.patch // 2, min(recipe.saturation_radius, recipe.patch // 2)
     for radius in range(least, most if least else 0):

@@ -26,10 +26,10 @@ SNIPPET = "features/saturation.cl"
 def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[int] | None = None) -> NDArray[np.uint16]:
     """Choose the saturation cases of a class rule, and assign each saturation code to a case.
 
-    Code 0, in which no channel clips, is case 0. The most frequent other codes become further cases. Every remaining code is
-    assigned to the nearest case, which is determined by these criteria in order of priority:
+    Code 0 (no channel clips) is case 0. The most frequent other codes become further cases. Every remaining code is assigned
+    to the most similar case, by these criteria in order of priority:
 
-    1. The code and the case agree on whether all channels of some colour filter clip.
+    1. Either both the code and the case contain all channels of some colour filter, or neither does.
     2. The code and the case differ in as few channels as possible.
     3. The case contains all clipped channels of the code.
 
@@ -75,7 +75,10 @@ def spared_cases(case_of_code: NDArray[np.uint16], filters: Sequence[int]) -> in
 
 
 def lost_filters(codes: Integers, filters: Sequence[int]) -> Integers:
-    """Count the completely clipped colour filters in each saturation code. `filters` contains the filter of each channel."""
+    """Count, for each saturation code, the colour filters of which all channels clip.
+
+    `filters` contains the filter of each channel.
+    """
     of_filter = [sum(1 << bit for bit, each in enumerate(filters) if each == one) for one in sorted(set(filters))]
     return np.sum([codes & mask == mask for mask in of_filter], axis=0)
 
@@ -106,7 +109,7 @@ def saturation_codes(
 
 
 def codes(values: NDArray[np.unsignedinteger], rule: ClassRule, order: TapOrder) -> Integers:
-    """Return the saturation code of each patch, given raw values (tap, patch) in DN with the taps in the given order."""
+    """Return the saturation code of each patch. `values` (tap, patch) are raw values in DN, with the taps in `order`."""
     code = np.zeros(values.shape[1], np.int64)
     for bit, taps in enumerate(order.inner):
         if taps.stop > taps.start:
@@ -140,7 +143,7 @@ def name(table: TransformTable, case: int) -> str:
     """Return the name of a saturation case, such as "saturated r+g".
 
     If several codes share the case, the name lists the clipped channels of the most typical code, which differs least from
-    the others. If no code has this case, the name is "no pattern".
+    the other codes. If no code has this case, the name is "no pattern".
     """
     codes = np.flatnonzero(table.first.rule.case_of_code == case)
     if not codes.size:
@@ -154,10 +157,10 @@ def _channels(table: TransformTable, code: int) -> list[str]:
 
 
 def _distances(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
-    """Sum the distances from each saturation code to all codes.
+    """Return, for each saturation code, the sum of its distances to all codes.
 
     As in `choose_cases`, the distance is the number of channels that differ, plus one half if the second code contains a
-    clipped channel that is missing in the first. Pairs are not compared one by one, because there may be 2¹⁶ codes.
+    clipped channel that the first does not. Pairs are not compared one by one, because there may be 2¹⁶ codes.
     """
     clips = codes[:, None] >> np.arange(channels) & 1
     frequency = clips.sum(axis=0)

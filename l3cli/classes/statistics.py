@@ -1,4 +1,4 @@
-"""Patch statistics from which features are computed: sums of values and squares, saturation codes and window sums."""
+"""Compute the patch statistics for features: sums of values and squares, saturation codes and window sums."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +16,7 @@ from l3cli.physics.mosaic import shifted_cfa, tiled
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics of the patches around pixels. In the shapes below, … represents the axes of the pixel array."""
+    """Statistics of the patches around pixels. In the shapes below, … stands for the axes of the pixel array."""
 
     neighbours: Neighbourhoods
     site: Integers  # (…), or (1,) if all pixels have the same site: CFA site
@@ -50,7 +50,7 @@ def window_sums(rule: ClassRule, statistics: Statistics) -> tuple[Integers, ...]
 
 
 def truncation(shift: int) -> float:
-    """Return the mean truncation error, in DN, of shifting integers right by `shift` bits."""
+    """Return the mean truncation error, in DN, if integers are shifted right by `shift` bits."""
     return (2**shift - 1) / 2
 
 

@@ -47,8 +47,8 @@ def tensor(
 ) -> tuple[Integers, Integers, Integers]:
     """Compute the elements xx, yy and xy of the structure tensor: weighted sums of products of gradients.
 
-    The gradients are first multiplied by `factor`, shifted right by `shift` bits, and clipped. They have two rows and
-    columns fewer than `luminance`, like `factor` and `shift`. The tensor has four rows and columns fewer than the gradients.
+    The gradients are first multiplied by `factor`, shifted right by `shift` bits, and clipped. The gradients, `factor` and
+    `shift` have two rows and columns fewer than `luminance`. The tensor has four rows and columns fewer than the gradients.
     """
     across = np.clip((luminance[1:-1, 2:] - luminance[1:-1, :-2]) * factor >> shift, -GRADIENT, GRADIENT)
     down = np.clip((luminance[2:, 1:-1] - luminance[:-2, 1:-1]) * factor >> shift, -GRADIENT, GRADIENT)
@@ -59,8 +59,8 @@ def tensor(
 def triangle_sums(values: NDArray[np.integer], length: int) -> NDArray[np.integer]:
     """Return triangle-weighted sums over square windows with the side 2 `length` − 1.
 
-    Along each axis, the weights increase from 1 to `length` and then decrease to 1. To compute them, `length` neighbouring
-    values are added twice along each axis. With 32-bit integers, this is three times as fast as weighted sums with 64-bit
+    Along each axis, the weights increase from 1 to `length` and then decrease to 1. They result from adding `length`
+    neighbouring values twice along each axis. With 32-bit integers, this is three times as fast as weighted sums with 64-bit
     integers.
     """
     for _ in range(2):

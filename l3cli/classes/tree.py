@@ -19,8 +19,7 @@ from l3cli.classes.windows import Integers
 
 # Luminance gradients are clipped to ±TOP and chroma gradients to ±CHROMA_TOP, so that sums of 81 squares fit into 31 bits.
 TOP, CHROMA_TOP = 2895, 2047
-# Smallest value of the denominator LUMA: a weighted sum of luminances in units of PLANE_STEP, with weights that add up to
-# 16.
+# Smallest value of the denominator LUMA, a weighted sum of luminances in units of PLANE_STEP. The weights add up to 16.
 DARK = 512
 BORDER_PIXELS = 3  # width of the mirrored margin, in pixels
 
@@ -66,7 +65,7 @@ assert len(EVERY) == TESTS
 class Evidence:
     """Numerators and denominators for all tests of a decision tree at every pixel.
 
-    In the shapes, … represents the axes of the pixel array.
+    In the shapes, … stands for the axes of the pixel array.
     """
 
     numerators: NDArray[np.float32]  # (test, …)
@@ -130,7 +129,7 @@ def leaves(seen: Evidence, site: Integers, rule: TreeRule) -> Integers:
     turn = rule.turns.astype(np.int64)[np.broadcast_to(site, seen.numerators.shape[1:]).ravel()]
     numerators, denominators = seen.numerators.reshape(-1), seen.denominators.reshape(-1)
     test, nodes = rule.test.astype(np.int64), len(rule.test)
-    # Offsets of numerators by orientation and node, and offsets of denominators by node, in the flattened arrays.
+    # offsets of numerators by orientation and node, and of denominators by node, in the flattened arrays
     numerator, signs = turned[:, test].reshape(-1) * turn.size, sign[:, test].reshape(-1)
     denominator = np.array([each.denominator for each in EVERY])[test] * turn.size
     node, pixel = np.zeros(turn.size, np.int64), np.arange(turn.size)
@@ -147,9 +146,9 @@ def leaves(seen: Evidence, site: Integers, rule: TreeRule) -> Integers:
 
 
 def turned_tests(turn: int) -> tuple[list[int], list[np.float32]]:
-    """Map each test in a turned window to a numerator, and its sign, in the original window.
+    """Return, for each test in a turned window, the index and the sign of its numerator in the original window.
 
-    Turning a window to the orientation `turn` only permutes the numerators and changes their signs.
+    If a window is turned to the orientation `turn`, the numerators are only permuted, and their signs change.
     """
     transposed, across, down = turned_axes(turn)
     straight, diagonal = (-1 if transposed else 1), across * down

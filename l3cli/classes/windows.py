@@ -23,7 +23,7 @@ class Neighbourhoods:
 
 
 def neighbourhoods(cfa: NDArray[np.uint8], patch: int, channels: int) -> Neighbourhoods:
-    """Determine the channels in the windows around all sites of a CFA, and reciprocals of their number of taps.
+    """Determine the channels in the windows around all sites of a CFA, and the reciprocals of their numbers of taps.
 
     Parameters
     ----------
@@ -79,8 +79,8 @@ def _divided(numerator: int, count: Integers) -> Integers:
 class TapOrder:
     """Order of the taps in the window around a site.
 
-    The taps are sorted by channel, and within a channel, the taps inside the saturation radius come first. Each channel's
-    values are then adjacent rows of an array (tap, patch), which numpy sums fastest.
+    The taps are sorted by channel. Within a channel, the taps inside the saturation radius come first. The values of a
+    channel are then adjacent rows of an array (tap, patch), which numpy sums fastest.
     """
 
     taps: Integers  # (tap,): position of each tap in the window
@@ -115,7 +115,7 @@ def _tap_counts(rule: ClassRule) -> NDArray[np.float32]:
 
 
 def sites(rows: int, cols: int, cfa_shape: tuple[int, ...], phase: tuple[int, int]) -> Integers:
-    """Return every pixel's CFA site (row, col), given the CFA row and column of the first pixel (`phase`)."""
+    """Return every pixel's CFA site: (row, col). `phase` is the CFA row and column of the first pixel."""
     row = (np.arange(rows) + phase[0]) % cfa_shape[0]
     col = (np.arange(cols) + phase[1]) % cfa_shape[1]
     return row[:, None] * cfa_shape[1] + col
