@@ -29,6 +29,13 @@ MAX_WAVELENGTHS = 10_000  # largest number of samples in a spectrum
 QUANTISATION = 1 / 12  # DN²; variance of the error from rounding to whole DN
 # DN²; mean error variance of a dithered line offset, which is rounded up in some pixels and down in the others
 DITHER = 1 / 6
+# Without masked pixels, offsets are estimated from the picture (docs/method.md#offsets-from-the-picture).
+MIN_LINE_PIXELS = 64  # smallest number of pixels in a row or column whose offset is estimated
+MAX_LINE_PIXELS = 2048  # longer lines are sampled, because more pixels hardly improve the estimate
+SMOOTHED_LINES = 33  # number of lines over which slow changes are averaged and attributed to the scene
+PICTURE_SIGNAL = 0.02  # fraction of full scale; signal of a dark picture, in which offsets are visible
+PICTURE_CHANGE = 0.008  # standard deviation of a scene's mean change from row to row, relative to the signal
+PICTURE_VOTES = 0.8  # usual fraction of the pixels in a row that the noise cannot distinguish from the next row
 MAX_MASKED = 4096  # largest number of masked rows or columns on each side of the sensor
 
 
@@ -314,6 +321,35 @@ def variance_left(lines: float, pixel: float, masked: int) -> float:
     return lines * pixel / (lines * masked + pixel) if lines and masked else lines
 
 
+def variance_left_by_picture(lines: float, pixel: float, signal: float, count: int) -> float:
+    """Return the row or column offset variance that remains after the correction with the picture itself.
+
+    All variances are in (e-)².
+
+    Parameters
+    ----------
+    lines : float
+        Variance of the row or column offsets before the correction.
+    pixel : float
+        Noise variance of a pixel, not including the offset of its line and the shot noise of the signal.
+    signal : float
+        Signal of a pixel in e-.
+    count : int
+        Number of pixels in each line.
+
+    Notes
+    -----
+    Between neighbouring lines, the mean of the scene changes with the variance (PICTURE_CHANGE · signal)², and the noise of
+    the pixels adds 2 (pixel + signal) / (PICTURE_VOTES · count). Let V be the sum of both. If the differences of adjacent
+    offsets are measured with the variance V, the posterior variance of an offset is lines / √(1 + 4 lines / V). The
+    correction also keeps the slow part of the offsets, a fraction of 1 / SMOOTHED_LINES of their variance.
+    """
+    if count < MIN_LINE_PIXELS or not lines:
+        return lines
+    change = (PICTURE_CHANGE * signal) ** 2 + 2 * (pixel + signal) / (PICTURE_VOTES * min(count, MAX_LINE_PIXELS))
+    return lines * float(np.hypot(1 / np.sqrt(1 + 4 * lines / change), 1 / SMOOTHED_LINES))
+
+
 @dataclass(frozen=True)
 class NoiseScale:
     """Noise of a frame, relative to the calibrated camera.
@@ -486,6 +522,9 @@ class CameraModel(Artifact):
     noise_left : float
         Fraction of the temporal noise variance that remains after a temporal filter. It is set by the method `under` and is
         not stored in files.
+    lines_corrected : bool
+        Whether `noise` already is the noise after the correction of row and column offsets. It is set by the method
+        `as_corrected` and is not stored in files.
     """
 
     kind: ClassVar[str] = "camera model"
@@ -533,6 +572,7 @@ class CameraModel(Artifact):
     polarisers: Polarisers | None = group(default=None)
     masked: MaskedPixels | None = group(default=None)
     noise_left: float = 1.0
+    lines_corrected: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -772,7 +812,8 @@ class CameraModel(Artifact):
         channel_dark: Any = dark
         if self.readout is not None and channel is not None:
             gain = self.gain * self.readout.channel_gain[channel]
-            temporal = self.readout.channel_read_noise[channel] ** 2 + noise.lines
+            rounding = noise.read_noise**2 - self.noise.read_noise**2  # added by the correction of offsets
+            temporal = self.readout.channel_read_noise[channel] ** 2 + rounding + noise.lines
             channel_dark = dark * (self.readout.channel_exposure * self.readout.channel_gain)[channel]
         constant = gain**2 * (left * temporal + noise.fixed) + QUANTISATION
         constant += (left * gain + prnu * channel_dark) * channel_dark
@@ -786,20 +827,26 @@ class CameraModel(Artifact):
         return self.noise.read_noise**2 + self.noise.dsnu**2 + QUANTISATION / self.gain**2 + dark / self.gain
 
     def corrected_noise(self, dark: float = 0.0) -> Noise:
-        """Return the noise that remains after masked pixels have been used to correct row and column offsets.
+        """Return the noise that remains after row and column offsets have been corrected.
 
-        The correction lowers the row and column noise (see `variance_left`). It raises the read noise, because corrected
-        values are rounded to whole DN. If the camera has no masked pixels, the result is `noise`. `dark` is the dark signal
-        in DN, as in `noise_terms`.
+        The offsets are measured with masked pixels (see `variance_left`) or, if the camera has none, with the picture itself
+        (see `variance_left_by_picture`). The correction raises the read noise, because corrected values are rounded to whole
+        DN. If the camera has no row and column noise, the result is `noise`. `dark` is the dark signal in DN, as in
+        `noise_terms`.
         """
         noise, masked = self.noise, self.masked
-        if masked is None:
+        if self.lines_corrected or not self.has_line_noise:
             return noise
         pixel = self.pixel_variance(dark)
         by_row = noise.row_temporal_noise**2 + noise.row_noise**2
         by_column = noise.column_temporal_noise**2 + noise.column_noise**2
-        rows = variance_left(by_row, pixel, masked.left + masked.right)
-        columns = variance_left(by_column, pixel, masked.top + masked.bottom)
+        if masked is None:
+            signal = PICTURE_SIGNAL * self.full_scale
+            rows = variance_left_by_picture(by_row, pixel + by_column, signal, self.cols)
+            columns = variance_left_by_picture(by_column, pixel + by_row, signal, self.rows)
+        else:
+            rows = variance_left(by_row, pixel, masked.left + masked.right)
+            columns = variance_left(by_column, pixel, masked.top + masked.bottom)
         down = float(np.sqrt(rows / by_row)) if by_row else 1.0
         across = float(np.sqrt(columns / by_column)) if by_column else 1.0
         rounded = (rows, columns) != (by_row, by_column)
@@ -813,8 +860,14 @@ class CameraModel(Artifact):
         )
 
     def as_corrected(self) -> "CameraModel":
-        """Return an equivalent camera without masked pixels, with the noise that this camera has after correction."""
-        return self if self.masked is None else replace(self, noise=self.corrected_noise(), masked=None)
+        """Return the camera of corrected frames: without masked pixels, and with the noise that remains."""
+        if self.masked is None and not self.has_line_noise:
+            return self
+        noise, readout = self.corrected_noise(), self.readout
+        if readout is not None:
+            rounding = noise.read_noise**2 - self.noise.read_noise**2
+            readout = replace(readout, channel_read_noise=np.sqrt(readout.channel_read_noise**2 + rounding))
+        return replace(self, noise=noise, readout=readout, masked=None, lines_corrected=True)
 
     @property
     def has_line_noise(self) -> bool:
@@ -824,8 +877,8 @@ class CameraModel(Artifact):
     def line_variances(self, dark: float = 0.0) -> tuple[float, float]:
         """Return the variances of the row offsets and of the column offsets, both temporal and fixed.
 
-        All pixels of a row share the row offset, and all pixels of a column share the column offset. If the camera has
-        masked pixels, the result is what remains after their correction. The constant term of `noise_terms` includes both
+        All pixels of a row share the row offset, and all pixels of a column share the column offset. The result is what
+        remains after the correction of the offsets (see `corrected_noise`). The constant term of `noise_terms` includes both
         variances. They apply to a channel with a relative gain of 1. In other channels, the offsets are multiplied by the
         relative gain.
 

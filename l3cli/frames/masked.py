@@ -85,10 +85,16 @@ def without_line_offsets(frame: RawFrame, masked: MaskedValues, camera: CameraMo
     )
     if not (by_row.any() or by_column.any()):
         return frame
-    rows, cols = frame.values.shape
-    offset = by_row[:, None] + by_column + np.zeros((rows, cols))
-    whole = np.floor(offset + _thresholds(rows, cols))
-    clipped = frame.values >= frame.black_level + CLIPPED * span
+    return without_offsets(frame, by_row[:, None] + by_column)
+
+
+def without_offsets(frame: RawFrame, offset: Floats) -> RawFrame:
+    """Subtract an offset in DN from each pixel. Clipped pixels are unchanged.
+
+    A fractional offset is rounded up in some pixels and down in others. `offset` has the shape of the frame.
+    """
+    whole = np.floor(offset + _thresholds(*frame.values.shape))
+    clipped = frame.values >= frame.black_level + CLIPPED * (frame.white_level - frame.black_level)
     values = np.clip(frame.values - whole, 0, np.iinfo(np.uint16).max).astype(np.uint16)
     return replace(frame, values=np.where(clipped, frame.values, values))
 

@@ -34,6 +34,7 @@ PATCH = 5
 
 
 def with_lines(camera: CameraModel, row: float, column: float, fixed: float = 0.0, fixed_row: float = 0.0) -> CameraModel:
+    """The camera with this noise of rows and columns in its frames, which are not corrected again."""
     noise = dataclasses.replace(
         camera.noise,
         row_temporal_noise=row,
@@ -43,7 +44,7 @@ def with_lines(camera: CameraModel, row: float, column: float, fixed: float = 0.
         dsnu=0.0,
         prnu=0.0,
     )
-    return dataclasses.replace(camera, noise=noise)
+    return dataclasses.replace(camera, noise=noise, lines_corrected=True)
 
 
 @pytest.fixture

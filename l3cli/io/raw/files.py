@@ -23,6 +23,7 @@ from l3cli.errors import InputFileError
 from l3cli.frames.correction import Correction, DarkFrame, HotTest, without_dark
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.lens_warp import LensWarp
+from l3cli.frames.line_offsets import without_picture_offsets
 from l3cli.frames.masked import MaskedValues, split_masked, without_line_offsets
 from l3cli.frames.raw_sanity import smoother_reading
 from l3cli.frames.shading import shading_of_gain
@@ -332,7 +333,8 @@ def _without_masked(content: RawContent, table: Sensor) -> tuple[RawContent, Mas
         rows, cols = camera.masked.around(camera.rows, camera.cols)
         note = (
             f"the frame does not include the sensor's masked pixels ({rows}×{cols} pixels in total), so row and column "
-            "offsets are not subtracted; use uncropped frames, unless your camera has already subtracted the offsets"
+            "offsets are estimated from the picture, which leaves more noise; use uncropped frames, unless your camera has "
+            "already subtracted the offsets"
         )
         return {**content, "notes": (*content.get("notes", ()), note)}, None, (0, 0)
     content = {**content, "values": parts[0]}
@@ -435,9 +437,10 @@ def _displaced(content: RawContent, table: Sensor, phase: tuple[int, int]) -> tu
 def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides, masked: MaskedValues | None) -> RawFrame:
     """Set a frame's phase, exposure time, gain and dark signal, and apply the corrections in `known`.
 
-    Pixel values are changed only by the masked pixels, the dark frame, the correction and the hot-pixel test. The dark
-    signal is recorded in the frame, but is not subtracted from the values. Raises InputFileError if the dark signal reaches
-    the white level.
+    Pixel values are changed only by the correction of row and column offsets, the dark frame, the correction of defects and
+    the hot-pixel test. The dark signal is recorded in the frame, but is not subtracted from the values.
+
+    Raises InputFileError if the dark signal reaches the white level.
     """
     phase = frame.phase if known.phase is None else known.phase
     rows, cols = table.cfa.shape
@@ -464,8 +467,10 @@ def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides, masked: Mask
         gain=gain,
     )
     camera = table if isinstance(table, CameraModel) else table.camera
-    if masked is not None and camera is not None:
+    if camera is not None and masked is not None:
         corrected = without_line_offsets(corrected, masked, camera)
+    elif camera is not None:
+        corrected = without_picture_offsets(corrected, camera)
     corrected = corrected if known.dark is None else without_dark(corrected, known.dark)
     corrected = corrected if known.correction is None else known.correction.corrected(corrected)
     return corrected if known.hot is None else known.hot.without_hot(corrected, shifted_cfa(table.cfa, corrected.phase))

@@ -1,0 +1,253 @@
+"""Row and column offsets are estimated from the picture itself and subtracted, and the noise that remains is known."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli.api import raw_frame
+from l3cli.artifacts.camera import CameraModel, Readout, variance_left_by_picture
+from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.frames.frame import RawFrame
+from l3cli.frames.line_offsets import without_picture_offsets
+from l3cli.io.frames import FrameFiles
+from l3cli.io.raw.files import RawOverrides, frame_of, read_raw, read_stack
+from l3cli.simulation.sensor import expose
+from tests.helpers.paths import CONFIGS
+
+ROWS, COLS = 300, 1536
+SIGNAL = {"bayer": 120.0, "fiveband": 264.0}  # e-; 0.02 of full scale
+Array = np.ndarray
+
+
+def camera_of(name: str, row: float = 0.0, column: float = 0.0) -> CameraModel:
+    """A camera whose row noise and column noise are these multiples of its read noise. It has no other fixed pattern."""
+    camera = load_camera(CONFIGS / f"cameras/{name}.toml")
+    read = camera.noise.read_noise
+    noise = dataclasses.replace(
+        camera.noise, row_temporal_noise=row * read, column_temporal_noise=column * read, prnu=0.0, dsnu=0.0
+    )
+    return dataclasses.replace(camera, noise=noise, rows=ROWS, cols=COLS)
+
+
+def taken(camera: CameraModel, electrons: Array, seed: int = 1, offsets: float = 1.0) -> tuple[Array, Array, Array]:
+    """Values of a frame without offsets, values of the frame with offsets, and offsets of all pixels in e-."""
+    noise = dataclasses.replace(camera.noise, row_temporal_noise=0.0, column_temporal_noise=0.0)
+    quiet = dataclasses.replace(camera, noise=noise)
+    plain = expose(quiet, electrons.astype(np.float32), 0.0, np.random.default_rng([seed, 3])).astype(np.float64)
+    rng = np.random.default_rng([seed, 4])
+    rows = rng.normal(0, camera.noise.row_temporal_noise, (len(electrons), 1))
+    offset = offsets * (rows + rng.normal(0, camera.noise.column_temporal_noise, electrons.shape[1]))
+    gains = camera.gain * camera.channel_gains[camera.channel_map(electrons.shape)]
+    return plain, np.clip(np.rint(plain + offset * gains), 0, 2**camera.bits - 1).astype(np.uint16), offset
+
+
+def corrected(camera: CameraModel, values: Array, **settings: object) -> Array:
+    frame = RawFrame("frame", values, camera.black_level, camera.white_level, **settings)  # type: ignore[arg-type]
+    return without_picture_offsets(frame, camera).values.astype(np.float64)
+
+
+def error_of_rows(camera: CameraModel, electrons: Array, offsets: float = 1.0, seed: int = 1) -> Array:
+    """Error of each row after the correction, relative to the standard deviation of the row noise."""
+    plain, values, _ = taken(camera, electrons, seed, offsets)
+    return np.asarray((corrected(camera, values) - plain).mean(axis=1) / (camera.gain * camera.noise.row_temporal_noise))
+
+
+@pytest.mark.parametrize("ratio", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("name", ["bayer", "fiveband"])
+def test_offsets_are_found_to_the_predicted_accuracy(name: str, ratio: float) -> None:
+    """In uniform areas, the error is at most as large as predicted, and not much smaller."""
+    camera = camera_of(name, ratio)
+    noise, signal = camera.noise, SIGNAL[name]
+    variance = np.mean([error_of_rows(camera, np.full((ROWS, COLS), signal), seed=seed).var() for seed in range(3)])
+    lines = noise.row_temporal_noise**2
+    predicted = variance_left_by_picture(lines, camera.pixel_variance() + signal, 0.0, COLS) / lines
+    assert 0.4 * predicted < variance < 1.1 * predicted
+    assert predicted < camera.line_variances()[0] / camera.gain**2 / lines < 0.3  # the camera model includes the scene
+
+
+def test_columns_are_corrected_as_rows_are(bayer: CameraModel) -> None:
+    for row, column in ((0.0, 1.0), (1.0, 1.0)):
+        camera = camera_of("bayer", row, column)
+        plain, values, offset = taken(camera, np.full((ROWS, COLS), 120.0))
+        error = (corrected(camera, values) - plain) / camera.gain
+        assert error.mean(axis=0).var() < 0.1 * offset.mean(axis=0).var()
+        assert error.mean(axis=1).var() < 0.1 * offset.mean(axis=1).var() + 0.01
+    tall = dataclasses.replace(camera_of("bayer", 0.0, 1.0), rows=COLS, cols=ROWS)
+    tall = dataclasses.replace(tall, cfa=camera.cfa.T.copy())
+    wide = camera_of("bayer", 1.0)
+    values = taken(wide, np.full((ROWS, COLS), 120.0))[1]
+    across = corrected(tall, np.ascontiguousarray(values.T)).T
+    assert np.abs(across - corrected(wide, values)).max() <= 1  # rounding differs
+
+
+def test_frames_of_sensors_without_line_noise_are_unchanged() -> None:
+    camera = camera_of("bayer")
+    _, values, _ = taken(camera_of("bayer", 2.0), np.full((ROWS, COLS), 120.0))
+    frame = RawFrame("frame", values, camera.black_level, camera.white_level)
+    assert without_picture_offsets(frame, camera) is frame
+    assert camera.corrected_noise() is camera.noise
+    assert camera.as_corrected() is camera
+
+
+def places() -> tuple[Array, Array]:
+    return np.arange(ROWS)[:, None] + np.zeros((1, COLS)), np.arange(COLS) + np.zeros((ROWS, 1))
+
+
+def scene_of(kind: str) -> Array:
+    """Signal of a scene that could be mistaken for offsets, relative to its darkest or usual signal."""
+    row, col = places()
+    if kind == "chart":
+        return np.where((col > 500) & (col < 1100), 1.0 + (row % 6 < 3), 1.0)
+    return {
+        "uniform": row * 0 + 1,
+        "horizon": np.where(row < 120, 4.0, 1.0),
+        "faint horizon": np.where(row < 120, 1.2, 1.0),
+        "blurred horizon": 2 - 1 / (1 + np.exp((120 - row) / 2)),
+        "sky": 2 - 1.8 * row / ROWS,
+        "waves": np.abs(np.sin(row / 40)) + 0.2,
+        "shading": 1 - 0.2 * (((row - 150) / 150) ** 2 + ((col - 768) / 768) ** 2),
+        "blinds": 1.0 + (row % 20 < 10),
+        "faint blinds": 1 + 0.1 * (row % 20 < 10),
+        "fainter blinds": 1 + 0.03 * (row % 10 < 5),
+        "lines": 1 + 0.05 * (row % 2),
+    }[kind]
+
+
+KINDS = ("uniform", "horizon", "faint horizon", "blurred horizon", "sky", "waves", "shading", "blinds", "faint blinds")
+KINDS += ("fainter blinds", "lines", "chart")
+
+
+@pytest.mark.parametrize("ratio", [0.5, 2.0])
+@pytest.mark.parametrize("kind", KINDS)
+def test_scenes_with_horizontal_structures_are_not_damaged(kind: str, ratio: float) -> None:
+    """No row changes by more than three standard deviations of the row noise, and rows on average by hardly more than one.
+
+    This holds with row noise and for frames whose row noise another program has already removed.
+    """
+    camera, electrons = camera_of("bayer", ratio), 120.0 * scene_of(kind)
+    error, harm = error_of_rows(camera, electrons), error_of_rows(camera, electrons, offsets=0.0)
+    assert np.abs(harm).max() <= 3.1
+    assert harm.std() <= 1.2
+    assert error.std() <= 1.2
+    if kind in ("uniform", "horizon", "faint horizon", "blurred horizon", "sky", "shading", "chart"):
+        assert harm.std() < 0.4
+        assert error.std() < 0.6
+
+
+def test_row_noise_stays_where_the_picture_does_not_show_it() -> None:
+    """Empty, clipped and small frames are unchanged, and a narrow crop is not worse than without the correction."""
+    camera = camera_of("bayer", 1.0)
+    for level in (0, int(camera.white_level), 2**camera.bits - 1):
+        values = np.full((60, 80), level, np.uint16)
+        np.testing.assert_array_equal(corrected(camera, values), values)
+    values = taken(camera, np.full((40, 48), 120.0))[1]
+    np.testing.assert_array_equal(corrected(camera, values), values)
+    for rows in (1, 2, 3):
+        assert corrected(camera, values[:rows].repeat(2, axis=1)).shape == (rows, 96)
+    row, col = places()
+    texture = 120 * (1 + 0.5 * np.sin(row / 7) * np.sin(col / 5))
+    assert error_of_rows(camera, texture[:200, :64]).std() < 0.8
+
+
+def test_clipped_and_hot_pixels_do_not_vote() -> None:
+    camera, rng = camera_of("bayer", 1.0), np.random.default_rng(1)
+    plain, values, _ = taken(camera, np.full((ROWS, COLS), 120.0))
+    spoilt = values.copy()
+    spoilt[rng.random(values.shape) < 0.01] = 3000
+    spoilt[:, 700:1000] = int(camera.white_level)
+    found = corrected(camera, spoilt)
+    np.testing.assert_array_equal(found[:, 700:1000], camera.white_level // 1)
+    same = spoilt == values
+    error = ((found - plain) * same).sum(axis=1) / same.sum(axis=1) / (camera.gain * camera.noise.row_temporal_noise)
+    assert error.std() < 0.35
+
+
+def test_offsets_are_proportional_to_the_gain_of_each_channel() -> None:
+    camera = camera_of("bayer", 2.0)
+    readout = Readout(np.ones(3), np.array([1.0, 4.0, 2.0]), np.full(3, camera.noise.read_noise), np.arange(3))
+    camera = dataclasses.replace(camera, readout=readout)
+    plain, values, offset = taken(camera, np.full((ROWS, COLS), 120.0))
+    error, channel = corrected(camera, values) - plain, camera.channel_map(values.shape)
+    for number, gain in enumerate(readout.channel_gain):
+        of_row = [np.mean(row[each == number]) for row, each in zip(error, channel, strict=True) if (each == number).any()]
+        assert np.std(of_row) < 0.25 * gain * camera.gain * offset.std()
+    quiet = camera.as_corrected()
+    for number in range(3):
+        terms = [each.noise_terms(channel=np.array([number]))[0] for each in (camera, quiet)]
+        assert terms[0] == pytest.approx(terms[1])
+
+
+def test_the_phase_and_the_gain_of_a_frame_are_used() -> None:
+    camera = camera_of("fiveband", 1.0)
+    plain, values, _ = taken(camera, np.full((ROWS, COLS), 264.0) * (1 + camera.channel_map((ROWS, COLS))))
+    cut = (slice(3, None), slice(1, None))
+    found = corrected(camera, np.ascontiguousarray(values[cut]), phase=(3, 1))
+    assert (found - plain[cut]).mean(axis=1).std() < 0.3 * camera.gain * camera.noise.row_temporal_noise
+    amplified = camera.at_gain(4.0)
+    plain, values, _ = taken(amplified, np.full((ROWS, COLS), 66.0))
+    found = corrected(camera, values, gain=4.0)
+    assert (found - plain).mean(axis=1).std() < 0.3 * amplified.gain * camera.noise.row_temporal_noise
+
+
+def test_a_second_correction_changes_little() -> None:
+    """The offsets that remain in a corrected frame, or in a simulated frame, are not amplified."""
+    camera = camera_of("bayer", 1.0)
+    row, col = places()
+    electrons = 120 * (1 + 0.15 * np.sin(row / 7) * np.sin(col / 5))
+    plain, values, _ = taken(camera, electrons)
+    once = corrected(camera, values)
+    twice = corrected(camera, once.astype(np.uint16))
+    assert (twice - plain).mean(axis=1).std() < 1.1 * (once - plain).mean(axis=1).std()
+    simulated = expose(camera, electrons.astype(np.float32), 0.0, np.random.default_rng(2))
+    again = corrected(camera, simulated)
+    expected = electrons * camera.gain + camera.black_level
+    assert (again - expected).mean(axis=1).std() < 1.1 * (simulated - expected).mean(axis=1).std()
+
+
+def test_training_frames_have_the_noise_of_corrected_frames() -> None:
+    camera = camera_of("bayer", 1.0, 0.5)
+    light = np.full((ROWS, COLS), 120.0, np.float32)
+    frames = np.array([expose(camera, light, 0.0, np.random.default_rng(seed)) for seed in range(6)], np.float64)
+    pixels = (frames - frames.mean(axis=2, keepdims=True) - frames.mean(axis=1, keepdims=True)).var()
+    found = frames.mean(axis=2).var(axis=1).mean() - pixels / COLS, frames.mean(axis=1).var(axis=1).mean() - pixels / ROWS
+    assert found == pytest.approx(camera.line_variances(), rel=0.1)
+    again = camera.as_corrected()
+    assert again.corrected_noise() is again.noise
+    assert again.line_variances() == camera.line_variances()
+    assert again.noise_terms() == camera.noise_terms()
+
+
+def test_every_way_to_read_gives_the_same_frame(tmp_path: Path) -> None:
+    """A picture, a stack, a headerless file and an array are corrected. Frames for a calibration are not."""
+    camera = camera_of("bayer", 1.0, 0.5)
+    values = taken(camera, np.full((ROWS, COLS), 120.0))[1]
+    expected = corrected(camera, values)
+    assert (expected != values).mean() > 0.5
+    np.save(tmp_path / "one.npy", values)
+    values.tofile(tmp_path / "one.raw")
+    np.save(tmp_path / "several.npy", np.array([values, values]))
+    stack = read_stack(tmp_path / "several.npy", camera, RawOverrides())
+    assert stack is not None
+    content = stack.read(1)
+    assert content is not None
+    for frame in (
+        raw_frame(values, camera),
+        read_raw(tmp_path / "one.npy", camera),
+        read_raw(tmp_path / "one.raw", camera),
+        frame_of("page", content, camera, RawOverrides()),
+    ):
+        np.testing.assert_array_equal(frame.values, expected)
+        assert frame.notes == ()
+    for_calibration = FrameFiles((tmp_path / "one.npy",), (ROWS, COLS), camera.bits, camera)
+    np.testing.assert_array_equal(next(iter(for_calibration)), values)
+
+
+def test_the_correction_does_not_depend_on_the_layout_in_memory() -> None:
+    camera = camera_of("bayer", 1.0, 0.5)
+    values = taken(camera, np.full((ROWS, COLS), 120.0))[1]
+    expected = corrected(camera, values)
+    np.testing.assert_array_equal(corrected(camera, values), expected)
+    np.testing.assert_array_equal(corrected(camera, np.asfortranarray(values)), expected)
+    np.testing.assert_array_equal(corrected(camera, values.repeat(2, axis=1)[:, ::2]), expected)
