@@ -86,7 +86,11 @@ def white_rows(values: Array, of_pixels: float) -> tuple[float, float]:
 
 def simulated(camera: CameraModel) -> list[Array]:
     dark = np.zeros((camera.rows, camera.cols), np.float32)
-    return [sensor.expose(camera, dark, 0.0, np.random.default_rng(seed)).astype(np.float64) for seed in range(SIMULATED)]
+    fixed = sensor.fixed_pattern(camera)
+    return [
+        sensor.read_out(camera, fixed, dark, 0.0, np.random.default_rng(seed)).astype(np.float64)
+        for seed in range(SIMULATED)
+    ]
 
 
 def main(path: Path) -> None:

@@ -50,12 +50,12 @@ def terms_of(seed: int, kind: str, names: tuple[str, ...] = TERMS) -> dict[str, 
 
 def measured(camera: CameraModel, seed: int) -> DarkNoise:
     """Measure the noise of a camera from dark frames."""
-    dark = np.zeros((camera.rows, camera.cols), np.float32)
+    dark, fixed = np.zeros((camera.rows, camera.cols), np.float32), sensor.fixed_pattern(camera)
     captures = [
         Capture(
             f"{time} s",
             time,
-            [sensor.expose(camera, dark, time, np.random.default_rng([seed, at, n])) for n in range(FRAMES)],
+            [sensor.read_out(camera, fixed, dark, time, np.random.default_rng([seed, at, n])) for n in range(FRAMES)],
         )
         for at, time in enumerate(EXPOSURES)
     ]
