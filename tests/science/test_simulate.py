@@ -166,7 +166,8 @@ def test_noise_modes_leave_out_what_they_state(fiveband: CameraModel) -> None:
 
 
 def test_column_noise_belongs_to_the_columns(bayer: CameraModel) -> None:
-    striped = dataclasses.replace(bayer, noise=dataclasses.replace(bayer.noise, column_noise=30.0))
+    noise = dataclasses.replace(bayer.noise, column_noise=30.0)
+    striped = dataclasses.replace(bayer, noise=noise, lines_corrected=True)
     pattern = sensor.fixed_pattern(striped)
     assert pattern.dsnu.mean(axis=0).std() == pytest.approx(30.0, rel=0.15)
     assert (pattern.dsnu - pattern.dsnu.mean(axis=0)).std() == pytest.approx(bayer.noise.dsnu, rel=0.02)
