@@ -352,7 +352,7 @@ class ClassRule:
         return np.maximum(kind, self.chromas - 1) - (self.chromas - 1)  # kinds may be unsigned: avoid negative differences
 
     def lost(self, kind: Any) -> Any:
-        """Return 0, or the number from 1 of a saturation case in which every channel of some filter clips."""
+        """Number the saturation cases in which every channel of some filter clips, from 1. Return 0 for all other cases."""
         return np.maximum(self.case(kind) - self.spared_cases, 0)
 
     def kinds_of(self, case: int) -> slice | int:

@@ -44,7 +44,7 @@ class LightMoments:
         "wavelength",
         "term",
         unit="photons/s",
-        doc="basis of the photon spectra at a pixel, for a white of 1 cd/m^2",
+        doc="basis of the photon spectra at a pixel, for a perfect white of 1 cd/m^2",
     )
     white_photons: NDArray[np.float64] = data(
         "float64", "wavelength", unit="photons/s", doc="photons per pixel from a perfect white of 1 cd/m^2"

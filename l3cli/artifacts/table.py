@@ -325,7 +325,7 @@ class TransformTable(Artifact):
 
     @property
     def white_signals(self) -> NDArray[np.float64] | None:
-        """Signal of each channel for a white with the output Y = 1, as a fraction of full scale.
+        """Signal of each channel for a white surface with the output Y = 1, as a fraction of full scale.
 
         Rendering uses these signals to raise pixels with too low a luminance (docs/method.md#raised-pixels). None if the
         illuminant or the camera is unknown, or if a channel has no signal.

@@ -48,7 +48,7 @@ class LightSpectrum:
 
 
 def white_signal(light: LightSpectrum, camera: CameraModel, output_unit: float | None = None) -> NDArray[np.float64]:
-    """Return the signal of each camera channel for a white with Y = 1 under an illuminant.
+    """Return the signal of each camera channel for a white surface with Y = 1 under an illuminant.
 
     Parameters
     ----------

@@ -107,7 +107,7 @@ def _lines(content: dict[str, Any]) -> list[str]:
 
 
 def _raw_lines(frame: dict[str, Any]) -> list[str]:
-    """Return a line for each property of a raw frame that the file states, and for its size, levels, array and neutral."""
+    """Format the properties of a raw frame as lines. Missing properties are omitted if they are in OPTIONAL."""
     values, gains = frame["values"], frame["neutral"]
     facts = {
         "size": "{}×{} pixels (rows × columns)".format(*frame["size"]),

@@ -31,7 +31,7 @@ NOISE_SIGNALS = (0.0, 0.01, 0.1, 0.5)  # fractions of full scale at which noise 
 
 
 def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
-    """Describe differences between two cameras that two calibrations of the same camera would not have.
+    """Describe the differences between two cameras that are too large for two calibrations of the same camera.
 
     Parameters
     ----------

@@ -418,7 +418,7 @@ def band_figures(
 def _linear_and_shares(
     rendered: Array, target: Array, white: Array, border: int, counted: NDArray[np.bool_] | None
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Return two pairs (rendered, target) without the border.
+    """Normalise rendered and target planes in two ways, and return two pairs (rendered, target) without the border.
 
     The first pair is divided by the peaks for `output_psnr`. The second contains fractions of a perfect white, clipped to
     0…1.

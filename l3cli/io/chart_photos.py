@@ -151,7 +151,7 @@ def _frame(path: Path, stated: RawContent, body: Body, levels: Levels) -> RawFra
 
 
 def recipe_of_photos(paths: Sequence[Path], first: RawContent, light: str | None, levels: Levels) -> MeasurementRecipe:
-    """Create the content of a measurement file for raw photos of a chart, each of which becomes a [[photo]].
+    """Create a measurement file's content for raw photos of a chart, with one [[photo]] entry per photo.
 
     All photos must have been taken with the same camera and under the same illuminant. The pixel pitch and the optics are
     placeholders, because the responsivities do not depend on them.

@@ -71,7 +71,7 @@ def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: in
     channels : sequence of str
         Channel names.
     column : int or str
-        Name or number, from 1, of the responsivity column in `photodiode`. 0 stands for the only column.
+        Name or number, counted from 1, of the responsivity column in `photodiode`. 0 selects the only column.
 
     Raises
     ------

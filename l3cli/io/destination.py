@@ -34,7 +34,7 @@ class Destination:
     kind: str
     suffix: str  # suffix of the files in a folder, without a period
     bits: int = 8  # bits per value
-    shard: tuple[int, int] | None = None  # number of the shard, from 1, and total number of shards; None without shards
+    shard: tuple[int, int] | None = None  # number of the shard (counted from 1) and of all shards; None without shards
 
     @property
     def one_by_one(self) -> bool:
@@ -103,7 +103,7 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice, shard: tuple[
     choice : VideoChoice
         Bits per value, codec and other settings.
     shard : tuple of int, optional
-        Number of the shard, from 1, and total number of shards.
+        Number of the shard, counted from 1, and total number of shards.
 
     Returns
     -------
@@ -138,7 +138,7 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice, shard: tuple[
 
 
 def paged(destination: Destination, sequence: FrameSequence) -> Destination:
-    """Change the destination of several frames from a single TIFF picture to the pages of this TIFF file.
+    """Turn a single TIFF file into a multi-page TIFF file if several frames are rendered to it.
 
     Any other destination is returned unchanged.
     """

@@ -320,7 +320,7 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def read_capture(path: Path) -> RawFile:
-    """Read a raw frame with its metadata. Of a stack, only the first frame is read.
+    """Read a raw frame with its metadata. If the file is a stack, only its first frame is read.
 
     Raises InputFileError if the file is damaged or is not a raw file.
     """

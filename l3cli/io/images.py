@@ -32,7 +32,7 @@ def read_image(path: Path, cure: str = USE_PICTURE) -> tuple[NDArray, tuple[str,
 
 @isolated("OpenImageIO")
 def picture_flip(path: Path) -> int:
-    """Return the LibRaw flip code with which a picture's stored pixels become upright."""
+    """Return the LibRaw flip code that turns a picture's stored pixels upright."""
     with opened(path) as (_, spec):
         return flip_of(path, spec.get_int_attribute("Orientation", UPRIGHT))
 

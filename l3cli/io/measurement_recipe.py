@@ -100,7 +100,10 @@ class MonoRecipe(CaptureRecipe, kw_only=True):
 
 
 class ChartRecipe(CaptureRecipe, kw_only=True):
-    """A ColorChecker under one illuminant. For [[band]], a filter is in the light path, and radiances may be relative."""
+    """A ColorChecker under one illuminant.
+
+    In [[band]] captures, the light passes through a filter, and radiances may be relative.
+    """
 
     illuminant: str
     corners: Corners  # (col, row) in pixels: outer corners of patches 1, 6, 24 and 19, clockwise
@@ -136,7 +139,7 @@ class CommonRecipe(Recipe):
 
 
 class ColumnRecipe(Recipe):
-    """One column of a table with several columns."""
+    """One column in a table of spectra."""
 
     file: str
     column: int | str  # name of the column, or its number, where 1 is the first column after the wavelength

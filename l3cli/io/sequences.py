@@ -48,7 +48,7 @@ STDIN_NAME = "stdin"  # name of the input in messages
 
 @dataclass(frozen=True)
 class FrameReference:
-    """Identifies a frame in a sequence, which `Frames.read(number)` reads."""
+    """Reference to a frame in a sequence. `Frames.read(number)` reads the frame."""
 
     number: int
     stem: str  # name of the output file, without suffix
@@ -96,7 +96,7 @@ class FrameSequence:
         return InputFileError(f"{named} not in {self.what}; select existing frames with ‹frames›, or add ‹skip_bad›")
 
     def rest(self, number: int) -> range:
-        """Return the selected frame numbers from `number` on, which are missing if a stream ends before frame `number`.
+        """Return the selected frame numbers from `number` on. If a stream ends before frame `number`, they are missing.
 
         The result is empty if the user selected no frames.
         """

@@ -24,7 +24,7 @@ def line_of(path: KeyPath, lines: Mapping[KeyPath, int]) -> int:
 
 
 def key_lines(text: str) -> dict[KeyPath, int]:
-    """Return the line number, from 1, of every key, table and list entry in a valid TOML document."""
+    """Return the line number, counted from 1, of every key, table and list entry in a valid TOML document."""
     return _Scanner(text.replace("\r\n", "\n")).document()
 
 

@@ -57,7 +57,7 @@ def spectrogram(name: str, unit: str, scale: float, found: Nonuniformity) -> Fig
 
 
 def profiles(name: str, unit: str, scale: float, found: Nonuniformity) -> tuple[Figure, Figure]:
-    """Plot the horizontal and the vertical profile: mean, minimum and maximum of each column and row, and a middle line."""
+    """Plot the horizontal and the vertical profile: mean, minimum, maximum and middle line of the columns and rows."""
     return tuple(  # type: ignore[return-value]
         _profile(f"{name} {kind} profile", label, f"{name} ({unit})", position, scale * values)
         for kind, label, position, values in (

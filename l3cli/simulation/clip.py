@@ -264,7 +264,7 @@ MOVING, LEAVES, COLOURS = 1, 2, 3
 def clip_of(
     scene: Scene | ChannelPicture, wanted: sources.WantedScene, run: SimulationRun
 ) -> Callable[[int], Scene | ChannelPicture]:
-    """Prepare a scene's clip for rendering frame by frame.
+    """Return a function that renders a clip of the scene frame by frame.
 
     Parameters
     ----------
@@ -307,7 +307,7 @@ def clip_of(
 
 
 def known_motion(wanted: sources.WantedScene, run: SimulationRun) -> Callable[[int], NDArray[np.float32]]:
-    """Prepare the computation of a clip's true motion.
+    """Return a function that computes the true motion in each frame of a clip.
 
     Parameters
     ----------

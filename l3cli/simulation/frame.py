@@ -153,7 +153,7 @@ def exposed_again(frame: TrainingFrame, camera: CameraModel, gain: float) -> Tra
 
 
 class AtGain:
-    """Reader of a training set that simulates every frame again, with the analog gain multiplied by `gain`."""
+    """Training-set reader that simulates each frame again, at `gain` times its analog gain."""
 
     def __init__(self, reader: TrainingSetReader, gain: float) -> None:
         self.head = replace(reader.head, camera=reader.head.camera.at_gain(gain))
@@ -166,7 +166,7 @@ class AtGain:
 
 
 def frames_like(head: TrainingSet) -> Callable[[TrainingPair, LightSpectrum], Iterator[TrainingFrame]]:
-    """Prepare a function that simulates additional frames with the camera and the target of a training set.
+    """Return a function that simulates additional frames with a training set's camera and target.
 
     Parameters
     ----------
@@ -329,7 +329,7 @@ def spectral_planes(
 def _signalled(
     camera: CameraModel, picture: ChannelPicture, light: Light
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-    """As `_collected`, but for a picture of channel signals, for which the outputs are the camera's bands."""
+    """Do the same as `_collected` for a picture of channel signals. The target is the camera's bands."""
     full = (white_rates(camera, light) * camera.channel_gains).max()
     white = full * camera.saturation_exposure / camera.full_scale
     signal = np.moveaxis(picture.signal, -1, 0)

@@ -288,7 +288,7 @@ class _Session:
 
 
 def plan(camera: CameraModel, recipe: LabRecipe, seed: int) -> tuple[LabCapture, ...]:
-    """Plan all captures that the lab takes of a camera, in chronological order.
+    """Plan all captures that the lab takes with a camera, in chronological order.
 
     Raises
     ------
@@ -324,7 +324,10 @@ def plan(camera: CameraModel, recipe: LabRecipe, seed: int) -> tuple[LabCapture,
 
 
 def _plan_polariser(session: _Session, recipe: PolariserRecipe) -> None:
-    """Plan the captures through a rotating polariser. They are last, so that other frames keep their noise."""
+    """Plan the captures through a rotating polariser.
+
+    They are planned last, so that they do not change the noise of the other frames.
+    """
     wavelength = session.response.wavelength
     leakage = 1.0 / recipe.extinction
     light = _light(recipe.illuminant, wavelength, recipe.luminance)[None] * (1.0 + leakage) / 2.0

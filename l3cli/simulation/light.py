@@ -128,8 +128,8 @@ def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
     return Light(text, 1.0, wavelength, radiance / sum(share for share, _ in names), digest)
 
 
-class Sees(Protocol):
-    """Anything that converts light to electrons: a camera, or colour filters on a pixel."""
+class Detector(Protocol):
+    """Camera, or colour filters on a pixel, with the electrons that light generates in each channel."""
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -145,7 +145,7 @@ class Sees(Protocol):
 
 
 class Filters(NamedTuple):
-    """Colour filters on a pixel, which can be used in place of a camera (see `Sees`)."""
+    """Colour filters on a pixel, for functions that accept any `Detector`."""
 
     channels: tuple[str, ...]
     wavelength: NDArray[np.float64]
@@ -157,7 +157,7 @@ class Filters(NamedTuple):
         return cls(tuple(curves), np.asarray(wavelength), np.array(list(curves.values())) * spectra.bin_widths(wavelength))
 
 
-def named_beyond_known(names: Iterable[str], camera: Sees) -> list[str]:
+def named_beyond_known(names: Iterable[str], camera: Detector) -> list[str]:
     """Return the warnings of `beyond_known` for all standard illuminants in `names`.
 
     Measured illuminants, scene illuminants and unknown names are skipped, because their spectra are not available here.
@@ -174,7 +174,7 @@ def named_beyond_known(names: Iterable[str], camera: Sees) -> list[str]:
     return list(filter(None, warnings))
 
 
-def beyond_known(light: Light, measured: Mapping[str, Curve], camera: Sees) -> str:
+def beyond_known(light: Light, measured: Mapping[str, Curve], camera: Detector) -> str:
     """Warn if a channel collects more than 1 % of its electrons at wavelengths without data for the illuminant.
 
     Outside its tabulated range, l3 extends a standard illuminant with its last value and a measured illuminant with zero. To
@@ -274,7 +274,8 @@ def functions_beyond_known(name: str, functions: Curve, names: Sequence[str], li
     shares = weights[:, outside].sum(axis=1) / np.where(every > 0, every, np.inf)
     output, taken = int(shares.argmax()), float(shares.max())
     wanted = f"{wavelength[0]:g}…{wavelength[-1]:g} nm"
-    return _file_ends(name, grid, f"output {names[output]} would have {taken:.0%} of its value for a white", taken, wanted)
+    effect = f"output {names[output]} would have {taken:.0%} of its value for a perfect white"
+    return _file_ends(name, grid, effect, taken, wanted)
 
 
 def curves_beyond_known(recipe: Path, light: Light, camera: CameraModel) -> str:
@@ -374,7 +375,7 @@ def surfaces_beyond_known(light: Light, camera: CameraModel) -> str:
     )
 
 
-def share_beyond(camera: Sees, part: Light, whole: Light, ends: tuple[float, float]) -> tuple[float, str]:
+def share_beyond(camera: Detector, part: Light, whole: Light, ends: tuple[float, float]) -> tuple[float, str]:
     """Find the channel that collects the largest fraction of its electrons outside a range of wavelengths.
 
     Parameters
@@ -391,7 +392,7 @@ def share_beyond(camera: Sees, part: Light, whole: Light, ends: tuple[float, flo
     Returns
     -------
     fraction : float
-        Electrons from `part` outside the range, divided by all electrons from a white under `whole`.
+        Electrons from `part` outside the range, divided by all electrons from a perfect white under `whole`.
     channel : str
         The channel with the largest fraction.
     """
@@ -403,7 +404,7 @@ def share_beyond(camera: Sees, part: Light, whole: Light, ends: tuple[float, flo
     return float(shares[channel]), camera.channels[channel]
 
 
-def span_of(camera: Sees) -> str:
+def span_of(camera: Detector) -> str:
     """Format a camera's wavelength range, such as "380…780 nm"."""
     return f"{camera.wavelength[0]:g}…{camera.wavelength[-1]:g} nm"
 
@@ -503,7 +504,7 @@ def _digest(*arrays: Array) -> str:
     return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
 
 
-def electron_weights(camera: Sees, light: Light, bands: Array) -> Array:
+def electron_weights(camera: Detector, light: Light, bands: Array) -> Array:
     """Return the photo-electrons per second that each band contributes to each channel.
 
     Parameters
@@ -528,11 +529,11 @@ def electron_weights(camera: Sees, light: Light, bands: Array) -> Array:
 
 
 def stokes_weights(camera: CameraModel, light: Light, bands: Array) -> Array:
-    """As `electron_weights`, but separately for the Stokes parameters S0, S1 and S2: (stokes, channel, band)."""
+    """Return the `electron_weights` of each Stokes parameter, S0, S1 and S2, as an array (stokes, channel, band)."""
     return _of_bands(camera.stokes_weights, camera, light, bands)
 
 
-def _of_bands(weights: Array, camera: Sees, light: Light, bands: Array) -> Array:
+def _of_bands(weights: Array, camera: Detector, light: Light, bands: Array) -> Array:
     """Convert electron weights at the camera's wavelengths, (…, wavelength), to weights of scene bands, (…, band)."""
     seen = weights @ spectra.sampling_matrix(light.wavelength, camera.wavelength)
     return (seen * light.radiance) @ spectra.held_interpolation(bands, light.wavelength)
@@ -584,7 +585,7 @@ def matching_weights(functions: Array, light: Light, bands: Array) -> Array:
     return weights @ spectra.held_interpolation(bands, light.wavelength)
 
 
-def white_rates(camera: Sees, light: Light) -> Array:
+def white_rates(camera: Detector, light: Light) -> Array:
     """Return the photo-electrons per second that each channel collects from a perfect white."""
     return electron_weights(camera, light, light.wavelength).sum(axis=1)
 
@@ -623,14 +624,17 @@ def neutral(camera: CameraModel, light: Light) -> Array:
 
 
 def automatic_exposure(camera: CameraModel, light: Light, share: float) -> float:
-    """Return the exposure time in s at which the brightest channel of a white reaches the fraction `share` of full scale."""
+    """Return the exposure time in s at which a perfect white reaches the fraction `share` of full scale.
+
+    The fraction applies to the brightest channel.
+    """
     return float(share * camera.full_scale / (white_rates(camera, light) * camera.channel_gains).max())
 
 
 def uncovered_share(camera: CameraModel, bands: Array) -> float:
     """Return the fraction of electrons from wavelengths outside a scene's bands, for the most affected channel.
 
-    The fraction applies to a white under an illuminant with equal photon radiance at all wavelengths.
+    The fraction applies to a perfect white under an illuminant with equal photon radiance at all wavelengths.
     """
     weights = camera.electron_weights
     outside = (camera.wavelength < bands[0]) | (camera.wavelength > bands[-1])
@@ -738,9 +742,9 @@ def output_weights(target: Target, camera: CameraModel, light: Light, bands: Arr
 
 
 def polarised_weights(target: Target, camera: CameraModel, light: Light, bands: Array) -> Array:
-    """As `output_weights`, but for the Stokes parameters S1 and S2 of each band: (2, output, band).
+    """Return the contribution of each band's S1 and S2 to the target outputs, (2, output, band).
 
-    S1 and S2 contribute to Stokes outputs and, through the polarisers, to outputs that are camera bands.
+    S1 and S2 contribute to Stokes outputs and, through the polarisers, to camera bands.
     """
     if target.kind == CAMERA:
         seen = target.light.at(light.luminance) if target.light else light
@@ -753,7 +757,7 @@ def polarised_weights(target: Target, camera: CameraModel, light: Light, bands: 
 
 
 def _band_unit(camera: CameraModel) -> Array:
-    """Return the factors, (channel, 1), that convert electrons per second to outputs that are camera bands."""
+    """Return the factors, (channel, 1), from electrons per second to the outputs of a camera-band target."""
     unit = np.full((len(camera.channels), 1), camera.saturation_exposure / camera.full_scale)
     return unit if camera.readout is None else unit * camera.channel_gains[:, None]
 

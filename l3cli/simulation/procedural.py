@@ -62,7 +62,7 @@ class Coat:
 
 
 def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Array, patterned: float = 0.0) -> Cube:
-    """As `drawn_leaves`, but return only the reflectance."""
+    """Draw a dead-leaves scene with `drawn_leaves`, and return only its reflectance."""
     return drawn_leaves(rng, size, wavelength, patterned)[0]
 
 
@@ -301,7 +301,7 @@ def _blurred(cube: Cube, sigma: float) -> Cube:
 
 
 def composition(rng: np.random.Generator, size: tuple[int, int], wavelength: Array) -> Cube:
-    """As `drawn_composition`, but return only the reflectance."""
+    """Draw the demonstration scene with `drawn_composition`, and return only its reflectance."""
     return drawn_composition(rng, size, wavelength)[0]
 
 

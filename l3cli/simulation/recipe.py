@@ -80,7 +80,7 @@ class SceneRecipe(Recipe):
     illuminants: Annotated[list[str], msgspec.Meta(min_length=1)] = msgspec.field(default_factory=lambda: ["D65"])
     luminances_cd_m2: Several | None = None  # luminances of a perfect white; default: 100
     lux: Several | None = None  # illuminances, as an alternative to luminances_cd_m2; π times the luminance of white
-    # Automatic exposure: fraction of full scale that a white reaches in the brightest channel.
+    # Automatic exposure: fraction of full scale that a perfect white reaches in the brightest channel.
     exposure_share: Several | None = None
     # Automatic exposure: fraction of the pixels that reach full scale.
     exposure_saturated: Annotated[list[Annotated[float, msgspec.Meta(gt=0, lt=1)]], msgspec.Meta(min_length=1)] | None = None

@@ -260,7 +260,7 @@ def noise_plugin(name: str) -> EntryPoint:
 def _noisy_by(
     name: str, electrons: NDArray[np.floating], time: Any, camera: CameraModel, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Let the noise model `name`, a plugin, add noise to the electrons. Raises L3Error if it returns invalid values."""
+    """Add noise to the electrons with the noise model `name` of a plugin. Raises L3Error if it returns invalid values."""
     entry = noise_plugin(name)
     with blamed(entry):
         signal = np.array(entry.load()(electrons.copy(), time, camera, rng), np.float32)

@@ -29,13 +29,13 @@ def camera_summary(camera: CameraModel) -> dict[str, Any]:
     Returns
     -------
     dict
-        JSON data. Names of numbers end in their unit. For each channel, the entry ``channels`` describes the responsivity
-        curve, and the response to white relative to the brightest channel.
+        JSON data. Keys of numbers end in the unit. For each channel, the entry ``channels`` describes the responsivity
+        curve, and the response to a perfect white, relative to the brightest channel.
 
     Raises
     ------
     InputFileError
-        If the camera collects no electrons from a white.
+        If the camera collects no electrons from a perfect white.
     """
     lights = {name: make_light(name, {}, camera.wavelength) for name in LIGHTS}
     rates = {name: white_rates(camera, light) * camera.channel_gains for name, light in lights.items()}  # per cd/m²
@@ -102,8 +102,9 @@ def camera_lines(camera: dict[str, Any], width: int | None) -> list[str]:
         "",
         *columns(headings, rows, width),
         "",
-        f"efficiency: e-/photon, {first:g}…{last:g} nm; white: response to a white relative to the brightest channel",
-        f"a white saturates a pixel at {', '.join(filled)}; "
+        f"efficiency: e-/photon, {first:g}…{last:g} nm; "
+        "white: response to a perfect white relative to the brightest channel",
+        f"a perfect white saturates a pixel at {', '.join(filled)}; "
         f"exposure times at {camera['luminance_cd_m2']:g} cd/m² and f/{camera['f_number']:g}: {', '.join(times)}",
         *filter(None, [camera["note"]]),
     ]

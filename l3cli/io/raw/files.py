@@ -199,7 +199,7 @@ class RawOverrides:
     opcodes: str | None = None  # "leave" to ignore lens warps and unsupported opcodes in DNG files; otherwise None
 
     def of_frame(self, place: int) -> "RawOverrides":
-        """Return the overrides for the frame at position `place`, from 0, in a sequence.
+        """Return the overrides for the frame at position `place` (counted from 0) in a sequence.
 
         Raises
         ------
@@ -413,11 +413,10 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
 
 
 def _misread(content: RawContent, table: Sensor, phase: NDArray[np.integer]) -> str:
-    """Find out whether the layout of a headerless file is probably wrong.
+    """Suggest an option that selects a more plausible layout for a headerless file, for example another packing.
 
-    Returns the option that selects a more plausible layout, for example another packing, or "" if the current layout is
-    plausible. A layout is more plausible if the frame becomes much smoother. `phase` is the CFA row and column of the first
-    pixel in the file, which may be a masked pixel.
+    Returns "" if the current layout is plausible. A layout is more plausible if the frame becomes much smoother. `phase` is
+    the CFA row and column of the first pixel in the file, which may be a masked pixel.
     """
     first = int(phase[0]), int(phase[1])
     return smoother_reading(content["readings"](), shifted_cfa(table.cfa, first)) if "readings" in content else ""

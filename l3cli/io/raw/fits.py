@@ -63,8 +63,8 @@ def _shape(path: Path) -> tuple[tuple[int, ...], list[str], bool]:
 def read(path: Path, number: int | None = None) -> RawContent:
     """Read the pixels, (row, col), in DN, the colours (BAYERPAT), and the exposure time in s (EXPTIME or EXPOSURE).
 
-    `number`, from 0, selects a frame in a stack. Raises InputFileError if the file contains no frame, or if ROWORDER is
-    invalid.
+    `number` (counted from 0) selects a frame in a stack. Raises InputFileError if the file contains no frame, or if ROWORDER
+    is invalid.
     """
     with _first_image(path) as (image, header):
         values = np.asarray(image.data if number is None else image.section[number])

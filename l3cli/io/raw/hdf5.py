@@ -63,7 +63,7 @@ def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
 
 @isolated("h5py", "hdf5plugin")  # the optional package hdf5plugin adds compression filters to h5py
 def stack_frame(path: Path, name: str, number: int) -> NDArray:
-    """Read frame `number`, from 0, in the dataset that `find_stack` returned, as an array (row, col).
+    """Read frame `number` (counted from 0) in the dataset that `find_stack` returned, as an array (row, col).
 
     Raises InputFileError if the frame is damaged, or if a compression filter is not installed.
     """

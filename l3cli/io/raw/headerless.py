@@ -238,7 +238,7 @@ def stack(path: Path, layout: Layout) -> MultiFrameFile | None:
 
 
 def read_frame(path: Path, layout: Layout, number: int) -> RawContent:
-    """Read frame `number`, from 0, in a file. Raises InputFileError if the frame is truncated."""
+    """Read frame `number` (counted from 0) in a file. Raises InputFileError if the frame is truncated."""
     stored = np.fromfile(path, np.uint8, layout.frame_bytes, offset=layout.skip + number * layout.frame_bytes)
     if stored.size < layout.frame_bytes:
         raise InputFileError(f"{path} ends in the middle of frame {number} ({layout}); {GIVE_LAYOUT}")

@@ -76,7 +76,7 @@ def find_variable(path: Path, dataset: str | None, from_python: bool) -> tuple[s
 
 @isolated("scipy.io")
 def frame(path: Path, name: str, from_python: bool, number: int) -> NDArray:
-    """Read frame `number`, from 0, in the variable that `find_variable` returned, as an array (row, col)."""
+    """Read frame `number` (counted from 0) in the variable that `find_variable` returned, as an array (row, col)."""
     import scipy.io
 
     key = (str(path), *stamp(path), name)

@@ -129,7 +129,7 @@ Lists = dict[tuple[str, str], NDArray[np.float64]]  # (group, name) → list of 
 
 
 def _lists(arrays: dict[str, NDArray], attributes: dict[str, dict[str, Any]], length: int) -> Lists:
-    """Return all lists of `length` numbers, at least 2, in a file's arrays and attributes.
+    """Return all lists of `length` numbers in a file's arrays and attributes. If `length` is 1, return none.
 
     The keys of the result are (group, name). For an attribute, the group is the path of the group or array that has the
     attribute.

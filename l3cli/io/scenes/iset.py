@@ -80,7 +80,7 @@ def size(path: Path, light: Curve | None = None) -> tuple[int, int]:
 
 
 def _photons(content: Content) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """Return the wavelengths in nm, and the photons, (row, col, wavelength), or (row, col) for a single wavelength.
+    """Return wavelengths in nm and photon radiance, (row, col, wavelength), or (row, col) for a single wavelength.
 
     Raises KeyError with the name of a missing variable.
     """
@@ -100,7 +100,7 @@ def _photons(content: Content) -> tuple[NDArray[np.float64], NDArray[np.float32]
 
 
 def _illuminant(stored: Any, wavelength: NDArray[np.float64], light: Curve | None) -> NDArray[np.float64]:
-    """Return the photons that a perfect white reflects under the illuminant, at each wavelength.
+    """Return the photon radiance of a perfect white under the illuminant, at each wavelength.
 
     `stored` is the illuminant struct in the file. If it is not a struct, the file contains no illuminant, and `light` is
     used instead. New versions of ISET store photons, and old versions store energy, which l3 converts to photons. Raises

@@ -131,7 +131,7 @@ class Summary:
 
 
 def render_one(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderOptions) -> Summary:
-    """As `render`, but return a summary."""
+    """Render one clip as `render` does, and return a summary."""
     gathering, summary = Gathering(options.console, MAX_WARNINGS), Summary()
     tally = render(table, inputs, output, replace(options, console=gathering))
     name = str(inputs[0]) if len(inputs) == 1 else f"{inputs[0]} and {len(inputs) - 1} more"

@@ -62,7 +62,7 @@ class Job:
     engine: dict[str, str]  # options of the backend
     shows_photos: bool  # whether the raw files contain a white balance, and the outputs are pictures
     white_source: WhiteSource | None  # method that finds each frame's white; None to use the white of the rendition
-    light_mix: Mix | None  # mixture of the table's illuminants for a white that the user has set
+    light_mix: Mix | None  # mixture of the table's illuminants for the option `white`
     rendition: Rendition
     scheduler: "Scheduler | None"
     checkpoint: PictureCheckpoint | None  # None for outputs that cannot be resumed, such as streams and single pictures
@@ -127,7 +127,7 @@ def open_job(
     camera = None if options.camera is None else CameraFile(options.camera.absolute(), sha256(options.camera))
     overrides = _with_corrections(stated, table, camera, options, guard)
     shows_photos = has_display(place, options) and not has_stokes(table.outputs) and are_photos(inputs[0])
-    white = None if table.outputs == STOKES else options.white  # a white has no effect on grey pictures of S0
+    white = None if table.outputs == STOKES else options.white  # white balance has no effect on grey pictures of S0
     source = white_source(white, table, shows_photos)
     light_mix = None if source else light_mix_of_given(white, table, nearest_for, options.console)
     rendition = _rendition(place, None if source else white, mixed(table, light_mix), options)
@@ -404,7 +404,7 @@ Choice = Callable[[TransformTable, NDArray[np.floating]], Mix | None]  # mix_for
 
 
 def light_mix_of_given(white: str | None, table: TransformTable, choice: Choice, console: Console) -> Mix | None:
-    """Find the mixture of a table's illuminants that matches a white, and report it on the console.
+    """Find the mixture of a table's illuminants that matches the option `white`, and report it on the console.
 
     Parameters
     ----------
@@ -471,7 +471,7 @@ def _rendition(destination: Destination, white: str | None, table: TransformTabl
 
 
 def warn_of_white(name: str, white: SceneWhite, table: TransformTable, console: Console) -> None:
-    """Warn if a white is far from the training illuminants, or if its spectrum does not cover the camera's wavelengths."""
+    """Warn if a white point is far from the training illuminants, or if its spectrum misses wavelengths of the camera."""
     if doubt := far_from_training(name, white, table):
         console.warn(doubt)
     if table.camera is not None and "," not in name:

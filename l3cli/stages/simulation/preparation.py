@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 
 def scene_files(source: sources.Source, recipe: Path) -> list[Path]:
-    """List the scene files of a source, which are none for synthetic sources.
+    """List a source's scene files. The list of a synthetic source is empty.
 
     Raises
     ------
