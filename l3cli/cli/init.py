@@ -28,9 +28,9 @@ def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options
     """Create the folder DIR with recipes for a camera, and with a Makefile that runs the pipeline and renders a picture and
     a report. DIR also contains this pipeline for Snakemake and for Slurm job arrays.
 
-    RECIPE is the name of a type of camera or of a benchmark, the name of a camera whose measured curves come with l3
-    (--list), or your own camera recipe (.toml), which is copied together with its curves. The Makefile of a benchmark trains
-    on one folder of your pictures, and evaluates on a second folder.
+    RECIPE is the name of a camera type or a benchmark, the name of a camera whose measured curves come with l3 (--list), or
+    your own camera recipe (.toml), which is copied together with its curves. The Makefile of a benchmark trains on one
+    folder of your pictures, and evaluates on a second folder.
 
     With --from, l3 derives the camera recipe from raw files. If the files come from several cameras, l3 creates a folder in
     DIR for each camera. If --from specifies a design ("l3 design"), the recipe describes the best array of the design.

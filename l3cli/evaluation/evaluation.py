@@ -273,7 +273,7 @@ class Evaluation:
             ours = outputs * (self._table.output_unit / frame.exposure)
         if not np.abs(ours).max() <= MAX_OUTPUT_CD_PER_M2:
             raise InputFileError(
-                f"the table renders frame {frame.scene} to infinite or implausibly large values; train the table again"
+                f"the table produces infinite or implausibly large values for frame {frame.scene}; train the table again"
             )
         planes: dict[str, Array] = {OURS: ours}
         for name, demosaic in self._baselines.items():

@@ -64,7 +64,7 @@ def raw_content(path: Path, answered: Container[str] = ()) -> RawContent:
     require_regular(path, RAW_FILE)
     kind = format_of(path)
     if not kind.holds_frame or kind.wants_geometry:
-        raise InputFileError(f"{path} is not a raw file of a camera; {RAW_FILE} or a picture with one channel")
+        raise InputFileError(f"{path} is not a camera raw file; {RAW_FILE} or a picture with one channel")
     content = kind.read(path)
     if content["values"].ndim != 2 or content["values"].size == 0:
         raise InputFileError(f"{path} is not a mosaic; {RAW_FILE}")
@@ -218,8 +218,8 @@ def _whole_frame(
         phase = phase_of(path, pattern, array)
         if not np.array_equal(shifted_cfa(array.cfa, phase), array.cfa):
             raise InputFileError(
-                f'{path} starts at row {phase[0]}, column {phase[1]} of "cfa.pattern"; write a pattern that starts with '
-                "this site"
+                f'{path} starts at row {phase[0]}, column {phase[1]} of "cfa.pattern"; rewrite the pattern so that it '
+                "starts with this site"
             )
     _check(path, str(values.dtype), 1, values.shape, shape, bits)
     require_bits(path, values, bits)

@@ -499,9 +499,9 @@ class StatedTimes:
         return steps.size == 0 or int(steps.max() - steps.min()) * self.tick <= JITTER
 
     def range(self) -> str:
-        """Format the shortest and the longest interval between frames, of which there must be at least two.
+        """Format the shortest and the longest interval between frames, such as "0.0333–0.05 s".
 
-        An example is "0.0333–0.05 s".
+        The video must have at least two frames.
         """
         steps = np.diff(self.ticks) * float(self.tick)
         return f"{steps.min():.3g}–{steps.max():.3g} s"

@@ -27,14 +27,14 @@ COMMON = {
     "slurm.sh": "pipelines/slurm.sh",
 }
 SCENES = ("scenes.toml", "bands_scenes.toml", "unseen.toml")  # the scene recipes in COMMON
-# Pipeline file → (text, replacement) for real cameras. With the replacement, the pipeline starts from the camera recipe
-# instead of from a camera model that is calibrated in the virtual lab.
+# Pipeline file → (text, replacement) for real cameras. The replacement makes the pipeline start from the camera recipe.
+# Without it, the pipeline calibrates a camera model in the virtual lab.
 KNOWN = {
     "Makefile": ("CAMERA ?= camera.h5", "CAMERA ?= camera.toml"),
     "Snakefile": ('config.get("camera", "snakemake/camera.h5")', 'config.get("camera", "camera.toml")'),
     "slurm.sh": ("${CAMERA:-camera.h5}", "${CAMERA:-camera.toml}"),
 }
-# (text, replacement) for the scene recipe and for the class recipe, so that the table is trained for two illuminants.
+# (text, replacement) pairs with which the scene recipe and the class recipe train for two illuminants.
 LIGHTS = '["A", "D65"]'
 ILLUMINANTS = 'illuminants = ["D65"]\n', f"illuminants = {LIGHTS}\n"
 LEARNING = (
@@ -184,7 +184,7 @@ def for_lights(contents: Mapping[str, bytes]) -> dict[str, bytes]:
 def fitting_scenes(text: str, rows: int, cols: int) -> str:
     """Limit every scene in the text of a scene recipe to `rows` × `cols` pixels.
 
-    To keep the total number of pixels, the number of random scenes is increased.
+    The number of random scenes is increased, so that the total number of pixels does not decrease.
     """
 
     def fitted(scene: re.Match[str]) -> str:

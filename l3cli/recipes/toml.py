@@ -74,7 +74,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
 
     Raises RecipeError if the text is not valid TOML. The message contains the file name `name`.
     """
-    # Without garbage collection: when nested lists exhaust the stack, finalizers would fail and Python would print errors.
+    # Garbage collection is off because finalizers would fail and print errors when nested lists exhaust the stack.
     collecting = gc.isenabled()
     gc.disable()
     try:

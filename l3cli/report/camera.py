@@ -504,7 +504,7 @@ def snr_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
     """Plot the temporal and the total signal-to-noise ratio against the signal in electrons.
 
     The points are measured. The thick lines are computed from the read noise and the gain of each channel. The thin lines
-    also contain DSNU and PRNU. The dotted line is an ideal sensor with photon noise only.
+    also contain DSNU and PRNU. The dotted line shows an ideal sensor with photon noise only.
     """
     most = float(noise.saturation_capacity.max())
     electrons = np.geomspace(most * SNR_CURVE_START, most, 60)
@@ -531,6 +531,6 @@ def snr_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
     )
     finding = (
         f"SNR max: {best}. Points and thick lines contain temporal noise. Thin lines also contain DSNU and PRNU (total "
-        "SNR). The dotted line is an ideal sensor with photon noise only."
+        "SNR). The dotted line shows an ideal sensor with photon noise only."
     )
     return plot.figure("Signal-to-noise ratio", finding, keys)

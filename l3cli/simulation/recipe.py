@@ -320,5 +320,5 @@ def _light_faults(text: str, key: KeyPath, source: RecipeSource) -> Iterator[Fau
 def _require_named(name: str, path: Path) -> None:
     """Raise RecipeError if `name` is not a known illuminant."""
     if path.is_file():
-        raise RecipeError(f"{path} does not have the suffix of a file of spectra; use one of {' '.join(SUFFIXES)}")
+        raise RecipeError(f"{path} has an unsupported suffix for a file of spectra; use one of {' '.join(SUFFIXES)}")
     spectra.require_illuminant(name)

@@ -288,7 +288,7 @@ def warn_of_other_lights(
     document : dict
         Output of `l3 evaluate --json`. A smaller mean ΔE00 is better.
     whites : mapping of str to ndarray, (output,)
-        White under each illuminant of the frames, by illuminant name.
+        Outputs of a perfect white under each illuminant of the frames, by illuminant name.
     console : Console
         Receives the warning.
     """

@@ -89,7 +89,7 @@ class L3Render(GstBase.BaseTransform):
         super().__init__()
         self._mosaics: Any = None  # l3cli.api.frames.Mosaics while the element runs, otherwise None
         self._reported = ""  # latest error message; it is posted only once, even if GStreamer tries several caps
-        self._picture: Any = None  # renders the next frame
+        self._picture: Any = None  # function that renders the next frame
         self._source: Any = None  # memory layout of the input frames
         self._target: Any = None  # memory layout of the output frames
 

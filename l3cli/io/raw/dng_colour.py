@@ -1,7 +1,7 @@
 """Read colour tags in DNG files: the colour matrices, and the signals of a grey surface under the file's white point.
 
-According to DNG 1.7.1, chapter 6, a white surface under light with the chromaticity x, y produces the signals AB · CC · CM ·
-(x/y, 1, (1 - x - y)/y). AB is AnalogBalance. CM is interpolated between ColorMatrix1, 2 and 3, and CC between
+According to DNG 1.7.1, chapter 6, a white surface under light with the chromaticity x, y produces the signals
+AB · CC · CM · (x/y, 1, (1 - x - y)/y). AB is AnalogBalance. CM is interpolated between ColorMatrix1, 2 and 3, and CC between
 CameraCalibration1, 2 and 3, both linearly in the reciprocal of the correlated colour temperature.
 """
 

@@ -19,7 +19,7 @@ from l3cli.io.raw.headerless import Layout, read_frame
 from l3cli.system.files import open_regular
 from l3cli.system.limits import require_picture
 
-HEADER = struct.Struct("<14s7i")  # start of the header, which is followed by names and two dates
+HEADER = struct.Struct("<14s7i")  # first fields of the header; names and two dates follow
 HEADER_BYTES = 178
 MAGIC = b"LUCAM-RECORDER"
 # Value of ColorID → letters of the CFA, or "" for a monochrome sensor.

@@ -42,8 +42,8 @@ def deflickered(
     unchanged.
     """
     rate, unit = look.video.rate, job.sequence.unit
-    window: deque[tuple[float, float]] = deque()  # time in frames and brightness ratio of frames around the next frame
-    waiting: deque[tuple[float | None, FrameTask]] = deque()  # frames to yield, each with its time
+    window: deque[tuple[float, float]] = deque()  # (time in frames, brightness ratio) of nearby frames
+    waiting: deque[tuple[float | None, FrameTask]] = deque()  # frames to yield, each with its time in frames
     ahead = 0  # number of frames in `waiting` that were read without an error
 
     def released() -> FrameTask:

@@ -1,7 +1,7 @@
 """Rendering of frames to finished pictures, in this process or in workers on other machines.
 
-Both use `PictureMaker.pictures`. If each picture is a separate file, workers also encode the files. They then usually read
-the frames too, unless the frames must be measured or temporally filtered first.
+Both use `PictureMaker`. If each picture is a separate file, workers also encode the files. They then usually read the frames
+too, unless the frames must be measured or temporally filtered first.
 """
 
 import functools
