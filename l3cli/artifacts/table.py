@@ -46,15 +46,15 @@ class SpectralSmoothing:
 class ChromaSmoothing:
     """Settings of chroma smoothing, for tables with the outputs X, Y, Z (docs/method.md#smoothed-chroma).
 
-    Each pixel's chromaticity is averaged with those of its eight neighbours that have similar luminance and chroma. The
-    pixel's luminance is preserved.
+    Each pixel's chromaticity is averaged with those of its 16 neighbours that have similar luminance and chroma. The pixel's
+    luminance is preserved.
     """
 
     reach: float = data("float64", doc="relative difference in luminance at which the weight of a neighbour reaches zero")
     likeness: float = data(
         "float64",
-        doc="difference in X/Y or Z/Y, as a fraction of the value for white, at which the weight of a neighbour "
-        "reaches zero",
+        doc="difference in X/Y or Z/Y, as a fraction of the value for white, at which the weight of a near neighbour "
+        "reaches zero; half of it for far neighbours",
     )
 
     def __post_init__(self) -> None:

@@ -21,7 +21,14 @@ from l3cli.classes.windows import neighbourhoods
 from l3cli.export.wordlengths import ENOUGH_PSNR_DB, SEED, SHAPE, Cost, Words, chosen_words, make_vector, word_costs
 from l3cli.rendering.conditions import noise_limits
 from l3cli.rendering.display import require_known_layers
-from l3cli.rendering.reference import CHROMA_NEIGHBOURS, SMOOTHING_DARKEST, raising_constants, white_scale
+from l3cli.rendering.reference import (
+    CHROMA_NEIGHBOURS,
+    FAR_CHROMA_NEIGHBOURS,
+    FAR_LIKENESS,
+    SMOOTHING_DARKEST,
+    raising_constants,
+    white_scale,
+)
 from l3cli.system.text import printable
 
 FORMAT, VERSION = "l3 table as arrays", 2
@@ -124,9 +131,10 @@ SPECTRA_DOC = (
 
 CHROMA_DOC = (
     "last step, which is also applied to test_outputs. p is a pixel, and q are its neighbours at the offsets `neighbours` "
-    "(row, column), mirrored at the borders. With e_q = X_q Y_p - X_p Y_q, and f_q the same for Z, the weights are "
-    "w_q = max(0, 1 - ((Y_q - Y_p) / (reach * Y_p))^2 - ((e_q / X_w)^2 + (f_q / Z_w)^2) / (likeness * Y_p^2)^2)^2, where "
-    "X_w and Z_w are those of white_point with Y_w = 1. X_p <- X_p + sum(w_q e_q) / (Y_p + sum(w_q Y_q)) if "
+    "and `far_neighbours` (row, column), mirrored at the borders. With e_q = X_q Y_p - X_p Y_q, and f_q the same for Z, the "
+    "weights are w_q = max(0, 1 - ((Y_q - Y_p) / (reach * Y_p))^2 - ((e_q / X_w)^2 + (f_q / Z_w)^2) / (l_q * Y_p^2)^2)^2, "
+    "where l_q = likeness for neighbours, l_q = far_likeness * likeness for far neighbours, and X_w and Z_w are those of "
+    "white_point with Y_w = 1. X_p <- X_p + sum(w_q e_q) / (Y_p + sum(w_q Y_q)) if "
     "Y_p > smoothing_darkest, and Z_p the same with f_q. Y does not change"
 )
 
@@ -161,7 +169,13 @@ def folder_files(table: TransformTable) -> dict[str, bytes]:
         content["constants"]["smoothing_darkest"] = SMOOTHING_DARKEST
     if table.chroma_smoothing:
         keys = arrays.add_fields("chroma_smoothing/", table.chroma_smoothing)
-        content["chroma_smoothing"] = {"doc": CHROMA_DOC, **keys, "neighbours": CHROMA_NEIGHBOURS}
+        content["chroma_smoothing"] = {
+            "doc": CHROMA_DOC,
+            **keys,
+            "neighbours": CHROMA_NEIGHBOURS,
+            "far_neighbours": FAR_CHROMA_NEIGHBOURS,
+            "far_likeness": FAR_LIKENESS,
+        }
         content["constants"]["smoothing_darkest"] = SMOOTHING_DARKEST
         if table.white_signals is not None:
             content["least_luminance"] = {"doc": LEAST_DOC, **raising_constants(table), **_white_scale(table)}

@@ -19,10 +19,12 @@ from l3cli.physics.mosaic import channel_reach, shifted_cfa
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
 
-# Neighbours for chroma smoothing, as (row, column) offsets in pixels. Eight neighbours keep it fast. Mixing near and far
+# Neighbours for chroma smoothing, as (row, column) offsets in pixels. Few neighbours keep it fast. Mixing near and far
 # neighbours averages out both fine and coarse residual patterns of noise and aliasing.
 CHROMA_NEIGHBOURS = ((-1, -1), (-1, 1), (1, -1), (1, 1), (-4, 0), (4, 0), (0, -4), (0, 4))
-CHROMA_REACH = 4  # largest offset in pixels
+FAR_CHROMA_NEIGHBOURS = ((-5, -5), (-5, 5), (5, -5), (5, 5), (-8, 0), (8, 0), (0, -8), (0, 8))
+FAR_LIKENESS = 0.5  # far neighbours show other surfaces more often, so their chroma must be closer by this factor
+CHROMA_REACH = 8  # largest offset in pixels
 
 # A pixel's luminance may not fall below the smallest nearby raw value (relative to white), times one of these factors. The
 # first factor applies above the black level, the second one below it. The second factor is large so that little dark noise
@@ -402,17 +404,17 @@ def smoothed_chroma(
 ) -> NDArray[np.float64]:
     """Average the chroma of each pixel with similar neighbours, then raise pixels that are too dark.
 
-    The averaging does not change the luminance. For a pixel p, its neighbours q (CHROMA_NEIGHBOURS), and X_w and Z_w of
-    `white`:
+    The averaging does not change the luminance. For a pixel p, its neighbours q (CHROMA_NEIGHBOURS and
+    FAR_CHROMA_NEIGHBOURS), and X_w and Z_w of `white`:
 
         e_q = X_q Y_p − X_p Y_q
         f_q = Z_q Y_p − Z_p Y_q
-        w_q = max(0, 1 − ((Y_q − Y_p) / (reach · Y_p))² − ((e_q / X_w)² + (f_q / Z_w)²) / (likeness · Y_p²)²)²
+        w_q = max(0, 1 − ((Y_q − Y_p) / (reach · Y_p))² − ((e_q / X_w)² + (f_q / Z_w)²) / (l_q · Y_p²)²)²
         X_p ← X_p + Σ w_q e_q / (Y_p + Σ w_q Y_q)
 
-    Z changes in the same way. The new X_p / Y_p is the weighted mean of X over p and its neighbours, divided by the weighted
-    mean of Y. Areas of constant chromaticity are unchanged to the last bit. At the borders, planes are mirrored about the
-    outermost pixels.
+    l_q is `likeness` for CHROMA_NEIGHBOURS, and FAR_LIKENESS · `likeness` for FAR_CHROMA_NEIGHBOURS. Z changes in the same
+    way. The new X_p / Y_p is the weighted mean of X over p and its neighbours, divided by the weighted mean of Y. Areas of
+    constant chromaticity are unchanged to the last bit. At the borders, planes are mirrored about the outermost pixels.
 
     If Y_p is below `least`, it becomes `least`, and X_p and Z_p move towards the chroma of the diagonal neighbours, by at
     most RAISED_CHROMA times the change in Y_p.
@@ -438,15 +440,16 @@ def smoothed_chroma(
     scale = (white[::2] / white[1])[:, None, None] * smoothing.likeness * np.square(safe)
     padded, (rows, cols) = mirrored(planes, CHROMA_REACH), luminance.shape
     total, change, diagonal = safe.copy(), np.zeros_like(chroma), np.zeros_like(planes)
-    for down, right in CHROMA_NEIGHBOURS:
+    for down, right in CHROMA_NEIGHBOURS + FAR_CHROMA_NEIGHBOURS:
         first, left = CHROMA_REACH + down, CHROMA_REACH + right
         there = padded[:, first : first + rows, left : left + cols]
         unlike = there[::2] * safe - chroma * there[1]
-        square = np.square((there[1] - safe) / (smoothing.reach * safe)) + np.square(unlike / scale).sum(axis=0)
+        limit = scale if (down, right) in CHROMA_NEIGHBOURS else FAR_LIKENESS * scale
+        square = np.square((there[1] - safe) / (smoothing.reach * safe)) + np.square(unlike / limit).sum(axis=0)
         weight = np.maximum(1 - square, 0) ** 2
         total += weight * there[1]
         change += weight * unlike
-        if abs(down) == abs(right):
+        if abs(down) == abs(right) == 1:
             diagonal += there
     smoothed = planes.copy()
     smoothed[::2] += np.where(bright, change / total, 0.0)

@@ -1,6 +1,6 @@
 // Smooths chroma by averaging a pixel with similar neighbours, without changing the luminance. Then raises pixels that are much darker than
-// the raw values around them. The reference is l3cli/rendering/reference.py. The eight neighbours are at (±1, ±1), (±CHROMA_REACH, 0) and
-// (0, ±CHROMA_REACH).
+// the raw values around them. The reference is l3cli/rendering/reference.py. The macros CHROMA_ROWS and CHROMA_COLUMNS list the offsets of
+// the NEIGHBOURS neighbours, of which the first NEAR_NEIGHBOURS are near. The first four are the diagonal neighbours.
 
 // A pixel, scaled so that computing the weight of a neighbour takes few operations. The weight is zero if the squared scaled differences in
 // luminance, X and Z sum to at least 1.
@@ -15,11 +15,15 @@ INLINE Scaled scaled_pixel(const floats *own, float by_luminance, float by_x, fl
     return (Scaled){own[1] * of_luminance, of_luminance, own[0] * of_x, own[2] * of_z, own[1] * of_x, own[1] * of_z};
 }
 
+// Factor for the squared difference in chroma of neighbour `n`.
+#define UNLIKE(n) ((n) < NEAR_NEIGHBOURS ? 1.0f : FAR_UNLIKE)
+
 // Adds a neighbour with the XYZ `there` to the sums. sums[0] and sums[2] are the scaled changes of X and Z, and sums[1] is their divisor.
-INLINE void add_neighbour(floats *sums, Scaled own, const floats *there) {
+// `unlike` is the factor for the squared difference in chroma.
+INLINE void add_neighbour(floats *sums, Scaled own, const floats *there, float unlike) {
     const floats brighter = there[1] * own.of_luminance - own.luminance;
     const floats x = there[0] * own.luminance_of_x - own.x * there[1], z = there[2] * own.luminance_of_z - own.z * there[1];
-    const floats left = 1.0f - brighter * brighter - x * x - z * z;
+    const floats left = 1.0f - brighter * brighter - unlike * (x * x + z * z);
     const floats positive = left > 0.0f ? left : (floats)0.0f, weight = positive * positive;
     sums[0] += weight * x;
     sums[1] += weight * there[1];

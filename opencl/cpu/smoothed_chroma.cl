@@ -11,13 +11,13 @@ INLINE void read_three(floats *value, __global const float *row, size_t stride, 
 INLINE void smooth_pixels(floats *own, __global const float *const *row, size_t stride, int x, int columns, bool inside,
                           float by_luminance, float by_x, float by_z) {
     floats sums[3] = {0.0f, 0.0f, 0.0f}, there[3];
-    read_three(own, row[2], stride, x, columns, inside);
+    const int right[] = {CHROMA_COLUMNS};
+    read_three(own, row[NEIGHBOURS], stride, x, columns, inside);
     const Scaled scaled = scaled_pixel(own, by_luminance, by_x, by_z);
     #pragma unroll
-    for (int n = 0; n < 8; n++) {
-        const int line[] = {1, 1, 3, 3, 0, 4, 2, 2}, right[] = {-1, 1, -1, 1, 0, 0, -CHROMA_REACH, CHROMA_REACH};
-        read_three(there, row[line[n]], stride, x + right[n], columns, inside);
-        add_neighbour(sums, scaled, there);
+    for (int n = 0; n < NEIGHBOURS; n++) {
+        read_three(there, row[n], stride, x + right[n], columns, inside);
+        add_neighbour(sums, scaled, there, UNLIKE(n));
     }
     change_chroma(own, sums, by_x, by_z);
 }
@@ -41,16 +41,16 @@ INLINE floats levels_of(__global const ushort *raw, __global const float *scale,
     return LOAD_PRIVATE(floats, level);
 }
 
-// Raises pixels that are much darker than the raw values around them. Most pixels are brighter than their own raw value requires, and are
-// skipped.
+// Raises pixels that are much darker than the raw values around them. Most pixels are brighter than the raw values of the first lines
+// require, and are skipped.
 INLINE void raise_pixels(floats *own, __global const float *const *row, size_t stride, LEAST_PARAMETERS floats gain, int y, int x,
                          int frame_rows, int columns, bool inside) {
     #define LEVELS(line, column) \
         levels_of(raw + (size_t)((line) - raw_first) * columns, scale + ((line) + phase_row) % CFA_ROWS * SCALE_PERIOD, black_level, \
                   phase_column, column, columns, inside)
     floats smallest = LEVELS(y, x);
-    if (!any_lane(own[1] < gain * least_luminance(smallest))) return;
     for (int i = -LEAST_REACH; i <= LEAST_REACH; i++) {
+        if (!any_lane(own[1] < gain * least_luminance(smallest))) return;
         const int line = min(max(y + i, 0), frame_rows - 1);
         for (int j = -LEAST_REACH; j <= LEAST_REACH; j++) {
             const floats level = LEVELS(line, x + j);
@@ -59,7 +59,8 @@ INLINE void raise_pixels(floats *own, __global const float *const *row, size_t s
     }
     floats diagonal[3] = {0.0f, 0.0f, 0.0f}, there[3];
     for (int n = 0; n < 4; n++) {
-        read_three(there, row[n < 2 ? 1 : 3], stride, x + (n % 2 ? 1 : -1), columns, inside);
+        const int right[] = {CHROMA_COLUMNS};
+        read_three(there, row[n], stride, x + right[n], columns, inside);
         for (int o = 0; o < 3; o++) diagonal[o] += there[o];
     }
     raise_luminance(own, diagonal, gain * least_luminance(smallest));
@@ -80,10 +81,10 @@ COMPILED_ONCE smooth_chroma_tile(int x0, int y0,
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const size_t stride = (size_t)made_rows * columns, pixels = (size_t)rows * columns;
     for (int y = y0; y < y1; y++) {
-        __global const float *row[5];
-        const int down[] = {-CHROMA_REACH, -1, 0, 1, CHROMA_REACH};
+        __global const float *row[NEIGHBOURS + 1];  // the rows of the neighbours, and last the row of the pixels
+        const int down[] = {CHROMA_ROWS, 0};
         #pragma unroll
-        for (int n = 0; n < 5; n++) row[n] = made + (size_t)(mirrored(first + y + down[n], frame_rows) - top) * columns;
+        for (int n = 0; n <= NEIGHBOURS; n++) row[n] = made + (size_t)(mirrored(first + y + down[n], frame_rows) - top) * columns;
         for (int x = 0; x < width; x += LANES) {
             floats own[3];
             const int column = x0 + x;

@@ -19,11 +19,11 @@ void smooth_chroma(__global const float *restrict made,    // (output, row of `m
     float own[3], sums[3] = {0.0f, 0.0f, 0.0f}, diagonal[3] = {0.0f, 0.0f, 0.0f}, there[3];
     for (int o = 0; o < 3; o++) own[o] = made[o * stride + pixel];
     const Scaled scaled = scaled_pixel(own, by_luminance, by_x, by_z);
-    const int down[] = {-1, -1, 1, 1, -CHROMA_REACH, CHROMA_REACH, 0, 0}, right[] = {-1, 1, -1, 1, 0, 0, -CHROMA_REACH, CHROMA_REACH};
-    for (int n = 0; n < 8; n++) {
+    const int down[] = {CHROMA_ROWS}, right[] = {CHROMA_COLUMNS};
+    for (int n = 0; n < NEIGHBOURS; n++) {
         const size_t place = (size_t)(mirrored(first + y + down[n], frame_rows) - top) * columns + mirrored(x + right[n], columns);
         for (int o = 0; o < 3; o++) there[o] = made[o * stride + place];
-        add_neighbour(sums, scaled, there);
+        add_neighbour(sums, scaled, there, UNLIKE(n));
         for (int o = 0; o < 3 && n < 4; o++) diagonal[o] += there[o];
     }
     change_chroma(own, sums, by_x, by_z);

@@ -20,6 +20,8 @@ from l3cli.rendering.display import make_display
 from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import (
+    CHROMA_NEIGHBOURS,
+    FAR_CHROMA_NEIGHBOURS,
     SMOOTHING_DARKEST,
     ReferenceRenderer,
     least_luminance,
@@ -172,9 +174,22 @@ def test_one_chromaticity_stays_and_noise_of_chroma_falls() -> None:
     shaded = FLAT * np.exp2(rng.integers(-3, 4, FLAT.shape[1:]))  # powers of two, which are exact
     assert np.array_equal(smoothed_chroma(shaded, CHROMA, WHITE), shaded)
     noisy = FLAT.copy()
-    noisy[::2] += 0.005 * rng.normal(size=noisy[::2].shape)
-    share = np.std(smoothed_chroma(noisy, CHROMA, WHITE)[::2] - FLAT[::2]) / 0.005
-    assert share == pytest.approx(1 / 3, abs=0.03)  # mean of nine pixels
+    noisy[::2] += 0.001 * rng.normal(size=noisy[::2].shape)
+    share = np.std((smoothed_chroma(noisy, CHROMA, WHITE) - FLAT)[::2, 8:-8, 8:-8]) / 0.001
+    assert share == pytest.approx(17**-0.5, abs=0.03)  # mean of 17 pixels
+
+
+@pytest.mark.parametrize(
+    ("difference", "offsets"),
+    [(0.19, CHROMA_NEIGHBOURS + FAR_CHROMA_NEIGHBOURS), (0.21, CHROMA_NEIGHBOURS), (0.39, CHROMA_NEIGHBOURS), (0.41, ())],
+)
+def test_far_neighbours_must_be_twice_as_similar(difference: float, offsets: tuple[tuple[int, int], ...]) -> None:
+    """A pixel of another chroma changes all pixels of which it is a neighbour, unless the difference is too large."""
+    planes = np.broadcast_to(0.5 * WHITE[:, None, None], (3, 40, 40)).copy()
+    planes[0, 20, 20] *= 1 + difference
+    changed = np.argwhere(smoothed_chroma(planes, CHROMA, WHITE)[0] != planes[0]) - 20
+    expected = {*offsets, (0, 0)} if offsets else set()
+    assert {(down, right) for down, right in changed.tolist()} == expected
 
 
 def test_vivid_lines_of_one_pixel_keep_their_colour() -> None:

@@ -1,8 +1,10 @@
 /* --------------------------------------------------------------------------------------------------------- smoothed chroma */
 
-#define REACHED 4 /* distance of the farthest neighbours in pixels */
+#define REACHED 8 /* distance of the farthest neighbours in pixels */
 #define HELD (2 * REACHED + 1)
-#define NEIGHBOURS 8
+#define NEIGHBOURS 16
+#define NEAR_NEIGHBOURS 8
+#define FAR_UNLIKE 4.0f /* factor for the squared difference in chroma of far neighbours */
 
 /* Copies of the latest rows of X, Y and Z, because the smoothed rows overwrite the outputs. Row r is at index r % HELD. It has REACHED
  * mirrored columns on both sides. */
@@ -35,8 +37,8 @@ static void keep_row(const Smoothing *s, int row, int rows, int columns, const L
 
 /* Writes X and Z of a row. `stride` is the distance between X, Y and Z in memory. */
 static void smooth_row(const Smoothing *s, int row, int rows, int columns, ptrdiff_t stride, L3Output *to) {
-    static const int down[NEIGHBOURS] = {-1, -1, 1, 1, -REACHED, REACHED, 0, 0};
-    static const int right[NEIGHBOURS] = {-1, 1, -1, 1, 0, 0, -REACHED, REACHED};
+    static const int down[NEIGHBOURS] = {-1, -1, 1, 1, -4, 4, 0, 0, -5, -5, 5, 5, -REACHED, REACHED, 0, 0};
+    static const int right[NEIGHBOURS] = {-1, 1, -1, 1, 0, 0, -4, 4, -5, 5, -5, 5, 0, 0, -REACHED, REACHED};
     const ptrdiff_t span = s->span;
     const L3Output *own = made_row(s, row) + REACHED, *there[NEIGHBOURS];
     for (int n = 0; n < NEIGHBOURS; n++) there[n] = made_row(s, mirrored(row + down[n], rows, 1)) + REACHED + right[n];
@@ -50,8 +52,8 @@ static void smooth_row(const Smoothing *s, int row, int rows, int columns, ptrdi
             const float its = (float)there[n][span + x], brighter = its - luminance;
             const float unlike_x = (float)there[n][x] * luminance - own_x * its;
             const float unlike_z = (float)there[n][2 * span + x] * luminance - own_z * its;
-            const float left =
-                1 - brighter * brighter * by_luminance - unlike_x * unlike_x * by_x - unlike_z * unlike_z * by_z;
+            const float unlike = unlike_x * unlike_x * by_x + unlike_z * unlike_z * by_z;
+            const float left = 1 - brighter * brighter * by_luminance - (n < NEAR_NEIGHBOURS ? 1.0f : FAR_UNLIKE) * unlike;
             const float positive = left > 0 ? left : 0, weight = positive * positive;
             divisor += weight * its;
             change_x += weight * unlike_x;

@@ -12,8 +12,23 @@ from l3cli.rendering.opencl.devices import pyopencl
 from l3cli.rendering.opencl.layout import Macros, paired_source
 from l3cli.rendering.opencl.programs import Compiler
 from l3cli.rendering.opencl.work import Band, Track, scratch
-from l3cli.rendering.reference import CHROMA_REACH, SMOOTHING_DARKEST
+from l3cli.rendering.reference import (
+    CHROMA_NEIGHBOURS,
+    CHROMA_REACH,
+    FAR_CHROMA_NEIGHBOURS,
+    FAR_LIKENESS,
+    SMOOTHING_DARKEST,
+)
 
+NEIGHBOURS = CHROMA_NEIGHBOURS + FAR_CHROMA_NEIGHBOURS
+NEIGHBOUR_MACROS: Macros = {
+    "CHROMA_REACH": CHROMA_REACH,
+    "CHROMA_ROWS": ",".join(str(down) for down, _ in NEIGHBOURS),
+    "CHROMA_COLUMNS": ",".join(str(right) for _, right in NEIGHBOURS),
+    "NEIGHBOURS": len(NEIGHBOURS),
+    "NEAR_NEIGHBOURS": len(CHROMA_NEIGHBOURS),
+    "FAR_UNLIKE": f"{1 / FAR_LIKENESS**2!r}f",
+}
 DARKEST: Macros = {"DARKEST": f"{SMOOTHING_DARKEST!r}f"}
 
 
@@ -166,9 +181,7 @@ class DeviceChroma:
         """
         key = tuple(ending.items())
         if key not in self._kernels:
-            macros = {
-                **ending, **DARKEST, "CHROMA_REACH": CHROMA_REACH, "OUTPUTS": 3, **self._macros, **self._cut.macros
-            }  # fmt: skip
+            macros = {**ending, **DARKEST, **NEIGHBOUR_MACROS, "OUTPUTS": 3, **self._macros, **self._cut.macros}
             source = layout.encoding_source(self._variant, "smoothed_chroma.cl", "common/mirrored.cl")
             self._kernels[key] = pyopencl().Kernel(self._compiler.build(source, macros), "smooth_chroma")
         least = (
