@@ -212,10 +212,11 @@ def test_transposed_sites_are_trained_together_if_rows_and_columns_have_equal_no
     assert recipe.orientations(with_lines(bayer, 5, 5)) == EVERY_ORIENTATION
     assert recipe.orientations(with_lines(bayer, 5, 4, 3)) == EVERY_ORIENTATION
     assert recipe.orientations(with_lines(bayer, 0, 0, 3, 3)) == EVERY_ORIENTATION
+    assert recipe.orientations(with_lines(bayer, 0.9, 0)) == EVERY_ORIENTATION  # far below the noise of the pixels
     for camera in (
         with_lines(bayer, 5, 0),
         with_lines(bayer, 0, 0, 3),
-        with_lines(bayer, 5, 5, 1),
+        with_lines(bayer, 5, 5, 2),
         with_lines(bayer, 0, 0, 0, 3),
     ):
         assert recipe.orientations(camera) == LINES_KEPT
