@@ -312,7 +312,7 @@ def _electrons(frame: TrainingPair, camera: CameraModel) -> Array:
 def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:
     """Return the spectrum of a frame's illuminant.
 
-    This is the first available spectrum of:
+    The first available spectrum is returned:
 
     1. the spectrum that is stored with the frame;
     2. the standard illuminant with the stored name;
@@ -348,7 +348,7 @@ def merges(camera: CameraModel) -> dict[str, Merge | None]:
     """Return the basic pipelines for a camera: name → function that merges exposures.
 
     "basic" averages the exposures, and two more pipelines use only one of them. If all channels have the same sensitivity,
-    the only pipeline is "basic", which needs no such function (None).
+    the only pipeline is "basic", with None instead of a function.
     """
     if camera.readout is None or np.ptp(camera.sensitivity) == 0:
         return {"basic": None}

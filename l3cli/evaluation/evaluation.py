@@ -245,7 +245,7 @@ class Evaluation:
         Raises
         ------
         InputFileError
-            If the frame is too small for the border, if its white has no luminance, or if `outputs` are not finite.
+            If the frame is too small for the border, if its white has a luminance of 0, or if `outputs` are not finite.
         """
         border = self._border
         if min(frame.raw.shape) <= 2 * border:
@@ -265,10 +265,10 @@ class Evaluation:
         Raises
         ------
         InputFileError
-            If the frame's white has no luminance, or if `outputs` are not finite.
+            If the frame's white has a luminance of 0, or if `outputs` are not finite.
         """
         if self._pictures and not frame.white[1] > 0:
-            raise InputFileError(f"the white of frame {frame.scene} has no luminance; simulate the training set again")
+            raise InputFileError(f"the white of frame {frame.scene} has a luminance of 0; simulate the training set again")
         with np.errstate(over="ignore"):
             ours = outputs * (self._table.output_unit / frame.exposure)
         if not np.abs(ours).max() <= MAX_OUTPUT_CD_PER_M2:

@@ -91,8 +91,8 @@ def _colour_difference(one: CameraModel, other: CameraModel, light: LightSpectru
 def noise_ratio(one: CameraModel, other: CameraModel) -> float:
     """Return the ratio of noise standard deviations of two cameras, `other` to `one`.
 
-    Noise and signal are fractions of full scale. Of the ratios at the signals NOISE_SIGNALS, the result is the one that
-    differs most from 1.
+    Noise and signal are fractions of full scale. The ratio is computed at each signal in NOISE_SIGNALS, and the ratio that
+    differs most from 1 is returned.
     """
     spreads = []
     for camera in (one, other):

@@ -459,7 +459,8 @@ def psnr(one: Array, other: Array) -> float:
 def ssim(one: Array, other: Array, *, counted: NDArray[np.bool_] | None = None) -> float:
     """Return the mean structural similarity of two pictures (Wang et al. 2004).
 
-    The window is a Gaussian of 11 × 11 pixels with σ = 1.5. Only windows inside the picture are used, unless there are none.
+    The window is a Gaussian of 11 × 11 pixels with σ = 1.5. Pixels with a window that extends beyond the picture are
+    evaluated only if there are no other pixels.
 
     Parameters
     ----------
@@ -495,8 +496,8 @@ def spectral_angle(rendered: Array, target: Array) -> Array:
     Returns
     -------
     ndarray, (row, col)
-        Angle in degrees: NaN if the target spectrum is zero or negligible (a float32 rounding error of the largest one), and
-        90° if only the rendered spectrum is zero.
+        Angle in degrees: NaN if the target spectrum is zero or negligible (below the float32 rounding error of the largest
+        spectrum), and 90° if only the rendered spectrum is zero.
     """
     cubes = [cube.astype(np.float64) for cube in (rendered, target)]
     lengths = [np.sqrt((cube**2).sum(axis=0)) for cube in cubes]

@@ -337,8 +337,8 @@ class SequenceEvaluation:
 def _warped_error(error: Array, last: Array, motion: Array, border: int) -> float | None:
     """Return the RMS change of the error (row, col) along the motion, or None if no pixel is visible in both frames.
 
-    The error `last` of the previous frame is displaced by the motion and subtracted from the current error. Displacing the
-    pictures instead would leave interpolation artefacts at edges, which cancel in the error.
+    The error `last` of the previous frame is displaced by the motion and subtracted from the current error. The error is
+    displaced instead of the pictures, because interpolation artefacts at edges cancel in the error.
     """
     row, col = np.indices(error.shape)
     seen = cropped(motion[2], border) > 0
@@ -375,7 +375,7 @@ def _mean(values: list[float | None]) -> float | None:
 def read_sequence_figures(path: Path) -> SequenceFigures:
     """Read a file from `l3 evaluate --sequence --json`.
 
-    Raises InputFileError if it cannot be read, contains something else, or contains metrics of fewer than two frames.
+    Raises InputFileError if the file cannot be read, has other content, or contains metrics of fewer than two frames.
     """
     try:
         printed = msgspec.json.decode(read_bounded(path, GIVE), type=dict[str, Any])

@@ -342,7 +342,8 @@ def _level_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
 def _gain_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
     """Plot the main metric against the analog gain, with a table and an explanation.
 
-    With several illuminants, the plot has one curve per illuminant for the table. Otherwise, it has one curve per pipeline.
+    If there are several illuminants, the plot shows only the table, with one curve per illuminant. Otherwise, it shows one
+    curve per pipeline.
     """
     groups, figure = document["by_gain"], main_of(document)
     lights = tuple(dict.fromkeys(group["illuminant"] for group in groups))

@@ -391,7 +391,7 @@ def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe
     capture : LabCapture
         The capture.
     trial : int
-        Number of the frame in the capture, from 0.
+        Number of the frame in the capture, counted from 0.
     seed : int
         Seed of the noise.
     recipe : DefectRecipe

@@ -175,7 +175,7 @@ def named_beyond_known(names: Iterable[str], camera: Detector) -> list[str]:
 
 
 def beyond_known(light: Light, measured: Mapping[str, Curve], camera: Detector) -> str:
-    """Warn if a channel collects more than 1 % of its electrons at wavelengths without data for the illuminant.
+    """Return a warning if a channel collects more than 1 % of its electrons where the illuminant is unknown.
 
     Outside its tabulated range, l3 extends a standard illuminant with its last value and a measured illuminant with zero. To
     estimate the fraction, both kinds are extended with their last value.
@@ -218,7 +218,7 @@ def beyond_known(light: Light, measured: Mapping[str, Curve], camera: Detector) 
 
 
 def lens_beyond_known(name: str, transmittance: Curve, light: Light, camera: CameraModel) -> str:
-    """Warn if a channel could collect more than 1 % of its electrons where the lens transmittance is unknown.
+    """Return a warning if a channel could collect more than 1 % of its electrons where the lens transmittance is unknown.
 
     Outside the wavelength range of the file, l3 assumes zero transmittance. The fraction is estimated from a transmittance
     that is extended with its last value.
@@ -246,7 +246,7 @@ def lens_beyond_known(name: str, transmittance: Curve, light: Light, camera: Cam
 
 
 def functions_beyond_known(name: str, functions: Curve, names: Sequence[str], light: Light) -> str:
-    """Warn if an output could lose more than 1 % of its value where its matching function is unknown.
+    """Return a warning if an output could lose more than 1 % of its value where its matching function is unknown.
 
     Outside the wavelength range of the file, l3 assumes zero. The missing fraction is estimated for a white surface, with
     matching functions that are extended with their last values.
@@ -279,7 +279,7 @@ def functions_beyond_known(name: str, functions: Curve, names: Sequence[str], li
 
 
 def curves_beyond_known(recipe: Path, light: Light, camera: CameraModel) -> str:
-    """Warn if a channel could collect more than 1 % of its electrons outside the range of its responsivity file.
+    """Return a warning if a channel could collect more than 1 % of its electrons where its responsivity is unknown.
 
     Outside the wavelength range of the file, l3 assumes zero responsivity. The fraction is estimated from responsivities
     that are extended with their last values.
@@ -311,7 +311,7 @@ def curves_beyond_known(recipe: Path, light: Light, camera: CameraModel) -> str:
 
 
 def camera_unknown(path: Path, camera: CameraModel, lights: Sequence[str]) -> list[str]:
-    """Warn about wavelengths that a camera's responsivity file or a standard illuminant does not cover.
+    """Return warnings about wavelengths that a camera's responsivity file or a standard illuminant does not cover.
 
     Parameters
     ----------
@@ -360,7 +360,7 @@ def _file_ends(name: str, grid: Array, there: str, taken: float, wanted: str) ->
 
 
 def surfaces_beyond_known(light: Light, camera: CameraModel) -> str:
-    """Warn if a channel collects more than 1 % of its electrons at wavelengths without measured reflectances.
+    """Return a warning if a channel collects more than 1 % of its electrons at wavelengths without measured reflectances.
 
     Outside the measured range, reflectances are extended with their last values. Returns "" if the fraction is at most 1 %.
     """

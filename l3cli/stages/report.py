@@ -365,7 +365,7 @@ def _pixels(
 
 
 def chart_subsection(frame: TrainingPair, number: int, planes: dict[str, NDArray], head: TrainingSet) -> Subsection | None:
-    """Create a figure and a table about the ColorChecker in a frame. Returns None if the frame shows none.
+    """Create a figure and a table about the ColorChecker in a frame. Returns None if the frame does not show a chart.
 
     Parameters
     ----------

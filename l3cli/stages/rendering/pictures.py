@@ -240,7 +240,7 @@ class Renderers:
 
 @contextmanager
 def picture_makers(job: Job, look: Look, renderers: Renderers) -> Iterator[LocalPictures | RemotePictures]:
-    """Provide the object that renders a run's pictures, in this process or in workers, for a `with` block."""
+    """Context manager that yields the object that renders a run's pictures, in this process or in workers."""
     setup = setup_of(job, look)
     if job.scheduler is None:
         yield LocalPictures(setup, renderers.of(setup, look.table))

@@ -252,7 +252,7 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
 
 
 def unknown_of(run: SimulationRun, camera: CameraModel, recipe: Path | None = None) -> list[str]:
-    """Warn about spectra that do not cover all wavelengths at which the camera collects electrons.
+    """Return warnings about spectra that do not cover all wavelengths at which the camera collects electrons.
 
     Parameters
     ----------
