@@ -312,7 +312,7 @@ def _electrons(frame: TrainingPair, camera: CameraModel) -> Array:
 def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:
     """Return the spectrum of a frame's illuminant.
 
-    The first available spectrum is returned:
+    The first of these spectra that is available is returned:
 
     1. the spectrum that is stored with the frame;
     2. the standard illuminant with the stored name;

@@ -223,8 +223,8 @@ _DRAW = {"library": _library, "mixture": _mixture, "gaussian": _gaussian, "skin"
 def raise_to_spectra(linear: NDArray[np.float32], wavelength: NDArray[np.float64], name: str) -> Scene:
     """Convert a linear sRGB picture to a spectral scene with the reflectances red · R + green · G + blue · B.
 
-    The spectra red, green and blue come from `primaries`. They are not negative and add up to 1 at each wavelength, so values
-    from 0 to 1 become reflectances from 0 to 1.
+    The spectra red, green and blue come from `primaries`. They are not negative and add up to 1 at each wavelength, so
+    values from 0 to 1 become reflectances from 0 to 1.
 
     Parameters
     ----------

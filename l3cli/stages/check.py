@@ -61,7 +61,7 @@ def files_named(path: Path, content: Mapping[str, Any]) -> tuple[Path, ...]:
     Parameters
     ----------
     path : Path
-        Path of the recipe, to whose folder file names are relative.
+        Path of the recipe. File names are relative to its folder.
     content : mapping
         Content of the recipe.
     """

@@ -466,7 +466,7 @@ def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
 
 
 def _measurements(path: Path, options: InitOptions) -> Measurements:
-    """Read a raw file, with values from the options instead of values in the file where they are set.
+    """Read a raw file. Values in the options take precedence over values in the file.
 
     A doubtful black level causes a warning. Raises InputFileError if the frame is too small, or if the pixels contradict the
     CFA, phase or black level in the file and no option overrides it. Raises RecipeError if the black level is not below the

@@ -446,7 +446,7 @@ def light_mix_of_given(white: str | None, table: TransformTable, choice: Choice,
 def _rendition(destination: Destination, white: str | None, table: TransformTable, options: RenderOptions) -> Rendition:
     """Return the settings that convert the outputs of the table to pictures.
 
-    A white that the user has set is checked, which can cause warnings. Raises RecipeError if an option for pictures is
+    If the user has set a white, it is checked, which can cause warnings. Raises RecipeError if an option for pictures is
     invalid.
     """
     if options.show is not None:

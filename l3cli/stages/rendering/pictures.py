@@ -190,7 +190,7 @@ def _is_made(job: tuple[RenderSetup, FrameTask], made: Any) -> bool:
 
 
 def _read_by_worker(task: FrameTask, setup: RenderSetup, table: TransformTable) -> FrameTask:
-    """Add a frame with the corrections of the camera model to a task, in a worker.
+    """Add the frame and the camera model's corrections to a task, in a worker.
 
     If the task contains no frame, the frame is read and corrected. Otherwise only the shading of the camera model is added,
     because defects have already been corrected.

@@ -217,7 +217,7 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
     recipe : SceneRecipe
         The scene recipe.
     path : Path
-        Path of the recipe, to whose folder file names are relative.
+        Path of the recipe. File names are relative to its folder.
     camera : CameraModel
         The camera. The recipe can change its properties in the returned run, for example the lens.
     seed : int

@@ -85,8 +85,8 @@ class LayerUnit:
 def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: PlaneRule | None = None) -> PlaneRule:
     """Determine the class rule of a refinement layer in a pilot pass over all frames.
 
-    If `like` is set, its classes are reused, and the pilot pass determines only the gradient scale. For the camera's own
-    noise, the pass is then unnecessary.
+    If `like` is set, its classes are reused, and the pilot pass determines only the gradient scale. If the noise is also the
+    camera's own noise, the pilot pass is skipped.
     """
     if like is not None and (layer.camera.gain, layer.camera.noise_left) == (run.head.camera.gain, 1):
         return like
