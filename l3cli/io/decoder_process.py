@@ -66,7 +66,7 @@ DENIED = {  # what the system calls affect → names of the denied system calls
 }
 CLONE_THREAD = 0x10000  # flag of the clone system call
 
-_measures: tuple[str, ...] = ()  # security mechanisms that are active in this worker, in addition to resource limits
+_measures: tuple[str, ...] = ()  # measures that are active in this worker, in addition to resource limits
 
 
 def confine(files: Iterable[Path]) -> tuple[str, ...]:
@@ -138,7 +138,7 @@ def _filter_system_calls() -> bool:
 
 @isolated()
 def measures(path: Path) -> tuple[str, ...]:
-    """Return the names of the security mechanisms that `confine` has activated in a file's worker."""
+    """Return the names of the measures that `confine` has activated in a file's worker."""
     return _measures
 
 

@@ -344,7 +344,7 @@ def monitor_at(monitor: MonitorRecipe, nm: float, folder: Path, read: ReadTable 
     nm : float
         Peak wavelength of the capture in nm.
     folder : Path
-        Folder of the measurement file, to which the table's file name is relative.
+        Folder of the measurement file. The table's file name is relative to this folder.
     read : callable
         Function that reads a table.
 

@@ -210,8 +210,8 @@ def _cure(size: int, layout: Layout) -> str:
 def content_of(stored: bytes | bytearray | NDArray[np.uint8], layout: Layout) -> RawContent:
     """Convert the bytes of a frame to a RawContent, with the CFA if the packing implies one.
 
-    So that a wrong layout can be detected, the content also provides the pixels in all other layouts with the same number of
-    bytes per frame.
+    The content also provides the pixels in all other layouts with the same number of bytes per frame, so that a wrong layout
+    can be detected.
     """
     content = RawContent(values=layout.unpack(stored), exchangeable=layout.exchangeable)
 
