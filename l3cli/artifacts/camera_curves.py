@@ -116,7 +116,7 @@ def responsivity(declared: ResponsivityRecipe, channels: Sequence[str], folder: 
     channels : sequence of str
         Names of the channels.
     folder : Path
-        Folder of the recipe, to which the path of the CSV file is relative.
+        Folder of the recipe. The path of the CSV file is relative to this folder.
 
     Returns
     -------

@@ -177,7 +177,7 @@ def polarisers_of(
     wavelength : ndarray, (wavelength,)
         Wavelengths of the camera in nm.
     folder : Path
-        Folder of the recipe, to which paths in the recipe are relative.
+        Folder of the recipe. Paths in the recipe are relative to this folder.
 
     Raises
     ------
@@ -277,7 +277,7 @@ class GainRecipe(Recipe):
     # gains at which the read noise is known, relative to sensor.gain_dn_per_e
     gains: tuple[Annotated[float, msgspec.Meta(ge=1 / MAX_GAIN, le=MAX_GAIN)], ...] = ()
     read_noise_e: tuple[ReadNoise, ...] = ()  # read noise at each gain in `gains`
-    # The part of noise.read_noise_e from before the amplifier; the rest comes from after the amplifier. Use this key instead
+    # Part of noise.read_noise_e that arises before the amplifier; the rest arises after the amplifier. Use this key instead
     # of `gains` and `read_noise_e`.
     read_noise_before_e: NotNegative | None = None
 

@@ -24,7 +24,7 @@ MAX_PATCH = 15
 class Window(NamedTuple):
     """A rectangle in a patch. Its pixels are added to, or subtracted from, a sum from which a feature is computed."""
 
-    sum: int  # number of the sum, counted from 0
+    sum: int  # index of the sum to which the pixels contribute
     top: int
     left: int
     rows: int

@@ -46,8 +46,8 @@ class SpectralSmoothing:
 class ChromaSmoothing:
     """Settings of chroma smoothing, for tables with the outputs X, Y, Z (docs/method.md#smoothed-chroma).
 
-    Each pixel's chromaticity is averaged with those of its 16 neighbours that have similar luminance and chroma. The pixel's
-    luminance is preserved.
+    Each pixel's chromaticity is averaged with the chromaticities of similar neighbours: of its 16 neighbours, those with
+    similar luminance and chroma. The pixel's luminance is preserved.
     """
 
     reach: float = data("float64", doc="relative difference in luminance at which the weight of a neighbour reaches zero")

@@ -24,7 +24,7 @@ MAX_PATCHES = 64  # only this number of the largest patches in a frame is evalua
 # A patch is dark if its L* is below DARK_LIGHTNESS. Otherwise it is coloured if its C*ab is at least GREY_CHROMA. Otherwise
 # it is white if its L* is at least WHITE_LIGHTNESS, and grey if not.
 DARK_LIGHTNESS, WHITE_LIGHTNESS, GREY_CHROMA = 30.0, 85.0, 10.0
-HUES = ((-30.0, "red"), (60.0, "yellow"), (120.0, "green"), (200.0, "blue"))  # where each hue begins, in degrees
+HUES = ((-30.0, "red"), (60.0, "yellow"), (120.0, "green"), (200.0, "blue"))  # lower limit of each hue, in degrees
 # Weights for the standard deviations of L*, a* and b*. ISO 15739:2013 defines them for L*, u* and v*.
 VISUAL = np.array([1.0, 0.852, 0.323])
 PATCH_KINDS = ("white", "grey", "dark", *(name for _, name in HUES))
