@@ -6,8 +6,8 @@ The following description is for rows. Columns are corrected in the same way, af
    pixels of the same channel. Only differences that the noise can explain vote. Edges, clipped pixels and hot pixels do not.
 2. *Variance.* The frame is divided into blocks of columns. A row has the same offset in all blocks, so the variance between
    the blocks, beyond the noise of the pixels, is due to the scene. It increases the variance of the mean difference.
-3. *Rejection.* Pairs with few votes are left out. So are pairs that belong to a step that is larger than offsets can cause,
-   such as a horizon.
+3. *Rejection.* Pairs with few votes are left out. So are pairs whose difference is larger than offsets can cause, such as
+   the two rows at a horizon.
 4. *Offsets.* The most probable offsets are computed from the differences. Their prior distribution has the mean 0 and the
    variance of the camera's row noise. A slow trend of the differences, as in a sky, is attributed to the scene.
 5. *Limits.* The local mean of the offsets is subtracted, because it cannot be distinguished from the scene. If neighbouring
@@ -36,9 +36,6 @@ BLOCK_CORRELATION = 3.0
 POOLED_PAIRS = 4  # number of pairs before and after a pair that contribute to its variance between blocks
 SIGNIFICANT = 3.0  # standard deviations from which a pair's own variance between blocks counts if it is larger
 MAX_DIFFERENCE = 4.0 * np.sqrt(2)  # standard deviations of an offset; largest difference of two lines
-STEP_LINES = 4  # number of lines on each side of a step that are compared
-MAX_STEP = 4.0 * np.sqrt(2 / STEP_LINES)  # standard deviations of an offset; largest difference of the means of these lines
-STEP_PART = 0.2  # smallest fraction of a step that a pair contributes if it is left out
 TREND_PASSES = 2  # passes in which the trend of the differences is estimated
 # Mean square of neighbouring offsets, relative to their variance, from which they are reduced, and at which they become 0.
 PLAUSIBLE, IMPLAUSIBLE = 1.5, 3.0
@@ -160,7 +157,6 @@ def _differences(mosaic: _Mosaic, lag: int, variance: float) -> _Differences:
     enough = (votes.share >= MIN_VOTES) & (error > 0)
     level = mean - _weighted_local_mean(mean, enough.astype(np.float64))
     kept = enough & (np.abs(level) <= MAX_DIFFERENCE * np.sqrt(variance + np.minimum(error / 2, variance)))
-    kept &= ~_in_step(np.where(enough, level, 0.0), lag, MAX_STEP * np.sqrt(variance))
     return _Differences(lag, mean, np.where(kept, 1 / np.where(kept, error, 1.0), 0.0))
 
 
@@ -249,22 +245,6 @@ def _mean_of_blocks(weight: Floats, weighted: Floats) -> tuple[Floats, Floats]:
     whole = inverse.sum(axis=1)
     divisor = np.where(whole > 0, whole, 1.0)
     return (inverse * of_block).sum(axis=1) / divisor, np.where(whole > 0, 1 / divisor, 0.0)
-
-
-def _in_step(mean: Floats, lag: int, limit: float) -> NDArray[np.bool_]:
-    """Return which pairs are part of a step: the means of the lines before and after it differ by more than `limit`.
-
-    `mean` contains the difference of each pair, without the local mean of the differences. A single line with a large offset
-    is no step, because the lines before and after it do not differ.
-    """
-    inside = np.zeros(len(mean), bool)
-    for first in range(min(lag, len(mean))):
-        own = mean[first::lag]
-        profile = np.pad(np.concatenate([[0.0], np.cumsum(own)]), STEP_LINES - 1, "edge")
-        means = np.convolve(profile, np.ones(STEP_LINES) / STEP_LINES, "valid")
-        step = means[STEP_LINES : STEP_LINES + len(own)] - means[: len(own)]
-        inside[first::lag] = (np.abs(step) > limit) & (own * np.sign(step) > STEP_PART * np.abs(step))
-    return inside
 
 
 def _most_probable(rows: int, found: list[_Differences], trends: list[Floats], variance: float) -> Floats:

@@ -132,7 +132,7 @@ def test_scenes_with_horizontal_structures_are_not_damaged(kind: str, ratio: flo
     assert harm.std() <= 1.2
     assert error.std() <= 1.2
     if kind in ("uniform", "horizon", "faint horizon", "blurred horizon", "sky", "shading", "chart"):
-        assert harm.std() < 0.4
+        assert harm.std() < 0.45
         assert error.std() < 0.6
 
 
@@ -156,9 +156,10 @@ def test_clipped_and_hot_pixels_do_not_vote() -> None:
     plain, values, _ = taken(camera, np.full((ROWS, COLS), 120.0))
     spoilt = values.copy()
     spoilt[rng.random(values.shape) < 0.01] = 3000
-    spoilt[:, 700:1000] = int(camera.white_level)
+    spoilt[:, 700:900] = int(camera.white_level)
+    spoilt[:, 900:1400] = 0
     found = corrected(camera, spoilt)
-    np.testing.assert_array_equal(found[:, 700:1000], camera.white_level // 1)
+    np.testing.assert_array_equal(found[:, 700:900], int(camera.white_level))
     same = spoilt == values
     error = ((found - plain) * same).sum(axis=1) / same.sum(axis=1) / (camera.gain * camera.noise.row_temporal_noise)
     assert error.std() < 0.35
